@@ -1,0 +1,199 @@
+"""What flows: typed columnar batches of numpy arrays that share their first axis.
+
+A batch of one row is the live case, a batch of a million the backfill: the same code takes both.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from types import MappingProxyType
+from typing import Any, Final, Self, TypeAlias, TypeVar, cast
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from operators.errors import BatchError
+
+Times: TypeAlias = NDArray[np.int64]  # ns since 1970-01-01 UTC
+Counts: TypeAlias = NDArray[np.int16]  # ADC counts of a barometer
+Flags: TypeAlias = NDArray[np.bool_]
+Codes: TypeAlias = NDArray[np.int8]
+Reals: TypeAlias = NDArray[np.float64]
+
+BAROMETERS: Final = 6  # cells of one fingertip: 5 4 3 over 0 1 2, x right, y up
+EVERY: Final = -1  # finger of a batch that belongs to all fingertips alike, as the arm's motion does
+SLIP: Final = 1
+STATIC: Final = 0
+UNKNOWN: Final = -1
+us: Final = 1_000  # ns
+ms: Final = 1_000_000  # ns
+s: Final = 1_000_000_000  # ns
+
+
+@dataclass(frozen=True)
+class Column:
+    """What one field of a batch holds: element type, shape of one row (-1: any length), unit."""
+
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+    unit: str
+
+
+def column(dtype: DTypeLike, *shape: int, unit: str = "") -> Mapping[str, Column]:
+    """Metadata of a batch field, from which checks, empty batches and Arrow schemas are derived."""
+    return MappingProxyType({"column": Column(np.dtype(dtype), shape, unit)})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Rows of one kind in the order of their event time."""
+
+    time: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) event time
+    finger: int = field(default=EVERY, kw_only=True)  # the fingertip that these rows belong to
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> Self:
+        """Rows by slice (a view), by flags or by indices (a copy)."""
+        values = [getattr(self, name)[rows] for name in columns(type(self))]
+        return type(self)(*values, finger=self.finger)
+
+    @classmethod
+    def empty(cls) -> Self:
+        """A batch of no rows.
+
+        >>> Touch.empty().counts.shape
+        (0, 6)
+        """
+        if cls not in _empty:
+            shapes = [(c.dtype, (0, *(max(size, 0) for size in c.shape))) for c in columns(cls).values()]
+            _empty[cls] = cls(*(np.empty(shape, dtype) for dtype, shape in shapes))
+        return cast("Self", _empty[cls])
+
+    def check(self) -> Self:
+        """Return this batch, or raise if a column has the wrong type or shape.
+
+        Raises:
+            BatchError: naming the column.
+        """
+        kind, length = type(self).__name__, len(self.time)
+        for name, expected in columns(type(self)).items():
+            value: NDArray[Any] = getattr(self, name)
+            found = getattr(value, "dtype", type(value).__name__)
+            if found != expected.dtype:
+                raise BatchError(kind, name, f"is {found}, must be an array of {expected.dtype}")
+            shape = value.shape
+            if (
+                len(shape) != 1 + len(expected.shape)
+                or shape[0] != length
+                or any(want not in (-1, have) for want, have in zip(expected.shape, shape[1:], strict=True))
+            ):
+                want = ", ".join(str(size) if size >= 0 else "any" for size in (length, *expected.shape))
+                raise BatchError(kind, name, f"has shape {shape}, must be ({want})")
+        return self
+
+
+AnyBatch = TypeVar("AnyBatch", bound=Batch)
+
+
+_columns: Final[dict[type[Any], Mapping[str, Column]]] = {}
+_empty: Final[dict[type[Any], Any]] = {}
+
+
+def columns(kind: type[Batch]) -> Mapping[str, Column]:
+    """The array columns of a batch type, in order.
+
+    >>> list(columns(Motion))
+    ['time', 'device_time', 'velocity', 'pose']
+    """
+    if kind not in _columns:
+        _columns[kind] = MappingProxyType(
+            {f.name: f.metadata["column"] for f in fields(kind) if "column" in f.metadata}
+        )
+    return _columns[kind]
+
+
+def concat(kind: type[AnyBatch], batches: Sequence[AnyBatch]) -> AnyBatch:
+    """One batch of the rows of several, which belong to one fingertip; empty ones fall away."""
+    full = [batch for batch in batches if len(batch)]
+    if len(full) == 1:
+        return full[0]
+    if not full:
+        return kind.empty()
+    if len({batch.finger for batch in full}) > 1:
+        raise BatchError(kind.__name__, "finger", "batches of several fingertips cannot become one")
+    values = [np.concatenate([getattr(batch, name) for batch in full]) for name in columns(kind)]
+    return kind(*values, finger=full[0].finger)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch(Batch):
+    """Readings of one fingertip's barometers, as received: raw counts fall as pressure rises."""
+
+    counts: Counts = field(metadata=column(np.int16, BAROMETERS, unit="count"))  # (n, 6) raw ADC, 0..1023
+    temperature: Counts = field(metadata=column(np.int16, BAROMETERS, unit="count"))  # (n, 6) raw ADC
+    valid: Flags = field(metadata=column(np.bool_, BAROMETERS))  # (n, 6) False: the cell did not answer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Zeroed(Touch):
+    """A touch whose counts are relative to the unloaded fingertip: negative means more pressure."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion(Batch):
+    """Motion of the arm's tool centre point (TCP), in the robot's base frame."""
+
+    device_time: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) the controller's own stamp
+    velocity: Reals = field(metadata=column(np.float64, 6, unit="m/s, rad/s"))  # (n, 6) linear, angular
+    pose: Reals = field(metadata=column(np.float64, 6, unit="m, rad"))  # (n, 6) rotation vector; NaN unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample(Zeroed):
+    """A zeroed touch with the arm's motion at its instant; unmatched rows have NaN motion."""
+
+    velocity: Reals = field(metadata=column(np.float64, 6, unit="m/s, rad/s"))  # (n, 6) base frame
+    pose: Reals = field(metadata=column(np.float64, 6, unit="m, rad"))  # (n, 6) base frame
+    matched: Flags = field(metadata=column(np.bool_))  # (n,) False: no motion near enough in time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Labelled(Sample):
+    """A sample with what the arm's motion says of it."""
+
+    speed: Reals = field(metadata=column(np.float64, unit="m/s"))  # (n,) in the contact plane; NaN unknown
+    label: Codes = field(metadata=column(np.int8))  # (n,) 1 slip, 0 static, -1 unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows(Batch):
+    """The samples up to each instant, newest last, as a view into one buffer: do not write to it."""
+
+    counts: Counts = field(metadata=column(np.int16, -1, BAROMETERS, unit="count"))  # (n, length, 6)
+    valid: Flags = field(metadata=column(np.bool_, -1, BAROMETERS))  # (n, length, 6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores(Batch):
+    """How sure a detector is of slip at each instant."""
+
+    probability: Reals = field(metadata=column(np.float64))  # (n,) 0..1; NaN where it cannot tell
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Slips(Batch):
+    """Slip events: one row at each onset and at each end."""
+
+    state: Codes = field(metadata=column(np.int8))  # (n,) 1 onset, 0 end
+    start: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first sample of the run that decided
+    probability: Reals = field(metadata=column(np.float64))  # (n,) at `time`, the sample that decided
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Faults(Batch):
+    """Changes in the health of single barometers."""
+
+    barometer: Codes = field(metadata=column(np.int8))  # (n,) 0..5
+    kind: Codes = field(metadata=column(np.int8))  # (n,) a FaultKind
+    active: Flags = field(metadata=column(np.bool_))  # (n,) True: it begins, False: it ends

@@ -1,0 +1,50 @@
+"""The errors that slipflow raises: few, typed, carrying the data they are about."""
+
+
+class SlipflowError(Exception):
+    """Base of every error that a user can cause and mend; its text is one line."""
+
+
+class ParameterError(SlipflowError):
+    """A parameter has a value that its owner cannot work with.
+
+    >>> raise ParameterError("Debounce", "consecutive", 0, "at least 1")
+    Traceback (most recent call last):
+    operators.errors.ParameterError: Debounce: consecutive is 0, must be at least 1
+    """
+
+    def __init__(self, owner: str, name: str, value: object, must_be: str) -> None:
+        super().__init__(f"{owner}: {name} is {value!r}, must be {must_be}")
+        self.owner, self.name, self.value, self.must_be = owner, name, value, must_be
+
+
+class BatchError(SlipflowError):
+    """A batch breaks the contract of its type."""
+
+    def __init__(self, kind: str, column: str, reason: str) -> None:
+        super().__init__(f"{kind}.{column}: {reason}")
+        self.kind, self.column, self.reason = kind, column, reason
+
+
+class FlowError(SlipflowError):
+    """A flow is wired wrongly; `edge` names the place, as in ``touch -> Label``."""
+
+    def __init__(self, flow: str, edge: str, reason: str) -> None:
+        super().__init__(f"flow {flow!r}: {edge}: {reason}")
+        self.flow, self.edge, self.reason = flow, edge, reason
+
+
+class InputError(SlipflowError):
+    """Something that was to be read cannot be; `where` names the file, and the line or column if known."""
+
+    def __init__(self, where: str, reason: str) -> None:
+        super().__init__(f"{where}: {reason}")
+        self.where, self.reason = where, reason
+
+
+class EndpointError(SlipflowError):
+    """A connector cannot reach or write to its place; the runner tries again with back-off."""
+
+    def __init__(self, place: str, reason: str) -> None:
+        super().__init__(f"{place}: {reason}")
+        self.place, self.reason = place, reason

@@ -1,0 +1,148 @@
+"""The ends of a flow: what a connector must offer to feed it or to take what it gives.
+
+Only the shapes stand here; what talks to the world lives in connectors and storage.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import AsyncIterator, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
+
+from operators.batch import EVERY, Batch
+
+Given = TypeVar("Given", bound=Batch, covariant=True)
+Taken = TypeVar("Taken", bound=Batch, contravariant=True)
+SomeBatch = TypeVar("SomeBatch", bound=Batch)
+Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+Description: TypeAlias = Mapping[str, Json]
+
+
+class Clock(Protocol):
+    """Time as a run sees it: never steps back, and in tests need not pass."""
+
+    def now(self) -> int:
+        """The present, ns since 1970-01-01 UTC."""
+        ...
+
+    async def sleep_until(self, time: int) -> None:
+        """Wait until `time` (ns); at once if it has passed."""
+        ...
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A span in which a source gave nothing because it had failed."""
+
+    start: int  # ns, the last row before it
+    end: int  # ns, when the source was up again
+    reason: str
+
+
+@dataclass
+class SourceStatus:
+    """What a run knows of one source."""
+
+    rows: int = 0
+    late: int = 0  # rows that came after newer ones
+    newest: int = 0  # ns, event time of the newest row
+    up: bool = False
+    gaps: list[Gap] = field(default_factory=list[Gap])
+
+
+@dataclass
+class SinkStatus:
+    """What a run knows of one sink."""
+
+    rows: int = 0
+    queued: int = 0  # batches
+    dropped: int = 0  # rows that were given up, by policy or because the sink had failed
+    failures: int = 0
+    error: str = ""  # the newest failure; empty while it works
+
+
+@dataclass
+class Run:
+    """One execution of a flow, shown to its sinks while it lasts."""
+
+    session: str  # identifier, a file name
+    flow: str
+    clock: Clock
+    start: int  # ns
+    describe: dict[str, Description] = field(default_factory=dict[str, Description])  # by source
+    sources: dict[str, SourceStatus] = field(default_factory=dict[str, SourceStatus])
+    sinks: dict[str, SinkStatus] = field(default_factory=dict[str, SinkStatus])
+
+
+class Source(ABC, Generic[Given]):
+    """A stream from the world."""
+
+    @property
+    @abstractmethod
+    def kind(self) -> type[Given]:
+        """The type of the batches it gives."""
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """The fingertips that its batches belong to."""
+        return (EVERY,)
+
+    @abstractmethod
+    def batches(self, clock: Clock) -> AsyncIterator[Given]:
+        """One connection's worth of batches, each of one fingertip, stamped in the clock's time.
+
+        Ending means that the stream is complete. Raising means that the source failed: the runner records
+        a gap and calls again, with back-off.
+        """
+
+    def describe(self) -> Description:
+        """What a recording should say of this source: sensor, rate, bus, seed."""
+        return {}
+
+
+class Sink(ABC, Generic[Taken]):
+    """Something that takes batches out of a flow.
+
+    The runner gives each sink a bounded queue of its own, calls `open` once, `write` one batch at a time and
+    `close` once. When `write` raises, the runner calls it again with the same batch, after a back-off.
+    """
+
+    lossless: ClassVar[bool] = True  # False: when the queue is full the oldest batch is dropped and counted
+    capacity: ClassVar[int] = 4096  # batches
+
+    @property
+    @abstractmethod
+    def place(self) -> str:
+        """What it writes to, such as a path or an address: two sinks of a flow may not share it."""
+
+    @abstractmethod
+    async def open(self, run: Run) -> None:
+        """Get ready to write. Raising ends the run before it starts."""
+
+    @abstractmethod
+    async def write(self, batch: Taken) -> None:
+        """Write one batch. Raising means that nothing of it was written."""
+
+    async def close(self) -> None:
+        """Complete what was written."""
+        return
+
+
+class Recording(Protocol):
+    """Something recorded that a flow can be run over again."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in messages."""
+        ...
+
+    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
+        """The fingertips it holds rows of `kind` for; () where it holds no such stream."""
+        ...
+
+    def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
+        """The stream in batches of at most `rows`; a subtype may be given, as Zeroed for Touch."""
+        ...
+
+    def describe(self) -> Description:
+        """What the recording says of itself."""
+        ...
