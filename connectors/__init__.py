@@ -1,1 +1,11 @@
-"""."""
+"""Connectors carry batches between flows and the world; what they import heavily is imported on first use."""
+
+from connectors.console import Console
+from connectors.csv_trace import CsvTrace
+from connectors.events import Event
+from connectors.mqtt import Mqtt
+from connectors.mqtt_signal import MqttSignal
+from connectors.replay import Replay
+from connectors.rig.rig import Rig
+
+__all__ = ["Console", "CsvTrace", "Event", "Mqtt", "MqttSignal", "Replay", "Rig"]

@@ -6,7 +6,7 @@ Only the shapes stand here; what talks to the world lives in connectors and stor
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
+from typing import Generic, Protocol, TypeAlias, TypeVar
 
 from operators.batch import EVERY, Batch
 
@@ -106,8 +106,8 @@ class Sink(ABC, Generic[Taken]):
     `close` once. When `write` raises, the runner calls it again with the same batch, after a back-off.
     """
 
-    lossless: ClassVar[bool] = True  # False: when the queue is full the oldest batch is dropped and counted
-    capacity: ClassVar[int] = 4096  # batches
+    lossless: bool = True  # False: when the queue is full the oldest batch is dropped and counted
+    capacity: int = 4096  # batches
 
     @property
     @abstractmethod

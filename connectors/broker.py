@@ -1,0 +1,82 @@
+"""Where an MQTT broker is and how to get in. Light: aiomqtt is imported when something connects."""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from operators.errors import InputError, ParameterError
+
+if TYPE_CHECKING:
+    from connectors.link import Link
+
+USER = "SLIPFLOW_MQTT_USER"
+PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
+PASSWORD_FILE = "SLIPFLOW_MQTT_PASSWORD_FILE"  # noqa: S105 - the variable's name
+_PORTS = {"mqtt": 1883, "mqtts": 8883}
+_URL = re.compile(r"(mqtts?)://(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+))(?::([0-9]{1,5}))?")
+
+
+@dataclass(frozen=True)
+class Broker:
+    """Address of an MQTT broker.
+
+    User and password come from the environment variables SLIPFLOW_MQTT_USER and SLIPFLOW_MQTT_PASSWORD, or
+    the file that SLIPFLOW_MQTT_PASSWORD_FILE names. ``mqtts`` trusts the system's certificate authorities,
+    or the file that SSL_CERT_FILE names.
+    """
+
+    scheme: str  # mqtt or mqtts (TLS)
+    host: str
+    port: int
+
+    @classmethod
+    def parse(cls, url: str, owner: str = "Mqtt") -> "Broker":
+        """Read ``mqtt://host[:port]`` or ``mqtts://host[:port]``.
+
+        >>> print(Broker.parse("mqtts://broker.example"))
+        mqtts://broker.example:8883
+
+        Raises:
+            ParameterError: on anything else, naming `owner`; on a password too, which has no place in a URL.
+        """
+        _, credentials, rest = url.rpartition("@")
+        if credentials:
+            must_be = f"without credentials: set {USER} and {PASSWORD}"
+            raise ParameterError(owner, "url", f"...@{rest}", must_be)
+        match = _URL.fullmatch(url)
+        port = int(match[4] or _PORTS[match[1]]) if match else 0
+        if not (match and 0 < port < 2**16):
+            raise ParameterError(owner, "url", url, "like mqtt://host, mqtt://host:1883 or mqtts://host")
+        return cls(match[1], match[2] or match[3], port)
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{self.scheme}://{host}:{self.port}"
+
+    def login(self) -> tuple[str | None, str | None]:
+        """User and password, each None where none is set.
+
+        Raises:
+            InputError: if the password file cannot be read.
+        """
+        password = os.environ.get(PASSWORD)
+        if path := os.environ.get(PASSWORD_FILE):
+            try:
+                password = Path(path).read_text(encoding="utf-8").rstrip("\r\n")
+            except (OSError, UnicodeError) as error:
+                raise InputError(path, f"cannot read the password ({PASSWORD_FILE}): {error}") from None
+        return os.environ.get(USER), password
+
+    async def connect(self, identifier: str, will: tuple[str, bytes] | None = None) -> "Link":
+        """Connect once; `will` is the topic and payload that the broker retains there if we vanish.
+
+        Raises:
+            EndpointError: if the broker is unreachable, silent or refuses us.
+        """
+        from connectors.link import Link  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+
+        link = Link(self, identifier, will)
+        await link.connect()
+        return link

@@ -1,0 +1,47 @@
+"""How a run is doing, as it is reported while it lasts."""
+
+from operators.batch import ms, s
+from operators.ports import Json, Run
+
+
+class HealthReports:
+    """Reports of one run; rates are those since the report before."""
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self._time, self._rows = run.start, dict.fromkeys(run.sources, 0)
+
+    def next(self) -> dict[str, Json]:
+        """Report the present state.
+
+        A source is up, stale (up, but it gave nothing since the report before) or down.
+        """
+        run, now = self._run, self._run.clock.now()
+        elapsed = (now - self._time) / s
+        sources: dict[str, Json] = {}
+        for name, source in run.sources.items():
+            rows = source.rows - self._rows.get(name, 0)
+            sources[name] = {
+                "state": ("up" if rows else "stale") if source.up else "down",
+                "rate_hz": round(rows / elapsed, 3) if elapsed > 0 else None,
+                "lag_ms": (now - source.newest) / ms if source.newest else None,
+                "rows": source.rows,
+                "late": source.late,
+                "gaps": len(source.gaps),
+            }
+        self._time, self._rows = now, {name: source.rows for name, source in run.sources.items()}
+        return {
+            "epoch": run.session,
+            "time_ns": now,
+            "sources": sources,
+            "sinks": {
+                name: {
+                    "rows": sink.rows,
+                    "queued": sink.queued,
+                    "dropped": sink.dropped,
+                    "failures": sink.failures,
+                    "error": sink.error or None,
+                }
+                for name, sink in run.sinks.items()
+            },
+        }

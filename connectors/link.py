@@ -1,0 +1,233 @@
+"""One connection to an MQTT 5 broker: aiomqtt with its traps closed."""
+
+import asyncio
+import logging
+import re
+import socket
+import ssl
+from collections.abc import AsyncGenerator, Awaitable
+from contextlib import suppress
+from typing import TypeVar
+
+import aiomqtt
+from aiomqtt.exceptions import MqttConnectError
+from aiomqtt.types import PahoSocket
+from paho.mqtt.client import Client as Paho
+from paho.mqtt.client import DisconnectFlags
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
+
+from connectors.broker import PASSWORD, USER, Broker
+from operators.errors import EndpointError
+
+T = TypeVar("T")
+
+TIMEOUT = 3.0  # s, for each answer of the broker
+KEEPALIVE = 5  # s
+WILL_DELAY = 2  # s; a connection that is back by then was never away
+SESSION_EXPIRY = 10  # s; the broker sends the will no later than this
+INCOMING = 1000  # messages that may wait to be read; then the oldest are dropped
+
+_paho_log = logging.getLogger("slipflow.paho")  # it repeats what our errors say
+_paho_log.setLevel(logging.CRITICAL)
+
+
+class Newest(asyncio.Queue[aiomqtt.Message]):
+    """A queue that drops its oldest message when it is full, and counts."""
+
+    dropped = 0
+
+    def put_nowait(self, item: aiomqtt.Message) -> None:
+        """Add a message."""
+        if self.full():
+            self.get_nowait()
+            self.dropped += 1
+        super().put_nowait(item)
+
+
+class Link(aiomqtt.Client):
+    """A connection for one use: once it is lost, make another.
+
+    Beyond aiomqtt it raises what the broker refuses, notices a lost connection while it waits for an answer,
+    and leaves no callback behind on a closed socket or event loop.
+    """
+
+    def __init__(self, broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> None:
+        """Get ready to connect as `identifier`, by which the broker knows us again when we are back."""
+        session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        session.SessionExpiryInterval = SESSION_EXPIRY
+        delay = Properties(PacketTypes.WILLMESSAGE)  # type: ignore[no-untyped-call]
+        delay.WillDelayInterval = WILL_DELAY
+        user, password = broker.login()
+        super().__init__(
+            broker.host,
+            broker.port,
+            identifier=identifier,
+            username=user,
+            password=password,
+            protocol=aiomqtt.ProtocolVersion.V5,
+            will=aiomqtt.Will(*will, qos=1, retain=True, properties=delay) if will else None,
+            clean_start=False,  # a clean start would set off the will of the connection before
+            properties=session,
+            tls_context=_tls() if broker.scheme == "mqtts" else None,
+            timeout=TIMEOUT,
+            keepalive=KEEPALIVE,
+            socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
+            queue_type=Newest,
+            max_queued_incoming_messages=INCOMING,
+            logger=_paho_log,
+        )
+        self._client.connect_timeout = TIMEOUT
+        self._place = str(broker)
+        self._answers: list[ReasonCode] = []  # to the newest publish
+
+    @property
+    def alive(self) -> bool:
+        """False once the connection is lost."""
+        return not self._disconnected.done()
+
+    @property
+    def dropped(self) -> int:
+        """Messages that came in faster than they were read."""
+        return self._queue.dropped if isinstance(self._queue, Newest) else 0
+
+    async def connect(self) -> None:
+        """Connect.
+
+        Raises:
+            EndpointError: if the broker is unreachable, silent or refuses us.
+        """
+        entering = asyncio.ensure_future(self.__aenter__())
+        try:
+            await asyncio.shield(entering)
+        except asyncio.CancelledError:
+            with suppress(aiomqtt.MqttError, ValueError):
+                await entering  # in a thread that cannot be stopped, and may call back
+            self.drop()
+            raise
+        except (aiomqtt.MqttError, ValueError) as error:
+            self.drop()
+            hint = f"; check {USER} and {PASSWORD}" if isinstance(error, MqttConnectError) else ""
+            raise EndpointError(self._place, f"cannot connect: {_reason(error)}{hint}") from None
+
+    async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
+        """Publish, one message at a time; with `qos` 1 the broker has it once this returns.
+
+        Raises:
+            EndpointError: if the connection is lost, or the broker refuses the message.
+        """
+        self._answers.clear()
+        try:
+            await self.publish(topic, payload, qos, retain)
+        except aiomqtt.MqttError as error:
+            self.drop()
+            raise EndpointError(self._place, f"connection lost ({_reason(error)})") from None
+        if not self._answers:
+            self.drop()
+            raise EndpointError(self._place, f"connection lost ({_reason(self._disconnected.exception())})")
+        if self._answers[-1].is_failure:
+            raise EndpointError(self._place, f"refuses to publish {topic}: {self._answers[-1]}")
+
+    async def listen(self, topics: str) -> None:
+        """Subscribe to a topic filter, with QoS 1; see `incoming`.
+
+        Raises:
+            EndpointError: if the connection is lost, or the broker refuses.
+        """
+        try:
+            answers = await self.subscribe(topics, qos=1)
+        except aiomqtt.MqttError as error:
+            raise EndpointError(self._place, f"connection lost ({_reason(error)})") from None
+        for answer in answers:
+            if isinstance(answer, ReasonCode) and answer.is_failure:
+                raise EndpointError(self._place, f"refuses to subscribe to {topics}: {answer}")
+
+    async def incoming(self) -> AsyncGenerator[tuple[str, bytes]]:
+        """Topic and payload of each message that comes, to the last that came before the connection was lost.
+
+        Raises:
+            EndpointError: once the connection is lost.
+        """
+        while True:
+            try:
+                message = await anext(self.messages)
+            except aiomqtt.MqttError as error:
+                raise EndpointError(self._place, f"connection lost ({_reason(error.__cause__)})") from None
+            yield message.topic.value, message.payload
+
+    async def leave(self) -> None:
+        """Say farewell and close: the broker forgets the will."""
+        with suppress(aiomqtt.MqttError):
+            await self.__aexit__(None, None, None)
+        self.drop()
+
+    def drop(self) -> None:
+        """Close without a word: the broker sends the will."""
+        while isinstance(sock := self._client.socket(), socket.socket):
+            with suppress(OSError):
+                sock.shutdown(socket.SHUT_RDWR)
+            self._client.loop_read()
+
+    async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - as the base has it
+        try:
+            async with asyncio.timeout(self.timeout if timeout is None else timeout):
+                return await fut  # not asyncio.wait_for: before Python 3.12 that may lose a cancellation
+        except TimeoutError:
+            raise aiomqtt.MqttError("timed out") from None
+
+    def _on_publish(
+        self, client: Paho, userdata: object, mid: int, reason_code: ReasonCode, properties: Properties
+    ) -> None:
+        self._answers.append(reason_code)
+        super()._on_publish(client, userdata, mid, reason_code, properties)
+
+    def _on_disconnect(
+        self,
+        client: Paho,
+        userdata: object,
+        flags: DisconnectFlags,
+        reason_code: ReasonCode,
+        properties: Properties | None = None,
+    ) -> None:
+        super()._on_disconnect(client, userdata, flags, reason_code, properties)
+        if not self._connected.done():
+            self._connected.set_exception(aiomqtt.MqttError("the broker closed the connection"))
+        for future in (self._connected, self._disconnected):
+            if future.done() and not future.cancelled():
+                future.exception()  # nobody may ever ask: asyncio need not complain
+        for confirmation in self._pending_publishes.values():
+            confirmation.set()  # no answer will come
+
+    def _on_socket_register_write(self, client: Paho, userdata: object, sock: PahoSocket) -> None:  # noqa: ARG002
+        def register() -> None:
+            if sock.fileno() >= 0:  # by now it may be closed, and its number another socket's
+                self._loop.add_writer(sock, client.loop_write)
+
+        self._loop.call_soon_threadsafe(register)
+
+
+class _Socket(ssl.SSLSocket):
+    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - as the base has it
+        try:
+            super().do_handshake(block)
+        except BaseException:
+            self.close()  # paho forgets it
+            raise
+
+
+def _tls() -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    context.sslsocket_class = _Socket
+    return context
+
+
+def _reason(error: BaseException | None) -> str:
+    """What happened, in the broker's words, or the system's."""
+    if isinstance(error, aiomqtt.MqttCodeError) and isinstance(error.rc, ReasonCode):
+        return str(error.rc)
+    if error is None or str(error) == "Unspecified error":
+        return "closed unexpectedly"
+    if str(error) == "timed out":
+        return f"no answer within {TIMEOUT:g} s"
+    return re.sub(r"^\[Errno -?\d+\] ", "", str(error))

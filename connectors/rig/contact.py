@@ -1,0 +1,245 @@
+"""Contact of the pad with a surface: normal pressure, friction, and the motion of the finger that carries it.
+
+The pad is a grid of nodes at (x, y), each standing for an area A. All vectors are in the fingertip frame.
+
+Normal (Winkler foundation, quasi-static)::
+
+    overlap  delta = d + a x + b y - g           d depth (m), a and b tilts (rad), g gap to the surface (m)
+    pressure p = k_n max(0, delta)               k_n normal stiffness (Pa/m)
+    sum p A                          = F         F normal force (N), commanded
+    sum p A x + k_a (a - a0) + h Q_x = 0         k_a tilt stiffness (N m/rad), h lever (m), a0 tilt at rest
+    sum p A y + k_a (b - b0) + h Q_y = 0         Q friction on the tip (N): the leading edge digs in
+
+Friction (elasto-plastic bristles, Dahl 1968, with the cap of Stribeck as in Canudas de Wit et al. 1995)::
+
+    ds/dt = v - (plastic part)                   s bristle deflection (m), v velocity of the node (m/s)
+    traction t = k_t s,  |t| <= mu(|v|) p        k_t shear stiffness (Pa/m); the excess is slip
+    mu(v) = (mu_k + (mu_s - mu_k) / (1 + (v / v_s)^2)) (1 + c/2 (sin 2 pi l/L1 + sin 2 pi l/L2))
+    Q = -sum t A                                 l path of the tip (m), c depth and L lengths of the texture
+
+Finger (rigid tip with velocity w, spin o; spring deflection e to an arm that moves at V, spins at O)::
+
+    m dw/dt = k e + c (V - w) + Q + P            P push from outside (N), such as a tap
+    I do/dt = k_o e_o + c_o (O - o) + sum (y t_x - x t_y) A
+    de/dt   = V - w,   de_o/dt = O - o
+
+Steps are semi-implicit (symplectic) Euler. Frame rotation terms (m O w < 0.02 N) are left out.
+`advance` is the compiled form; `contact_numpy.advance` says the same in array arithmetic.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple, TypeVar, cast
+
+import numpy as np
+from numba import njit
+
+from operators.batch import Reals, Times
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+TINY: Final = 1e-300  # m, so that a bristle at rest has a direction
+
+
+def compiled(function: Function) -> Function:
+    """The function as machine code, kept on disk, that lets other threads run meanwhile."""
+    return cast("Function", njit(cache=True, nogil=True, error_model="numpy")(function))
+
+
+def summed(function: Function) -> Function:
+    """The same, built into its caller, and its sums may be taken in any order: on vector units."""
+    relaxed = {"reassoc", "nsz", "nnan"}
+    return cast(
+        "Function",
+        njit(cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath=relaxed)(function),
+    )
+
+
+class Law(NamedTuple):
+    """The scalars of the equations, named as there."""
+
+    step: float  # s
+    area: float  # m2, of one node
+    k_n: float  # Pa/m
+    k_t: float  # Pa/m
+    mu_s: float
+    mu_k: float
+    v_s: float  # m/s
+    texture: float
+    wave_1: float  # rad/m
+    wave_2: float  # rad/m
+    mass: float  # kg
+    spring: float  # N/m
+    damper: float  # N s/m
+    inertia: float  # kg m2
+    twist_spring: float  # N m/rad
+    twist_damper: float  # N m s/rad
+    tilt_spring: float  # N m/rad
+    lever: float  # m
+    tilt_x: float  # rad, a0
+    tilt_y: float  # rad, b0
+
+
+class Pad(NamedTuple):
+    """The nodes."""
+
+    x: Reals  # (n,) m
+    y: Reals  # (n,) m
+    gap: Reals  # (n,) m
+
+
+class State(NamedTuple):
+    """What changes, in place."""
+
+    deflection: Reals  # (3,) m, m, rad: spring, e and e_o
+    velocity: Reals  # (3,) m/s, m/s, rad/s: tip, w and o
+    attitude: Reals  # (3,) m, rad, rad: d, a, b
+    friction: Reals  # (2,) N: Q of the last step
+    path: Reals  # (1,) m: l
+    pressure: Reals  # (n,) Pa
+    bristle: Reals  # (2, n) m: s
+    pressed: Reals  # (n,) 1 where in contact, else 0
+    springs: Reals  # (9,) sums over the nodes in contact, see `gather`; 0 in the air
+
+    @classmethod
+    def rest(cls, nodes: int) -> "State":
+        """A fingertip in the air, at rest."""
+        return cls(
+            np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1),
+            np.zeros(nodes), np.zeros((2, nodes)), np.zeros(nodes), np.zeros(9),
+        )  # fmt: skip
+
+
+@summed
+def gather(law: Law, pad: Pad, state: State) -> None:
+    """Sum the springs of the pressed nodes: their moments 1, x, y, xx, xy, yy, and g, gx, gy of the gaps."""
+    s, sx, sy, sxx, sxy, syy, sg, sgx, sgy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(pad.x.size):
+        k = law.k_n * law.area * state.pressed[i]
+        x, y, kg = pad.x[i], pad.y[i], k * pad.gap[i]
+        s, sx, sy = s + k, sx + k * x, sy + k * y
+        sxx, sxy, syy = sxx + k * x * x, sxy + k * x * y, syy + k * y * y
+        sg, sgx, sgy = sg + kg, sgx + kg * x, sgy + kg * y
+    state.springs[:] = s, sx, sy, sxx, sxy, syy, sg, sgx, sgy
+
+
+@summed
+def press(law: Law, pad: Pad, state: State, force: float) -> None:
+    """Balance the normal force and the tilting moments: Newton's method over the set of pressed nodes.
+
+    The springs are summed anew only when that set has changed.
+    """
+    if force <= 0.0:
+        state.pressed[:] = 0.0
+        state.pressure[:] = 0.0
+        state.springs[:] = 0.0
+        return
+    if state.springs[0] == 0.0:
+        state.pressed[:] = 1.0
+        gather(law, pad, state)
+    for _ in range(12):
+        s, sx, sy, sxx, sxy, syy, sg, sgx, sgy = state.springs
+        f = force + sg
+        mx = law.tilt_spring * law.tilt_x - law.lever * state.friction[0] + sgx
+        my = law.tilt_spring * law.tilt_y - law.lever * state.friction[1] + sgy
+        # depth out of the first row, tilts from the 2 x 2 system that remains
+        axx, axy, ayy = (
+            sxx + law.tilt_spring - sx * sx / s,
+            sxy - sx * sy / s,
+            syy + law.tilt_spring - sy * sy / s,
+        )
+        bx, by = mx - sx * f / s, my - sy * f / s
+        determinant = axx * ayy - axy * axy
+        a, b = (ayy * bx - axy * by) / determinant, (axx * by - axy * bx) / determinant
+        d = (f - sx * a - sy * b) / s
+        state.attitude[0], state.attitude[1], state.attitude[2] = d, a, b
+        changed = 0.0
+        for i in range(pad.x.size):
+            overlap = d + a * pad.x[i] + b * pad.y[i] - pad.gap[i]
+            pressed = 1.0 if overlap > 0.0 else 0.0
+            changed += abs(pressed - state.pressed[i])
+            state.pressed[i] = pressed
+            state.pressure[i] = law.k_n * overlap * pressed
+        if changed == 0.0:
+            break
+        gather(law, pad, state)
+
+
+@summed
+def rub(law: Law, pad: Pad, state: State, force: float) -> tuple[float, float, float, float]:
+    """Move the bristles by one step; friction (N, N, N m) on the tip, sliding speed of the pad (m/s)."""
+    vx, vy, spin = state.velocity[0], state.velocity[1], state.velocity[2]
+    texture = 1.0
+    if law.texture > 0.0:
+        path = state.path[0]
+        texture += 0.5 * law.texture * (math.sin(law.wave_1 * path) + math.sin(law.wave_2 * path))
+    inverse, rise = 1.0 / (law.v_s * law.v_s), law.mu_s - law.mu_k
+    reach = texture / law.k_t
+    along, across = state.bristle[0], state.bristle[1]
+    sum_x, sum_y, moment, excess = 0.0, 0.0, 0.0, 0.0
+    for i in range(pad.x.size):
+        x, y, pressure = pad.x[i], pad.y[i], state.pressure[i]
+        ux, uy = vx - spin * y, vy + spin * x
+        sx, sy = along[i] + ux * law.step, across[i] + uy * law.step
+        longest = reach * pressure * (law.mu_k + rise / (1.0 + (ux * ux + uy * uy) * inverse))
+        length = math.sqrt(sx * sx + sy * sy) + TINY
+        kept = min(longest / length, 1.0)
+        sx, sy = sx * kept, sy * kept
+        along[i], across[i] = sx, sy
+        sum_x, sum_y, moment = sum_x + sx, sum_y + sy, moment + y * sx - x * sy
+        excess += pressure * length * (1.0 - kept)
+    k = law.k_t * law.area
+    slide = excess * law.area / (force * law.step) if force > 0.0 else 0.0
+    return -k * sum_x, -k * sum_y, k * moment, slide
+
+
+@compiled
+def swing(law: Law, state: State, drive: Reals, friction: tuple[float, float, float]) -> None:
+    """Move the tip on its spring by one step."""
+    e, w = state.deflection, state.velocity
+    h = law.step
+    for axis in range(2):
+        pull = law.spring * e[axis] + law.damper * (drive[axis] - w[axis])
+        w[axis] += h / law.mass * (pull + friction[axis] + drive[4 + axis])
+        e[axis] += h * (drive[axis] - w[axis])
+    pull = law.twist_spring * e[2] + law.twist_damper * (drive[2] - w[2])
+    w[2] += h / law.inertia * (pull + friction[2])
+    e[2] += h * (drive[2] - w[2])
+    state.path[0] += h * math.sqrt(w[0] * w[0] + w[1] * w[1])
+
+
+@compiled
+def advance(law: Law, pad: Pad, state: State, drive: Reals, until: Times) -> tuple[Reals, Reals]:
+    """Run the scene and read it at chosen steps.
+
+    Args:
+        law: The constants.
+        pad: The nodes.
+        state: Where the scene stands; changed in place.
+        drive: (steps, 6) velocity of the arm at the pad (m/s, m/s, rad/s), normal force (N), push (N, N).
+        until: (k,) how many of the steps are done when each reading is taken, not decreasing.
+
+    Returns:
+        Pressure and tractions x and y on the pad (Pa), (k, 3, n); mean sliding speed since the last
+        reading (m/s) and normal force (N), (k, 2).
+    """
+    tractions, truth = np.empty((until.size, 3, pad.x.size)), np.empty((until.size, 2))
+    done = 0
+    for reading in range(until.size):
+        slid = 0.0
+        steps = until[reading] - done
+        while done < until[reading]:
+            press(law, pad, state, drive[done, 3])
+            qx, qy, torque, slide = rub(law, pad, state, drive[done, 3])
+            swing(law, state, drive[done], (qx, qy, torque))
+            state.friction[0], state.friction[1] = qx, qy
+            slid += slide
+            done += 1
+        force = 0.0
+        for i in range(pad.x.size):
+            tractions[reading, 0, i] = state.pressure[i]
+            tractions[reading, 1, i] = -law.k_t * state.bristle[0, i]
+            tractions[reading, 2, i] = -law.k_t * state.bristle[1, i]
+            force += state.pressure[i] * law.area
+        truth[reading, 0] = slid / steps if steps > 0 else 0.0
+        truth[reading, 1] = force
+    return tractions, truth

@@ -1,0 +1,149 @@
+"""One simulated fingertip: a scene and a seed to touch samples, a stretch at a time."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from connectors.rig import contact
+from connectors.rig.motion import Arm
+from connectors.rig.parameters import Parameters
+from connectors.rig.scene import Move, Moves, Scene
+from connectors.rig.sensor import CEILING, grid, influence, respond
+from connectors.rig.timing import Sampler
+from connectors.rig.truth import Truth
+from operators.batch import BAROMETERS, Counts, Reals, Touch, s
+
+ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
+
+
+def law(scene: Scene) -> contact.Law:
+    """The constants of a scene's contact."""
+    p = scene.parameters
+    return contact.Law(
+        step=p.step,
+        area=p.width * p.height / (p.columns * p.rows),
+        k_n=p.normal_stiffness,
+        k_t=p.shear_stiffness,
+        mu_s=p.static_friction,
+        mu_k=p.kinetic_friction,
+        v_s=p.stribeck_speed,
+        texture=p.texture,
+        wave_1=2 * math.pi / p.texture_lengths[0],
+        wave_2=2 * math.pi / p.texture_lengths[1],
+        mass=p.mass,
+        spring=p.stiffness,
+        damper=2 * p.damping * math.sqrt(p.stiffness * p.mass),
+        inertia=p.inertia,
+        twist_spring=p.twist_stiffness,
+        twist_damper=2 * p.damping * math.sqrt(p.twist_stiffness * p.inertia),
+        tilt_spring=p.tilt_stiffness,
+        lever=p.lever,
+        tilt_x=scene.tilt[0],
+        tilt_y=scene.tilt[1],
+    )
+
+
+def pad(scene: Scene) -> contact.Pad:
+    """The nodes over a scene's surface."""
+    p: Parameters = scene.parameters
+    x, y = grid(p)
+    kx, ky = scene.curvatures
+    gap = (kx * (x - scene.apex[0]) ** 2 + ky * (y - scene.apex[1]) ** 2) / 2
+    return contact.Pad(x, y, gap)
+
+
+class Finger:
+    """A fingertip in a scene.
+
+    Args:
+        scene: What happens to it.
+        seed: Of the plan, and with `finger` of its cells' rest levels and of all its noise.
+        finger: Which fingertip it is.
+        begun: Told of every move when it begins, with its start (s).
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int,
+        finger: int = 0,
+        begun: Callable[[Move, float], None] | None = None,
+    ) -> None:
+        p = self._p = scene.parameters
+        self._scene, self._finger = scene, finger
+        self._arm = Arm(scene, seed, begun)
+        self._law, self._pad = law(scene), pad(scene)
+        self._state = contact.State.rest(p.columns * p.rows)
+        self._influence = influence(p)
+        self._late = np.zeros(BAROMETERS)
+        self._ticks = 0
+        body, timing, self._noise, self._warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
+        self._rest = body.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
+        self._temperature = ROOM_TEMPERATURE + body.integers(-8, 8, BAROMETERS)
+        self._sampler = Sampler(scene.touch, timing)
+        self._held: Reals | None = None  # (6,) the first reading, which stuck cells repeat
+
+    def take(self, samples: int) -> tuple[Touch, Truth] | None:
+        """The next samples, stamped from the run's start; fewer where the plan ends, None after it."""
+        t = self._sampler.instants(samples)  # (k,) s
+        until = np.rint(t / self._p.step).astype(np.int64) - self._ticks
+        drive = self._drive(int(until[-1]))
+        t, until = t[until <= len(drive)], until[until <= len(drive)]
+        if not len(t):
+            return None
+        tractions, truth = contact.advance(self._law, self._pad, self._state, drive, until)
+        self._ticks += int(until[-1])
+        time, arrive = self._sampler.stamp(len(t))
+        counts = self._counts(t, tractions)
+        valid = np.ones((len(t), BAROMETERS), np.bool_)
+        valid[:, list(self._scene.faults.dead)] = False
+        temperature = self._temperature + 0.3 * self._warmth.standard_normal((len(t), BAROMETERS))
+        touch = Touch(time, counts, np.rint(temperature).astype(np.int16), valid, finger=self._finger)
+        velocity = np.zeros((len(t), 3))
+        moved = until > 0
+        velocity[moved] = drive[until[moved] - 1, :3]
+        happened = Truth(np.rint(t * s).astype(np.int64), truth[:, 0], truth[:, 1], velocity)
+        return (touch if arrive.all() else touch[arrive]), happened
+
+    def _drive(self, steps: int) -> Reals:
+        """The arm's next steps (steps, 6) for `contact.advance`; fewer when the plan has ended."""
+        t = np.arange(self._ticks, self._ticks + steps, dtype=np.float64) * self._p.step
+        path = self._arm.at(t)
+        drive = np.empty((len(path.force), 6))
+        drive[:, :3], drive[:, 3], drive[:, 4:] = path.velocity, path.force, path.push
+        x, y = self._scene.offset
+        if x or y:
+            drive[:, 0] -= drive[:, 2] * y
+            drive[:, 1] += drive[:, 2] * x
+        if (shake := self._scene.vibration) is not None:
+            pulse = 2 * math.pi * shake.frequency
+            swing = pulse * shake.amplitude * np.cos(pulse * t[: len(drive)])
+            heading = math.radians(shake.direction_deg)
+            drive[:, 0] += swing * math.cos(heading)
+            drive[:, 1] += swing * math.sin(heading)
+        return drive
+
+    def _counts(self, t: Reals, tractions: Reals) -> Counts:
+        """Raw ADC counts (k, 6) at instants (k,) (s)."""
+        p, faults = self._p, self._scene.faults
+        gained = 1 - math.exp(-1 / (self._scene.touch.rate * p.creep_time))
+        counts = respond(tractions, self._influence, (p.sensitivity, p.creep, gained), self._late)
+        if faults.gain:
+            counts *= faults.gain
+        counts += self._rest
+        if faults.offset:
+            counts += faults.offset
+        if faults.drift:
+            counts += t[:, None] * faults.drift
+        if p.noise:
+            counts += p.noise * self._noise.standard_normal(counts.shape)
+        held = self._held = counts[0].copy() if self._held is None else self._held
+        counts[:, list(faults.stuck)] = held[list(faults.stuck)]
+        counts[:, [*faults.floored, *faults.dead]] = 0.0
+        return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)
+
+
+def compile_physics() -> None:
+    """Make the machine code, or load it from disk, before a live run starts its clock."""
+    Finger(Scene(Moves((Move("hold", 1.0),))), 0).take(2)

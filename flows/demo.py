@@ -1,0 +1,116 @@
+"""The main job with nothing attached: a simulated rig, slip events, a synchronized and labelled dataset."""
+
+import socket
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from connectors import Console, Mqtt, Rig
+from flows.graph import Flow
+from flows.onsets import match_onsets
+from operators import Align, Debounce, Label, Run, Score, Sink, Slips, Zero, ms
+from storage import Dataset, load_detector
+
+ARM_LATENCY = 70 * ms  # how much later than the barometers the simulated arm tells of the same instant
+
+
+def local_broker() -> str | None:
+    """The address of an MQTT broker on this machine, if one answers."""
+    try:
+        socket.create_connection(("127.0.0.1", 1883), timeout=0.2).close()
+    except OSError:
+        return None
+    return "mqtt://127.0.0.1"
+
+
+class Onsets(Sink[Slips]):
+    """Keeps the onsets for the summary."""
+
+    def __init__(self) -> None:
+        self.times: list[int] = []  # ns
+
+    @property
+    def place(self) -> str:
+        """The summary."""
+        return "summary"
+
+    async def open(self, run: Run) -> None:
+        """Nothing to open."""
+
+    async def write(self, batch: Slips) -> None:
+        """Keep the times of onsets."""
+        self.times += batch.time[batch.state == 1].tolist()
+
+
+class Demo:
+    """The demonstration's flow and what came of it."""
+
+    def __init__(self, out: Path, *, broker: str | None, seed: int = 0) -> None:
+        """Record into `out`; publish to `broker` (a URL) if there is one."""
+        self.out, self.broker = out, broker
+        self.rig = Rig(seed=seed)
+        self.onsets = Onsets()
+        self.flow = Flow("demo")
+        touch = self.flow.source(self.rig.touch)
+        motion = self.flow.source(self.rig.motion)
+        zeroed = touch | Zero()
+        slips = zeroed | Score(load_detector("psd")) | Debounce(consecutive=2)
+        samples = zeroed & motion | Align(within=20 * ms) | Label(speed=0.003, delay=ARM_LATENCY)
+
+        dataset = Dataset(str(out))
+        touch.to(dataset)
+        motion.to(dataset)
+        samples.to(dataset)
+        slips.to(dataset)
+        slips.to(Console())
+        slips.to(self.onsets)
+        if broker:
+            slips.to(Mqtt(broker, "lab", "demo", model={"id": "psd"}, threshold=0.5, consecutive=2))
+
+    def summary(self, run: Run) -> dict[str, Any]:
+        """What was recorded and felt, against what the simulation knows."""
+        found = match_onsets(np.array(self.onsets.times, np.int64), self._slips(run))
+        delays = found.delays / ms  # (caught,) ms
+        return {
+            "samples": run.sinks["dataset"].rows,
+            "slips": len(self.onsets.times),
+            "true_slips": len(found.delays) + found.missed,
+            "missed": found.missed,
+            "false": found.false,
+            "onset_ms": {
+                "median": float(np.median(delays)) if len(delays) else None,
+                "p90": float(np.quantile(delays, 0.9)) if len(delays) else None,
+            },
+            "dataset": str(self.out),
+            "broker": self.broker,
+        }
+
+    def report(self, run: Run) -> str:
+        """The summary for a person."""
+        found = self.summary(run)
+        delay, seconds = found["onset_ms"], (run.clock.now() - run.start) / 1e9
+        rows = ", ".join(f"{source.rows} {name}" for name, source in run.sources.items())
+        caught = found["true_slips"] - found["missed"]
+        lines = [
+            f"{seconds:.1f} s: {rows} samples in, {found['samples']} rows recorded",
+            f"{found['true_slips']} true slips: {caught} caught, {found['missed']} missed",
+            f"{found['slips']} onsets raised, {found['false']} of them false",
+        ]
+        if caught:
+            lines.append(f"onset delay: median {delay['median']:.0f} ms, p90 {delay['p90']:.0f} ms")
+        if self.broker:
+            lines.append(
+                f"published to {self.broker}; to see events as they come: slipflow watch {self.broker}"
+            )
+        pattern = self.out / "sessions" / run.session / "samples" / "*.parquet"
+        lines += [
+            f"dataset in {self.out}; open it with",
+            f"  python -c \"import polars; print(polars.read_parquet('{pattern}'))\"",
+        ]
+        return "\n".join(lines)
+
+    def _slips(self, run: Run) -> list[tuple[int, int]]:
+        """True sliding that the run could have felt."""
+        slips = self.rig.truth().slips
+        return [(start, end) for start, end in slips if start < run.sources["touch"].newest]

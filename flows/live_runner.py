@@ -1,0 +1,260 @@
+"""Running a flow live: a task per source, operators called inline, a bounded queue and a task per sink."""
+
+import asyncio
+import logging
+import signal
+from collections import deque
+from collections.abc import AsyncGenerator, Generator, Sequence
+from contextlib import aclosing, contextmanager, suppress
+from math import inf
+from typing import Any
+
+from flows.clock import LoopClock
+from flows.graph import Flow, Node
+from flows.plan import Delivery, Plan
+from operators.batch import Batch
+from operators.errors import SlipflowError
+from operators.operator import Order
+from operators.ports import Clock, Gap, Run, Sink, SinkStatus, Source, SourceStatus
+
+log = logging.getLogger("slipflow")
+
+FIRST_RETRY = 0.1  # s
+LAST_RETRY = 5.0  # s, up to which the back-off doubles
+FAREWELL = 5.0  # s, how long a failing sink is retried once the run is over
+TURN = 16  # rows
+
+
+class LiveRunner:
+    """One live run of a flow.
+
+    A source that fails is started again with back-off, and its gap is recorded. A sink that fails is retried
+    with the same batch and never stops the others: a lossless one makes the sources wait while it is slow,
+    one that is not drops its oldest batch. Rows that a failed sink could not take are counted as dropped.
+    """
+
+    def __init__(
+        self, flow: Flow, session: str, *, clock: Clock | None = None, duration: int | None = None
+    ) -> None:
+        """Get ready to run `flow` as `session` until its sources end, `duration` (ns) has passed, or `stop`.
+
+        Raises:
+            FlowError: if the flow is wired wrongly.
+        """
+        self.plan = Plan(flow)
+        self.clock = clock or LoopClock()
+        self._duration = duration
+        self._sources: dict[Node, Source[Any]] = {
+            node: node.part for node in flow.nodes if isinstance(node.part, Source)
+        }
+        self.run = Run(session, flow.name, self.clock, self.clock.now())
+        for node, source in self._sources.items():
+            self.run.describe[node.name] = source.describe()
+            self.run.sources[node.name] = SourceStatus()
+        self._outlets = {
+            node: _Outlet(node.name, node.part, self.run.sinks.setdefault(node.name, SinkStatus()))
+            for node in flow.nodes
+            if isinstance(node.part, Sink)
+        }
+        self._push = asyncio.Lock()  # a full sink makes all sources wait: the rows of a stream stay in order
+        self._stop = asyncio.Event()
+
+    def stop(self) -> None:
+        """End the run: operators are flushed, sinks commit. Called again: failing sinks are given up."""
+        if self._stop.is_set():
+            for outlet in self._outlets.values():
+                outlet.give_up()
+        self._stop.set()
+
+    async def execute(self) -> Run:
+        """Run to the end.
+
+        Raises:
+            SlipflowError: if a sink cannot be opened, or an operator fails; what it gave before is committed.
+        """
+        opened: list[_Outlet] = []
+        try:
+            for outlet in self._outlets.values():
+                await outlet.sink.open(self.run)
+                opened.append(outlet)
+        except BaseException:
+            for outlet in opened:
+                await outlet.sink.close()
+            raise
+        with self._signals():
+            await self._carry()
+        return self.run
+
+    async def _carry(self) -> None:
+        writers = [asyncio.create_task(outlet.carry()) for outlet in self._outlets.values()]
+        readers = [asyncio.create_task(self._read(node)) for node in self._sources]
+        ends: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
+        if self._duration is not None:
+            ends.append(asyncio.create_task(self.clock.sleep_until(self.run.start + self._duration)))
+        reading = asyncio.gather(*readers)
+        try:
+            await asyncio.wait([reading, *ends], return_when=asyncio.FIRST_COMPLETED)
+            if reading.done():
+                reading.result()  # raises what an operator raised: that ends the run
+            for task in readers:
+                task.cancel()
+            await asyncio.gather(*readers, return_exceptions=True)
+            await self._deliver(self.plan.flush())
+        finally:
+            for task in (*readers, *ends):
+                task.cancel()
+            await asyncio.gather(reading, *readers, *ends, return_exceptions=True)
+            for outlet in self._outlets.values():
+                outlet.complete()
+            await asyncio.gather(*writers)
+
+    async def _read(self, node: Node) -> None:
+        status, order = self.run.sources[node.name], Order()
+        async with aclosing(self._batches(node, status)) as batches:
+            async for batch in batches:
+                order.keep(batch)
+                status.late, status.newest = order.late, order.newest
+                status.rows += len(batch)
+                async with self._push:
+                    await self._deliver(self.plan.push({(node, batch.finger): batch}))
+                if status.rows % TURN < len(batch):
+                    await asyncio.sleep(0)  # a source that never waits must let the sinks have their turn
+
+    async def _batches(self, node: Node, status: SourceStatus) -> AsyncGenerator[Batch]:
+        """What a source gives, over all its failures."""
+        retry, failed_at, reason = FIRST_RETRY, 0, ""
+        while True:
+            try:
+                async for batch in self._sources[node].batches(self.clock):
+                    if not len(batch.check()):
+                        continue
+                    if failed_at:
+                        status.gaps.append(Gap(failed_at, self.clock.now(), reason))
+                        log.warning("%s is back", node.name)
+                        retry, failed_at = FIRST_RETRY, 0
+                    status.up = True
+                    yield batch
+            except Exception as error:  # noqa: BLE001 - whatever a device raises, it is tried again
+                if not failed_at:
+                    failed_at, reason = status.newest or self.run.start, _text(error)
+                    log.warning("%s failed, trying again: %s", node.name, reason)
+                status.up = False
+                await asyncio.sleep(retry)
+                retry = min(2 * retry, LAST_RETRY)
+            else:
+                status.up = False
+                return
+
+    async def _deliver(self, deliveries: Sequence[Delivery]) -> None:
+        for node, batch in deliveries:
+            outlet = self._outlets[node]
+            if not outlet.offer(batch):
+                await outlet.put(batch)
+
+    @contextmanager
+    def _signals(self) -> Generator[None]:
+        loop = asyncio.get_running_loop()
+        caught: list[signal.Signals] = []
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                loop.add_signal_handler(number, self.stop)
+                caught.append(number)
+        except (RuntimeError, ValueError):  # not in the main thread: whoever runs us there calls stop()
+            pass
+        try:
+            yield
+        finally:
+            for number in caught:
+                loop.remove_signal_handler(number)
+
+
+class _Outlet:
+    """A sink's queue and the task that empties it."""
+
+    def __init__(self, name: str, sink: Sink[Any], status: SinkStatus) -> None:
+        self.name, self.sink, self.status = name, sink, status
+        self._waiting: deque[Batch] = deque()
+        self._more, self._room = asyncio.Event(), asyncio.Event()
+        self._end, self._given_up = asyncio.Event(), asyncio.Event()
+
+    def offer(self, batch: Batch) -> bool:
+        """Queue a batch if there is room, or if this sink's policy makes some."""
+        if len(self._waiting) >= self.sink.capacity:
+            if not self.sink.lossless:
+                self.status.dropped += len(self._waiting.popleft())
+            elif self.status.error:  # it fails: waiting for it would stop the others
+                self.status.dropped += len(batch)
+                return True
+            else:
+                return False
+        self._waiting.append(batch)
+        self.status.queued = len(self._waiting)
+        self._more.set()
+        return True
+
+    async def put(self, batch: Batch) -> None:
+        """Queue a batch, waiting for room."""
+        while not self.offer(batch):
+            self._room.clear()
+            await self._room.wait()
+
+    def complete(self) -> None:
+        """No more will come."""
+        self._end.set()
+        self._more.set()
+
+    def give_up(self) -> None:
+        """Retry no more."""
+        self._given_up.set()
+
+    async def carry(self) -> None:
+        """Write what is queued until all is written, then close."""
+        while self._waiting or not self._end.is_set():
+            if not self._waiting:
+                self._more.clear()
+                await self._more.wait()
+                continue
+            batch = self._waiting.popleft()
+            self.status.queued = len(self._waiting)
+            self._room.set()
+            await self._write(batch)
+        try:
+            await self.sink.close()
+        except Exception as error:  # noqa: BLE001 - the others must be closed too
+            self._failed(error)
+
+    async def _write(self, batch: Batch) -> None:
+        loop, retry, deadline = asyncio.get_running_loop(), FIRST_RETRY, inf
+        while True:
+            try:
+                await self.sink.write(batch)
+            except Exception as error:  # noqa: BLE001 - whatever a sink raises must not stop the others
+                self._failed(error)
+            else:
+                if self.status.error:
+                    log.warning("%s works again", self.name)
+                    self.status.error = ""
+                self.status.rows += len(batch)
+                return
+            if self._end.is_set():
+                deadline = min(deadline, loop.time() + FAREWELL)
+            if self._given_up.is_set() or loop.time() >= deadline:
+                self.status.dropped += len(batch) + sum(map(len, self._waiting))
+                self._waiting.clear()
+                return
+            interrupt = self._given_up if self._end.is_set() else self._end
+            with suppress(TimeoutError):
+                async with asyncio.timeout(retry):
+                    await interrupt.wait()
+            retry = min(2 * retry, LAST_RETRY)
+
+    def _failed(self, error: Exception) -> None:
+        if not self.status.error:
+            log.warning("%s failed: %s", self.name, _text(error))
+        self.status.error = _text(error)
+        self.status.failures += 1
+        self._room.set()
+
+
+def _text(error: Exception) -> str:
+    return str(error) if isinstance(error, SlipflowError | OSError) else f"{type(error).__name__}: {error}"

@@ -1,0 +1,147 @@
+"""What a runner carries out: a flow unfolded into one fresh operator per fingertip, in order of flow."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias, cast
+
+from flows.graph import Flow, Node
+from flows.validate import validate
+from operators.batch import EVERY, Batch, concat
+from operators.errors import BatchError
+from operators.operator import Join, Operator
+from operators.ports import Sink
+
+Entry: TypeAlias = tuple[Node, int]  # a source's node and the fingertip of a batch
+Delivery: TypeAlias = tuple[Node, Batch]  # a sink's node and what it is to take
+
+
+@dataclass(eq=False)
+class _Stage:
+    """One node for one fingertip: where it reads and writes among the values of a push."""
+
+    index: int
+    inputs: tuple[int, ...]
+    operator: Operator[Any, Any] | Join[Any, Any, Any] | None  # None for a source
+    takes: tuple[type[Batch], ...]
+    gives: type[Batch]
+    sinks: list[Node] = field(default_factory=list[Node])
+
+    def push(self, values: Sequence[Batch | None]) -> Batch | None:
+        """The output for what the inputs have, or None if they have nothing or nothing came of it."""
+        if len(self.inputs) == 1:
+            batch = values[self.inputs[0]]
+            if batch is None:
+                return None
+            out: Batch = cast("Operator[Any, Any]", self.operator).push(batch)
+        else:
+            left, right = values[self.inputs[0]], values[self.inputs[1]]
+            if left is None and right is None:
+                return None
+            out = cast("Join[Any, Any, Any]", self.operator).push(
+                self.takes[0].empty() if left is None else left,
+                self.takes[1].empty() if right is None else right,
+            )
+        return out if len(out) else None
+
+
+class Plan:
+    """The state of one run of a flow: push batches in at its sources, get what its sinks are to take.
+
+    >>> import numpy as np
+    >>> from flows.testing import TestSink, TestSource
+    >>> from operators import Debounce, Scores
+    >>> flow = Flow("felt")
+    >>> (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
+    >>> plan = Plan(flow)
+    >>> scores = Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))
+    >>> [(sink, slips)] = plan.push({plan.entries[0]: scores})
+    >>> sink.name, slips.time, slips.start
+    ('testsink', array([2]), array([1]))
+    """
+
+    def __init__(self, flow: Flow) -> None:
+        validate(flow)
+        self._stages: list[_Stage] = []
+        self._stage_of: dict[Entry, int] = {}
+        for node in _in_order(flow):
+            if isinstance(node.part, Sink):
+                for parent in node.inputs:
+                    for finger in parent.fingers:
+                        self._stages[self._stage_of[parent, finger]].sinks.append(node)
+            else:
+                for finger in node.fingers:
+                    self._unfold(node, finger)
+        self.entries = [(node, finger) for node in flow.sources() for finger in node.fingers]
+        self._all = [stage for stage in self._stages if stage.operator is not None]
+        self._downstream = {entry: self._reached_from(self._stage_of[entry]) for entry in self.entries}
+
+    def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
+        """Carry batches that arrived together through the flow.
+
+        Args:
+            batches: by source and fingertip; more than one only if all are slices of one span of time.
+
+        Returns:
+            What the sinks are to take, in order.
+        """
+        values: list[Batch | None] = [None] * len(self._stages)
+        deliveries: list[Delivery] = []
+        for entry, batch in batches.items():
+            try:
+                stage = self._stages[self._stage_of[entry]]
+            except KeyError:
+                node, finger = entry
+                reason = f"source {node.name!r} gave fingertip {finger}, and declares {node.fingers}"
+                raise BatchError(type(batch).__name__, "finger", reason) from None
+            if len(batch):
+                values[stage.index] = batch
+                deliveries += [(sink, batch) for sink in stage.sinks]
+        for stage in self._downstream[next(iter(batches))] if len(batches) == 1 else self._all:
+            out = values[stage.index] = stage.push(values)
+            if out is not None and stage.sinks:
+                deliveries += [(sink, out) for sink in stage.sinks]
+        return deliveries
+
+    def flush(self) -> list[Delivery]:
+        """What the end of all streams completes, in order."""
+        values: list[Batch | None] = [None] * len(self._stages)
+        deliveries: list[Delivery] = []
+        for stage in self._all:
+            pushed = stage.push(values)
+            last = cast("Operator[Any, Any]", stage.operator).flush()
+            out = concat(stage.gives, [last] if pushed is None else [pushed, last])
+            if len(out):
+                values[stage.index] = out
+                deliveries += [(sink, out) for sink in stage.sinks]
+        return deliveries
+
+    def _unfold(self, node: Node, finger: int) -> None:
+        inputs = tuple(
+            self._stage_of[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
+        )
+        operator = node.part.fresh() if isinstance(node.part, Operator | Join) else None
+        kind = cast("type[Batch]", node.gives)
+        self._stage_of[node, finger] = len(self._stages)
+        self._stages.append(_Stage(len(self._stages), inputs, operator, node.takes, kind))
+
+    def _reached_from(self, index: int) -> list[_Stage]:
+        reached, stages = {index}, list[_Stage]()
+        for stage in self._all:
+            if reached.intersection(stage.inputs):
+                reached.add(stage.index)
+                stages.append(stage)
+        return stages
+
+
+def _in_order(flow: Flow) -> list[Node]:
+    ordered: dict[Node, None] = {}
+
+    def visit(node: Node) -> None:
+        if node not in ordered:
+            for parent in node.inputs:
+                visit(parent)
+            ordered[node] = None
+
+    for node in flow.nodes:
+        visit(node)
+    return list(ordered)

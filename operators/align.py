@@ -1,0 +1,181 @@
+"""The arm's motion at the instant of each touch."""
+
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from operators.batch import Flags, Motion, Reals, Sample, Times, Zeroed, ms, s
+from operators.errors import ParameterError
+from operators.operator import Join
+from operators.rotation import Real, between
+from operators.tail import Tail
+
+How = Literal["nearest", "previous", "linear"]
+
+_FAR: Final = 2**62  # ns, further than any two stamps lie apart
+
+
+@dataclass
+class Align(Join[Zeroed, Motion, Sample]):
+    """Join by event time: give each touch, at t, the motion of that instant.
+
+    By `how`, that is the motion of
+
+    - ``previous``: the last row up to t;
+    - ``nearest``: that or the first row after t, whichever is nearer; at a tie the later;
+    - ``linear``: the row at t, or between those two, in proportion; rotations at constant rate.
+
+    Of several rows with one stamp, the one next to the other side of t is meant: the last up to t, the
+    first after. Rows further from t than `within` do not count, nor do rows whose velocity is not finite.
+    A touch without motion is kept: its velocity and pose are NaN and `matched` is False.
+
+    A touch is decided when motion newer than t has come, or with what is there when the touch stream has
+    gone on by `wait` or has ended. So `wait` is the most that missing motion delays a touch. It bounds the
+    memory too: a touch that comes later than motion newer than t + `wait` finds no match.
+
+    The result is the ideal join as long as neither stream lags the other by more than `wait`; for nearest
+    and linear, which look ahead, motion may lag by `wait` - `within`. With ``wait=0`` and
+    ``how="previous"`` every touch is decided at once.
+    """
+
+    within: int = 20 * ms  # ns
+    how: How = "nearest"
+    wait: int = 100 * ms  # ns, for motion
+    keep: int = 10 * s  # ns, motion; more than touch may lag, as it does while `Zero` takes its baseline
+    _motion: Tail[Motion] = field(default_factory=lambda: Tail(Motion), init=False, repr=False, compare=False)
+    _newest: int = field(default=-_FAR, init=False, repr=False)  # ns, of the motion
+    _held: Tail[Zeroed] = field(default_factory=lambda: Tail(Zeroed), init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if self.how not in get_args(How):
+            raise ParameterError("Align", "how", self.how, "nearest, previous or linear")
+        if self.within < 0:
+            raise ParameterError("Align", "within", self.within, "0 and above")
+        least = 0 if self.how == "previous" else self.within
+        if self.wait < least:
+            raise ParameterError(
+                "Align", "wait", self.wait, f"at least {least}, to see the rows after a touch"
+            )
+
+    def process(self, left: Zeroed, right: Motion) -> Sample:
+        """Take motion first, then touch; give the touch rows that are decided."""
+        oldest = self._newest - self.keep  # that a new touch may be
+        if len(right):
+            self._remember(right)
+        held = self._held
+        rows = left
+        if len(held):
+            if len(left):
+                held.append(left)
+            rows = held.rows
+        count = self._decided(rows.time) if len(rows) else 0
+        if rows is not left:
+            held.drop(count)
+        elif count < len(left):
+            held.append(left[count:] if count else left)
+        if not count:
+            samples = Sample.empty()
+        else:
+            samples = self._match(rows if count == len(rows) else rows[:count], oldest)
+        motion, needed = self._motion, self._newest - self.keep - self.within
+        if len(motion) and motion.block.time.item(motion.start) < needed - self.keep // 8:  # not at every row
+            motion.drop(int(motion.time.searchsorted(needed)))
+        return samples
+
+    def flush(self) -> Sample:
+        """Give the touch rows that still wait, with what is there."""
+        rows = self._held.rows
+        if not len(rows):
+            return Sample.empty()
+        self._held.drop(len(rows))
+        return self._match(rows, -_FAR)
+
+    def _remember(self, motion: Motion) -> None:
+        if len(motion) == 1:
+            finite = all(map(isfinite, motion.velocity[0].tolist()))
+            motion = motion if finite else motion[:0]
+        else:
+            rows = np.all(np.isfinite(motion.velocity), axis=1)
+            motion = motion if np.all(rows) else motion[rows]
+        if len(motion):
+            self._motion.append(motion)
+            self._newest = motion.time.item(-1)
+
+    def _decided(self, time: Times) -> int:
+        passed = self._order_left.newest - self.wait  # touch up to here has waited long enough
+        if len(time) == 1:
+            return int(time.item(0) < self._newest or time.item(0) <= passed)
+        return int(max(time.searchsorted(self._newest), time.searchsorted(passed, "right")))
+
+    def _match(self, rows: Zeroed, oldest: int) -> Sample:
+        if len(rows) == 1:
+            return self._match_one(rows, oldest)
+        time, motion, start = self._motion.time, self._motion.block, self._motion.start
+        after = time.searchsorted(rows.time, "right")  # (n,) the first newer row
+        around = np.concatenate(([-_FAR], time, [_FAR]))
+        behind, ahead = rows.time - around[after], around[after + 1] - rows.time  # (n,) ns
+        if self.how == "previous":
+            matched = behind <= self.within
+        elif self.how == "nearest":
+            matched = np.minimum(behind, ahead) <= self.within
+            after += ahead <= behind
+        else:
+            matched = (behind == 0) | (np.maximum(behind, ahead) <= self.within)
+        matched &= rows.time >= oldest
+        after += start - 1
+        if matched.all():
+            velocity, pose = motion.velocity.take(after, axis=0), motion.pose.take(after, axis=0)
+        else:
+            velocity, pose = np.full((len(rows), 6), np.nan), np.full((len(rows), 6), np.nan)
+            source = after[matched]
+            velocity[matched], pose[matched] = motion.velocity[source], motion.pose[source]
+        if self.how == "linear":
+            inside = matched & (behind > 0)
+            source = after[inside] + 1
+            part = behind[inside] / (behind + ahead)[inside]  # (m,)
+            with np.errstate(invalid="ignore"):  # what is infinite becomes NaN
+                moved = _moved(list(velocity[inside].T), list(motion.velocity[source].T), part)
+                posed = _posed(list(pose[inside].T), list(motion.pose[source].T), part)
+            velocity[inside], pose[inside] = np.transpose(moved), np.transpose(posed)
+        return _sample(rows, velocity, pose, matched)
+
+    def _match_one(self, rows: Zeroed, oldest: int) -> Sample:
+        instant, time, motion = rows.time.item(0), self._motion.time, self._motion.block
+        after = int(time.searchsorted(instant, "right"))
+        behind = instant - time.item(after - 1) if after else _FAR
+        ahead = time.item(after) - instant if after < len(time) else _FAR
+        after += self._motion.start
+        off, part = behind, 0.0
+        if self.how == "nearest" and ahead <= behind:
+            after, off = after + 1, ahead
+        elif self.how == "linear" and behind:
+            off, part = max(behind, ahead), behind / (behind + ahead)
+        if off > self.within or instant < oldest:
+            return _sample(rows, np.full((1, 6), np.nan), np.full((1, 6), np.nan), np.array([False]))
+        velocity, pose = motion.velocity[after - 1 : after], motion.pose[after - 1 : after]
+        if part:
+            with np.errstate(invalid="ignore"):
+                moved = _moved(velocity[0].tolist(), motion.velocity[after].tolist(), part)
+                posed = _posed(pose[0].tolist(), motion.pose[after].tolist(), part)
+            velocity, pose = np.array([moved]), np.array([posed])
+        return _sample(rows, velocity, pose, np.array([True]))
+
+
+def _moved(first: list[Real], second: list[Real], part: Real) -> list[Real]:
+    """Components on the straight way from one to another."""
+    return [a + part * (b - a) for a, b in zip(first, second, strict=True)]
+
+
+def _posed(first: list[Real], second: list[Real], part: Real) -> list[Real]:
+    """Components of a pose between two: the place moves straight, the rotation turns evenly."""
+    x, y, z = _moved(first[:3], second[:3], part)
+    u, v, w = between((first[3], first[4], first[5]), (second[3], second[4], second[5]), part)
+    return [x, y, z, u, v, w]
+
+
+def _sample(rows: Zeroed, velocity: Reals, pose: Reals, matched: Flags) -> Sample:
+    return Sample(
+        rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, finger=rows.finger
+    )

@@ -1,0 +1,29 @@
+"""What a reading that did not come is taken to be: the last that did."""
+
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.batch import Flags
+
+Scalar = TypeVar("Scalar", bound=np.generic)
+
+
+def hold(values: NDArray[Scalar], valid: Flags, last: NDArray[Scalar]) -> NDArray[Scalar]:
+    """Values in which the last valid one of a column stands for its invalid ones.
+
+    Args:
+        values: (n, m)
+        valid: (n, m)
+        last: (m,) what stands for invalid values before any valid one
+
+    >>> values, valid = np.array([[7], [0], [9]]), np.array([[True], [False], [True]])
+    >>> hold(values, valid, np.zeros(1, np.int64)).ravel()
+    array([7, 7, 9])
+    """
+    if valid.all():
+        return values
+    source = np.where(valid, np.arange(1, len(values) + 1)[:, None], 0)  # (n, m) 0: `last`
+    np.maximum.accumulate(source, axis=0, out=source)
+    return np.take_along_axis(np.concatenate((last[None], values)), source, axis=0)

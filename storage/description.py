@@ -1,0 +1,103 @@
+"""What a dataset and a session say of themselves: dataset.json and session.json."""
+
+import platform
+from dataclasses import asdict
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+from operators.batch import s
+from operators.errors import InputError
+from operators.ports import Description, Run
+from storage import files
+from storage.layout import DATASET, SESSION, TABLES
+
+VERSION: Final = 1  # of the layout
+
+
+def describe_dataset(root: Path) -> None:
+    """Write dataset.json if there is none.
+
+    Raises:
+        InputError: if there is one of another version.
+        OSError: if it cannot be written.
+    """
+    path = root / DATASET
+    if path.exists():
+        _check_version(path, files.read_json(path))
+    else:
+        files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
+
+
+def describe_session(folder: Path, run: Run, *, zeroed: bool = False, complete: bool = False) -> None:
+    """Write session.json, when a run begins and again, `complete`, when it ends.
+
+    The sources' descriptions are taken from the run each time: what is learnt on the way, such as a baseline,
+    may be added to them.
+
+    Raises:
+        InputError: if a source's description cannot be JSON.
+        OSError: if it cannot be written.
+    """
+    about: dict[str, Any] = {
+        "version": VERSION,
+        "session": run.session,
+        "flow": run.flow,
+        "start": _rfc3339(run.start),
+        "start_ns": run.start,
+        "software": f"slipflow {version('slipflow')}",
+        "host": platform.node(),
+        "sources": {
+            name: {key: value for key, value in each.items() if key != "episodes"}  # a table of their own
+            for name, each in run.describe.items()
+        },
+        "units": {
+            table.name: {name: column.unit for name, column in table.columns.items() if column.unit}
+            for table in TABLES
+        },
+        "complete": complete,
+    }
+    if complete:
+        end = run.clock.now()
+        about |= {
+            "end": _rfc3339(end),
+            "end_ns": end,
+            "zeroed": zeroed,
+            "streams": {
+                name: {"rows": each.rows, "late": each.late, "gaps": [asdict(gap) for gap in each.gaps]}
+                for name, each in run.sources.items()
+            },
+            "sinks": {
+                name: {"rows": each.rows, "dropped": each.dropped, "failures": each.failures}
+                for name, each in run.sinks.items()
+            },
+        }
+    try:
+        files.put_json(folder / SESSION, about)
+    except (TypeError, ValueError) as error:
+        raise InputError("description of the sources", f"cannot be JSON: {error}") from error
+
+
+def read_session(folder: Path) -> Description:
+    """What session.json says.
+
+    Raises:
+        InputError: if it cannot be read, or is of another version.
+    """
+    path = folder / SESSION
+    about = files.read_json(path)
+    _check_version(path, about)
+    if not isinstance(about.get("session"), str):
+        raise InputError(str(path), 'has no "session"')
+    return about
+
+
+def _check_version(path: Path, about: Description) -> None:
+    if about.get("version") != VERSION:
+        raise InputError(str(path), f"is of version {about.get('version')!r}, this slipflow knows {VERSION}")
+
+
+def _rfc3339(time: int) -> str:
+    """The instant, ns since 1970-01-01 UTC, as text."""
+    return f"{datetime.fromtimestamp(time // s, UTC):%Y-%m-%dT%H:%M:%S}.{time % s:09d}Z"

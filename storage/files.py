@@ -1,0 +1,98 @@
+"""Single files: put in place whole, read with typed errors."""
+
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NoReturn, cast
+
+from operators.errors import InputError
+
+MiB: Final = 1 << 20  # bytes
+
+
+def put(path: Path, data: bytes) -> None:
+    """Write a file so that whoever looks, even after a power cut, finds the old one or the new one whole.
+
+    Raises:
+        OSError: the old file is still there, or the new one already is.
+    """
+    scratch = path.with_name(path.name + ".tmp")
+    try:
+        with scratch.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        scratch.replace(path)
+    except OSError:
+        with suppress(OSError):
+            scratch.unlink(missing_ok=True)
+        raise
+    _sync(path.parent)
+
+
+def put_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file as `put` does."""
+    put(path, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
+
+
+def make_folder(path: Path, *, new: bool = False) -> None:
+    """Make a folder that outlives a power cut.
+
+    Raises:
+        FileExistsError: if there is one and it has to be `new`.
+        OSError: if it cannot be made; a `new` one is not there.
+    """
+    path.mkdir(exist_ok=not new)
+    try:
+        _sync(path.parent)
+    except OSError:
+        if new:
+            path.rmdir()
+        raise
+
+
+def read(path: Path, limit: int = 1024 * MiB) -> bytes:
+    """The bytes of a file.
+
+    Raises:
+        InputError: if it is missing, unreadable or larger than `limit` bytes.
+    """
+    try:
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            data = file.read(min(size, limit) + 1)
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror}") from error
+    if len(data) > limit:
+        raise InputError(str(path), f"is larger than {limit // MiB} MiB, which is more than it should be")
+    return data
+
+
+def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
+    """The object in a JSON file.
+
+    Raises:
+        InputError: if it cannot be read or holds something else.
+    """
+    try:
+        content: object = json.loads(read(path, limit), parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
+        raise InputError(str(path), f"is not valid JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise InputError(str(path), "is not a JSON object")
+    return cast("dict[str, Any]", content)
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no JSON number")
+
+
+def _sync(folder: Path) -> None:
+    """Make the names in a folder durable."""
+    number = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)

@@ -1,0 +1,106 @@
+"""What a dataset holds and where it stands.
+
+.. code-block:: text
+
+    dataset.json
+    sessions/<session>/session.json                 what the recording says of itself; written first
+    sessions/<session>/touch/part-000000.parquet    rows as received; motion alike
+    sessions/<session>/samples/part-000000.parquet  derived rows, which can be rebuilt
+    sessions/<session>/episodes.parquet             what was done when
+    sessions/<session>/slips.parquet                the events that were raised; faults.parquet alike
+    sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from operators.batch import Batch, Column, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns
+from operators.errors import InputError, ParameterError
+
+DATASET: Final = "dataset.json"
+SESSIONS: Final = "sessions"
+SESSION: Final = "session.json"
+MANIFEST: Final = "MANIFEST.json"
+EPISODES: Final = "episodes.parquet"
+
+_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table of a session and the batches whose rows it keeps."""
+
+    name: str
+    kind: type[Batch]
+    omits: frozenset[str] = frozenset()  # columns of the batch that it does not keep
+    finger: bool = True  # rows belong to fingertips; False: to all of them alike
+    parted: bool = True  # a folder of parts; False: one file, written when the session closes
+
+    @property
+    def columns(self) -> Mapping[str, Column]:
+        """The columns of the batch that it keeps, in order."""
+        return {name: each for name, each in columns(self.kind).items() if name not in self.omits}
+
+    @property
+    def pattern(self) -> str:
+        """What its files match."""
+        return f"{self.name}/part-*.parquet" if self.parted else self.file(0)
+
+    def file(self, number: int) -> str:
+        """The path of a file within the session's folder.
+
+        >>> SAMPLES.file(2), SLIPS.file(0)
+        ('samples/part-000002.parquet', 'slips.parquet')
+        """
+        return f"{self.name}/part-{number:06d}.parquet" if self.parted else f"{self.name}.parquet"
+
+
+TOUCH: Final = Table("touch", Touch)
+MOTION: Final = Table("motion", Motion, finger=False)
+SAMPLES: Final = Table("samples", Labelled, frozenset({"temperature", "pose", "matched"}))
+SLIPS: Final = Table("slips", Slips, parted=False)
+FAULTS: Final = Table("faults", Faults, parted=False)
+TABLES: Final = (TOUCH, MOTION, SAMPLES, SLIPS, FAULTS)
+TABLE_OF: Final[Mapping[type[Batch], Table]] = MappingProxyType(
+    {table.kind: table for table in TABLES} | {Zeroed: TOUCH}
+)
+
+
+def session_folder(root: Path, session: str) -> Path:
+    """The folder of a session, which never lies outside the dataset.
+
+    >>> session_folder(Path("recordings"), "2026-11-21").as_posix()
+    'recordings/sessions/2026-11-21'
+
+    Raises:
+        ParameterError: if `session` is no plain file name.
+        InputError: if a link of that name leads out of the dataset.
+    """
+    if not _NAME.fullmatch(session):
+        raise ParameterError(
+            "Dataset",
+            "session",
+            session,
+            "a file name of at most 128 letters, digits, '.', '_' or '-' that begins with a letter or digit",
+        )
+    return inside(root, root / SESSIONS / session)
+
+
+def session_names(root: Path) -> list[str]:
+    """The sessions of a dataset, sorted."""
+    return sorted(path.parent.name for path in (root / SESSIONS).glob(f"*/{SESSION}"))
+
+
+def inside(folder: Path, path: Path) -> Path:
+    """Return `path`, which must lie in `folder` with all links followed.
+
+    Raises:
+        InputError: if it does not.
+    """
+    if not path.resolve().is_relative_to(folder.resolve()):
+        raise InputError(str(path), f"leads out of {folder}")
+    return path

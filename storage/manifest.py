@@ -1,0 +1,78 @@
+"""The manifest of a session: its Parquet files with rows, time range and sha256."""
+
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final, cast
+
+from operators.errors import InputError
+from storage import files
+from storage.layout import EPISODES, MANIFEST, TABLES
+
+_FILE: Final = re.compile(
+    "|".join(rf"{t.name}/part-\d{{6,}}\.parquet" if t.parted else re.escape(t.file(0)) for t in TABLES)
+    + "|"
+    + re.escape(EPISODES)
+)
+_SHA256: Final = re.compile("[0-9a-f]{64}")
+_TYPES: Final = {"path": str, "rows": int, "first": int, "last": int, "sha256": str}
+
+
+@dataclass(frozen=True)
+class Part:
+    """One committed Parquet file."""
+
+    path: str  # within the session's folder
+    rows: int
+    first: int  # ns, earliest event time
+    last: int  # ns, latest event time
+    sha256: str  # hex
+
+    @cached_property
+    def line(self) -> str:
+        """It as one line of the manifest, made once: a day's manifest is written thousands of times."""
+        return json.dumps(asdict(self))
+
+
+def write_manifest(folder: Path, parts: Iterable[Part]) -> None:
+    """Replace a session's manifest.
+
+    Raises:
+        OSError: the old one is still there, or the new one already is.
+    """
+    lines = ",\n".join(part.line for part in parts)
+    files.put(folder / MANIFEST, f'{{"version": 1, "parts": [\n{lines}\n]}}\n'.encode())
+
+
+def read_manifest(folder: Path) -> dict[str, Part]:
+    """The parts that a session's manifest lists, by path; none where no manifest was written yet.
+
+    Raises:
+        InputError: if the manifest is damaged.
+    """
+    path = folder / MANIFEST
+    if not path.exists():
+        return {}
+    content = files.read_json(path)
+    if content.get("version") != 1 or not isinstance(content.get("parts"), list):
+        raise InputError(str(path), 'must hold "version": 1 and a list "parts"')
+    parts = [_part(f"{path}, part {number}", each) for number, each in enumerate(content["parts"])]
+    listed = {part.path: part for part in parts}
+    if len(listed) < len(parts):
+        raise InputError(str(path), "lists a part twice")
+    return listed
+
+
+def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - whatever the file holds
+    values: dict[str, Any] = cast("dict[str, Any]", content) if isinstance(content, dict) else {}
+    if {key: type(value) for key, value in values.items()} != _TYPES:
+        raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types")
+    part = Part(**values)
+    if part.rows < 1 or part.first > part.last or not _SHA256.fullmatch(part.sha256):
+        raise InputError(where, "has rows, times or a sha256 that cannot be")
+    if not _FILE.fullmatch(part.path):
+        raise InputError(where, f"{part.path!r} is no file of a session")
+    return part

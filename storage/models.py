@@ -1,0 +1,94 @@
+"""Models on disk: named arrays with some text about them, never code."""
+
+import json
+import zipfile
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import numpy as safetensors
+
+from operators.detectors import DETECTORS, Detector, PaperTcn
+from operators.errors import InputError, ParameterError
+from storage import files
+
+LIMIT: Final = 256 * files.MiB  # of a file, and of what is packed in it
+
+
+def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    """The arrays of a model and what it says of itself, from .safetensors or .npz (which says nothing).
+
+    Raises:
+        InputError: if the file is missing, too large or damaged, or an array is not of finite numbers.
+    """
+    path = Path(path)
+    if path.suffix not in _READERS:
+        raise InputError(str(path), f"is no model file: these end in {' or '.join(_READERS)}")
+    data = files.read(path, LIMIT)
+    try:
+        weights, about = _READERS[path.suffix](data)
+    except Exception as error:  # zipfile, zlib, json, numpy and safetensors each raise their own
+        reason = str(error).partition("\n")[0]
+        raise InputError(str(path), f"is damaged or no {path.suffix} file: {reason}") from error
+    for name, array in weights.items():
+        if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
+            raise InputError(str(path), f"array {name!r} does not hold finite numbers")
+    return weights, about
+
+
+def save_weights(
+    path: str | Path, weights: Mapping[str, NDArray[Any]], about: Mapping[str, str] | None = None
+) -> None:
+    """Write a model as .safetensors, whole or not at all.
+
+    Raises:
+        ParameterError: if the path does not end in .safetensors.
+        OSError: if it cannot be written.
+    """
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ParameterError("save_weights", "path", str(path), "a path that ends in .safetensors")
+    native = {
+        name: np.asarray(array, array.dtype.newbyteorder("="), order="C") for name, array in weights.items()
+    }
+    files.put(path, safetensors.save(native, dict(about or {})))
+
+
+def load_detector(name: str | Path) -> Detector:
+    """A detector by its name, such as psd, or the paper's TCN with the weights in a file.
+
+    Raises:
+        InputError: if there is no such detector, or the file does not hold its weights.
+    """
+    if make := DETECTORS.get(str(name)):
+        return make()
+    if Path(name).suffix in _READERS:
+        weights, _ = load_weights(name)
+        try:
+            return PaperTcn(weights)
+        except InputError as error:
+            raise InputError(str(name), error.reason) from error
+    known = ", ".join(sorted(DETECTORS))
+    raise InputError(str(name), f"is no detector: give {known} or a {' or '.join(_READERS)} file of weights")
+
+
+def _read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    weights = safetensors.load(data)
+    start = 8  # bytes, which hold the length of the header
+    header = json.loads(data[start : start + int.from_bytes(data[:start], "little")])
+    return weights, header.get("__metadata__", {})
+
+
+def _read_npz(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
+    with zipfile.ZipFile(BytesIO(data)) as archive:
+        size = sum(info.file_size for info in archive.infolist())
+    if size > LIMIT:
+        raise ValueError(f"it unpacks to more than {LIMIT // files.MiB} MiB")
+    with np.load(BytesIO(data), allow_pickle=False) as arrays:
+        return dict(arrays), {}
+
+
+_READERS: Final = {".safetensors": _read_safetensors, ".npz": _read_npz}

@@ -1,0 +1,104 @@
+"""One Parquet file: written whole or not at all, checked to the last bit when read."""
+
+import hashlib
+from pathlib import Path
+from typing import Any, cast
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from operators.errors import InputError
+from storage import files
+
+
+def write_part(path: Path, table: pa.Table) -> str:
+    """Commit a table as one Parquet file; give its sha256.
+
+    Raises:
+        OSError: the file is not there, or is whole.
+    """
+    sink = pa.BufferOutputStream()
+    cast("Any", pq).write_table(
+        table,
+        sink,
+        compression="zstd",
+        use_dictionary=False,
+        column_encoding=_encodings(table.schema),
+        write_page_checksum=True,
+    )
+    data = sink.getvalue().to_pybytes()
+    files.put(path, data)
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:
+    """The columns of `schema` from a Parquet file; it may have others.
+
+    Args:
+        path: The file.
+        schema: The columns that it must have, with their types and units.
+        sha256: What the manifest says of it; None where it is not listed: its pages still carry checksums.
+
+    Raises:
+        InputError: if the file is missing, damaged or lacks a column.
+    """
+    data = files.read(path)
+    if sha256 and hashlib.sha256(data).hexdigest() != sha256:
+        raise InputError(str(path), "is damaged: its sha256 is not the one in the manifest")
+    try:
+        file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        _check(path, file.schema_arrow, schema)
+        table: pa.Table = file.read(schema.names)
+        table.validate(full=True)
+    except (pa.ArrowException, OSError, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(str(path), f"is damaged or no Parquet file: {reason}") from error
+    if len(table) != file.metadata.num_rows:
+        raise InputError(str(path), f"is damaged: {len(table)} of {file.metadata.num_rows} rows are there")
+    for field in _fields(schema):
+        column = table[field.name]
+        if not field.nullable and (column.null_count or flat(column).null_count):
+            raise InputError(str(path), f"column {field.name!r} holds nulls")
+    return table
+
+
+def flat(column: "pa.ChunkedArray[Any]") -> "pa.Array[Any]":
+    """The values of a column in one array; those of FixedSizeLists, end to end."""
+    array: Any = column.combine_chunks()
+    values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
+    return values
+
+
+def _encodings(schema: pa.Schema) -> dict[str, str]:
+    """How the columns are packed before they are compressed, by their path in the file."""
+    encodings: dict[str, str] = {}
+    for field in _fields(schema):
+        nested = pa.types.is_fixed_size_list(field.type)
+        path = f"{field.name}.list.element" if nested else field.name
+        kind = field.type.value_type if nested else field.type
+        if pa.types.is_integer(kind):
+            encodings[path] = "DELTA_BINARY_PACKED"
+        elif pa.types.is_floating(kind):
+            encodings[path] = "BYTE_STREAM_SPLIT"
+    return encodings
+
+
+def _check(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
+    columns = {field.name: field for field in _fields(found)}
+    for field in _fields(expected):
+        other = columns.get(field.name)
+        if other is None:
+            raise InputError(str(path), f"has no column {field.name!r}; it has {', '.join(columns)}")
+        if other.type != field.type:
+            raise InputError(str(path), f"column {field.name!r} is {other.type}, must be {field.type}")
+        if _unit(other) != _unit(field):
+            reason = f"column {field.name!r} is in {_unit(other)!r}, must be in {_unit(field)!r}"
+            raise InputError(str(path), reason)
+
+
+def _fields(schema: pa.Schema) -> "list[pa.Field[Any]]":
+    return list(schema)
+
+
+def _unit(field: "pa.Field[Any]") -> str:
+    return (field.metadata or {}).get(b"unit", b"").decode(errors="replace")

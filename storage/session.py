@@ -1,0 +1,168 @@
+"""A session as a recording to read."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self, cast
+
+from operators.batch import Batch
+from operators.errors import InputError, ParameterError
+from operators.ports import Description, SomeBatch
+from storage.description import read_session
+from storage.layout import (
+    EPISODES,
+    SESSION,
+    SESSIONS,
+    TABLE_OF,
+    TABLES,
+    Table,
+    inside,
+    session_folder,
+    session_names,
+)
+from storage.manifest import Part, read_manifest
+
+if TYPE_CHECKING:
+    import polars as pl
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class Session:
+    """One session of a dataset, complete or still being recorded: what is committed is read.
+
+    It is a `Recording`: streams come back as they were recorded, in type, order and every bit. Each file is
+    checked as it is read, by its sha256 where the manifest lists it, else by the checksums of its pages.
+    """
+
+    folder: Path
+    about: Description = field(repr=False)  # session.json
+    listed: Mapping[str, Part] = field(repr=False)  # the manifest, by path
+
+    @classmethod
+    def open(cls, path: str | Path) -> Self:
+        """Open a session's folder, or a dataset's that holds one session.
+
+        Raises:
+            InputError: if there is none there or several, or what it says of itself is damaged.
+        """
+        folder = Path(path)
+        if not (folder / SESSION).exists():
+            folder = _only_session(folder)
+        return cls(folder, read_session(folder), read_manifest(folder))
+
+    @property
+    def name(self) -> str:
+        """The session's name."""
+        return str(self.about["session"])
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """The tables that it holds."""
+        found = [table.name for table in TABLES if self._paths(table)]
+        if EPISODES in self.listed or (self.folder / EPISODES).exists():
+            found.append("episodes")
+        return tuple(found)
+
+    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
+        """The fingertips it holds rows of `kind` for; () where it holds none.
+
+        Raises:
+            InputError: as `read`.
+        """
+        return tuple(sorted({finger for batches in self._batches(kind) for finger in batches}))
+
+    def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
+        """The rows of one fingertip, as recorded, in batches of at most `rows`.
+
+        Touch is given as Zeroed where its counts were recorded zeroed. Labelled comes from the samples, which
+        do not keep all of it: its temperature is given as -1, its pose as NaN.
+
+        Raises:
+            InputError: naming the file that is missing, damaged or has the wrong columns.
+        """
+        if rows < 1:
+            raise ParameterError("Session.read", "rows", rows, "at least 1")
+        for batches in self._batches(kind):
+            batch = batches.get(finger, kind.empty())
+            for start in range(0, len(batch), rows):
+                yield cast("SomeBatch", batch[start : start + rows])
+
+    def frame(self, table: str) -> "pl.DataFrame":
+        """One table, checked, which polars itself does not do.
+
+        Raises:
+            InputError: as `read`, or if it holds no such table.
+        """
+        import polars as pl  # noqa: PLC0415 - takes its time to import
+        import pyarrow as pa  # noqa: PLC0415 - the same
+
+        from storage import episodes, schema  # noqa: PLC0415 - they import pyarrow
+
+        parts: list[pa.Table] = []
+        if table == "episodes" and table in self.tables:
+            parts.append(self._rows(EPISODES, episodes.SCHEMA))
+        for each in TABLES:
+            if each.name == table:
+                parts += [self._rows(path, schema.schema(each)) for path in self._paths(each)]
+        if not parts:
+            reason = f"holds no table {table!r}; it holds {', '.join(self.tables) or 'none'}"
+            raise InputError(str(self.folder), reason)
+        return cast("pl.DataFrame", cast("Any", pl).from_arrow(pa.concat_tables(parts)))
+
+    def describe(self) -> Description:
+        """What session.json says, and the episodes.
+
+        Raises:
+            InputError: as `read`.
+        """
+        if "episodes" not in self.tables:
+            return self.about
+        from storage import episodes  # noqa: PLC0415 - it imports pyarrow
+
+        rows: list[Any] = self._rows(EPISODES, episodes.SCHEMA).to_pylist()
+        return {**self.about, "episodes": rows}
+
+    def _batches(self, kind: type[Batch]) -> Iterator[dict[int, Batch]]:
+        """The rows of each part, by fingertip; none where they are not of `kind`."""
+        from storage import schema  # noqa: PLC0415 - it imports pyarrow
+
+        table = TABLE_OF.get(kind)
+        if table is None:
+            return
+        before: type[Batch] | None = None
+        for path in self._paths(table):
+            rows = self._rows(path, schema.schema(table))
+            stored = schema.batch_type(rows)
+            if stored is None or not issubclass(stored, table.kind) or before not in {None, stored}:
+                reason = 'its metadata "batch" is missing or not that of the other parts'
+                raise InputError(str(self.folder / path), reason)
+            before = stored
+            if issubclass(stored, kind):
+                yield schema.from_arrow(table, stored, rows)
+
+    def _paths(self, table: Table) -> list[str]:
+        """The files of a table, those that are missing included."""
+        there = {path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)}
+        listed = {path for path in self.listed if path.startswith(table.name)}
+        return [table.file(number) for number in range(len(there | listed))]
+
+    def _rows(self, path: str, schema: "pa.Schema") -> "pa.Table":
+        from storage.parts import read_part  # noqa: PLC0415 - it imports pyarrow
+
+        part = self.listed.get(path)
+        return read_part(inside(self.folder, self.folder / path), schema, part.sha256 if part else None)
+
+
+def _only_session(dataset: Path) -> Path:
+    if not (dataset / SESSIONS).is_dir():
+        reason = f"is no session, which has a {SESSION}, and no dataset, which has a folder {SESSIONS!r}"
+        raise InputError(str(dataset), reason if dataset.exists() else "there is no such folder")
+    names = session_names(dataset)
+    if not names:
+        raise InputError(str(dataset), "holds no session")
+    if len(names) > 1:
+        example = dataset / SESSIONS / names[-1]
+        reason = f"holds {len(names)} sessions, give one, as {example}; there are {', '.join(names)}"
+        raise InputError(str(dataset), reason)
+    return session_folder(dataset, names[0])

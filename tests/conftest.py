@@ -1,0 +1,65 @@
+"""Fixtures that several test folders share."""
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+from connectors.link import Link
+from connectors.testing import TestBroker
+from operators.ports import Run
+
+
+settings.register_profile("slipflow", deadline=None)  # machines are noisy: no test is timed
+settings.load_profile("slipflow")
+
+
+class SetClock:
+    """Shows what it is set to; waiting sets it."""
+
+    def __init__(self, time: int) -> None:
+        self.time = time
+
+    def now(self) -> int:
+        return self.time
+
+    async def sleep_until(self, time: int) -> None:
+        self.time = max(self.time, time)
+
+
+@pytest.fixture
+def run() -> Run:
+    """A run that began 90 s after the start of 1970, 10 s ago."""
+    return Run("run1", "live", SetClock(100_000_000_000), 90_000_000_000)
+
+
+@pytest.fixture
+def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """Nobody logs an error, nor asyncio what happens in a callback."""
+    yield
+    records = [*caplog.get_records("setup"), *caplog.get_records("call")]
+    assert not [record for record in records if record.levelno >= logging.ERROR]
+
+
+@pytest.fixture
+def links(monkeypatch: pytest.MonkeyPatch) -> list[Link]:
+    """The connections to brokers that are made, or tried."""
+    made = list[Link]()
+    connect = Link.connect
+
+    async def remembered(self: Link) -> None:
+        made.append(self)
+        await connect(self)
+
+    monkeypatch.setattr(Link, "connect", remembered)
+    return made
+
+
+@pytest.fixture
+def broker(tmp_path: Path) -> Iterator[TestBroker]:
+    """A running mosquitto that lets everybody do everything."""
+    server = TestBroker(tmp_path)
+    yield server
+    server.close()

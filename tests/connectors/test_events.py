@@ -1,0 +1,184 @@
+import json
+from dataclasses import replace
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from connectors.events import Event, Fault, encode, faults, topic
+from operators.batch import Faults
+from operators.errors import InputError, ParameterError
+from operators.health import FaultKind
+from operators.ports import Json
+
+SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
+VALIDATOR: Any = Draft202012Validator(SCHEMA)
+names = st.text(min_size=1, max_size=8).filter(str.isprintable)
+parts = names.filter(lambda name: not set(name) & set("/+#"))
+shares = st.none() | st.floats(0, 1)
+events = st.builds(
+    Event,
+    parts,
+    parts,
+    parts,
+    names,
+    st.integers(1, 2**63 - 1),
+    onset=st.booleans(),
+    time=st.integers(1 - 2**63, 2**63 - 1),
+    probability=shares,
+    latency=st.floats(-1e12, 1e12),
+    threshold=shares,
+    consecutive=st.none() | st.integers(1, 1000),
+    model=names,
+    sha256=st.none() | st.text("0123456789abcdef", min_size=64, max_size=64),
+    degraded=st.lists(st.builds(Fault, st.integers(0, 5), names), max_size=3).map(tuple),
+)
+
+EVENT = Event(
+    "lab",
+    "ur10",
+    "0",
+    "run1",
+    1,
+    onset=True,
+    time=1,
+    probability=0.9,
+    latency=3.5,
+    degraded=(Fault(2, "stuck"),),
+)
+READ: list[tuple[str | int, ...]] = [
+    *[(name,) for name in SCHEMA["required"] if name not in ("time", "datacontenttype")],
+    *[("data", name) for name in SCHEMA["properties"]["data"]["required"] if name != "quality"],
+    ("data", "model", "id"),
+    ("data", "model", "sha256"),
+    ("data", "degraded", 0),
+    ("data", "degraded", 0, "barometer"),
+    ("data", "degraded", 0, "kind"),
+]
+
+
+def altered(path: tuple[str | int, ...], *value: Json) -> bytes:
+    """The event with one field removed, or set to `value`."""
+    document: Any = json.loads(EVENT.encode())
+    place = document
+    for step in path[:-1]:
+        place = place[step]
+    if value:
+        place[path[-1]] = value[0]
+    else:
+        del place[path[-1]]
+    return json.dumps(document).encode()
+
+
+def is_valid(payload: bytes) -> bool:
+    return not list(VALIDATOR.iter_errors(json.loads(payload)))
+
+
+def test_the_schema_follows_draft_2020_12() -> None:
+    Draft202012Validator.check_schema(SCHEMA)
+
+
+@given(events)
+def test_every_event_satisfies_the_schema_and_is_read_back_the_same(event: Event) -> None:
+    payload = event.encode()
+    assert is_valid(payload)
+    assert Event.decode(payload) == event
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])
+def test_a_number_that_json_lacks_goes_out_as_null(number: float) -> None:
+    payload = replace(EVENT, probability=number).encode()
+    assert is_valid(payload)
+    assert Event.decode(payload).probability is None
+    assert json.loads(encode({"deep": [{"x": number}]})) == {"deep": [{"x": None}]}
+
+
+@pytest.mark.parametrize("path", READ, ids=str)
+@pytest.mark.parametrize("value", [True, ["x"], {"x": "y"}, -1.5, "\n"], ids=repr)
+def test_a_value_that_the_schema_refuses_is_refused_by_name(path: tuple[str | int, ...], value: Json) -> None:
+    payload = altered(path, value)
+    if is_valid(payload):
+        Event.decode(payload)
+    else:
+        with pytest.raises(InputError, match=r"^here: .*must be") as caught:
+            Event.decode(payload, "here")
+        assert str(path[-1] if isinstance(path[-1], str) else "degraded") in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("path", [path for path in READ if path != ("data", "degraded", 0)], ids=str)
+def test_a_field_that_is_missing_is_named(path: tuple[str | int, ...]) -> None:
+    assert not is_valid(altered(path))
+    with pytest.raises(InputError, match=f"{path[-1]} is missing"):
+        Event.decode(altered(path))
+
+
+@given(st.dictionaries(names, st.text()))
+def test_fields_that_nobody_knows_are_ignored(unknown: dict[str, str]) -> None:
+    document = json.loads(EVENT.encode())
+    for place in (document, document["data"], document["data"]["model"], document["data"]["degraded"][0]):
+        place.update({key: value for key, value in unknown.items() if key not in place})
+    payload = json.dumps(document).encode()
+    assert is_valid(payload)
+    assert Event.decode(payload) == EVENT
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+)
+
+
+@given(st.binary() | json_values.map(json.dumps).map(str.encode))
+@example(b"[" * 100_000)
+@example(b'{"data": NaN}')
+def test_no_payload_does_worse_than_be_refused(payload: bytes) -> None:
+    with pytest.raises(InputError, match=r"^here: ") as caught:
+        Event.decode(payload, "here")
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("type", "slip.end.v1"),
+        ("id", "run1-2"),
+        ("specversion", "2.0"),
+        ("source", "/lab/ur10/1"),
+        ("source", "/lab/0"),
+        ("source", "lab/ur10/0"),
+        ("source", "/lab//0"),
+        ("source", "/lab/a%0Ab/0"),
+    ],
+)
+def test_fields_that_contradict_each_other_are_refused(name: str, value: str) -> None:
+    with pytest.raises(InputError, match="must be"):
+        Event.decode(altered((name,), value))
+
+
+@pytest.mark.parametrize("part", ["", "a/b", "+", "a+", "#", "a\0b", "a\nb"])
+def test_what_is_no_topic_level_is_refused(part: str) -> None:
+    with pytest.raises(ParameterError, match=r"^Mqtt: site is"):
+        topic("Mqtt", part, "rig")
+    with pytest.raises(ParameterError, match=r"^Mqtt: rig is"):
+        topic("Mqtt", "lab", part)
+
+
+def test_only_the_wildcard_asked_for_is_let_through() -> None:
+    assert topic("watch", "+", "rig", wildcard="+") == "slip/v1/+/rig"
+    with pytest.raises(ParameterError):
+        topic("watch", "#", "rig", wildcard="+")
+
+
+def test_faults_have_the_names_of_their_kinds() -> None:
+    batch = Faults(
+        np.array([1, 2]),
+        np.array([3, 4], np.int8),
+        np.array([FaultKind.DEAD, FaultKind.STUCK], np.int8),
+        np.array([True, False]),
+    )
+    assert list(faults(batch)) == [(1, Fault(3, "dead"), True), (2, Fault(4, "stuck"), False)]

@@ -1,0 +1,157 @@
+import asyncio
+from collections.abc import Iterator, Mapping
+from typing import TypeVar, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from connectors import Replay
+from operators.batch import Batch, Motion, Scores, concat, ms, s
+from operators.errors import InputError, ParameterError
+from operators.ports import Description, Recording
+
+SomeBatch = TypeVar("SomeBatch", bound=Batch)
+
+
+class Recorded:
+    """Scores of several fingertips."""
+
+    name = "recorded"
+
+    def __init__(self, times: Mapping[int, list[int]]) -> None:
+        self.streams = {
+            finger: Scores(np.array(time, np.int64), np.linspace(0, 1, len(time)), finger=finger)
+            for finger, time in times.items()
+        }
+
+    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
+        return tuple(self.streams) if kind is Scores else ()
+
+    def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
+        assert kind is Scores
+        stream = self.streams[finger]
+        return (cast("SomeBatch", stream[i : i + rows]) for i in range(0, len(stream), rows))
+
+    def describe(self) -> Description:
+        return {"rig": "ur10"}
+
+
+class VirtualClock:
+    """Time passes only while somebody waits."""
+
+    def __init__(self, time: int) -> None:
+        self.time = time
+        self.waits = 0
+
+    def now(self) -> int:
+        return self.time
+
+    async def sleep_until(self, time: int) -> None:
+        self.time = max(self.time, time)
+        self.waits += 1
+
+
+def replay(source: Replay[Scores], clock: VirtualClock) -> list[tuple[int, Scores]]:
+    """Each batch with the clock's time when it came."""
+
+    async def main() -> list[tuple[int, Scores]]:
+        return [(clock.now(), batch) async for batch in source.batches(clock)]
+
+    return asyncio.run(main())
+
+
+def rows(batches: list[tuple[int, Scores]], finger: int = 0) -> tuple[list[int], list[float]]:
+    whole = concat(Scores, [batch for _, batch in batches if batch.finger == finger])
+    return whole.time.tolist(), whole.probability.tolist()
+
+
+times = st.lists(st.integers(0, 10**12), min_size=1, max_size=30).map(sorted)
+
+
+@given(times, st.floats(0.01, 100), st.integers(0, 10**15))
+def test_paced_and_full_speed_give_the_same_rows_with_the_recorded_stamps(
+    time: list[int], pace: float, start: int
+) -> None:
+    recording = Recorded({0: time})
+    paced = replay(Replay(recording, Scores, pace=pace), VirtualClock(start))
+    fast = replay(Replay(recording, Scores, pace=None), VirtualClock(start))
+    assert rows(paced) == rows(fast) == (time, recording.streams[0].probability.tolist())
+
+
+def test_a_paced_row_comes_alone_when_it_is_due() -> None:
+    source = Replay(Recorded({0: [5 * s, 5 * s + 10 * ms, 5 * s + 30 * ms]}), Scores)
+    assert [(now, len(batch)) for now, batch in replay(source, VirtualClock(100 * s))] == [
+        (100 * s, 1),
+        (100 * s + 10 * ms, 1),
+        (100 * s + 30 * ms, 1),
+    ]
+
+
+def test_twice_the_pace_takes_half_the_time() -> None:
+    source = Replay(Recorded({0: [0, 4 * s]}), Scores, pace=2.0)
+    assert [now for now, _ in replay(source, VirtualClock(0))] == [0, 2 * s]
+
+
+def test_streams_that_share_an_origin_keep_their_distance() -> None:
+    origin = 7 * s
+    early, late = (Replay(Recorded({0: [t]}), Scores, origin=origin) for t in (7 * s, 9 * s))
+    assert [now for now, _ in replay(early, VirtualClock(0))] == [0]
+    assert [now for now, _ in replay(late, VirtualClock(0))] == [2 * s]
+
+
+def test_full_speed_never_waits_and_gives_large_batches() -> None:
+    clock = VirtualClock(0)
+    batches = replay(Replay(Recorded({0: list(range(2500))}), Scores, pace=None), clock)
+    assert [len(batch) for _, batch in batches] == [1000, 1000, 500]
+    assert clock.waits == 0
+
+
+def test_fingertips_take_turns_by_their_stamps() -> None:
+    source = Replay(Recorded({0: [0, 2, 4], 1: [1, 2, 3]}), Scores)
+    assert source.fingers == (0, 1)
+    batches = replay(source, VirtualClock(0))
+    assert [(batch.time.item(), batch.finger) for _, batch in batches] == [
+        (0, 0),
+        (1, 1),
+        (2, 0),
+        (2, 1),
+        (3, 1),
+        (4, 0),
+    ]
+
+
+def test_only_the_fingertips_asked_for_are_given() -> None:
+    source = Replay(Recorded({0: [0], 1: [1]}), Scores, (1,))
+    assert source.fingers == (1,)
+    assert [batch.finger for _, batch in replay(source, VirtualClock(0))] == [1]
+
+
+def test_a_second_connection_gives_the_stream_again() -> None:
+    source, clock = Replay(Recorded({0: [0, s]}), Scores), VirtualClock(0)
+    assert rows(replay(source, clock)) == rows(replay(source, clock))
+    assert clock.time == 2 * s
+
+
+def test_what_was_not_recorded_cannot_be_replayed() -> None:
+    recording: Recording = Recorded({0: [0]})
+    with pytest.raises(InputError, match=r"^recorded: holds no Motion stream$"):
+        Replay(recording, Motion)
+    with pytest.raises(InputError, match=r"^recorded: holds no Scores stream of finger 3$"):
+        Replay(recording, Scores, (0, 3))
+
+
+@pytest.mark.parametrize("pace", [0.0, -1.0, float("nan")])
+def test_a_pace_that_is_none_is_refused(pace: float) -> None:
+    with pytest.raises(ParameterError, match=r"^Replay: pace is "):
+        Replay(Recorded({0: [0]}), Scores, pace=pace)
+
+
+def test_it_tells_what_it_replays() -> None:
+    source = Replay(Recorded({0: [0]}), Scores)
+    assert (str(source), source.kind, source.describe()) == (
+        "Replay(recorded, Scores)",
+        Scores,
+        {"rig": "ur10"},
+    )

@@ -1,0 +1,47 @@
+from flows.drawing import describe, mermaid, text
+from flows.graph import Flow
+from flows.testing import TestSink, TestSource
+from operators import Align, Debounce, Label, Motion, Scores, Touch, Zero, ms
+
+
+def _flow() -> Flow:
+    flow, sink = Flow("drawn"), TestSink()
+    touch = flow.source(TestSource(Touch))
+    motion = flow.source(TestSource(Motion))
+    zeroed = touch | Zero(baseline=400)
+    (zeroed & motion | Align(within=10 * ms) | Label()).to(sink)
+    zeroed.to(sink)
+    return flow
+
+
+def test_text_reads_like_the_declaration() -> None:
+    assert text(_flow()).splitlines() == [
+        "flow drawn",
+        "  touch    = TestSource(Touch)",
+        "  motion   = TestSource(Motion)",
+        "  zeroed   = touch | Zero(baseline=400)",
+        "  labelled = zeroed & motion | Align(within=10 ms) | Label()",
+        "  labelled -> TestSink()",
+        "  zeroed -> TestSink()",
+    ]
+
+
+def test_two_streams_of_one_type_get_two_names() -> None:
+    flow = Flow("f")
+    scores = flow.source(TestSource(Scores))
+    for count in (2, 3):
+        (scores | Debounce(consecutive=count)).to(TestSink())
+    names = [line.split()[0] for line in text(flow).splitlines()[1:]]
+    assert names == ["scores", "slips", "slips2", "slips", "slips2"]
+
+
+def test_mermaid_names_every_edge_by_its_type() -> None:
+    lines = mermaid(_flow()).splitlines()
+    assert lines[0] == "flowchart LR"
+    edges = [line.split("|")[1] for line in lines if "-->" in line]
+    assert sorted(edges) == ["Labelled", "Motion", "Sample", "Touch", "Zeroed", "Zeroed"]
+
+
+def test_a_part_is_drawn_with_what_differs_from_its_defaults() -> None:
+    assert describe(Debounce()) == "Debounce()"
+    assert describe(Debounce(minimum=50 * ms)) == "Debounce(minimum=50 ms)"

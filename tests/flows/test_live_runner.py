@@ -1,0 +1,254 @@
+import asyncio
+import logging
+import os
+import signal
+from collections.abc import AsyncIterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flows.graph import Flow
+from flows.live_runner import LiveRunner
+from flows.testing import TestSink, TestSource, run_virtually
+from operators import Clock, Debounce, EndpointError, Run, Scores, Slips, Source, ms, s
+
+
+def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
+    """One-row batches, 10 ms apart, from the `first`-th on."""
+    rows = range(first, first + count)
+    return [Scores(np.array([k * 10 * ms]), np.array([probability])) for k in rows]
+
+
+def execute(flow: Flow, *, duration: int | None = None) -> Run:
+    async def main() -> Run:
+        return await LiveRunner(flow, "test", duration=duration).execute()
+
+    return run_virtually(main())
+
+
+def times(sink: TestSink) -> list[int]:
+    return [time // (10 * ms) for time in sink.rows(Scores).time.tolist()]
+
+
+class Endless(Source[Scores]):
+    """A score every 10 ms, for ever."""
+
+    def __init__(self) -> None:
+        self.closed = False
+
+    @property
+    def kind(self) -> type[Scores]:
+        return Scores
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        try:
+            while True:
+                await clock.sleep_until(clock.now() + 10 * ms)
+                yield Scores(np.array([clock.now()]), np.array([0.9]))
+        finally:
+            self.closed = True
+
+
+def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(TestSource(Scores, scores(0, 50))).to(sink)
+    run = execute(flow)
+    assert times(sink) == list(range(50))
+    assert (sink.opened, sink.closed) == (1, 1)
+    assert run.sources["scores"].rows == run.sinks["testsink"].rows == 50
+    assert not run.sources["scores"].up
+
+
+def test_a_run_ends_after_its_duration() -> None:
+    flow, sink, source = Flow("f"), TestSink(), Endless()
+    flow.source(source).to(sink)
+    execute(flow, duration=s)
+    assert 98 <= len(sink.written) <= 100
+    assert source.closed
+    assert sink.closed == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_flushes_and_commits(number: signal.Signals) -> None:
+    flow, sink = Flow("f"), TestSink()
+    stream = flow.source(Endless())
+    (stream | Debounce(consecutive=2)).to(sink)
+
+    async def main() -> None:
+        runner = LiveRunner(flow, "test")
+        asyncio.get_running_loop().call_later(0.5, os.kill, os.getpid(), number)
+        await runner.execute()
+
+    run_virtually(main())
+    assert len(sink.rows(Slips)) == 1
+    assert sink.closed == 1
+
+
+def test_a_failing_source_is_started_again_and_its_gap_recorded(caplog: pytest.LogCaptureFixture) -> None:
+    flow, sink = Flow("f"), TestSink()
+    broken: list[Scores | Exception] = [
+        *scores(0, 10),
+        OSError("unplugged"),
+        OSError("still"),
+        *scores(50, 10),
+    ]
+    flow.source(TestSource(Scores, broken)).to(sink)
+    with caplog.at_level(logging.WARNING):
+        run = execute(flow)
+    assert times(sink) == [*range(10), *range(50, 60)]
+    [gap] = run.sources["scores"].gaps
+    assert gap.reason == "unplugged"
+    assert gap.start == 90 * ms
+    assert gap.end > gap.start
+    assert [record.message for record in caplog.records] == [
+        "scores failed, trying again: unplugged",
+        "scores is back",
+    ]
+
+
+def test_a_failing_source_does_not_stop_the_others() -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(TestSource(Scores, [OSError("gone")] * 1000), name="broken").to(TestSink())
+    flow.source(TestSource(Scores, scores(0, 100))).to(sink)
+    run = execute(flow, duration=10 * s)
+    assert times(sink) == list(range(100))
+    assert not run.sources["broken"].up
+
+
+def test_a_source_that_breaks_its_type_has_failed() -> None:
+    flow, sink = Flow("f"), TestSink()
+    single: Any = np.ones(1, np.float32)
+    wrong = Scores(np.array([0]), single)
+    flow.source(TestSource(Scores, [wrong, *scores(1, 1)])).to(sink)
+    run = execute(flow)
+    assert times(sink) == [1]
+    assert run.sources["scores"].gaps[0].reason == (
+        "Scores.probability: is float32, must be an array of float64"
+    )
+
+
+def test_a_failing_sink_is_retried_with_the_same_batch_and_loses_nothing() -> None:
+    flow = Flow("f")
+    failing, other = (
+        TestSink(failures=[None, EndpointError("x", "down"), EndpointError("x", "down")]),
+        TestSink(),
+    )
+    stream = flow.source(TestSource(Scores, scores(0, 100)))
+    stream.to(failing)
+    stream.to(other)
+    run = execute(flow)
+    assert times(failing) == times(other) == list(range(100))
+    status = run.sinks["testsink"]
+    assert (status.failures, status.dropped, status.error) == (2, 0, "")
+
+
+def test_a_sink_that_never_works_stops_nobody_and_its_rows_are_counted() -> None:
+    flow = Flow("f")
+    dead, other = TestSink(failures=[OSError("dead")] * 10_000, capacity=10), TestSink()
+    stream = flow.source(TestSource(Scores, scores(0, 1000)))
+    stream.to(dead)
+    stream.to(other)
+    run = execute(flow)
+    assert times(other) == list(range(1000))
+    assert run.sinks["testsink"].dropped == 1000
+    assert run.sinks["testsink"].error == "dead"
+
+
+def test_a_slow_lossless_sink_makes_the_source_wait_and_gets_everything() -> None:
+    flow = Flow("f")
+
+    async def slowly() -> None:
+        await asyncio.sleep(0.05)  # five times slower than the source
+
+    slow = TestSink(capacity=3, hold=slowly)
+    flow.source(TestSource(Scores, scores(0, 100))).to(slow)
+    run = execute(flow)
+    assert times(slow) == list(range(100))
+    assert run.sinks["testsink"].dropped == 0
+
+
+def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
+    flow = Flow("f")
+
+    async def slowly() -> None:
+        await asyncio.sleep(0.05)
+
+    slow, other = TestSink(capacity=3, hold=slowly, lossless=False), TestSink()
+    stream = flow.source(TestSource(Scores, scores(0, 100)))
+    stream.to(slow)
+    stream.to(other)
+    run = execute(flow)
+    dropped = run.sinks["testsink"].dropped
+    assert times(other) == list(range(100))
+    assert dropped > 50
+    assert len(times(slow)) + dropped == 100
+    assert times(slow)[-3:] == [97, 98, 99]
+
+
+def test_an_operator_that_fails_ends_the_run_after_committing_what_came_before() -> None:
+    class Broken(Debounce):
+        def process(self, batch: Scores) -> Slips:
+            if batch.time[0] >= 500 * ms:
+                raise ZeroDivisionError
+            return super().process(batch)
+
+    flow, raw = Flow("f"), TestSink()
+    stream = flow.source(TestSource(Scores, scores(0, 100)))
+    stream.to(raw)
+    (stream | Broken()).to(TestSink())
+    with pytest.raises(ZeroDivisionError):
+        execute(flow)
+    assert times(raw) == list(range(50))
+    assert raw.closed == 1
+
+
+def test_a_sink_that_cannot_be_opened_ends_the_run_before_it_starts() -> None:
+    class Closed(TestSink):
+        async def open(self, run: Run) -> None:  # noqa: ARG002 - the signature of a sink
+            raise EndpointError("mqtt://nowhere", "no such host")
+
+    flow, first = Flow("f"), TestSink()
+    stream = flow.source(TestSource(Scores, scores(0, 10)))
+    stream.to(first)
+    stream.to(Closed())
+    with pytest.raises(EndpointError, match="mqtt://nowhere: no such host"):
+        execute(flow)
+    assert (first.opened, first.closed, first.written) == (1, 1, [])
+
+
+def test_late_rows_are_counted_and_reach_the_recorder_as_received() -> None:
+    flow, raw, felt = Flow("f"), TestSink(), TestSink()
+    stream = flow.source(TestSource(Scores, [*scores(0, 3), *scores(1, 1), *scores(3, 2)]))
+    stream.to(raw)
+    (stream | Debounce()).to(felt)
+    run = execute(flow)
+    assert times(raw) == [0, 1, 2, 1, 3, 4]
+    assert run.sources["scores"].late == 1
+    assert len(felt.rows(Slips)) == 1
+
+
+def test_a_source_that_never_waits_leaves_the_others_their_turn() -> None:
+    flow, sink = Flow("f"), TestSink(lossless=False, capacity=64)
+    greedy = TestSource(Scores, scores(0, 1) * 1000)
+    flow.source(greedy).to(sink)
+    run = execute(flow)
+    assert run.sinks["testsink"].dropped == 0
+    assert len(sink.written) == 1000
+
+
+def test_a_second_stop_gives_up_failing_sinks_at_once() -> None:
+    flow = Flow("f")
+    dead = TestSink(failures=[OSError("dead")] * 10_000)
+    flow.source(Endless()).to(dead)
+
+    async def main() -> float:
+        runner = LiveRunner(flow, "test")
+        loop = asyncio.get_running_loop()
+        loop.call_later(1, runner.stop)
+        loop.call_later(1.5, runner.stop)
+        await runner.execute()
+        return loop.time()
+
+    assert run_virtually(main()) < 2
+    assert dead.closed == 1

@@ -1,0 +1,100 @@
+from pathlib import Path
+
+import pytest
+
+from flows.graph import Flow
+from flows.loading import load
+from operators import InputError, ParameterError
+
+GOOD = """
+from flows.graph import Flow
+from flows.testing import TestSink, TestSource
+from operators import Scores
+
+def felt(
+    threshold: float = 0.5, count: int = 2, name: str = "felt", fast: bool = False, out: str | None = None
+) -> Flow:
+    flow = Flow(f"{name} {threshold} {count} {fast} {out}")
+    flow.source(TestSource(Scores)).to(TestSink())
+    return flow
+
+def not_a_flow(x: int) -> int:
+    return x
+"""
+
+
+def _file(folder: Path, code: str) -> str:
+    path = folder / "mine.py"
+    path.write_text(code)
+    return str(path)
+
+
+def test_the_only_flow_of_a_file_needs_no_name(tmp_path: Path) -> None:
+    declaration = load(_file(tmp_path, GOOD))
+    assert declaration.name == "felt"
+    assert list(declaration.parameters) == ["threshold", "count", "name", "fast", "out"]
+    assert declaration.flow().name == "felt 0.5 2 False None"
+
+
+def test_settings_take_the_type_that_is_declared(tmp_path: Path) -> None:
+    flow = load(_file(tmp_path, GOOD)).flow({"threshold": "0.7", "count": "3", "fast": "yes", "out": "x"})
+    assert flow.name == "felt 0.7 3 True x"
+    assert load(_file(tmp_path, GOOD)).flow({"out": "none"}).name.endswith("None")
+
+
+def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(
+        ParameterError, match=r"felt: limit is '1', must be the name of one .*threshold, count"
+    ):
+        load(_file(tmp_path, GOOD)).flow({"limit": "1"})
+
+
+def test_a_setting_of_a_wrong_type_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="felt: count is 'two', must be of type int"):
+        load(_file(tmp_path, GOOD)).flow({"count": "two"})
+
+
+def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
+    code = GOOD + "\nmine = felt()\n"
+    assert isinstance(load(_file(tmp_path, code) + ":mine").flow(), Flow)
+    with pytest.raises(InputError, match=r"several flows, choose one: .*:felt, .*:mine"):
+        load(_file(tmp_path, code))
+
+
+@pytest.mark.parametrize("name", ["live", "record"])
+def test_a_ready_made_flow_needs_no_path(name: str) -> None:
+    assert load(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("def broken(:\n", r"mine\.py:1: invalid syntax"),
+        ("\n1 / 0\n", r"mine\.py:2: ZeroDivisionError: division by zero"),
+        ("import no_such_module\n", r"mine\.py:1: ModuleNotFoundError"),
+        ("x = 1\n", "holds no flow"),
+        (
+            "from flows.graph import Flow\ndef f(x: int) -> Flow: return Flow('f')\n",
+            "flow 'f': parameter 'x' needs a default",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_one_line_with_its_place(
+    tmp_path: Path, code: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=message) as raised:
+        load(_file(tmp_path, code))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_missing_file_and_a_missing_flow_are_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"nowhere\.py: no such flow file"):
+        load("nowhere.py")
+    with pytest.raises(InputError, match="holds no flow 'other'; it holds felt"):
+        load(_file(tmp_path, GOOD) + ":other")
+
+
+def test_an_error_while_building_names_the_line_of_the_flow_file(tmp_path: Path) -> None:
+    code = "from flows.graph import Flow\ndef f() -> Flow:\n    return undefined\n"
+    with pytest.raises(InputError, match=r"mine\.py:3: NameError"):
+        load(_file(tmp_path, code)).flow()

@@ -1,0 +1,138 @@
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from flows.graph import Flow
+from flows.plan import Plan
+from flows.testing import TestSink, TestSource
+from operators import (
+    EVERY,
+    Align,
+    Batch,
+    BatchError,
+    Debounce,
+    Motion,
+    Operator,
+    Sample,
+    Scores,
+    Slips,
+    Touch,
+    Zero,
+    ms,
+)
+
+
+def scores(*probabilities: float, start: int = 0, finger: int = EVERY) -> Scores:
+    time = start + np.arange(len(probabilities), dtype=np.int64) * 10 * ms
+    return Scores(time, np.array(probabilities), finger=finger)
+
+
+def touch(*times: int, finger: int = EVERY) -> Touch:
+    n = len(times)
+    counts = np.full((n, 6), 400 + finger, np.int16)
+    return Touch(np.array(times, np.int64), counts, counts, np.ones((n, 6), np.bool_), finger=finger)
+
+
+def motion(*times: int) -> Motion:
+    n = len(times)
+    return Motion(np.array(times, np.int64), np.array(times, np.int64), np.ones((n, 6)), np.ones((n, 6)))
+
+
+@dataclass
+class Keep(Operator[Scores, Scores]):
+    """Holds everything until the end of the stream."""
+
+    _held: list[Scores] = field(default_factory=list[Scores], init=False, repr=False)
+
+    def process(self, batch: Scores) -> Scores:
+        self._held.append(batch)
+        return batch[:0]
+
+    def flush(self) -> Scores:
+        return self._held[-1]
+
+
+def test_a_plan_leaves_the_declared_operators_as_they_were() -> None:
+    flow, declared = Flow("f"), Debounce(consecutive=2)
+    (flow.source(TestSource(Scores)) | declared).to(TestSink())
+    for _ in range(2):  # the second run must not remember the first
+        plan = Plan(flow)
+        assert plan.push({plan.entries[0]: scores(0.9)}) == []
+        [(_, slips)] = plan.push({plan.entries[0]: scores(0.9, start=10 * ms)})
+        assert len(slips) == 1
+
+
+def test_every_fingertip_has_operators_of_its_own() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores, fingers=(0, 1))) | Debounce(consecutive=2)).to(TestSink())
+    plan = Plan(flow)
+    first, second = plan.entries
+    assert plan.push({first: scores(0.9, finger=0)}) == []
+    assert plan.push({second: scores(0.9, finger=1)}) == []
+    [(_, slips)] = plan.push({first: scores(0.9, start=10 * ms, finger=0)})
+    assert slips.finger == 0
+
+
+def test_the_arm_motion_reaches_every_fingertip() -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
+    plan = Plan(flow)
+    left, right, arm = plan.entries
+    plan.push({left: touch(0, finger=0)})
+    plan.push({right: touch(0, finger=1)})
+    joined = [batch for _, batch in plan.push({arm: motion(0, 8 * ms)})]
+    assert [batch.finger for batch in joined] == [0, 1]
+    assert all(isinstance(batch, Sample) and batch.matched.all() for batch in joined)
+
+
+def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
+    flow, one, other = Flow("f"), TestSink(), TestSink()
+    stream = flow.source(TestSource(Scores))
+    stream.to(one)
+    stream.to(other)
+    batch = scores(0.1)
+    plan = Plan(flow)
+    assert [(node.part, given) for node, given in plan.push({plan.entries[0]: batch})] == [
+        (one, batch),
+        (other, batch),
+    ]
+
+
+def test_streams_given_together_reach_their_join_together() -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
+    plan = Plan(flow)
+    left, right = plan.entries
+    hour = [k * 10 * ms for k in range(1000)]
+    [(_, joined)] = plan.push({left: touch(*hour), right: motion(*hour)})
+    assert isinstance(joined, Sample)
+    assert joined.matched.all()
+
+
+def test_flush_passes_what_operators_held_on_to_those_behind_them() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Keep() | Debounce(consecutive=2)).to(TestSink())
+    plan = Plan(flow)
+    assert plan.push({plan.entries[0]: scores(0.9, 0.9)}) == []
+    [(_, slips)] = plan.flush()
+    assert isinstance(slips, Slips)
+    assert slips.state.tolist() == [1]
+
+
+def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
+    flow = Flow("f")
+    flow.source(TestSource(Scores, fingers=(0,))).to(TestSink())
+    plan = Plan(flow)
+    with pytest.raises(BatchError, match=r"source 'scores' gave fingertip 3, and declares \(0,\)"):
+        plan.push({(plan.entries[0][0], 3): scores(0.9, finger=3)})
+
+
+def test_nothing_in_gives_nothing_out() -> None:
+    flow = Flow("f")
+    flow.source(TestSource(Scores)).to(TestSink())
+    plan = Plan(flow)
+    assert plan.push({plan.entries[0]: Scores.empty()}) == []
+    assert plan.flush() == list[tuple[object, Batch]]()

@@ -1,0 +1,29 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from operators import Batch
+from operators.batch import columns
+
+settings.register_profile("slipflow", deadline=None, max_examples=50)  # no timed asserts
+settings.load_profile("slipflow")
+
+
+@pytest.fixture(scope="session")
+def same() -> Callable[[Batch, Batch], None]:
+    """Fails unless two batches hold the same rows, bit for bit; NaN is like NaN."""
+
+    def check(found: Batch, expected: Batch) -> None:
+        assert type(found.check()) is type(expected.check())
+        assert len(found) == len(expected)
+        assert found.finger == expected.finger or not len(found)
+        for name in columns(type(found)):
+            left, right = getattr(found, name), getattr(expected, name)
+            np.testing.assert_array_equal(left, right, err_msg=name)
+            if left.dtype.kind == "f":  # 0.0 and -0.0 are equal, but not the same
+                known = ~np.isnan(left)
+                np.testing.assert_array_equal(np.signbit(left)[known], np.signbit(right)[known], err_msg=name)
+
+    return check

@@ -1,0 +1,211 @@
+from typing import Any, Literal
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators import Align, Motion, ParameterError, Sample, Zeroed, concat, ms
+from operators.batch import Reals, Times
+
+How = Literal["nearest", "previous", "linear"]
+NO_TOUCH, NO_MOTION = Zeroed.empty(), Motion.empty()
+
+
+def _touch(*time: float) -> Zeroed:
+    counts = np.arange(6 * len(time), dtype=np.int16).reshape(-1, 6)
+    return Zeroed(_stamps(*time), counts, counts + np.int16(1), counts > 0, finger=2)
+
+
+def _motion(*time: float, pose: Reals | None = None) -> Motion:
+    """Motion whose velocity along x is the number of the row."""
+    velocity = np.zeros((len(time), 6))
+    velocity[:, 0] = np.arange(len(time))
+    pose = np.full_like(velocity, np.nan) if pose is None else pose
+    return Motion(_stamps(*time), _stamps(*time), velocity, pose)
+
+
+def _stamps(*time: float) -> Times:
+    return (np.array(time) * ms).astype(np.int64)
+
+
+def _rows(samples: Sample) -> list[float]:
+    rows: list[float] = samples.velocity[:, 0].tolist()
+    return rows
+
+
+def _join(align: Align, touch: Zeroed, motion: Motion) -> Sample:
+    return concat(Sample, [align.push(touch, motion), align.flush()])
+
+
+# --- against polars --------------------------------------------------------------------------------------
+
+steps = st.lists(st.sampled_from([0, 1, 3, 7, 8, 10, 12, 40, -5, -20]), max_size=60)  # some rows come late
+
+
+def _polars(touch: pl.DataFrame, motion: pl.DataFrame, how: How, within: int) -> pl.Series:
+    """The row that each touch is joined with, null where none."""
+
+    def asof(strategy: Literal["backward", "forward"], suffix: str) -> pl.DataFrame:
+        joined = touch.join_asof(motion, on="time", strategy=strategy, tolerance=within)
+        off = (pl.col("time") - pl.col("stamp")).abs()
+        return joined.select(pl.col("row").alias(f"row_{suffix}"), off.alias(f"off_{suffix}"))
+
+    before, after = asof("backward", "before"), asof("forward", "after")
+    exact = pl.col("off_before") == 0
+    part = pl.col("off_before") / (pl.col("off_before") + pl.col("off_after"))
+    far = pl.lit(within + 1)
+    later = pl.col("off_after").fill_null(far) <= pl.col("off_before").fill_null(far)
+    row = {
+        "previous": pl.col("row_before"),
+        "nearest": pl.when(~exact.fill_null(value=False) & later).then("row_after").otherwise("row_before"),
+        "linear": pl.when(exact)
+        .then("row_before")
+        .otherwise(pl.col("row_before") + part * (pl.col("row_after") - pl.col("row_before"))),
+    }
+    return before.hstack(after).select(row[how]).to_series()
+
+
+def _kept(**column: Times | Reals) -> pl.DataFrame:
+    """The rows that are not late."""
+    return pl.DataFrame(column).filter(pl.col("time") >= pl.col("time").cum_max()).set_sorted("time")
+
+
+@pytest.mark.parametrize("how", ["previous", "nearest", "linear"])
+@given(touch=steps, motion=steps, offset=st.integers(-50, 50), within=st.sampled_from([0, 3, 10, 30]))
+def test_the_join_is_that_of_polars(
+    how: How, touch: list[int], motion: list[int], offset: int, within: int
+) -> None:
+    left, right = _touch(*np.cumsum(touch)), _motion(*offset + np.cumsum(motion))
+    samples = _join(Align(within * ms, how), left, right)
+    kept = _kept(time=left.time)
+    numbers = np.arange(len(right), dtype=np.float64)
+    rows = _polars(kept, _kept(time=right.time, stamp=right.time, row=numbers), how, within * ms)
+    np.testing.assert_array_equal(samples.time, kept["time"].to_numpy())
+    np.testing.assert_array_equal(samples.matched, rows.is_not_null().to_numpy())
+    np.testing.assert_allclose(_rows(samples), rows.fill_null(np.nan).to_numpy(), rtol=1e-12)
+
+
+# --- which row -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("how", "row"), [("previous", [2.0, 2.0]), ("nearest", [2.0, 3.0]), ("linear", [2.0, 2.5])]
+)
+def test_of_equal_stamps_the_last_up_to_the_touch_and_the_first_after_it_count(
+    how: How, row: list[float]
+) -> None:
+    samples = _join(Align(how=how), _touch(10, 15), _motion(0, 10, 10, 20, 20))
+    assert _rows(samples) == row
+
+
+def test_nearest_takes_the_later_of_two_rows_equally_near() -> None:
+    assert _rows(_join(Align(), _touch(4, 5, 6), _motion(0, 10))) == [0, 1, 1]
+
+
+@pytest.mark.parametrize("how", ["previous", "nearest", "linear"])
+def test_a_touch_without_motion_near_enough_is_kept_and_flagged(how: How) -> None:
+    touch = _touch(0, 100)
+    samples = _join(Align(how=how), touch, _motion(0, 79))
+    assert samples.matched.tolist() == [True, False]
+    assert np.isnan(samples.velocity[1]).all()
+    assert np.isnan(samples.pose[1]).all()
+    assert samples.finger == 2
+    np.testing.assert_array_equal(samples.counts, touch.counts)
+    np.testing.assert_array_equal(samples.temperature, touch.temperature)
+    np.testing.assert_array_equal(samples.valid, touch.valid)
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+@pytest.mark.parametrize("rows", [1, 3])
+def test_motion_whose_velocity_is_not_finite_is_as_if_it_had_not_come(unknown: float, rows: int) -> None:
+    motion = _motion(0, 9, 18)
+    motion.velocity[1, 5] = unknown
+    align = Align()
+    for start in range(0, 3, rows):
+        align.push(NO_TOUCH, motion[start : start + rows])
+    assert _rows(align.push(_touch(8.9, 9, 9.1), NO_MOTION)) == [0, 2, 2]
+
+
+def test_linear_gives_the_row_itself_at_its_stamp_though_it_stands_alone() -> None:
+    pose = np.array([[1.0, 2, 3, 4, 5, 6]])
+    samples = _join(Align(how="linear"), _touch(10), _motion(10, pose=pose))
+    np.testing.assert_array_equal(samples.pose, pose)
+
+
+def test_linear_moves_the_place_straight_and_turns_the_rotation_evenly() -> None:
+    pose = np.array([[0.0, 0, 0, 0, 0, 0], [1.0, 2, 3, 0, 0, np.pi / 2]])
+    samples = _join(Align(how="linear"), _touch(0, 2, 5, 10), _motion(0, 10, pose=pose))
+    expected = np.array([0, 0.2, 0.5, 1])[:, None] * pose[1]
+    np.testing.assert_allclose(samples.pose, expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+@pytest.mark.parametrize("touch", [(5,), (5, 6)])
+def test_linear_knows_no_pose_between_two_of_which_one_is_unknown(
+    unknown: float, touch: tuple[int, ...]
+) -> None:
+    pose = np.zeros((2, 6))
+    pose[1] = unknown
+    samples = _join(Align(how="linear"), _touch(*touch), _motion(0, 10, pose=pose))
+    assert samples.matched.all()
+    assert not np.isfinite(samples.pose).any()
+
+
+# --- when ------------------------------------------------------------------------------------------------
+
+
+def test_a_touch_is_given_once_newer_motion_has_come() -> None:
+    align = Align()
+    assert len(align.push(_touch(10), _motion(0, 10))) == 0
+    assert len(align.push(NO_TOUCH, _motion(10))) == 0
+    assert _rows(align.push(NO_TOUCH, _motion(10.5, 10.5))) == [0]  # of those at 10, the last
+
+
+def test_a_touch_waits_no_longer_than_the_touch_stream_goes_on_by_wait() -> None:
+    align = Align(wait=30 * ms)
+    assert len(align.push(_touch(0, 10, 29), NO_MOTION)) == 0
+    samples = align.push(_touch(41), NO_MOTION)
+    assert samples.time.tolist() == [0, 10 * ms]
+    assert not samples.matched.any()
+
+
+def test_the_end_of_the_streams_decides_what_waits() -> None:
+    align = Align()
+    align.push(_touch(0, 10), _motion(0))
+    assert _rows(align.flush()) == [0, 0]
+    assert len(align.flush()) == 0
+
+
+def test_previous_without_wait_decides_at_once_by_what_came_before() -> None:
+    align = Align(how="previous", wait=0)
+    assert _rows(align.push(_touch(10), _motion(8))) == [0]
+    samples = align.push(_touch(40), NO_MOTION)
+    assert samples.matched.tolist() == [False]
+
+
+def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match() -> None:
+    align = Align(keep=50 * ms)
+    align.push(NO_TOUCH, _motion(*range(0, 101, 10)))
+    assert align.push(_touch(49, 50), NO_MOTION).matched.tolist() == [False, True]
+
+
+def test_touch_and_motion_that_come_together_match_however_long_the_span() -> None:
+    time = range(0, 100_000, 10)
+    assert _join(Align(wait=50 * ms), _touch(*time), _motion(*time)).matched.all()
+
+
+# --- parameters ------------------------------------------------------------------------------------------
+
+
+def test_nearest_and_linear_must_wait_for_the_rows_they_may_take() -> None:
+    with pytest.raises(ParameterError, match="Align: wait is 10000000, must be at least 20000000"):
+        Align(wait=10 * ms)
+    Align(how="previous", wait=10 * ms)
+
+
+@pytest.mark.parametrize("parameters", [{"how": "next"}, {"within": -1}, {"how": "previous", "wait": -1}])
+def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError):
+        Align(**parameters)

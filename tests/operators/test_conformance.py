@@ -1,0 +1,304 @@
+"""One suite over every public operator and join: the law, and what else all of them owe."""
+
+import inspect
+import pickle
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final, TypeAlias, TypeVar, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import operators
+from operators import (
+    Align,
+    Batch,
+    Debounce,
+    Health,
+    Label,
+    Motion,
+    Sample,
+    Score,
+    Scores,
+    Touch,
+    Window,
+    Zero,
+    Zeroed,
+    concat,
+    ms,
+    s,
+)
+from operators.batch import Counts, Reals, Times
+from operators.detectors import PaperTcn, Psd
+from operators.detectors.paper_tcn import shapes
+from operators.operator import Step, input_types, output_type
+
+Value = TypeVar("Value")
+SomeTouch = TypeVar("SomeTouch", bound=Touch)
+Make: TypeAlias = Callable[[np.random.Generator, int], Batch]
+Same: TypeAlias = Callable[[Batch, Batch], None]
+Streams: TypeAlias = tuple[Batch, ...]
+
+_FINGER: Final = 3
+
+
+# --- streams: jitter, duplicates, gaps, late rows, NaN, cells that fail ------------------------------
+
+
+def _times(rng: np.random.Generator, rows: int, period: int) -> Times:
+    steps = [0, 1, period // 2, period, 4 * period, 60 * period, -period]
+    start = 1_700_000_000 * s + rng.integers(0, 100) * ms
+    return start + np.cumsum(rng.choice(steps, rows, p=[0.1, 0.02, 0.2, 0.6, 0.04, 0.01, 0.03]))
+
+
+def _held(rng: np.random.Generator, choices: Sequence[float], shape: tuple[int, int], rows: int) -> Reals:
+    """Values that each last for some rows."""
+    length, width = shape
+    return np.repeat(rng.choice(choices, (length // rows + 1, width)), rows, axis=0)[:length]
+
+
+def _touch(kind: type[SomeTouch]) -> Callable[[np.random.Generator, int], SomeTouch]:
+    def make(rng: np.random.Generator, rows: int) -> SomeTouch:
+        shape = (rows, 6)
+        mode = _held(rng, range(6), shape, 40)
+        noise = _held(rng, (600, 640), shape, 150) + rng.integers(-1, 2, shape)
+        loaded, floored = noise + rng.integers(-50, 50, shape), rng.integers(0, 12, shape)
+        counts = np.select([mode == 1, mode == 2, mode == 3], [loaded, floored, 500], noise).astype(np.int16)
+        valid = (mode != 4) & ((mode != 5) | (rng.random(shape) < 0.5))
+        temperature = rng.integers(400, 500, shape).astype(np.int16)
+        return kind(_times(rng, rows, 10 * ms), counts, temperature, valid, finger=_FINGER)
+
+    return make
+
+
+def _vectors(rng: np.random.Generator, rows: int, scales: Sequence[float]) -> Reals:
+    vectors: Reals = rng.normal(size=(rows, 6)) * rng.choice(scales, (rows, 1))
+    return vectors
+
+
+def _motion(rng: np.random.Generator, rows: int) -> Motion:
+    time = _times(rng, rows, 8 * ms)
+    velocity = _vectors(rng, rows, (0, 1e-3, 0.05, 0.05, 0.3, np.nan, np.inf))
+    return Motion(time, time - 5 * ms, velocity, _vectors(rng, rows, (0, 1e-9, 1, 1, 3, np.nan)))
+
+
+def _sample(rng: np.random.Generator, rows: int) -> Sample:
+    touch, motion = _touch(Zeroed)(rng, rows), _motion(rng, rows)
+    matched = np.isfinite(motion.velocity[:, 0])
+    values = touch.counts, touch.temperature, touch.valid, motion.velocity, motion.pose
+    return Sample(touch.time, *values, matched, finger=_FINGER)
+
+
+def _scores(rng: np.random.Generator, rows: int) -> Scores:
+    level = _held(rng, (0.1, 0.1, 0.5, 0.9, 0.9, np.nan), (rows, 1), 3)[:, 0]
+    return Scores(_times(rng, rows, 10 * ms), level - rng.random(rows) / 20, finger=_FINGER)
+
+
+# --- the table: a new operator or join needs a line here -------------------------------------------------
+
+
+class _Spread:
+    name, length = "spread", 9
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        spread: Reals = np.ptp(windows, axis=(1, 2)) / 2000
+        return spread
+
+
+def _paper_tcn() -> PaperTcn:
+    rng = np.random.default_rng(0)
+    return PaperTcn({name: rng.normal(size=shape) + 1 for name, shape in shapes().items()})
+
+
+@dataclass(frozen=True)
+class Case:
+    step: Step
+    inputs: tuple[Make, ...]
+    snapshot: int = 5_000  # bytes, at most, whatever went in
+
+    def streams(self, seed: int, rows: int) -> Streams:
+        return tuple(make(np.random.default_rng([seed, i]), rows) for i, make in enumerate(self.inputs))
+
+
+CASES: Final = [
+    Case(Zero(scans=30), (_touch(Touch),)),
+    Case(Zero(baseline=(600, 601, 602, 603, 604, 605)), (_touch(Touch),)),
+    Case(Zero(), (_touch(Zeroed),)),
+    Case(Align(), (_touch(Zeroed), _motion), snapshot=300_000),
+    Case(Align(how="previous", within=5 * ms, keep=100 * ms), (_touch(Zeroed), _motion)),
+    Case(Align(how="previous", wait=0, keep=100 * ms), (_touch(Zeroed), _motion)),
+    Case(Align(how="linear", within=30 * ms, wait=50 * ms, keep=100 * ms), (_touch(Zeroed), _motion)),
+    Case(Align(how="nearest", within=10 * ms, wait=10 * ms, keep=100 * ms), (_touch(Zeroed), _motion)),
+    Case(Label(), (_sample,)),
+    Case(Label(rotation=0.2, normal=(0, 1, 2)), (_sample,)),
+    Case(Label(rotation=0.2, delay=37 * ms), (_sample,)),
+    Case(Label(delay=-40 * ms, within=5 * ms), (_sample,)),
+    Case(Window(length=7, hop=3), (_touch(Touch),)),
+    Case(Window(length=3, hop=10), (_touch(Zeroed),)),
+    Case(Score(_Spread(), hop=2), (_touch(Zeroed),)),
+    Case(Score(Psd()), (_touch(Zeroed),)),
+    Case(Score(_paper_tcn(), hop=5), (_touch(Zeroed),), snapshot=100_000),  # with the weights
+    Case(Debounce(), (_scores,)),
+    Case(Debounce(threshold=0.88, consecutive=3, release=1, minimum=80 * ms), (_scores,)),
+    Case(Health(), (_touch(Touch),)),
+    Case(Health(dead_after=30 * ms, stuck_after=50 * ms, drift=3), (_touch(Zeroed),)),
+]
+
+every = pytest.mark.parametrize("case", CASES, ids=lambda case: repr(case.step).split(" object")[0])
+seeds = st.integers(0, 2**32 - 1)
+sizes = st.integers(0, 400)
+cuts = st.one_of(
+    st.lists(st.integers(0, 400), max_size=12),  # between equal cuts lie empty batches
+    st.just(list(range(400))),  # row by row, as in a live run
+)
+
+
+def _pieces(streams: Streams, cuts: Iterable[int]) -> list[Streams]:
+    """One stream cut anywhere; two at common instants, as a replay gives them."""
+    if len(streams) == 1:
+        places = [[0, *sorted(min(cut, len(streams[0])) for cut in cuts), len(streams[0])]]
+    else:
+        seen = [np.maximum.accumulate(stream.time) for stream in streams]
+        stamps = np.sort(np.concatenate(seen))
+        instants = [stamps[cut] for cut in sorted(cuts) if cut < len(stamps)]
+        places = [[0, *time.searchsorted(instants).tolist(), len(time)] for time in seen]
+    parts = [
+        [stream[start:stop] for start, stop in pairwise(place)]
+        for stream, place in zip(streams, places, strict=True)
+    ]
+    return list(zip(*parts, strict=True))
+
+
+def _kept(stream: Batch) -> Batch:
+    """The rows that are not late."""
+    return stream[stream.time >= np.maximum.accumulate(stream.time)]
+
+
+def _push(step: Step, piece: Streams) -> Batch:
+    result: Batch = cast("Any", step).push(*piece)
+    return result
+
+
+def _run(step: Step, pieces: Iterable[Streams]) -> Batch:
+    results = [_push(step, piece) for piece in pieces]
+    results.append(cast("Any", step).flush())
+    return concat(output_type(type(step)), results)
+
+
+def _pickled(value: Value) -> Value:
+    return cast("Value", pickle.loads(pickle.dumps(value)))  # noqa: S301 our own bytes
+
+
+# --- the law ---------------------------------------------------------------------------------------------
+
+
+@every
+@given(seed=seeds, rows=sizes, cuts=cuts)
+def test_cutting_the_input_anywhere_changes_nothing(
+    case: Case, same: Same, seed: int, rows: int, cuts: list[int]
+) -> None:
+    streams = case.streams(seed, rows)
+    same(_run(case.step.fresh(), _pieces(streams, cuts)), _run(case.step.fresh(), [streams]))
+
+
+@every
+@given(seed=seeds, rows=sizes, cut=st.integers(0, 400))
+def test_pickling_midstream_and_going_on_changes_nothing(
+    case: Case, same: Same, seed: int, rows: int, cut: int
+) -> None:
+    streams, step = case.streams(seed, rows), case.step.fresh()
+    first, *rest = _pieces(streams, [cut])
+    before = _push(step, first)
+    after = _run(_pickled(step), rest)
+    same(_run(step, rest), after)
+    same(concat(type(before), [before, after]), _run(case.step.fresh(), [streams]))
+
+
+@pytest.mark.parametrize("align", [case.step for case in CASES if isinstance(case.step, Align)], ids=repr)
+@given(seed=seeds, rows=sizes)
+def test_whichever_stream_lags_within_the_wait_the_join_is_the_same(
+    align: Align, same: Same, seed: int, rows: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    left, right = _kept(_touch(Zeroed)(rng, rows)), _kept(_motion(rng, rows))
+    lags = align.wait, align.wait - (0 if align.how == "previous" else align.within)
+    arrivals = [
+        np.maximum.accumulate(stream.time + rng.integers(0, lag + 1, len(stream)))
+        for stream, lag in zip((left, right), lags, strict=True)
+    ]
+    touch = np.arange(len(left) + len(right)) < len(left)
+    order = np.lexsort((touch, np.concatenate(arrivals)))  # of two that arrive together, motion comes first
+    one_by_one: list[Streams] = [
+        (left[row : row + 1], right[:0]) if row < len(left) else (left[:0], right[row - len(left) :][:1])
+        for row in order.tolist()
+    ]
+    same(_run(align.fresh(), one_by_one), _run(align.fresh(), [(left, right)]))
+
+
+# --- what else every one of them owes --------------------------------------------------------------------
+
+
+def test_every_public_operator_and_join_is_in_the_table() -> None:
+    public = [getattr(operators, name) for name in operators.__all__]
+    steps = {kind for kind in public if inspect.isclass(kind) and issubclass(kind, Step)}
+    assert {kind for kind in steps if not inspect.isabstract(kind)} == {type(case.step) for case in CASES}
+
+
+@every
+@given(seed=seeds, rows=sizes)
+def test_fresh_keeps_the_parameters_and_forgets_the_state(
+    case: Case, same: Same, seed: int, rows: int
+) -> None:
+    streams, step = case.streams(seed, rows), case.step.fresh()
+    first = _run(step, [streams])
+    again = step.fresh()
+    assert repr(again) == repr(step)
+    assert again.late == 0
+    same(_run(again, [streams]), first)
+
+
+@every
+@given(seed=seeds, rows=sizes)
+def test_late_rows_are_dropped_and_counted_and_rows_of_one_stamp_kept(
+    case: Case, same: Same, seed: int, rows: int
+) -> None:
+    streams, step, clean = case.streams(seed, rows), case.step.fresh(), case.step.fresh()
+    kept = tuple(_kept(stream) for stream in streams)
+    same(_run(step, [streams]), _run(clean, [kept]))
+    assert step.late == sum(map(len, streams)) - sum(map(len, kept))
+    assert clean.late == 0
+
+
+@every
+def test_an_empty_batch_gives_an_empty_batch(case: Case, same: Same) -> None:
+    nothing = tuple(kind.empty() for kind in input_types(type(case.step)))
+    same(_run(case.step.fresh(), [nothing, nothing]), output_type(type(case.step)).empty())
+
+
+@every
+@pytest.mark.parametrize("rows", [3_000, 30_000])
+def test_a_snapshot_stays_small_whatever_went_in_or_stayed_away(case: Case, rows: int) -> None:
+    streams = tuple(_kept(stream) for stream in case.streams(1, rows))
+    for away in [None, *range(len(streams))]:
+        step = case.step.fresh()
+        came = tuple(stream[:0] if i == away else stream for i, stream in enumerate(streams))
+        for piece in _pieces(came, range(0, rows, 97)):
+            _push(step, piece)
+        assert len(pickle.dumps(step)) < case.snapshot
+
+
+@every
+@given(seed=seeds, rows=sizes)
+def test_what_went_in_or_came_out_is_never_written_again(
+    case: Case, same: Same, seed: int, rows: int
+) -> None:
+    streams, step = case.streams(seed, rows), case.step.fresh()
+    copies = _pickled(streams)
+    results = [_push(step, piece) for piece in _pieces(streams, range(0, rows, 9))]
+    results_then = _pickled(results)
+    _run(step, [streams] * 4)
+    for now, then in zip([*streams, *results], [*copies, *results_then], strict=True):
+        same(now, then)

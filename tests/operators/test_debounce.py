@@ -1,0 +1,101 @@
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators import SLIP, STATIC, Debounce, ParameterError, Scores, ms
+
+HIGH, LOW, NONE = 0.9, 0.1, float("nan")
+Event = tuple[int, int, int]  # state, row, row of the start
+
+
+def _events(debounce: Debounce, *probability: float) -> list[Event]:
+    """What comes of scores 10 ms apart."""
+    time = np.arange(len(probability)) * 10 * ms
+    slips = debounce.push(Scores(time, np.array(probability), finger=7))
+    assert slips.finger == 7 or not len(slips)
+    rows, starts = (slips.time // (10 * ms)).tolist(), (slips.start // (10 * ms)).tolist()
+    np.testing.assert_array_equal(slips.probability, np.array(probability)[rows])
+    return list(zip(slips.state.tolist(), rows, starts, strict=True))
+
+
+def _reference(probability: list[float], consecutive: int, release: int, minimum: int) -> list[Event]:
+    """The rule, stated anew for each row."""
+    events: list[Event] = []
+    for row, value in enumerate(probability):
+        slipping = bool(events) and events[-1][0] == SLIP
+        run = row  # of decisions equal to this one
+        while run and (probability[run - 1] >= 0.5) == (value >= 0.5) and not np.isnan(probability[run - 1]):
+            run -= 1
+        length = row - run + 1
+        if np.isnan(value):
+            continue
+        if not slipping and value >= 0.5 and length >= consecutive:
+            events.append((SLIP, row, run))
+        if slipping and value < 0.5 and length >= release and row >= events[-1][2] + minimum:
+            events.append((STATIC, row, run))
+    return events
+
+
+@given(
+    probability=st.lists(st.sampled_from([HIGH, LOW, 0.5, NONE]), max_size=80),
+    consecutive=st.integers(1, 4),
+    release=st.integers(1, 4),
+    minimum=st.integers(0, 12),
+)
+def test_events_are_those_of_the_rule(
+    probability: list[float], consecutive: int, release: int, minimum: int
+) -> None:
+    debounce = Debounce(consecutive=consecutive, release=release, minimum=minimum * 10 * ms)
+    assert _events(debounce, *probability) == _reference(probability, consecutive, release, minimum)
+
+
+def test_a_slip_begins_with_the_second_slip_decision_and_ends_with_the_second_static_one() -> None:
+    events = _events(Debounce(), HIGH, LOW, HIGH, HIGH, HIGH, LOW, HIGH, LOW, LOW, LOW)
+    assert events == [(SLIP, 3, 2), (STATIC, 8, 7)]
+
+
+def test_a_score_at_the_threshold_is_a_slip_decision() -> None:
+    assert _events(Debounce(threshold=0.7, consecutive=1), 0.69, 0.7) == [(SLIP, 1, 1)]
+
+
+def test_nan_breaks_both_runs() -> None:
+    assert _events(Debounce(), HIGH, NONE, HIGH, HIGH) == [(SLIP, 3, 2)]
+    assert _events(Debounce(), HIGH, HIGH, LOW, NONE, LOW, LOW) == [(SLIP, 1, 0), (STATIC, 5, 4)]
+
+
+def test_an_end_waits_until_the_minimum_from_the_start_has_passed() -> None:
+    debounce = Debounce(minimum=60 * ms)
+    assert _events(debounce, HIGH, HIGH, LOW, LOW, LOW, LOW, LOW) == [(SLIP, 1, 0), (STATIC, 6, 2)]
+
+
+def test_slip_again_during_the_minimum_goes_on_as_one_slip() -> None:
+    debounce = Debounce(minimum=60 * ms)
+    assert _events(debounce, HIGH, HIGH, LOW, LOW, HIGH, HIGH, HIGH, LOW, LOW) == [
+        (SLIP, 1, 0),
+        (STATIC, 8, 7),
+    ]
+
+
+def test_a_slip_still_open_at_the_end_is_given_no_end() -> None:
+    debounce = Debounce()
+    assert _events(debounce, HIGH, HIGH) == [(SLIP, 1, 0)]
+    assert len(debounce.flush()) == 0
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"threshold": 0},
+        {"threshold": 1.1},
+        {"threshold": NONE},
+        {"consecutive": 0},
+        {"release": 0},
+        {"minimum": -1},
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=r"^Debounce: "):
+        Debounce(**parameters)

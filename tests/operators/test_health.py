@@ -1,0 +1,145 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from operators import FaultKind, Faults, Health, ParameterError, Touch, Zeroed, concat, ms, s
+from operators.batch import Counts, Flags
+
+Change = tuple[float, int, FaultKind, bool]  # s, barometer, kind, begins
+
+
+def _touch(seconds: float, level: float = 600, seed: int = 0) -> tuple[Counts, Flags]:
+    """An unloaded fingertip at 100 Hz: noise of 0.6 counts."""
+    rng = np.random.default_rng(seed)
+    counts = np.rint(rng.normal(level, 0.6, (round(100 * seconds), 6))).astype(np.int16)
+    return counts, np.ones_like(counts, np.bool_)
+
+
+def _changes(
+    counts: Counts, valid: Flags, health: Health | None = None, kind: type[Touch] = Touch, pause: int = 0
+) -> list[Change]:
+    """What Health tells of rows 10 ms apart; a pause comes after the first second."""
+    time = np.arange(len(counts)) * 10 * ms
+    time[100:] += pause
+    health = Health() if health is None else health
+    batch = kind(time, counts, counts, valid, finger=8)
+    faults = concat(Faults, [health.push(batch), health.flush()])
+    assert faults.finger == 8 or not len(faults)
+    rows = zip(faults.time, faults.barometer, faults.kind, faults.active, strict=True)
+    return [(int(at) / s, int(cell), FaultKind(name), bool(active)) for at, cell, name, active in rows]
+
+
+def test_a_sound_fingertip_has_no_faults() -> None:
+    counts, valid = _touch(20)
+    valid[np.random.default_rng(1).random(valid.shape) < 0.2] = False
+    assert _changes(counts, valid) == []
+
+
+def test_a_cell_is_dead_once_it_has_not_answered_for_half_a_second_until_it_does() -> None:
+    counts, valid = _touch(4)
+    valid[101:250, 3] = False
+    assert _changes(counts, valid) == [(1.5, 3, FaultKind.DEAD, True), (2.5, 3, FaultKind.DEAD, False)]
+
+
+def test_a_cell_that_never_answers_is_dead_half_a_second_after_the_beginning() -> None:
+    counts, valid = _touch(4)
+    valid[:, 0] = False
+    assert _changes(counts, valid) == [(0.5, 0, FaultKind.DEAD, True)]
+
+
+def test_a_cell_that_answers_now_and_then_is_not_dead() -> None:
+    counts, valid = _touch(4)
+    valid[np.arange(400) % 50 > 0, 2] = False
+    assert _changes(counts, valid) == []
+
+
+def test_a_cell_is_stuck_once_its_count_has_not_changed_for_two_seconds_until_it_does() -> None:
+    counts, valid = _touch(5)
+    counts[100:400, 5] = 610
+    valid[120:140, 5] = False  # what did not come has not changed
+    assert _changes(counts, valid) == [(3.0, 5, FaultKind.STUCK, True), (4.0, 5, FaultKind.STUCK, False)]
+
+
+def test_a_dead_cell_is_not_stuck_and_must_stand_still_anew_once_it_answers() -> None:
+    counts, valid = _touch(6)
+    counts[100:, 1] = 610
+    valid[101:301, 1] = False
+    dead = [(1.5, 1, FaultKind.DEAD, True), (3.01, 1, FaultKind.DEAD, False)]
+    assert _changes(counts, valid) == [*dead, (5.0, 1, FaultKind.STUCK, True)]
+
+
+@pytest.mark.parametrize("rail", [0, 10, 1013, 1023])
+def test_a_cell_at_either_end_of_its_range_for_50_ms_is_saturated(rail: int) -> None:
+    counts, valid = _touch(2)
+    counts[100:110, 4] = rail
+    counts[150:154, 4] = rail  # sound again within 50 ms
+    saturated = [(1.04, 4, FaultKind.SATURATED, True), (1.1, 4, FaultKind.SATURATED, False)]
+    assert _changes(counts, valid) == saturated
+    assert _changes(counts, valid, kind=Zeroed) == []
+
+
+def test_a_cell_whose_quiet_seconds_move_off_the_first_one_drifts_until_they_are_back() -> None:
+    counts, valid = _touch(8)
+    counts[200:400, 0] += 31
+    counts[400:500, 0] += 29
+    drifting = [(3.0, 0, FaultKind.DRIFTING, True), (5.0, 0, FaultKind.DRIFTING, False)]
+    assert _changes(counts, valid) == drifting
+    assert _changes(counts, valid, kind=Zeroed) == drifting
+
+
+def test_a_load_that_is_not_still_is_no_drift() -> None:
+    counts, valid = _touch(8)
+    counts[200:, 0] += np.rint(-200 + 5 * np.sin(np.arange(600))).astype(np.int16)
+    assert _changes(counts, valid) == []
+
+
+def test_a_floored_cell_is_saturated_but_does_not_drift() -> None:
+    counts, valid = _touch(8)
+    counts[200:, 0] -= 595
+    assert [change[2] for change in _changes(counts, valid)] == [FaultKind.SATURATED]
+
+
+def test_a_second_with_hardly_a_reading_is_not_judged() -> None:
+    counts, valid = _touch(4)
+    counts[200:, 0] += 100
+    valid[200:, 0] = np.arange(200) % 12 == 0
+    assert _changes(counts, valid) == []
+
+
+def test_a_pause_of_the_stream_is_no_evidence() -> None:
+    counts, valid = _touch(2)
+    counts[99:101, 0] = 650
+    counts[99:104, 1] = 1023
+    valid[99:140, 2] = False
+    assert _changes(counts, valid, pause=60 * s) == [
+        (61.02, 1, FaultKind.SATURATED, True),
+        (61.04, 1, FaultKind.SATURATED, False),
+    ]
+
+
+def test_changes_of_one_instant_come_in_the_order_of_cells_then_kinds() -> None:
+    counts, valid = _touch(2)
+    health = Health(dead_after=100 * ms, saturated_after=100 * ms)
+    valid[100:, [5, 2]] = False
+    counts[100:, [4, 0]] = 0
+    cells = [(cell, kind) for _, cell, kind, _ in _changes(counts, valid, health)]
+    saturated, dead = FaultKind.SATURATED, FaultKind.DEAD
+    assert cells == [(0, saturated), (2, dead), (4, saturated), (5, dead)]
+
+
+def test_faults_are_told_within_200_ms() -> None:
+    counts, valid = _touch(2)
+    valid[:, 0] = False
+    health, touch = Health(), Touch(np.arange(200) * 10 * ms, counts, counts, valid)
+    told = [row for row in range(200) if len(health.push(touch[row : row + 1]))]
+    assert told == pytest.approx([60], abs=10)  # dead since row 50
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [{"dead_after": 0}, {"stuck_after": 0}, {"saturated_after": 0}, {"drift": 0}, {"floor": 9, "ceiling": 9}],
+)
+def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=r"^Health: "):
+        Health(**parameters)

@@ -1,0 +1,154 @@
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from operators import SLIP, STATIC, UNKNOWN, Label, Labelled, ParameterError, Sample, concat, ms
+from operators.batch import Reals, Times
+
+
+def _sample(velocity: ArrayLike, pose: ArrayLike = np.nan, time: Times | None = None) -> Sample:
+    velocity = np.array(velocity, np.float64)
+    rows = len(velocity)
+    time = np.arange(rows) * 10 * ms if time is None else time
+    counts, valid = np.zeros((rows, 6), np.int16), np.ones((rows, 6), np.bool_)
+    poses = np.broadcast_to(np.array(pose, np.float64), (rows, 6))
+    return Sample(time, counts, counts, valid, velocity, poses, ~np.isnan(velocity[:, 0]), finger=4)
+
+
+def _along_x(*speed: float) -> Reals:
+    velocity = np.zeros((len(speed), 6))
+    velocity[:, 0] = speed
+    return velocity
+
+
+def _label(label: Label, sample: Sample) -> Labelled:
+    return concat(Labelled, [label.push(sample), label.flush()])
+
+
+# --- by its own motion -----------------------------------------------------------------------------------
+
+
+def test_slip_is_above_the_threshold_and_unknown_from_the_limit_on() -> None:
+    labelled = _label(Label(), _sample(_along_x(0, 0.003, 0.0031, 0.2999, 0.3, np.nan, np.inf)))
+    assert labelled.label.tolist() == [STATIC, STATIC, SLIP, SLIP, UNKNOWN, UNKNOWN, UNKNOWN]
+    assert labelled.speed[:4].tolist() == [0, 0.003, 0.0031, 0.2999]
+    assert np.isnan(labelled.speed[5])
+    assert labelled.finger == 4
+
+
+def test_motion_along_the_normal_is_no_speed() -> None:
+    sample = _sample([[0.03, 0.04, 0.2, 0, 0, 0]])
+    assert _label(Label(), sample).speed.item() == pytest.approx(0.05)
+    assert _label(Label(normal=(1, 0, 0)), sample).speed.item() == pytest.approx(np.hypot(0.04, 0.2))
+    assert _label(Label(normal=(0, 3, 4)), sample).speed.item() == pytest.approx(np.hypot(0.03, 0.088))
+
+
+def test_the_velocity_is_turned_into_the_frame_of_the_fingertip() -> None:
+    about_y = [9, 9, 9, 0, np.pi / 2, 0]  # the fingertip's z is the base's x
+    rows = _label(Label(), _sample([[0.1, 0, 0, 0, 0, 0], [0, 0.1, 0, 0, 0, 0]], [about_y, about_y]))
+    assert rows.speed.tolist() == pytest.approx([0, 0.1])
+    assert rows.label.tolist() == [STATIC, SLIP]
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_speed_is_that_of_scipys_rotation(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    velocity, pose, normal = rng.normal(size=(9, 6)), rng.normal(size=(9, 6)), rng.normal(size=3)
+    turned = Rotation.from_rotvec(pose[:, 3:]).inv().apply(velocity[:, :3])
+    across = turned - np.outer(turned @ normal, normal) / (normal @ normal)
+    label = Label(normal=tuple(normal.tolist()))
+    np.testing.assert_allclose(
+        _label(label, _sample(velocity, pose)).speed, np.linalg.norm(across, axis=1), atol=1e-13
+    )
+
+
+def test_without_a_pose_the_velocity_is_taken_as_it_is() -> None:
+    pose = [[0, 0, 0, np.nan, 0, 0], [np.nan, np.nan, np.nan, 0, 0, 0], [0, 0, 0, 0, np.inf, 0]]
+    rows = _label(Label(), _sample(np.tile([0.03, 0.04, 0.2, 0, 0, 0], (3, 1)), pose))
+    assert rows.speed.tolist() == pytest.approx([0.05] * 3)
+
+
+@pytest.mark.parametrize("rows", [1, 5])
+def test_rotation_counts_as_slip_only_if_asked_for(rows: int) -> None:
+    turning = np.tile([0.0, 0, 0, 0.12, 0.16, 0.01], (rows, 1))
+    assert (_label(Label(), _sample(turning)).label == STATIC).all()
+    assert (_label(Label(rotation=0.2), _sample(turning)).label == SLIP).all()
+    assert (_label(Label(rotation=0.21), _sample(turning)).label == STATIC).all()
+    turning[:, 0] = 0.3
+    assert (_label(Label(rotation=0.2), _sample(turning)).label == UNKNOWN).all()
+    turning[:, 0], turning[:, 4] = 0.1, np.nan
+    assert (_label(Label(rotation=0.2), _sample(turning)).label == UNKNOWN).all()
+    assert (_label(Label(), _sample(turning)).label == SLIP).all()
+
+
+# --- by the motion of another instant --------------------------------------------------------------------
+
+steps = st.lists(st.sampled_from([0, 1, 5, 10, 10, 10, 35]), min_size=1, max_size=50)
+
+
+def _expected(time: Times, speed: Reals, delay: int, within: int) -> Reals:
+    """Row by row: the speed of the last row up to each shifted instant."""
+    result = np.full(len(time), np.nan)
+    for row, instant in enumerate((time + delay).tolist()):
+        candidates = [i for i in range(len(time)) if instant - within <= time[i] <= instant]
+        if candidates:
+            result[row] = speed[candidates[-1]]
+    return result
+
+
+@given(steps=steps, delay=st.integers(-60, 60).filter(bool), within=st.sampled_from([0, 5, 20]))
+def test_a_delay_takes_speed_and_label_from_the_last_row_up_to_then(
+    steps: list[int], delay: int, within: int
+) -> None:
+    time = np.cumsum(steps) * ms
+    sample = _sample(_along_x(*np.arange(1, len(steps) + 1) / 250), time=time)
+    labelled = _label(Label(delay=delay * ms, within=within * ms), sample)
+    expected = _expected(time, sample.velocity[:, 0], delay * ms, within * ms)
+    np.testing.assert_array_equal(labelled.time, time)
+    np.testing.assert_array_equal(labelled.velocity, sample.velocity)
+    np.testing.assert_array_equal(labelled.speed, expected)
+    slip = np.where(expected > 0.003, SLIP, STATIC)
+    np.testing.assert_array_equal(labelled.label, np.where(expected < 0.3, slip, UNKNOWN))
+
+
+def test_a_delay_holds_samples_until_newer_than_their_later_instant_has_come() -> None:
+    label = Label(delay=20 * ms)
+    sample = _sample(_along_x(0, 0.1, 0.2, 0.25))
+    assert len(label.push(sample[:3])) == 0
+    assert label.push(sample[3:]).speed.tolist() == [0.2]
+
+
+def test_at_the_end_samples_without_the_motion_of_their_later_instant_are_unknown() -> None:
+    label = Label(delay=30 * ms, within=5 * ms)
+    first, rest = label.push(_sample(_along_x(0.1, 0.1, 0.1, 0.1))), label.flush()
+    assert len(first) == 0
+    assert rest.label.tolist() == [SLIP, UNKNOWN, UNKNOWN, UNKNOWN]
+    assert np.isnan(rest.speed[1:]).all()
+
+
+# --- parameters ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"speed": -1},
+        {"speed": 0.3},
+        {"speed": np.nan},
+        {"limit": np.nan},
+        {"rotation": -0.1},
+        {"within": -1},
+        {"normal": (0, 0, 0)},
+        {"normal": (0, 1)},
+        {"normal": (0, 1, np.inf)},
+        {"normal": (0, 1, np.nan)},
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=r"^Label: "):
+        Label(**parameters)

@@ -1,0 +1,62 @@
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation, Slerp
+
+from operators.batch import Reals
+from operators.rotation import between, quaternion, turn
+
+angles = st.floats(-4, 4)
+vectors = st.tuples(angles, angles, angles)
+parts = st.floats(0, 1)
+
+
+def _columns(*rows: tuple[float, float, float]) -> tuple[Reals, Reals, Reals]:
+    x, y, z = np.array(rows).T
+    return x, y, z
+
+
+@given(rotation=vectors, vector=vectors)
+def test_a_vector_turns_as_scipy_turns_it(
+    rotation: tuple[float, float, float], vector: tuple[float, float, float]
+) -> None:
+    expected = Rotation.from_rotvec(rotation).apply(vector)
+    np.testing.assert_allclose(turn(vector, quaternion(rotation)), expected, atol=1e-14)
+
+
+@given(first=vectors, second=vectors, part=parts)
+def test_between_two_rotations_the_way_is_that_of_slerp(
+    first: tuple[float, float, float], second: tuple[float, float, float], part: float
+) -> None:
+    ends = Rotation.from_rotvec([first, second])
+    if (ends[0].inv() * ends[1]).magnitude() > 3.14:
+        return  # half a turn apart, either way is as short
+    found = Rotation.from_rotvec(between(first, second, part))
+    assert (found.inv() * Slerp([0, 1], ends)(part)).magnitude() < 1e-7
+
+
+@given(first=vectors, second=vectors)
+def test_the_way_between_rotations_begins_and_ends_at_them(
+    first: tuple[float, float, float], second: tuple[float, float, float]
+) -> None:
+    for part, end in ((0.0, first), (1.0, second)):
+        found = Rotation.from_rotvec(between(first, second, part))
+        assert (found.inv() * Rotation.from_rotvec(end)).magnitude() < 1e-7
+
+
+@given(rows=st.lists(st.tuples(vectors, vectors, parts), min_size=1, max_size=9))
+def test_floats_and_arrays_agree_bit_for_bit(
+    rows: list[tuple[tuple[float, float, float], tuple[float, float, float], float]],
+) -> None:
+    firsts, seconds, part = zip(*rows, strict=True)
+    found = between(_columns(*firsts), _columns(*seconds), np.array(part))
+    np.testing.assert_array_equal(np.transpose(found), [between(*row) for row in rows])
+    turned = turn((0.6, 0.0, 0.8), quaternion(_columns(*firsts)))
+    np.testing.assert_array_equal(
+        np.transpose(turned), [turn((0.6, 0.0, 0.8), quaternion(row)) for row in firsts]
+    )
+
+
+def test_no_rotation_turns_nothing() -> None:
+    assert turn((1.0, 2.0, 3.0), quaternion((0.0, 0.0, 0.0))) == (1, 2, 3)
+    assert between((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5) == (0, 0, 0)

@@ -1,0 +1,66 @@
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from operators import ParameterError, Score, Zeroed, ms
+from operators.batch import Counts, Reals
+
+
+@dataclass
+class _Keeper:
+    """A detector that keeps what it is given and gives the newest count of the first cell, by 1000."""
+
+    name: str = "keeper"
+    length: int = 2
+    given: list[Counts | Reals] = field(default_factory=list[Counts | Reals])
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        self.given.append(windows)
+        return windows[:, -1, 0] / 1000
+
+
+def _touch(*first: int, rows: int = 0) -> Zeroed:
+    counts = np.zeros((len(first) or rows, 6), np.int16)
+    counts[:, 0] = first or np.arange(rows)
+    return Zeroed(np.arange(len(counts)) * 10 * ms, counts, counts, np.ones_like(counts, np.bool_), finger=6)
+
+
+def test_there_is_a_score_for_each_full_window_at_the_time_of_its_newest_sample() -> None:
+    scores = Score(_Keeper()).push(_touch(100, 200, 300))
+    assert scores.probability.tolist() == [0.2, 0.3]
+    assert scores.time.tolist() == [10 * ms, 20 * ms]
+    assert scores.finger == 6
+
+
+def test_hop_scores_every_so_many_samples() -> None:
+    assert Score(_Keeper(), hop=3).push(_touch(rows=9)).probability.tolist() == [0.001, 0.004, 0.007]
+
+
+def test_a_detector_is_given_few_windows_at_once_and_all_of_them() -> None:
+    keeper = _Keeper()
+    scores = Score(keeper).push(_touch(rows=200))
+    assert max(map(len, keeper.given)) == 64
+    np.testing.assert_array_equal(np.concatenate(keeper.given)[:, 0, 0], np.arange(199))
+    np.testing.assert_array_equal(scores.probability, np.arange(1, 200) / 1000)
+
+
+def test_an_invalid_reading_is_taken_to_be_the_last_valid_one_and_0_before_any() -> None:
+    keeper, touch = _Keeper(), _touch(7, 8, 9, 10)
+    touch.valid[[0, 2, 3], 0] = False
+    score = Score(keeper)
+    for row in range(4):
+        score.push(touch[row : row + 1])
+    assert [window[0, :, 0].tolist() for window in keeper.given] == [[0, 8], [8, 8], [8, 8]]
+
+
+def test_a_sample_of_which_more_than_three_cells_are_invalid_has_no_score() -> None:
+    touch = _touch(1, 2, 3, 4)
+    touch.valid[1, :3] = False
+    touch.valid[2, :4] = False
+    assert np.isnan(Score(_Keeper()).push(touch).probability).tolist() == [False, True, False]
+
+
+def test_a_hop_out_of_range_is_refused() -> None:
+    with pytest.raises(ParameterError, match="Score: hop is 0, must be at least 1"):
+        Score(_Keeper(), hop=0)

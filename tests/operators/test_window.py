@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators import ParameterError, Touch, Window, ms
+
+
+def _touch(rows: int) -> Touch:
+    counts = np.arange(rows * 6, dtype=np.int16).reshape(rows, 6)
+    return Touch(np.arange(rows) * 10 * ms, counts, counts, counts % 7 > 0, finger=5)
+
+
+@given(rows=st.integers(1, 60), length=st.integers(1, 12), hop=st.integers(1, 15))
+def test_windows_hold_the_newest_samples_at_every_hop_from_the_first_full_one_on(
+    rows: int, length: int, hop: int
+) -> None:
+    touch, windows = _touch(rows), Window(length, hop).push(_touch(rows))
+    ends = range(length, rows + 1, hop)
+    assert windows.time.tolist() == [touch.time[end - 1] for end in ends]
+    for window, valid, end in zip(windows.counts, windows.valid, ends, strict=True):
+        np.testing.assert_array_equal(window, touch.counts[end - length : end])
+        np.testing.assert_array_equal(valid, touch.valid[end - length : end])
+    assert windows.finger == (5 if ends else -1)
+
+
+def test_windows_share_memory_within_a_push_and_between_pushes() -> None:
+    window, touch = Window(10), _touch(50)
+    first, second = window.push(touch[:30]).counts, window.push(touch[30:]).counts
+    assert np.shares_memory(first[0], first[1])
+    assert np.shares_memory(first[-1], second[0])
+    assert first.shape == (21, 10, 6)
+    assert first.strides[0] == first.strides[1]
+
+
+def test_windows_cannot_be_written_to() -> None:
+    windows = Window(2).push(_touch(3))
+    with pytest.raises(ValueError, match="read-only"):
+        windows.counts[0, 0, 0] = 1
+    with pytest.raises(ValueError, match="read-only"):
+        windows.valid[0, 0, 0] = True
+
+
+@pytest.mark.parametrize("parameter", ["length", "hop"])
+def test_parameters_out_of_range_are_refused(parameter: str) -> None:
+    with pytest.raises(ParameterError, match=f"Window: {parameter} is 0, must be at least 1"):
+        Window(**{parameter: 0})

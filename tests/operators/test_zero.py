@@ -1,0 +1,86 @@
+from typing import Any
+
+import numpy as np
+import pytest
+
+from operators import ParameterError, Touch, Zero, Zeroed, ms
+from operators.batch import Flags
+
+
+def _touch(counts: list[int], valid: Flags | None = None, start: int = 0) -> Touch:
+    """Rows 10 ms apart, in each of which all cells read the same."""
+    rows = np.repeat(np.array(counts, np.int16)[:, None], 6, axis=1)
+    valid = np.ones(rows.shape, np.bool_) if valid is None else valid
+    time = (start + np.arange(len(rows))) * 10 * ms
+    return Touch(time, rows, rows + np.int16(9), valid, finger=1)
+
+
+def test_the_first_scans_are_held_back_until_their_median_is_known() -> None:
+    zero = Zero(scans=3)
+    assert len(zero.push(_touch([600, 640]))) == 0
+    zeroed = zero.push(_touch([601, 700], start=2))
+    assert zeroed.counts[:, 0].tolist() == [-1, 39, 0, 99]
+    assert zeroed.time.tolist() == [0, 10 * ms, 20 * ms, 30 * ms]
+    assert zeroed.temperature[:, 0].tolist() == [609, 649, 610, 709]
+    assert zeroed.finger == 1
+    assert zero.push(_touch([500], start=4)).counts[0].tolist() == [-101] * 6
+
+
+@pytest.mark.parametrize(("counts", "baseline"), [([600, 601], 600), ([601, 602], 602), ([5, 9], 7)])
+def test_a_median_between_two_counts_is_rounded_half_to_even(counts: list[int], baseline: int) -> None:
+    assert Zero(scans=2).push(_touch(counts)).counts[0, 0] == counts[0] - baseline
+
+
+def test_only_valid_readings_make_the_baseline() -> None:
+    valid = np.ones((3, 6), np.bool_)
+    valid[1:, 2] = False
+    zeroed = Zero(scans=3).push(_touch([600, 0, 0], valid))
+    assert zeroed.counts[0].tolist() == [600, 600, 0, 600, 600, 600]
+
+
+def test_a_cell_that_never_answered_stays_invalid() -> None:
+    valid = np.ones((2, 6), np.bool_)
+    valid[:, 4] = False
+    zero = Zero(scans=2)
+    zero.push(_touch([600, 600], valid))
+    assert zero.push(_touch([600], start=2)).valid[0].tolist() == [True] * 4 + [False, True]
+
+
+def test_the_end_of_a_short_stream_gives_what_is_held_with_the_median_of_what_there_is() -> None:
+    zero = Zero()
+    zero.push(_touch([600, 610, 620]))
+    assert zero.flush().counts[:, 0].tolist() == [-10, 0, 10]
+    assert len(zero.flush()) == 0
+
+
+def test_a_given_baseline_is_subtracted_at_once() -> None:
+    assert Zero(500).push(_touch([400])).counts[0].tolist() == [-100] * 6
+    assert Zero((0, 1, 2, 3, 4, 1023)).push(_touch([400])).counts[0].tolist() == [
+        400,
+        399,
+        398,
+        397,
+        396,
+        -623,
+    ]
+
+
+def test_what_is_zeroed_already_passes_unchanged() -> None:
+    touch = _touch([600, 601])
+    zeroed = Zeroed(touch.time, touch.counts, touch.temperature, touch.valid)
+    assert Zero(scans=2).push(zeroed) is zeroed
+
+
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        {"scans": 0},
+        {"baseline": -1},
+        {"baseline": 1024},
+        {"baseline": (1, 2)},
+        {"baseline": (0, 0, 0, 0, 0, -1)},
+    ],
+)
+def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=r"^Zero: "):
+        Zero(**parameters)

@@ -1,0 +1,326 @@
+import asyncio
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from operators.batch import Labelled, Motion, Sample, Scores, Slips, Touch, Zeroed, columns, concat, ms, s
+from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
+from operators.ports import Gap, Json, Run, SinkStatus, SourceStatus
+from storage import Dataset, Session
+from storage.layout import session_names
+
+
+def record(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
+    async def main() -> None:
+        await dataset.open(run)
+        for batch in batches:
+            await dataset.write(batch)
+        await dataset.close()
+
+    asyncio.run(main())
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    cuts=st.lists(st.integers(0, 30), max_size=12), bounds=st.tuples(st.integers(1, 500), st.integers(1, 50))
+)
+def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
+    tmp_path_factory: pytest.TempPathFactory,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    cuts: list[int],
+    bounds: tuple[int, int],
+) -> None:
+    span, most = bounds[0] * ms, bounds[1]
+    root, whole = tmp_path_factory.mktemp("data"), new_batch(Touch, sum(cuts))
+    pieces = [whole[sum(cuts[:n]) : sum(cuts[: n + 1])] for n in range(len(cuts))]
+    record(Dataset(root, part_span=span, part_rows=most), new_run(), pieces)
+    found = concat(Touch, list(Session.open(root).read(Touch, 0, rows=7)))
+    assert [getattr(found, name).tobytes() for name in ("time", "counts", "temperature", "valid")] == [
+        getattr(whole, name).tobytes() for name in ("time", "counts", "temperature", "valid")
+    ]
+    longest = max(cuts, default=0)
+    for path in root.glob("sessions/one/touch/*.parquet"):
+        times = pl.read_parquet(path)["time"]
+        assert len(times) <= most
+        assert times[-1] - times[0] < max(span, longest * 10 * ms)
+
+
+def test_every_batch_goes_to_the_table_of_its_type(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    kinds = [Touch, Motion, Labelled, Slips]
+    record(Dataset(tmp_path), new_run(), [new_batch(kind) for kind in kinds])
+    session = Session.open(tmp_path)
+    assert session.tables == ("touch", "motion", "samples", "slips")
+    assert [session.fingers(kind) for kind in kinds] == [(0,), (-1,), (0,), (0,)]
+
+
+def test_the_line_that_opens_a_table_with_polars_just_works(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    batches = [new_batch(Labelled, 10, start=turn * 100 * ms) for turn in range(4)]
+    record(Dataset(tmp_path, part_span=100 * ms), new_run(), batches)
+    frame = pl.read_parquet(f"{tmp_path}/sessions/*/samples/*.parquet")
+    assert len(list(tmp_path.glob("sessions/one/samples/*.parquet"))) == 4
+    assert frame["time"].to_list() == [n * 10 * ms for n in range(40)]
+    assert frame.equals(Session.open(tmp_path).frame("samples"))
+    assert frame.schema["counts"] == pl.Array(pl.Int16, 6)
+
+
+def test_all_tables_are_committed_together(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    batches = [
+        new_batch(kind, 10, start=turn * 100 * ms) for turn in range(4) for kind in (Touch, Motion, Labelled)
+    ]
+    record(Dataset(tmp_path, part_span=200 * ms), new_run(), batches)
+    for table in ("touch", "motion", "samples"):
+        parts = sorted(tmp_path.glob(f"sessions/one/{table}/*.parquet"))
+        assert [len(pl.read_parquet(path)) for path in parts] == [20, 20]
+
+
+def test_what_the_session_says_of_itself_is_written_first_and_completed_last(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    rig: dict[str, Json] = {"seed": 7, "episodes": [{"start": 0, "end": 20 * ms, "motion": "hold"}]}
+    run, baseline = new_run(describe={"rig": rig}), list[Json]([500] * 6)
+
+    async def main() -> None:
+        dataset = Dataset(tmp_path)
+        await dataset.open(run)
+        before = Session.open(tmp_path)
+        assert before.about["complete"] is False
+        assert before.about["sources"] == {"rig": {"seed": 7}}
+        assert before.frame("episodes")["motion"].to_list() == ["hold"]
+        await dataset.write(new_batch(Labelled))
+        run.describe["rig"] = {**rig, "baseline": baseline}
+        run.sources["rig"] = SourceStatus(rows=5, late=2, gaps=[Gap(1, 2, "unplugged")])
+        run.sinks["mqtt"] = SinkStatus(rows=5, dropped=1, failures=3)
+        await dataset.close()
+
+    asyncio.run(main())
+    session = Session.open(tmp_path)
+    about: Any = session.about
+    assert about["complete"] is True
+    assert about["start"] == "2023-11-14T22:13:20.000000005Z"
+    assert (about["start_ns"], about["end_ns"]) == (run.start, 1_700_000_060 * s)
+    assert (about["session"], about["flow"], about["zeroed"]) == ("one", "slip", False)
+    assert about["units"]["samples"]["velocity"] == "m/s, rad/s"
+    assert about["sources"]["rig"] == {"seed": 7, "baseline": baseline}
+    gap = {"start": 1, "end": 2, "reason": "unplugged"}
+    assert about["streams"]["rig"] == {"rows": 5, "late": 2, "gaps": [gap]}
+    assert about["sinks"]["mqtt"] == {"rows": 5, "dropped": 1, "failures": 3}
+    assert session.frame("samples")["episode"].to_list() == [0, 0, -1, -1, -1]
+
+
+def test_episodes_that_a_source_tells_of_as_they_begin_are_kept(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    told = list[Json]()
+    run = new_run(describe={"rig": {"episodes": told}})
+
+    async def main() -> None:
+        dataset = Dataset(tmp_path)
+        await dataset.open(run)
+        told.append({"start": 0, "end": 20 * ms, "motion": "hold"})
+        await dataset.write(new_batch(Labelled))
+        told.append({"start": 20 * ms, "end": 40 * ms, "motion": "tap"})
+        await dataset.close()
+
+    asyncio.run(main())
+    session = Session.open(tmp_path)
+    assert session.frame("episodes")["motion"].to_list() == ["hold", "tap"]
+    assert session.frame("samples")["episode"].to_list() == [0, 0, 1, 1, -1]
+
+
+def test_zeroed_counts_come_back_as_zeroed(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    record(Dataset(tmp_path), new_run(), [new_batch(Zeroed)])
+    session = Session.open(tmp_path)
+    assert session.about["zeroed"] is True
+    assert [type(batch) for batch in session.read(Touch, 0)] == [Zeroed]
+    assert (session.fingers(Touch), session.fingers(Zeroed)) == ((0,), (0,))
+
+
+def test_what_no_table_takes_is_refused_and_nothing_of_it_is_kept(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    good, broken = new_batch(Touch), new_batch(Touch)
+    broken = Touch(broken.time, broken.counts.astype(float), broken.temperature, broken.valid, finger=0)
+    aside = Motion(*(getattr(new_batch(Motion), name) for name in columns(Motion)), finger=2)
+    refused: list[tuple[Any, type[SlipflowError], str]] = [
+        (new_batch(Zeroed), ParameterError, "'Zeroed', must be Touch: a session keeps either raw or zeroed"),
+        (new_batch(Sample), ParameterError, "batch is 'Sample', must be one of Touch, .*Labelled"),
+        (new_batch(Scores), ParameterError, "batch is 'Scores', must be one of"),
+        (aside, ParameterError, "finger of a Motion is 2, must be EVERY"),
+        (broken, BatchError, r"Touch\.counts: is float64"),
+    ]
+
+    async def main() -> None:
+        dataset = Dataset(tmp_path)
+        await dataset.open(new_run())
+        await dataset.write(good)
+        for batch, error, complaint in refused:
+            with pytest.raises(error, match=complaint):
+                await dataset.write(batch)
+        await dataset.close()
+
+    asyncio.run(main())
+    session = Session.open(tmp_path)
+    assert session.tables == ("touch",)
+    assert len(session.frame("touch")) == len(good)
+
+
+def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(
+    tmp_path: Path, new_run: Callable[..., Run]
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    for place, complaint in (
+        (tmp_path / "file", "file: is a file, must be a folder"),
+        (tmp_path / "file/below", "below: cannot be written: Not a directory"),
+        (Path("/proc/slipflow"), "slipflow: cannot be written: No such file or directory"),
+    ):
+        with pytest.raises(EndpointError, match=complaint) as error:
+            record(Dataset(place), new_run(), [])
+        assert "\n" not in str(error.value)
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_session_is_never_written_over(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    record(Dataset(tmp_path), new_run(), [new_batch(Touch)])
+    with pytest.raises(EndpointError, match="has a session 'one' already"):
+        record(Dataset(tmp_path), new_run(), [])
+    assert len(Session.open(tmp_path).frame("touch")) == 5
+    record(Dataset(tmp_path), new_run("two"), [])
+    assert session_names(tmp_path) == ["one", "two"]
+
+
+@pytest.mark.parametrize("name", ["..", "../two", "/etc", "a/b", ""])
+def test_a_session_cannot_leave_the_dataset(tmp_path: Path, new_run: Callable[..., Run], name: str) -> None:
+    with pytest.raises(ParameterError, match="must be a file name"):
+        record(Dataset(tmp_path / "data"), new_run(name), [])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_of_sessions_that_leads_elsewhere_is_refused(
+    tmp_path: Path, new_run: Callable[..., Run]
+) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "data/sessions").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="leads out of"):
+        record(Dataset(tmp_path / "data"), new_run(), [])
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
+def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path, new_run: Callable[..., Run]) -> None:
+    (tmp_path / "dataset.json").write_text('{"version": 2}')
+    with pytest.raises(InputError, match=r"dataset\.json: is of version 2, this slipflow knows 1"):
+        record(Dataset(tmp_path), new_run(), [])
+    assert [path.name for path in tmp_path.iterdir()] == ["dataset.json"]
+
+
+@pytest.mark.parametrize("value", [float("nan"), [float("inf")]])
+def test_a_description_that_cannot_be_json_is_refused_at_the_start(
+    tmp_path: Path, new_run: Callable[..., Run], value: Json
+) -> None:
+    with pytest.raises(InputError, match="description of the sources: cannot be JSON"):
+        record(Dataset(tmp_path), new_run(describe={"rig": {"rate": value}}), [])
+    assert session_names(tmp_path) == []
+
+
+def test_the_disk_is_never_touched_in_the_thread_of_the_event_loop(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    threads: list[int] = []
+    fsync = os.fsync
+
+    def note(number: int) -> None:
+        threads.append(threading.get_ident())
+        fsync(number)
+
+    monkeypatch.setattr(os, "fsync", note)
+    batches = [new_batch(Touch, start=turn * s) for turn in range(4)]
+    record(Dataset(tmp_path, part_span=s), new_run(), batches)
+    assert len(list(tmp_path.glob("sessions/one/touch/*.parquet"))) == 4
+    assert threads
+    assert threading.get_ident() not in threads
+
+
+def test_a_write_that_is_cancelled_takes_nothing_and_spoils_nothing(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fsync, writing, go_on = os.fsync, threading.Event(), threading.Event()
+
+    def wait(number: int) -> None:
+        writing.set()
+        go_on.wait()
+        fsync(number)
+
+    async def main() -> None:
+        dataset = Dataset(tmp_path, part_span=s)
+        await dataset.open(new_run())
+        await dataset.write(new_batch(Touch))
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", wait)
+            task = asyncio.create_task(dataset.write(new_batch(Touch, start=2 * s)))
+            await asyncio.to_thread(writing.wait)
+            task.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await task
+            closing = asyncio.create_task(dataset.close())  # while the commit is still in its thread
+            go_on.set()
+            await closing
+
+    asyncio.run(main())
+    assert Session.open(tmp_path).frame("touch")["time"].to_list() == [n * 10 * ms for n in range(5)]
+
+
+@pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}])
+def test_a_part_that_could_hold_nothing_is_refused(tmp_path: Path, parameters: dict[str, int]) -> None:
+    with pytest.raises(ParameterError, match="must be at least 1"):
+        Dataset(tmp_path, **parameters)
+
+
+def test_the_same_folder_is_the_same_place_however_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert Dataset("data/../data/").place == Dataset(tmp_path / "data").place == str(tmp_path / "data")
+
+
+def test_a_dataset_takes_one_run_after_another(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    dataset = Dataset(tmp_path)
+    record(dataset, new_run(), [new_batch(Touch)])
+    record(dataset, new_run("two"), [new_batch(Zeroed, 3)])
+    assert [len(Session.open(tmp_path / "sessions" / name).frame("touch")) for name in ("one", "two")] == [
+        5,
+        3,
+    ]
+
+
+def test_importing_storage_imports_neither_pyarrow_nor_polars() -> None:
+    code = "import storage, sys; print([m for m in ('pyarrow', 'polars', 'scipy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

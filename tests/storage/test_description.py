@@ -1,0 +1,33 @@
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from operators.batch import s
+from operators.ports import Run
+from storage.description import describe_session, read_session
+
+
+@pytest.mark.parametrize(
+    ("start", "text"),
+    [
+        (0, "1970-01-01T00:00:00.000000000Z"),
+        (-1, "1969-12-31T23:59:59.999999999Z"),
+        (1_790_000_000 * s + 123, "2026-09-21T14:13:20.000000123Z"),
+    ],
+)
+def test_the_start_is_given_to_the_nanosecond_as_a_number_and_as_rfc_3339(
+    tmp_path: Path, new_run: Callable[..., Run], start: int, text: str
+) -> None:
+    run = new_run()
+    run.start = start
+    describe_session(tmp_path, run)
+    about = read_session(tmp_path)
+    assert (about["start_ns"], about["start"]) == (start, text)
+
+
+def test_it_names_the_software_and_the_host(tmp_path: Path, new_run: Callable[..., Run]) -> None:
+    describe_session(tmp_path, new_run())
+    about = read_session(tmp_path)
+    assert str(about["software"]).startswith("slipflow 0.")
+    assert about["host"]

@@ -1,0 +1,99 @@
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from operators.errors import InputError
+from storage import files
+
+
+def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    files.put(path, b"old")
+    files.put(path, b"new and longer")
+    assert path.read_bytes() == b"new and longer"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("step", ["fsync", "replace"])
+def test_a_failure_before_the_rename_leaves_the_old_file_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    path = tmp_path / "x"
+    files.put(path, b"old")
+
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, step, fail)
+    with pytest.raises(OSError, match="No space left"):
+        files.put(path, b"new")
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_data_are_durable_before_the_name_and_the_name_before_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps: list[str] = []
+    fsync, replace = os.fsync, os.replace
+
+    def record_fsync(number: int) -> None:
+        steps.append("fsync " + Path(f"/proc/self/fd/{number}").resolve().name)
+        fsync(number)
+
+    def record_replace(source: Path, target: Path) -> None:
+        steps.append(f"rename {source.name} {target.name}")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", record_fsync)
+    monkeypatch.setattr(os, "replace", record_replace)
+    files.put(tmp_path / "x", b"new")
+    assert steps == ["fsync x.tmp", "rename x.tmp x", f"fsync {tmp_path.name}"]
+
+
+def test_what_cannot_be_read_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="missing: cannot be read: No such file"):
+        files.read(tmp_path / "missing")
+    with pytest.raises(InputError, match="cannot be read: Is a directory"):
+        files.read(tmp_path)
+    (tmp_path / "big").write_bytes(bytes(11))
+    with pytest.raises(InputError, match="larger than"):
+        files.read(tmp_path / "big", 10)
+    assert files.read(tmp_path / "big", 11) == bytes(11)
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"[1]", b"1", b'{"a": NaN}', b"{", b"\xff", b"[" * 100_000, b'{"a":1}}']
+)
+def test_what_is_no_json_object_is_an_input_error(tmp_path: Path, text: bytes) -> None:
+    (tmp_path / "x.json").write_bytes(text)
+    with pytest.raises(InputError, match=r"x\.json: is not"):
+        files.read_json(tmp_path / "x.json")
+
+
+@settings(deadline=None)
+@given(data=st.binary())
+def test_any_bytes_are_an_object_or_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "any.json"
+    path.write_bytes(data)
+    with suppress(InputError):
+        assert isinstance(files.read_json(path), dict)
+
+
+def test_json_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    content = {"a": [1, 2.5, None], "b": {"c": "µ"}}
+    files.put_json(tmp_path / "x.json", content)
+    assert files.read_json(tmp_path / "x.json") == content
+
+
+def test_a_new_folder_may_not_exist(tmp_path: Path) -> None:
+    files.make_folder(tmp_path / "a", new=True)
+    files.make_folder(tmp_path / "a")
+    with pytest.raises(FileExistsError):
+        files.make_folder(tmp_path / "a", new=True)

@@ -1,0 +1,54 @@
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from operators.batch import columns
+from operators.errors import InputError, ParameterError
+from storage.layout import TABLE_OF, TABLES, inside, session_folder, session_names
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["", ".", "..", "../x", "a/b", "/etc", "a\\b", "a\0b", "a\n", ".hidden", "-x", "a b", "ä", "x" * 129],
+)
+def test_a_name_that_is_no_plain_file_name_is_refused(name: str) -> None:
+    with pytest.raises(ParameterError, match=r"session is .* must be a file name"):
+        session_folder(Path("data"), name)
+
+
+def test_a_plain_name_stands_under_sessions() -> None:
+    assert session_folder(Path("data"), "2026-11-21T10_ur10.a") == Path("data/sessions/2026-11-21T10_ur10.a")
+
+
+def test_a_session_that_is_a_link_out_of_the_dataset_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "data/sessions").mkdir(parents=True)
+    (tmp_path / "data/sessions/x").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="leads out of"):
+        session_folder(tmp_path / "data", "x")
+
+
+def test_a_link_within_the_dataset_is_fine(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    assert inside(tmp_path, tmp_path / "b") == tmp_path / "b"
+
+
+def test_only_folders_with_a_session_json_are_sessions(tmp_path: Path) -> None:
+    for name in ("b", "a", "begun"):
+        (tmp_path / "sessions" / name).mkdir(parents=True)
+    for name in ("b", "a"):
+        (tmp_path / "sessions" / name / "session.json").touch()
+    assert session_names(tmp_path) == ["a", "b"]
+
+
+def test_no_two_files_of_a_session_share_a_name() -> None:
+    names = [table.file(number) for table, number in product(TABLES, (0, 1)) if table.parted or not number]
+    assert len(set(names)) == len(names)
+
+
+def test_every_table_keeps_columns_that_its_batches_have() -> None:
+    for kind, table in TABLE_OF.items():
+        assert issubclass(kind, table.kind)
+        assert set(table.columns) | table.omits == set(columns(table.kind))

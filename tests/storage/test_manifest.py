@@ -1,0 +1,84 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from operators.errors import InputError
+from storage.layout import MOTION
+from storage.manifest import Part, read_manifest, write_manifest
+
+GOOD: dict[str, Any] = {
+    "path": "touch/part-000000.parquet",
+    "rows": 3,
+    "first": 1,
+    "last": 5,
+    "sha256": "0f" * 32,
+}
+
+times = st.integers(-(2**63), 2**63 - 1)
+
+
+@st.composite
+def parts(draw: st.DrawFn) -> Part:
+    path = MOTION.file(draw(st.integers(0, 10_000_000)))
+    first, last = sorted([draw(times), draw(times)])
+    return Part(
+        path, draw(st.integers(1, 2**40)), first, last, draw(st.binary(min_size=32, max_size=32)).hex()
+    )
+
+
+@settings(deadline=None)
+@given(listed=st.lists(parts(), unique_by=lambda part: part.path))
+def test_a_manifest_comes_back_as_it_was_written(
+    tmp_path_factory: pytest.TempPathFactory, listed: list[Part]
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    write_manifest(folder, listed)
+    assert list(read_manifest(folder).values()) == listed
+
+
+def test_a_session_without_a_manifest_lists_nothing(tmp_path: Path) -> None:
+    assert read_manifest(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        None,
+        [],
+        "part",
+        {},
+        {**GOOD, "more": 1},
+        {**GOOD, "rows": 3.0},
+        {**GOOD, "rows": True},
+        {**GOOD, "rows": 0},
+        {**GOOD, "first": 6},
+        {**GOOD, "sha256": "0f"},
+        {**GOOD, "sha256": "0F" * 32},
+        {**GOOD, "path": "../touch/part-000000.parquet"},
+        {**GOOD, "path": "/etc/passwd"},
+        {**GOOD, "path": "touch/part-000000.parquet\n"},
+        {**GOOD, "path": "touch/../motion/part-000000.parquet"},
+        {**GOOD, "path": 7},
+    ],
+)
+def test_a_part_that_cannot_be_is_refused_by_its_number(tmp_path: Path, part: object) -> None:
+    (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 1, "parts": [GOOD, part]}))
+    with pytest.raises(InputError, match=r"MANIFEST\.json, part 1: "):
+        read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("content", [{}, {"version": 2, "parts": []}, {"version": 1, "parts": {}}])
+def test_another_version_or_no_list_is_refused(tmp_path: Path, content: object) -> None:
+    (tmp_path / "MANIFEST.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=r"MANIFEST\.json: must hold"):
+        read_manifest(tmp_path)
+
+
+def test_a_part_listed_twice_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 1, "parts": [GOOD, GOOD]}))
+    with pytest.raises(InputError, match="twice"):
+        read_manifest(tmp_path)

@@ -1,0 +1,138 @@
+import hashlib
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, cast
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from operators.batch import Motion, Touch
+from operators.errors import InputError
+from storage.episodes import Episodes
+from storage.layout import MOTION, TOUCH, Table
+from storage.parts import read_part, write_part
+from storage.schema import schema, to_arrow
+
+
+@pytest.fixture(scope="session")
+def rows(new_batch: Callable[..., Any]) -> pa.Table:
+    return to_arrow(TOUCH, [new_batch(Touch, 10)], Episodes.described({}))
+
+
+@pytest.fixture(scope="session")
+def part(rows: pa.Table, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("part") / "part.parquet"
+    write_part(path, rows)
+    return path.read_bytes()
+
+
+@settings(deadline=None)
+@given(place=st.floats(0, 1), bit=st.integers(0, 7))
+def test_a_flipped_bit_is_always_reported_by_the_sha256(
+    part: bytes, tmp_path_factory: pytest.TempPathFactory, place: float, bit: int
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "flipped.parquet"
+    path.write_bytes(_flipped(part, round(place * (len(part) - 1)), bit))
+    with pytest.raises(InputError, match=r"flipped\.parquet: is damaged"):
+        read_part(path, schema(TOUCH), hashlib.sha256(part).hexdigest())
+
+
+def test_a_flipped_bit_in_any_byte_of_an_unlisted_part_never_becomes_a_wrong_value(
+    part: bytes, rows: pa.Table, tmp_path: Path
+) -> None:
+    path = tmp_path / "flipped.parquet"
+    for position in range(len(part)):
+        path.write_bytes(_flipped(part, position, 3))
+        with suppress(InputError):  # where it did not matter, such as in the name of the writing library
+            assert read_part(path, schema(TOUCH)).equals(rows)
+
+
+def test_a_flipped_bit_in_any_page_is_reported_without_a_manifest(part: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "flipped.parquet"
+    group = pq.ParquetFile(pa.BufferReader(part)).metadata.row_group(0)
+    for number in range(group.num_columns):
+        column = group.column(number)
+        end = column.data_page_offset + column.total_compressed_size
+        damaged = bytearray(part)
+        damaged[end - 1] ^= 1
+        path.write_bytes(damaged)
+        with pytest.raises(InputError, match="CRC checksum verification failed"):
+            read_part(path, schema(TOUCH))
+
+
+@pytest.mark.parametrize("data", [b"", b"PAR1", b"PAR1PAR1", b"no parquet at all", bytes(1000)])
+def test_what_is_no_parquet_file_is_reported(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "x.parquet").write_bytes(data)
+    with pytest.raises(InputError, match=r"x\.parquet: is damaged or no Parquet file"):
+        read_part(tmp_path / "x.parquet", schema(TOUCH))
+
+
+@settings(deadline=None)
+@given(share=st.floats(0, 1, exclude_max=True))
+def test_a_part_cut_short_is_reported(
+    part: bytes, tmp_path_factory: pytest.TempPathFactory, share: float
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "cut.parquet"
+    path.write_bytes(part[: int(share * len(part))])
+    with pytest.raises(InputError):
+        read_part(path, schema(TOUCH))
+
+
+def test_a_missing_part_is_reported(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        read_part(tmp_path / "x.parquet", schema(TOUCH))
+
+
+def test_other_columns_are_reported_by_name(rows: pa.Table, tmp_path: Path) -> None:
+    path = tmp_path / "x.parquet"
+    counts = cast("Any", pa).array([[0.5] * 6] * len(rows), pa.list_(pa.float64(), 6))
+    speed = pa.field("time", pa.int64(), nullable=False, metadata={"unit": "ms"})
+    for table, complaint in (
+        (rows.drop_columns(["counts"]), "has no column 'counts'; it has time, finger, temperature, valid"),
+        (rows.set_column(2, "counts", counts), "column 'counts' is fixed_size_list<.*double>"),
+        (rows.set_column(0, speed, rows["time"]), "column 'time' is in 'ms', must be in 'ns'"),
+    ):
+        write_part(path, table)
+        with pytest.raises(InputError, match=complaint):
+            read_part(path, schema(TOUCH))
+
+
+def test_nulls_are_reported_in_rows_and_in_their_arrays(rows: pa.Table, tmp_path: Path) -> None:
+    path = tmp_path / "x.parquet"
+    for holed in (None, [None, 0, 0, 0, 0, 0]):
+        counts = cast("Any", pa).array([holed] * len(rows), pa.list_(pa.int16(), 6))
+        column = pa.field("counts", pa.list_(pa.int16(), 6), metadata={"unit": "count"})
+        write_part(path, rows.set_column(2, column, counts))
+        with pytest.raises(InputError, match="column 'counts' holds nulls"):
+            read_part(path, schema(TOUCH))
+
+
+def test_further_columns_are_ignored(rows: pa.Table, tmp_path: Path) -> None:
+    write_part(tmp_path / "x.parquet", rows.append_column("more", rows["time"]))
+    assert read_part(tmp_path / "x.parquet", schema(TOUCH)).equals(rows)
+
+
+@pytest.mark.parametrize(("table", "kind"), [(TOUCH, Touch), (MOTION, Motion)])
+def test_times_are_delta_packed_and_all_is_zstd(
+    new_batch: Callable[..., Any], tmp_path: Path, table: Table, kind: type[Touch | Motion]
+) -> None:
+    path = tmp_path / "x.parquet"
+    sha256 = write_part(path, to_arrow(table, [new_batch(kind, 1000)], Episodes.described({})))
+    assert sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+    group = pq.ParquetFile(path).metadata.row_group(0)
+    columns = [group.column(number) for number in range(group.num_columns)]
+    assert {column.compression for column in columns} == {"ZSTD"}
+    times = [column for column in columns if column.path_in_schema.endswith("time")]
+    assert times
+    assert all("DELTA_BINARY_PACKED" in column.encodings for column in times)
+    assert times[0].total_compressed_size < 200  # bytes, of 8000
+
+
+def _flipped(data: bytes, position: int, bit: int) -> bytes:
+    damaged = bytearray(data)
+    damaged[position] ^= 1 << bit
+    return bytes(damaged)

@@ -1,0 +1,183 @@
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from operators.batch import Batch, Faults, Labelled, Motion, Sample, Scores, Slips, Touch, Zeroed, concat, ms
+from operators.errors import InputError, ParameterError
+from operators.ports import Recording, Run
+from storage import Dataset, Session
+from storage.layout import TOUCH
+from storage.parts import read_part, write_part
+from storage.schema import schema
+
+
+@pytest.fixture
+def dataset(tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]) -> Path:
+    """Two fingertips in three parts, and an episode."""
+
+    async def main() -> None:
+        sink = Dataset(tmp_path, part_span=100 * ms)
+        await sink.open(new_run(describe={"rig": {"episodes": [{"start": 0, "end": 50 * ms}]}}))
+        for turn in range(3):
+            for finger in (2, 0):
+                batch = new_batch(Touch, 10, start=turn * 100 * ms, finger=finger, seed=turn + 10 * finger)
+                await sink.write(batch)
+        await sink.write(new_batch(Slips, 2))
+        await sink.close()
+
+    asyncio.run(main())
+    return tmp_path
+
+
+@pytest.fixture
+def folder(dataset: Path) -> Path:
+    return dataset / "sessions/one"
+
+
+def test_a_session_is_a_recording(dataset: Path) -> None:
+    recording: Recording = Session.open(dataset)
+    assert recording.name == "one"
+    assert recording.fingers(Touch) == (0, 2)
+    assert recording.describe()["flow"] == "slip"
+
+
+def test_it_describes_its_episodes_so_that_a_replay_can_record_them_again(dataset: Path) -> None:
+    about: Any = Session.open(dataset).describe()
+    assert [(row["start"], row["end"], row["motion"]) for row in about["episodes"]] == [(0, 50 * ms, None)]
+
+
+@pytest.mark.parametrize("rows", [1, 3, 10, 1000])
+def test_rows_come_in_the_order_recorded_and_in_bounded_batches(
+    dataset: Path,
+    new_batch: Callable[..., Any],
+    alike: Callable[[Batch, Batch], None],
+    rows: int,
+) -> None:
+    batches = list(Session.open(dataset).read(Touch, 2, rows))
+    assert max(map(len, batches)) == min(rows, 10)
+    written = [new_batch(Touch, 10, start=n * 100 * ms, finger=2, seed=n + 20) for n in range(3)]
+    alike(concat(Touch, batches), concat(Touch, written))
+
+
+def test_there_is_nothing_of_what_was_not_recorded(dataset: Path) -> None:
+    session = Session.open(dataset)
+    for kind in (Motion, Labelled, Faults, Zeroed, Sample, Scores):
+        assert session.fingers(kind) == ()
+        assert list(session.read(kind, 0)) == []
+    assert list(session.read(Touch, 1)) == []
+
+
+def test_a_batch_of_no_rows_is_refused(dataset: Path) -> None:
+    with pytest.raises(ParameterError, match="rows is 0"):
+        list(Session.open(dataset).read(Touch, 0, 0))
+
+
+def test_a_table_it_does_not_hold_is_refused_by_naming_those_it_holds(dataset: Path) -> None:
+    with pytest.raises(InputError, match="holds no table 'motion'; it holds touch, slips, episodes"):
+        Session.open(dataset).frame("motion")
+
+
+def test_a_session_opens_by_its_own_folder(folder: Path) -> None:
+    assert Session.open(folder).name == "one"
+
+
+def test_a_dataset_of_several_sessions_lists_them(dataset: Path, new_run: Callable[..., Run]) -> None:
+    asyncio.run(Dataset(dataset).open(new_run("two")))
+    with pytest.raises(
+        InputError, match=r"holds 2 sessions, give one, as .*/sessions/two; there are one, two$"
+    ):
+        Session.open(dataset)
+
+
+def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty/sessions").mkdir(parents=True)
+    for name, complaint in (
+        ("missing", "missing: there is no such folder"),
+        ("", "is no session, which has a session.json, and no dataset"),
+        ("empty", "empty: holds no session"),
+    ):
+        with pytest.raises(InputError, match=complaint):
+            Session.open(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("{", "is not valid JSON"),
+        ("[]", "is not a JSON object"),
+        ('{"version": 9, "session": "one"}', "is of version 9, this slipflow knows 1"),
+        ('{"version": 1}', 'has no "session"'),
+    ],
+)
+def test_a_damaged_description_is_reported(folder: Path, text: str, complaint: str) -> None:
+    (folder / "session.json").write_text(text)
+    with pytest.raises(InputError, match=rf"session\.json: {complaint}"):
+        Session.open(folder)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_missing_part_is_reported(folder: Path, number: int, *, listed: bool) -> None:
+    if not listed:
+        (folder / "MANIFEST.json").unlink()
+        (folder / "touch/part-000003.parquet").write_bytes(
+            (folder / "touch/part-000002.parquet").read_bytes()
+        )
+    (folder / f"touch/part-{number:06d}.parquet").unlink()
+    with pytest.raises(InputError, match=f"part-{number:06d}.parquet: cannot be read: No such file"):
+        list(Session.open(folder).read(Touch, 0))
+
+
+def test_a_damaged_part_is_reported_wherever_it_is_read(folder: Path) -> None:
+    path = folder / "touch/part-000001.parquet"
+    data = bytearray(path.read_bytes())
+    data[300] ^= 1
+    path.write_bytes(data)
+    session = Session.open(folder)
+    readers: list[Callable[[], object]] = [
+        lambda: list(session.read(Touch, 0)),
+        lambda: session.fingers(Touch),
+        lambda: session.frame("touch"),
+    ]
+    for read in readers:
+        with pytest.raises(InputError, match=r"part-000001\.parquet: is damaged"):
+            read()
+
+
+def test_parts_that_do_not_say_what_they_hold_or_disagree_are_reported(folder: Path) -> None:
+    (folder / "MANIFEST.json").unlink()
+    path = folder / "touch/part-000001.parquet"
+    rows = read_part(path, schema(TOUCH))
+    metadata: list[dict[str, str]] = [{}, {"batch": "Motion"}, {"batch": "Zeroed"}, {"batch": "dict"}]
+    for each in metadata:
+        write_part(path, rows.replace_schema_metadata(each))
+        with pytest.raises(
+            InputError, match=r"part-000001\.parquet: its metadata \"batch\" is missing or not"
+        ):
+            list(Session.open(folder).read(Touch, 0))
+
+
+def test_a_part_that_leads_out_of_the_session_is_refused(folder: Path, tmp_path: Path) -> None:
+    path = folder / "touch/part-000000.parquet"
+    path.rename(tmp_path / "elsewhere.parquet")
+    path.symlink_to(tmp_path / "elsewhere.parquet")
+    with pytest.raises(InputError, match="leads out of"):
+        Session.open(folder).frame("touch")
+
+
+def test_a_session_that_was_never_closed_is_read_as_far_as_it_went(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    async def main() -> None:
+        sink = Dataset(tmp_path, part_span=100 * ms)
+        await sink.open(new_run())
+        for turn in range(3):
+            await sink.write(new_batch(Touch, 10, start=turn * 100 * ms))
+
+    asyncio.run(main())
+    session = Session.open(tmp_path)
+    assert session.about["complete"] is False
+    assert len(session.frame("touch")) == 20

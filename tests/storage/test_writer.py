@@ -1,0 +1,181 @@
+import os
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+from operators.batch import Batch, Faults, Labelled, Motion, Slips, Touch, concat, ms
+from operators.errors import EndpointError
+from operators.ports import Run
+from storage.layout import TABLE_OF
+from storage.session import Session
+from storage.writer import SessionWriter
+
+STREAMS: list[tuple[type[Batch], int]] = [
+    (Touch, 0),
+    (Touch, 1),
+    (Motion, -1),
+    (Labelled, 0),
+    (Slips, 0),
+    (Faults, 1),
+]
+
+
+class Killed(BaseException):
+    """What the process does at this step is its last."""
+
+
+@dataclass
+class Disk:
+    """Numbers the steps of a recording, each fsync and each rename, and calls `before` ahead of each."""
+
+    before: Callable[[int], None]
+    step: int = field(default=0, init=False)
+
+    def watch(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        for name in ("fsync", "replace"):
+            monkeypatch.setattr(os, name, self._watched(getattr(os, name)))
+
+    def _watched(self, real: Callable[..., None]) -> Callable[..., None]:
+        def call(*args: object) -> None:
+            self.step += 1
+            self.before(self.step)
+            real(*args)
+
+        return call
+
+
+@pytest.fixture(scope="session")
+def batches(new_batch: Callable[..., Any]) -> list[Batch]:
+    """Six streams side by side, 5 rows and 50 ms at a time."""
+    return [
+        new_batch(kind, 5, start=turn * 50 * ms, finger=finger, seed=100 * turn + number)
+        for turn in range(4)
+        for number, (kind, finger) in enumerate(STREAMS)
+    ]
+
+
+def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
+    """As a runner does, which tries again what failed; give the failures."""
+    failures = 0
+    try:
+        writer = _open(root, run)
+    except EndpointError:
+        failures += 1
+        assert not (root / "sessions/one").exists()
+        writer = _open(root, run)
+    todo = list(batches)
+    while todo:
+        try:
+            if writer.full(todo[0]):
+                writer.commit()
+        except EndpointError:
+            failures += 1
+        else:
+            writer.add(todo.pop(0))
+    try:
+        writer.close()
+    except EndpointError:
+        failures += 1
+        writer.close()
+    return failures
+
+
+def rows_found(folder: Path, batches: Sequence[Batch]) -> int:
+    """How much a reader finds, once it is sure that it is the beginning of each stream, bit for bit."""
+    session, total = Session.open(folder), 0
+    for kind, finger in STREAMS:
+        found = concat(kind, list(session.read(kind, finger)))
+        written = concat(kind, [batch for batch in batches if type(batch) is kind and batch.finger == finger])
+        for name in TABLE_OF[kind].columns:
+            assert getattr(found, name).tobytes() == getattr(written, name)[: len(found)].tobytes()
+        total += len(found)
+    for path in folder.rglob("*.parquet"):
+        assert len(pl.read_parquet(path)) > 0
+    return total
+
+
+def test_a_failure_at_any_step_costs_nothing_but_a_second_try(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(step: int) -> None:
+        if step == last:
+            raise OSError(28, "No space left on device")
+
+    last, failures = 0, 1
+    while failures:
+        last += 1
+        root = tmp_path / str(last)
+        with monkeypatch.context() as patch:
+            Disk(fail).watch(patch)
+            failures = record(root, new_run(), batches)
+        assert rows_found(root, batches) == sum(map(len, batches))
+        assert Session.open(root).about["complete"] is True
+        assert list(root.rglob("*.tmp")) == []
+    assert last > 30
+
+
+def test_a_kill_at_any_step_leaves_whole_parts_and_a_dataset_that_goes_on(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def kill(step: int) -> None:
+        if step == last:
+            raise Killed
+
+    found, last, done = [0], 0, False
+    while not done:
+        last += 1
+        root = tmp_path / str(last)
+        with monkeypatch.context() as patch, suppress(Killed):
+            Disk(kill).watch(patch)
+            record(root, new_run(), batches)
+            done = True
+        if (root / "sessions/one/session.json").exists():
+            found.append(rows_found(root / "sessions/one", batches))
+        record(root, new_run("two"), batches[:6])
+        assert rows_found(root / "sessions/two", batches[:6]) == 30
+    assert found == sorted(found)
+    assert found[-1] == sum(map(len, batches))
+
+
+def test_a_reader_sees_only_whole_parts_at_any_step_of_the_writer(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found: list[int] = []
+
+    def look(_: int) -> None:
+        if (tmp_path / "sessions/one/session.json").exists():
+            found.append(rows_found(tmp_path, batches))
+
+    Disk(look).watch(monkeypatch)
+    record(tmp_path, new_run(), batches)
+    assert found == sorted(found)
+    assert len(set(found)) > 6
+
+
+def test_a_disk_that_stays_full_keeps_no_more_in_memory_and_loses_nothing_that_was_taken(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    writer, taken = _open(tmp_path, new_run()), list[Batch]()
+    with monkeypatch.context() as patch:
+        Disk(fail).watch(patch)
+        for batch in batches:
+            with suppress(EndpointError):
+                if writer.full(batch):
+                    writer.commit()
+                writer.add(batch)
+                taken.append(batch)
+    assert sum(len(batch) for batch in taken if type(batch) is Touch) == 20
+    writer.close()
+    assert rows_found(tmp_path, taken) == sum(map(len, taken))
+
+
+def _open(root: Path, run: Run) -> SessionWriter:
+    return SessionWriter(root, run, part_span=100 * ms, part_rows=20)
