@@ -147,6 +147,7 @@ def demo(
 
     flow = demonstration.Demo(out, broker=mqtt or demonstration.local_broker(), seed=seed)
     typer.echo(flow.flow, err=True)
+    typer.echo("starting; the first time, the simulated physics is compiled for some seconds", err=True)
     done = asyncio.run(_execute(flow.flow, None, duration, None))
     if as_json:
         typer.echo(json.dumps({**_summary(done), **flow.summary(done)}))

@@ -55,7 +55,7 @@ class Demo:
         touch = self.flow.source(self.rig.touch)
         motion = self.flow.source(self.rig.motion)
         zeroed = touch | Zero()
-        slips = zeroed | Score(load_detector("psd")) | Debounce(consecutive=2)
+        slips = zeroed | Score(load_detector("psd")) | Debounce(consecutive=2, release=10)
         samples = zeroed & motion | Align(within=20 * ms) | Label(speed=0.003, delay=ARM_LATENCY)
 
         dataset = Dataset(str(out))

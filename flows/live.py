@@ -12,7 +12,7 @@ def live(
     """Score with `detector`, a built-in one or a file of weights; publish to `broker`, as mqtt://localhost."""
     flow = Flow("live")
     touch = flow.source(Rig(seed=seed).touch)
-    slips = touch | Zero() | Score(load_detector(detector)) | Debounce(consecutive=2)
+    slips = touch | Zero() | Score(load_detector(detector)) | Debounce(consecutive=2, release=10)
 
     faults = touch | Health()
 

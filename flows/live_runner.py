@@ -73,6 +73,9 @@ class LiveRunner:
             SlipflowError: if a sink cannot be opened, or an operator fails; what it gave before is committed.
         """
         opened: list[_Outlet] = []
+        for source in self._sources.values():
+            await source.prepare()
+        self.run.start = self.clock.now()
         try:
             for outlet in self._outlets.values():
                 await outlet.sink.open(self.run)

@@ -32,11 +32,11 @@ class Align(Join[Zeroed, Motion, Sample]):
     A touch without motion is kept: its velocity and pose are NaN and `matched` is False.
 
     A touch is decided when motion newer than t has come, or with what is there when the touch stream has
-    gone on by `wait` or has ended. So `wait` is the most that missing motion delays a touch. It bounds the
-    memory too: a touch that comes later than motion newer than t + `wait` finds no match.
+    gone on by `wait` or has ended. So `wait` is the most that missing motion delays a touch. Motion is kept
+    for `keep`: a touch that comes later than motion newer than t + `keep` finds no match.
 
-    The result is the ideal join as long as neither stream lags the other by more than `wait`; for nearest
-    and linear, which look ahead, motion may lag by `wait` - `within`. With ``wait=0`` and
+    The result is the ideal join as long as touch lags motion by `keep` at most, and motion lags touch by
+    `wait` at most, or `wait` - `within` for nearest and linear, which look ahead. With ``wait=0`` and
     ``how="previous"`` every touch is decided at once.
     """
 
@@ -51,8 +51,9 @@ class Align(Join[Zeroed, Motion, Sample]):
     def __post_init__(self) -> None:
         if self.how not in get_args(How):
             raise ParameterError("Align", "how", self.how, "nearest, previous or linear")
-        if self.within < 0:
-            raise ParameterError("Align", "within", self.within, "0 and above")
+        for name in ("within", "keep"):
+            if getattr(self, name) < 0:
+                raise ParameterError("Align", name, getattr(self, name), "0 and above")
         least = 0 if self.how == "previous" else self.within
         if self.wait < least:
             raise ParameterError(

@@ -86,6 +86,10 @@ class Source(ABC, Generic[Given]):
         """The fingertips that its batches belong to."""
         return (EVERY,)
 
+    async def prepare(self) -> None:
+        """Do what takes long before the run's time begins, without holding up the event loop."""
+        return
+
     @abstractmethod
     def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """One connection's worth of batches, each of one fingertip, stamped in the clock's time.

@@ -72,7 +72,6 @@ class Collection:
     force: float = 1.5  # N, median of the grip; fit
     force_spread: float = 0.37  # of its logarithm; fit
     tilt: float = 0.0027  # rad, standard deviation of the pad's slope along x and y; fit
-    lean: tuple[float, float] = (-0.006, -0.006)  # rad, its mean on the plane; fit
     apex: float = 0.0009  # m, standard deviation of a curved surface's highest point; fit
     vibration: float = 1.5e-4  # m, mean amplitude of the arm's shaking; fit
     pivot: float = 0.0065  # m, from the pad's centre to what rotations turn about; fit
@@ -88,7 +87,6 @@ class Collection:
 
     def _scene(self, random: np.random.Generator, surface: Curvature, speed: float | None) -> Scene:
         force = float(self.force * np.exp(self.force_spread * random.standard_normal()))
-        lean = self.lean if surface == "plane" else (0.0, 0.0)
         slope, apex = self.tilt * random.standard_normal(2), self.apex * random.standard_normal(2)
         turn, heading = random.uniform(0.0, 360.0, 2)
         shake = self.vibration * random.uniform(0.3, 1.7)
@@ -96,7 +94,7 @@ class Collection:
             Recording(speed, force, rounds=self.rounds),
             surface,
             apex=(float(apex[0]), float(apex[1])),
-            tilt=(lean[0] + float(slope[0]), lean[1] + float(slope[1])),
+            tilt=(float(slope[0]), float(slope[1])),
             offset=(self.pivot * math.cos(math.radians(turn)), self.pivot * math.sin(math.radians(turn))),
             acceleration=self.acceleration,
             vibration=Vibration(float(shake), float(random.choice([6.5, 12.0])), float(heading)),

@@ -76,9 +76,6 @@ class Rig:
     def begin(self, source: Source[Any], clock: Clock) -> int:
         """Origin (ns) of the run that a source takes part in: the present one, if it was not in it."""
         if not self._running or source in self._running:
-            from connectors.rig.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
-
-            compile_physics()
             self._running = set()
             self._origin = clock.now()
             self._episodes.clear()
@@ -129,6 +126,12 @@ class RigTouch(Source[Touch]):
     def fingers(self) -> tuple[int, ...]:
         """The rig's fingertips."""
         return self._rig.fingers
+
+    async def prepare(self) -> None:
+        """Compile the physics: seconds the first time, then a fraction of one."""
+        from connectors.rig.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
+
+        await asyncio.to_thread(compile_physics)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """Samples of each fingertip in turn: one at a time when paced."""

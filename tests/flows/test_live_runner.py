@@ -252,3 +252,15 @@ def test_a_second_stop_gives_up_failing_sinks_at_once() -> None:
 
     assert run_virtually(main()) < 2
     assert dead.closed == 1
+
+
+def test_what_a_source_prepares_is_not_of_the_run() -> None:
+    class Slow(Endless):
+        async def prepare(self) -> None:
+            await asyncio.sleep(20)
+
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Slow()).to(sink)
+    run = execute(flow, duration=s)
+    assert 98 <= len(sink.written) <= 100
+    assert run.clock.now() - run.start == s

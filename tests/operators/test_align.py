@@ -185,10 +185,12 @@ def test_previous_without_wait_decides_at_once_by_what_came_before() -> None:
     assert samples.matched.tolist() == [False]
 
 
-def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match() -> None:
-    align = Align(keep=50 * ms)
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_touch_that_lags_motion_by_more_than_keep_finds_no_match(rows: int) -> None:
+    align, touch = Align(keep=50 * ms), _touch(49, 50)
     align.push(NO_TOUCH, _motion(*range(0, 101, 10)))
-    assert align.push(_touch(49, 50), NO_MOTION).matched.tolist() == [False, True]
+    samples = [align.push(touch[start : start + rows], NO_MOTION) for start in range(0, 2, rows)]
+    assert concat(Sample, samples).matched.tolist() == [False, True]
 
 
 def test_touch_and_motion_that_come_together_match_however_long_the_span() -> None:
@@ -205,7 +207,9 @@ def test_nearest_and_linear_must_wait_for_the_rows_they_may_take() -> None:
     Align(how="previous", wait=10 * ms)
 
 
-@pytest.mark.parametrize("parameters", [{"how": "next"}, {"within": -1}, {"how": "previous", "wait": -1}])
+@pytest.mark.parametrize(
+    "parameters", [{"how": "next"}, {"within": -1}, {"keep": -1}, {"how": "previous", "wait": -1}]
+)
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         Align(**parameters)

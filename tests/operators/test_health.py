@@ -79,6 +79,15 @@ def test_a_cell_at_either_end_of_its_range_for_50_ms_is_saturated(rail: int) -> 
     assert _changes(counts, valid, kind=Zeroed) == []
 
 
+def test_a_saturated_cell_that_dies_is_dead_instead() -> None:
+    counts, valid = _touch(4)
+    counts[100:120, 4] = 0
+    valid[120:300, 4] = False
+    saturated, dead = FaultKind.SATURATED, FaultKind.DEAD
+    begun = [(1.04, 4, saturated, True), (1.69, 4, dead, True), (1.69, 4, saturated, False)]
+    assert _changes(counts, valid) == [*begun, (3.0, 4, dead, False)]
+
+
 def test_a_cell_whose_quiet_seconds_move_off_the_first_one_drifts_until_they_are_back() -> None:
     counts, valid = _touch(8)
     counts[200:400, 0] += 31

@@ -160,10 +160,13 @@ def test_a_mirrored_scene_gives_mirrored_tractions() -> None:
 
 
 def test_a_finer_step_converges_in_first_order() -> None:
-    """Stuck on its bristles, a tip swings: the error halves with the step."""
+    """Stuck on its bristles, a tip swings: the error halves with the step.
+
+    It does not tilt, so that no node lifts off: a node that comes down again does so between two steps.
+    """
 
     def swing(step: float) -> float:
-        scene = Scene(parameters=Parameters(step=step, static_friction=100.0, texture=0.0))
+        scene = Scene(parameters=Parameters(step=step, static_friction=100.0, texture=0.0, lever=0.0))
         steps = round(0.02 / step)
         drive = np.zeros((steps, 6))
         drive[:, 3], drive[:, 0] = 2.0, 0.02
@@ -171,6 +174,6 @@ def test_a_finer_step_converges_in_first_order() -> None:
         return float(tractions[-1, 1].sum())
 
     exact = swing(1e-3 / 256)
-    errors = [abs(swing(1e-3 / n) - exact) for n in (8, 16, 32)]
+    errors = [abs(swing(1e-3 / n) - exact) for n in (4, 8, 16)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert orders == pytest.approx([1.0, 1.0], abs=0.4), errors
