@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib import import_module
 from typing import Self
 
 import numpy as np
@@ -41,7 +40,6 @@ class Psd:
             )
         if not self.threshold > 0:
             raise ParameterError("Psd", "threshold", self.threshold, "above 0")
-        import_module("scipy.fft")  # takes 0.6 s, which the first score must not
 
     def score(self, windows: Counts | Reals) -> Reals:
         """The probability of slip of each window (n, length, 6); (n,)."""
