@@ -41,7 +41,7 @@ class _Stage:
                 self.takes[0].empty() if left is None else left,
                 self.takes[1].empty() if right is None else right,
             )
-        return out if len(out) else None
+        return out if out.time.size else None
 
 
 class Plan:

@@ -63,26 +63,27 @@ class Align(Join[Zeroed, Motion, Sample]):
     def process(self, left: Zeroed, right: Motion) -> Sample:
         """Take motion first, then touch; give the touch rows that are decided."""
         oldest = self._newest - self.keep  # that a new touch may be
-        if len(right):
+        size = left.time.size
+        if right.time.size:
             self._remember(right)
         held = self._held
         rows = left
-        if len(held):
-            if len(left):
+        if held.stop > held.start:
+            if size:
                 held.append(left)
             rows = held.rows
-        count = self._decided(rows.time) if len(rows) else 0
+        count = self._decided(rows.time) if rows.time.size else 0
         if rows is not left:
             held.drop(count)
-        elif count < len(left):
+        elif count < size:
             held.append(left[count:] if count else left)
         if not count:
             samples = Sample.empty()
         else:
-            samples = self._match(rows if count == len(rows) else rows[:count], oldest)
+            samples = self._match(rows if count == rows.time.size else rows[:count], oldest)
         motion, needed = self._motion, self._newest - self.keep - self.within
-        if len(motion) and motion.block.time.item(motion.start) < needed - self.keep // 8:  # not at every row
-            motion.drop(int(motion.time.searchsorted(needed)))
+        if motion.stop > motion.start and motion.block.time.item(motion.start) < needed - self.keep // 8:
+            motion.drop(int(motion.time.searchsorted(needed)))  # not at every row: it takes time
         return samples
 
     def flush(self) -> Sample:
@@ -94,24 +95,24 @@ class Align(Join[Zeroed, Motion, Sample]):
         return self._match(rows, -_FAR)
 
     def _remember(self, motion: Motion) -> None:
-        if len(motion) == 1:
+        if motion.time.size == 1:
             finite = all(map(isfinite, motion.velocity[0].tolist()))
             motion = motion if finite else motion[:0]
         else:
             rows = np.all(np.isfinite(motion.velocity), axis=1)
             motion = motion if np.all(rows) else motion[rows]
-        if len(motion):
+        if motion.time.size:
             self._motion.append(motion)
             self._newest = motion.time.item(-1)
 
     def _decided(self, time: Times) -> int:
         passed = self._order_left.newest - self.wait  # touch up to here has waited long enough
-        if len(time) == 1:
+        if time.size == 1:
             return int(time.item(0) < self._newest or time.item(0) <= passed)
         return int(max(time.searchsorted(self._newest), time.searchsorted(passed, "right")))
 
     def _match(self, rows: Zeroed, oldest: int) -> Sample:
-        if len(rows) == 1:
+        if rows.time.size == 1:
             return self._match_one(rows, oldest)
         time, motion, start = self._motion.time, self._motion.block, self._motion.start
         after = time.searchsorted(rows.time, "right")  # (n,) the first newer row
@@ -146,7 +147,7 @@ class Align(Join[Zeroed, Motion, Sample]):
         instant, time, motion = rows.time.item(0), self._motion.time, self._motion.block
         after = int(time.searchsorted(instant, "right"))
         behind = instant - time.item(after - 1) if after else _FAR
-        ahead = time.item(after) - instant if after < len(time) else _FAR
+        ahead = time.item(after) - instant if after < time.size else _FAR
         after += self._motion.start
         off, part = behind, 0.0
         if self.how == "nearest" and ahead <= behind:

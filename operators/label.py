@@ -90,12 +90,11 @@ class Label(Operator[Sample, Labelled]):
 
     def _own(self, batch: Sample) -> Labelled:
         # each row by its own motion
-        if len(batch) == 1:
+        if batch.time.size == 1:
             x, y, z = batch.pose[0, 3:].tolist()
-            if not (isfinite(x) and isfinite(y) and isfinite(z)):
-                x = y = z = 0.0
+            posed = isfinite(x) and isfinite(y) and isfinite(z)
             u, v, w, a, b, c = batch.velocity[0].tolist()
-            speed = _across((u, v, w), turn(self._unit, quaternion((x, y, z))))
+            speed = _across((u, v, w), turn(self._unit, quaternion((x, y, z))) if posed else self._unit)
             slip, known = speed > self.speed, speed < self.limit
             if self.rotation is not None:
                 angular = root(a * a + b * b + c * c)
@@ -104,12 +103,11 @@ class Label(Operator[Sample, Labelled]):
             return _labelled(batch, np.array([speed]), np.array([label], np.int8))
         turned = batch.pose[:, 3:]  # (n, 3)
         finite = np.isfinite(turned)
-        if not finite.all():
-            turned = np.where(np.all(finite, axis=1)[:, None], turned, 0.0)
         velocity = batch.velocity.T  # (6, n)
         with np.errstate(over="ignore", invalid="ignore"):
             normal: Vector[Any] = self._unit
             if finite.any():
+                turned = np.where(np.all(finite, axis=1)[:, None], turned, 0.0)
                 normal = turn(self._unit, quaternion((turned[:, 0], turned[:, 1], turned[:, 2])))
             speeds = _across((velocity[0], velocity[1], velocity[2]), normal)  # (n,)
             slips, knowns = speeds > self.speed, speeds < self.limit

@@ -78,7 +78,7 @@ class Operator(Step, Generic[In, Out]):
 
         An empty batch gives an empty batch. Late rows are dropped and counted in `late`.
         """
-        if len(batch) and len(kept := self._order.keep(batch)):
+        if batch.time.size and (kept := self._order.keep(batch)).time.size:  # `len` costs a call
             return self.process(kept)
         return cast("Out", output_type(type(self)).empty())
 
@@ -109,11 +109,11 @@ class Join(Step, Generic[Left, Right, Out]):
 
     def push(self, left: Left, right: Right) -> Out:
         """Take the next rows of either stream; give what they complete, which may be nothing."""
-        if len(left):
+        if left.time.size:
             left = self._order_left.keep(left)
-        if len(right):
+        if right.time.size:
             right = self._order_right.keep(right)
-        if len(left) or len(right):
+        if left.time.size or right.time.size:
             return self.process(left, right)
         return cast("Out", output_type(type(self)).empty())
 

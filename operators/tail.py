@@ -53,12 +53,18 @@ class Tail(Generic[AnyBatch]):
 
     def append(self, batch: AnyBatch) -> None:
         """Copy rows behind those kept; columns that the kind lacks fall away."""
-        if self.stop + len(batch) > len(self.block) or self.block.finger != batch.finger:
+        size = batch.time.size
+        stop = self.stop + size
+        if stop > self.block.time.size or self.block.finger != batch.finger:
             self._renew(batch)
-        new = slice(self.stop, self.stop + len(batch))
-        for name, column in self._columns:
-            column[new] = getattr(batch, name)
-        self.stop = new.stop
+            stop = self.stop + size
+        if size == 1:
+            for name, column in self._columns:
+                column[self.stop] = getattr(batch, name)[0]
+        else:
+            for name, column in self._columns:
+                column[self.stop : stop] = getattr(batch, name)
+        self.stop = stop
 
     def drop(self, count: int) -> None:
         """Forget the oldest `count` rows."""

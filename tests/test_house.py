@@ -48,7 +48,7 @@ def test_a_folder_says_what_it_is_in_a_sentence_and_sorts_its_exports(path: Path
 
 
 def test_operators_import_without_anything_heavy() -> None:
-    heavy = ("scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba", "asyncio")
+    heavy = ("scipy", "pandas", "polars", "pyarrow", "torch", "aiomqtt", "numba", "asyncio")
     code = f"import operators, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -2,13 +2,9 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import settings
 
 from operators import Batch
 from operators.batch import columns
-
-settings.register_profile("slipflow", deadline=None, max_examples=50)  # no timed asserts
-settings.load_profile("slipflow")
 
 
 @pytest.fixture(scope="session")
