@@ -1,15 +1,11 @@
-"""Where an MQTT broker is and how to get in. Light: aiomqtt is imported when something connects."""
+"""Where an MQTT broker is and how to get in."""
 
 import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from operators.errors import InputError, ParameterError
-
-if TYPE_CHECKING:
-    from connectors.link import Link
 
 USER = "SLIPFLOW_MQTT_USER"
 PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
@@ -68,15 +64,3 @@ class Broker:
             except (OSError, UnicodeError) as error:
                 raise InputError(path, f"cannot read the password ({PASSWORD_FILE}): {error}") from None
         return os.environ.get(USER), password
-
-    async def connect(self, identifier: str, will: tuple[str, bytes] | None = None) -> "Link":
-        """Connect once; `will` is the topic and payload that the broker retains there if we vanish.
-
-        Raises:
-            EndpointError: if the broker is unreachable, silent or refuses us.
-        """
-        from connectors.link import Link  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
-
-        link = Link(self, identifier, will)
-        await link.connect()
-        return link

@@ -231,3 +231,14 @@ def _reason(error: BaseException | None) -> str:
     if str(error) == "timed out":
         return f"no answer within {TIMEOUT:g} s"
     return re.sub(r"^\[Errno -?\d+\] ", "", str(error))
+
+
+async def connect(broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> Link:
+    """Connect once; `will` is the topic and payload that the broker retains there if we vanish.
+
+    Raises:
+        EndpointError: if the broker is unreachable, silent or refuses us.
+    """
+    link = Link(broker, identifier, will)
+    await link.connect()
+    return link

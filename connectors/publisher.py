@@ -46,7 +46,9 @@ class Publisher:
         """
         async with self._turn:
             if not (self._link and self._link.alive):
-                self._link = await self._broker.connect(self._identifier, self._will)
+                from connectors.link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+
+                self._link = await connect(self._broker, self._identifier, self._will)
                 await self._publish(self._link, self._retained.values())
             while messages:
                 await self._publish(self._link, [messages[0]])

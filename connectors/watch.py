@@ -30,13 +30,15 @@ async def watch(
         ParameterError: on a URL, a site or a rig that cannot be used.
         EndpointError: if the first connection fails.
     """
+    from connectors.link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+
     broker = Broker.parse(url, "watch")
     topics = f"{topic('watch', site, rig, wildcard='+')}/+/event"
     identifier = f"slipflow-watch-{token_hex(4)}"
     retry, connected = FIRST_RETRY, False
     while True:
         try:
-            link = await broker.connect(identifier)
+            link = await connect(broker, identifier)
             try:
                 await link.listen(topics)
                 if connected:

@@ -127,7 +127,7 @@ def graph(
     from flows import drawing
 
     flow = _flow(target, settings)
-    typer.echo(drawing.mermaid(flow) if mermaid else drawing.text(flow))
+    typer.echo(drawing.mermaid(flow.nodes) if mermaid else flow)
 
 
 @app.command()

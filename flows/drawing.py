@@ -1,9 +1,10 @@
 """Drawing a flow: as text that reads like its declaration, and as Mermaid."""
 
+from collections.abc import Sequence
 from dataclasses import MISSING, fields, is_dataclass
 from typing import Any
 
-from flows.graph import Flow, Node
+from flows.node import Node, consumers
 from operators.batch import ms
 from operators.operator import Join
 from operators.ports import Sink, Source
@@ -39,23 +40,23 @@ def _value(value: object) -> str:
     return named if isinstance(named, str) and not isinstance(value, str) else repr(value)
 
 
-def text(flow: Flow) -> str:
-    """The flow as its declaration would read; a stream is named by what flows in it."""
-    fed, names, lines = flow.consumers(), dict[Node, str](), list[tuple[str, str]]()
+def text(name: str, nodes: Sequence[Node]) -> str:
+    """A flow as its declaration would read; a stream is named by what flows in it."""
+    fed, names, lines = consumers(nodes), dict[Node, str](), list[tuple[str, str]]()
 
     def chain(node: Node) -> str:
         if node in names:
             return names[node]
         return " & ".join(chain(parent) for parent in node.inputs) + " | " + describe(node.part)
 
-    for node in flow.nodes:
+    for node in nodes:
         if isinstance(node.part, Sink):
             continue
-        consumers = fed[node]
+        takers = fed[node]
         if isinstance(node.part, Source):
             names[node] = node.name
             lines.append((node.name, describe(node.part)))
-        elif len(consumers) != 1 or isinstance(consumers[0].part, Sink | Join):
+        elif len(takers) != 1 or isinstance(takers[0].part, Sink | Join):
             drawn = chain(node)
             base, taken = (node.gives or type(node)).__name__.lower(), set(names.values())
             names[node] = next(
@@ -63,23 +64,24 @@ def text(flow: Flow) -> str:
             )
             lines.append((names[node], drawn))
     width = max((len(name) for name, _ in lines), default=0)
-    drawn_lines = [f"flow {flow.name}", *(f"  {name:<{width}} = {drawn}" for name, drawn in lines)]
-    for node in flow.sinks():
-        drawn_lines += [
-            f"  {names.get(parent, parent.name)} -> {describe(node.part)}" for parent in node.inputs
-        ]
+    drawn_lines = [f"flow {name}", *(f"  {name:<{width}} = {drawn}" for name, drawn in lines)]
+    for node in nodes:
+        if isinstance(node.part, Sink):
+            drawn_lines += [
+                f"  {names.get(parent, parent.name)} -> {describe(node.part)}" for parent in node.inputs
+            ]
     return "\n".join(drawn_lines)
 
 
-def mermaid(flow: Flow) -> str:
-    """The flow as a Mermaid flowchart, each edge named by what flows along it."""
-    number = {node: f"n{i}" for i, node in enumerate(flow.nodes)}
+def mermaid(nodes: Sequence[Node]) -> str:
+    """A flow as a Mermaid flowchart, each edge named by what flows along it."""
+    number = {node: f"n{i}" for i, node in enumerate(nodes)}
     lines = ["flowchart LR"]
-    for node in flow.nodes:
+    for node in nodes:
         left, right = ("([", "])") if isinstance(node.part, Source | Sink) else ("[", "]")
         label = describe(node.part).replace('"', "'")
         lines.append(f'    {number[node]}{left}"{label}"{right}')
-    for node in flow.nodes:
+    for node in nodes:
         for parent in node.inputs:
             kind = parent.gives.__name__ if parent.gives else ""
             lines.append(f"    {number.get(parent, parent.name)} -->|{kind}| {number[node]}")

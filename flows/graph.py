@@ -3,52 +3,18 @@
 Building a flow runs nothing; a runner carries it out, as often as wanted, with fresh operators each time.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any, Generic, TypeAlias, TypeVar, cast, get_args, get_type_hints
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
 
-from operators.batch import EVERY, Batch
-from operators.operator import Join, Operator, input_types, output_type
+from flows.drawing import text
+from flows.node import Node, Part
+from operators.batch import Batch
+from operators.operator import Join, Operator
 from operators.ports import Sink, Source
 
 B = TypeVar("B", bound=Batch, covariant=True)
 C = TypeVar("C", bound=Batch, covariant=True)
 Out = TypeVar("Out", bound=Batch)
-Part: TypeAlias = Source[Any] | Operator[Any, Any] | Join[Any, Any, Any] | Sink[Any]
-
-
-@dataclass(eq=False)
-class Node:
-    """One part of a flow and what feeds it."""
-
-    name: str  # of a source or sink: unique in the flow; of an operator: its class
-    part: Part
-    inputs: list["Node"] = field(default_factory=list["Node"])
-
-    @property
-    def takes(self) -> tuple[type[Batch], ...]:
-        """The batch types that it takes: one for each input of an operator, the choice that a sink has."""
-        if isinstance(self.part, Operator | Join):
-            return input_types(type(self.part))
-        if isinstance(self.part, Sink):
-            hint: Any = get_type_hints(type(self.part).write)["batch"]
-            return cast("tuple[type[Batch], ...]", get_args(hint) or (hint,))
-        return ()
-
-    @property
-    def gives(self) -> type[Batch] | None:
-        """The batch type that it gives; None for a sink."""
-        if isinstance(self.part, Source):
-            return cast("type[Batch]", self.part.kind)
-        return None if isinstance(self.part, Sink) else output_type(type(self.part))
-
-    @property
-    def fingers(self) -> tuple[int, ...]:
-        """The fingertips that its batches belong to; what belongs to every one joins each of them."""
-        if isinstance(self.part, Source):
-            return self.part.fingers
-        found = {finger for parent in self.inputs for finger in parent.fingers}
-        return tuple(sorted(found - {EVERY})) or (EVERY,)
 
 
 class Flow:
@@ -83,18 +49,8 @@ class Flow:
         """The nodes that take what the flow gives."""
         return [node for node in self.nodes if isinstance(node.part, Sink)]
 
-    def consumers(self) -> Mapping[Node, list[Node]]:
-        """For each node, those that it feeds."""
-        fed: dict[Node, list[Node]] = {node: [] for node in self.nodes}
-        for node in self.nodes:
-            for parent in node.inputs:
-                fed.setdefault(parent, []).append(node)
-        return fed
-
     def __str__(self) -> str:
-        from flows.drawing import text  # noqa: PLC0415 - the drawing knows the graph, not the other way round
-
-        return text(self)
+        return text(self.name, self.nodes)
 
     def add(self, name: str, part: Part, *inputs: Node) -> Node:
         """Add a part behind others; what ``|`` and `source` do."""

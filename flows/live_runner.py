@@ -10,7 +10,8 @@ from math import inf
 from typing import Any
 
 from flows.clock import LoopClock
-from flows.graph import Flow, Node
+from flows.graph import Flow
+from flows.node import Node
 from flows.plan import Delivery, Plan
 from operators.batch import Batch
 from operators.errors import SlipflowError

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast
 
-from flows.graph import Flow, Node
+from flows.graph import Flow
+from flows.node import Node
 from flows.validate import validate
 from operators.batch import EVERY, Batch, concat
 from operators.errors import BatchError

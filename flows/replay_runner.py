@@ -8,7 +8,8 @@ import numpy as np
 
 from connectors.replay import Replay
 from flows.clock import EventClock
-from flows.graph import Flow, Node
+from flows.graph import Flow
+from flows.node import Node
 from flows.plan import Entry, Plan
 from operators.batch import Batch, Motion, Touch
 from operators.errors import InputError

@@ -2,7 +2,8 @@
 
 from collections.abc import Iterator
 
-from flows.graph import Flow, Node
+from flows.graph import Flow
+from flows.node import Node, consumers
 from operators.batch import Batch
 from operators.errors import FlowError
 from operators.operator import Join, Operator
@@ -43,8 +44,8 @@ def _foreign(flow: Flow) -> Iterator[FlowError]:
 
 
 def _unconnected(flow: Flow) -> Iterator[FlowError]:
-    for node, consumers in flow.consumers().items():
-        if not consumers and not isinstance(node.part, Sink) and node in flow.nodes:
+    for node, takers in consumers(flow.nodes).items():
+        if not takers and not isinstance(node.part, Sink) and node in flow.nodes:
             kind = node.gives.__name__ if node.gives else "nothing"
             yield FlowError(
                 flow.name,

@@ -11,7 +11,7 @@ from aiomqtt import Client
 
 from connectors import link as module
 from connectors.broker import PASSWORD, USER, Broker
-from connectors.link import Link
+from connectors.link import Link, connect
 from connectors.testing import PATIENCE, TestBroker
 from operators.errors import EndpointError
 
@@ -33,7 +33,7 @@ def guarded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestBro
 
 async def use(broker: Broker | str, *topics: str, qos: int = 1) -> None:
     """Connect, publish to topics, leave."""
-    link = await (Broker.parse(broker) if isinstance(broker, str) else broker).connect("test")
+    link = await connect(Broker.parse(broker) if isinstance(broker, str) else broker, "test")
     try:
         for topic in topics:
             await link.send(topic, b"x", qos=qos)
@@ -50,7 +50,7 @@ def test_what_was_sent_has_arrived(broker: TestBroker) -> None:
 
 def test_a_connection_waits_for_no_full_packets_and_not_long_for_an_answer(broker: TestBroker) -> None:
     async def main() -> None:
-        link = await Broker.parse(broker.url).connect("test")
+        link = await connect(Broker.parse(broker.url), "test")
         client = vars(link)["_client"]
         assert client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         assert link.timeout == client.connect_timeout == module.TIMEOUT
@@ -125,7 +125,7 @@ def test_a_lost_connection_is_noticed_while_sending(
     broker: TestBroker, number: signal.Signals, turns: int
 ) -> None:
     async def main() -> None:
-        link = await Broker.parse(broker.url).connect("test")
+        link = await connect(Broker.parse(broker.url), "test")
         await link.send("a", b"x")
         broker.stop(number)
         for _ in range(turns):  # the loop may or may not have seen it
@@ -144,7 +144,7 @@ def test_an_answer_that_does_not_come_is_given_up(
     monkeypatch.setattr(module, "TIMEOUT", 0.2)
 
     async def main() -> None:
-        link = await Broker.parse(broker.url).connect("test")
+        link = await connect(Broker.parse(broker.url), "test")
         assert broker.process
         broker.process.send_signal(signal.SIGSTOP)
         with pytest.raises(EndpointError, match=r"connection lost \(no answer within 0\.2 s\)$"):
@@ -187,7 +187,7 @@ def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
 
     async def main() -> None:
         async with await asyncio.start_server(refuse, "127.0.0.1", 0) as serving:
-            link = await Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]).connect("test")
+            link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
             with pytest.raises(EndpointError, match=r"refuses to subscribe to a/#: Not authorized$"):
                 await link.listen("a/#")
             await link.leave()

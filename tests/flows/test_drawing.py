@@ -1,4 +1,4 @@
-from flows.drawing import describe, mermaid, text
+from flows.drawing import describe, mermaid
 from flows.graph import Flow
 from flows.testing import TestSink, TestSource
 from operators import Align, Debounce, Label, Motion, Scores, Touch, Zero, ms
@@ -15,7 +15,7 @@ def _flow() -> Flow:
 
 
 def test_text_reads_like_the_declaration() -> None:
-    assert text(_flow()).splitlines() == [
+    assert str(_flow()).splitlines() == [
         "flow drawn",
         "  touch    = TestSource(Touch)",
         "  motion   = TestSource(Motion)",
@@ -31,12 +31,12 @@ def test_two_streams_of_one_type_get_two_names() -> None:
     scores = flow.source(TestSource(Scores))
     for count in (2, 3):
         (scores | Debounce(consecutive=count)).to(TestSink())
-    names = [line.split()[0] for line in text(flow).splitlines()[1:]]
+    names = [line.split()[0] for line in str(flow).splitlines()[1:]]
     assert names == ["scores", "slips", "slips2", "slips", "slips2"]
 
 
 def test_mermaid_names_every_edge_by_its_type() -> None:
-    lines = mermaid(_flow()).splitlines()
+    lines = mermaid(_flow().nodes).splitlines()
     assert lines[0] == "flowchart LR"
     edges = [line.split("|")[1] for line in lines if "-->" in line]
     assert sorted(edges) == ["Labelled", "Motion", "Sample", "Touch", "Zeroed", "Zeroed"]
