@@ -58,6 +58,8 @@ class LiveRunner:
             if isinstance(node.part, Sink)
         }
         self._push = asyncio.Lock()  # a full sink makes all sources wait: the rows of a stream stay in order
+        self._in_hand = 0  # batches taken from a source and not delivered yet
+        self._delivered, self._ending = asyncio.Event(), False
         self._stop = asyncio.Event()
 
     def stop(self) -> None:
@@ -100,6 +102,10 @@ class LiveRunner:
             await asyncio.wait([reading, *ends], return_when=asyncio.FIRST_COMPLETED)
             if reading.done():
                 reading.result()  # raises what an operator raised: that ends the run
+            self._ending = True
+            while self._in_hand:  # what was taken is delivered
+                self._delivered.clear()
+                await self._delivered.wait()
             for task in readers:
                 task.cancel()
             await asyncio.gather(*readers, return_exceptions=True)
@@ -119,8 +125,15 @@ class LiveRunner:
                 order.keep(batch)
                 status.late, status.newest = order.late, order.newest
                 status.rows += len(batch)
-                async with self._push:
-                    await self._deliver(self.plan.push({(node, batch.finger): batch}))
+                self._in_hand += 1
+                try:
+                    async with self._push:
+                        await self._deliver(self.plan.push({(node, batch.finger): batch}))
+                finally:
+                    self._in_hand -= 1
+                    self._delivered.set()
+                if self._ending:
+                    return
                 if status.rows % TURN < len(batch):
                     await asyncio.sleep(0)  # a source that never waits must let the sinks have their turn
 

@@ -264,3 +264,18 @@ def test_what_a_source_prepares_is_not_of_the_run() -> None:
     run = execute(flow, duration=s)
     assert 98 <= len(sink.written) <= 100
     assert run.clock.now() - run.start == s
+
+
+def test_what_was_taken_when_the_run_ends_is_delivered_whole() -> None:
+    flow = Flow("f")
+
+    async def slowly() -> None:
+        await asyncio.sleep(0.05)  # five times slower than the source, which waits most of the time
+
+    slow, other = TestSink(capacity=2, hold=slowly), TestSink(capacity=2, hold=slowly)
+    stream = flow.source(TestSource(Scores, scores(0, 1000)))
+    stream.to(slow)
+    stream.to(other)
+    run = execute(flow, duration=s)
+    assert times(slow) == times(other) == list(range(run.sources["scores"].rows))
+    assert 10 < run.sources["scores"].rows < 100
