@@ -23,6 +23,7 @@ check:  ## format, lint, types, import contracts
 bench:  ## measure; prints tables
 	@deploy/prepare test
 	.venv/bin/python tests/benchmarks/bench_engine.py
+	.venv/bin/python tests/benchmarks/bench_scene.py
 
 clean:  ## forget everything that was set up or built
 	rm -rf .venv dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

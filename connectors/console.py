@@ -5,10 +5,8 @@ from dataclasses import dataclass, field
 from typing import TextIO
 
 from connectors.events import faults, finger_name, timestamp
-from operators.batch import SLIP, Faults, Slips, ms, s
+from operators.batch import SLIP, Faults, Slips, ms
 from operators.ports import Run, Sink
-
-_LIVE = 60 * s  # an older event is replayed: its age is no latency
 
 
 @dataclass(eq=False)
@@ -43,8 +41,9 @@ class Console(Sink[Slips | Faults]):
             return
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
-            age = self._run.clock.now() - time if self._run else _LIVE
-            latency = f"  {age / ms:.1f} ms" if age < _LIVE else ""
+            latency = ""
+            if self._run and self._run.live:
+                latency = f"  {(self._run.clock.now() - time) / ms:.1f} ms"
             what, style = ("slip onset", "bold red") if state == SLIP else ("slip end  ", "green")
             self._print(time, batch.finger, f"{what}  p {probability:.2f}{latency}", style)
 

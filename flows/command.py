@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from connectors.events import Event
     from flows.graph import Flow
+    from flows.node import Node
     from operators.ports import Recording, Run
 
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
@@ -84,7 +85,8 @@ def run(
 ) -> None:
     """Run a flow: live, or over a recording with --replay.
 
-    Ends when its sources end, after --for, or at Ctrl-C, and commits what it took; exits 1 if rows were lost.
+    Ends when its sources end, after --for, or at Ctrl-C, and commits what it took; exits 1 if a source was
+    down at the end or rows were lost.
     """
     flow = _flow(target, settings)
     if pace is not None and replay is None:
@@ -109,7 +111,7 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
     elif found:
         typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
     else:
-        typer.echo(f"{flow.name} is sound: {len(flow.sources())} sources, {len(flow.sinks())} sinks")
+        typer.echo(f"{flow.name} is sound; sources: {_names(flow.sources())}; sinks: {_names(flow.sinks())}")
         for name, (kind, default) in declaration.parameters.items():
             typer.echo(f"  --set {name}={default}  ({getattr(kind, '__name__', kind)})")
     if found:
@@ -157,6 +159,63 @@ def demo(
 
 
 @app.command()
+def simulate(
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="The dataset's folder, new or empty.")
+    ] = None,
+    *,
+    plan: Annotated[str, typer.Option(help="What to record: paper, 45 minutes, or tiny, 2.")] = "paper",
+    seed: Annotated[int, typer.Option(help="Of everything random; the same seed gives the same bytes.")] = 0,
+    delay: Annotated[
+        str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
+    ] = "0s",
+    jobs: Annotated[int | None, typer.Option(help="Processes; one for each core by default.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Measure the scene instead: a page with figures, in minutes."),
+    ] = None,
+    judge: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="For the report: weights of the paper's TCN.")
+    ] = None,
+    trace: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="For the report: a real trace with labels, as CSV.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate a collection plan, split for training and testing, as a labelled dataset."""
+    if report is not None:
+        from flows.scene_measured import Size
+        from flows.scene_report import write_report
+
+        def told(text: str) -> None:
+            typer.echo(text, err=True)
+
+        page = write_report(report, seed=seed, judge=judge, trace=trace, size=Size.of(plan), told=told)
+        typer.echo(json.dumps({"page": str(page)}) if as_json else f"written: {page}")
+        return
+    if out is None:
+        raise typer.BadParameter("give OUT, the dataset's folder, or --report DIR")
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
+
+    from flows import simulate as simulation
+
+    columns = *Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn()
+    screen = Console(stderr=True)
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
+        task = bar.add_task(f"simulating {plan}")
+        done = simulation.simulate(
+            out,
+            plan,
+            seed,
+            delay=_nanoseconds(delay) or 0,
+            jobs=jobs,
+            progress=lambda done, of: bar.update(task, completed=done, total=of),
+        )
+    typer.echo(json.dumps(done.summary()) if as_json else done.report())
+
+
+@app.command()
 def watch(
     url: Annotated[str, typer.Argument(metavar="URL", help="The broker.")] = "mqtt://localhost",
     *,
@@ -186,6 +245,10 @@ def _line(event: "Event") -> str:
     doubt = "".join(f"  barometer {fault.barometer} {fault.kind}" for fault in event.degraded)
     when = timestamp(event.time)[:23].replace("T", " ")
     return f"{when}  {where}  slip {event.state:5}{sure}  {event.latency:.1f} ms{doubt}"
+
+
+def _names(nodes: "list[Node]") -> str:
+    return ", ".join(node.name for node in nodes)
 
 
 def _settings(settings: list[str] | None) -> dict[str, str]:
@@ -281,12 +344,14 @@ def _finish(run: "Run", *, as_json: bool) -> None:
     else:
         typer.echo(f"{run.session}: {(run.clock.now() - run.start) / 1e9:.1f} s")
         for name, source in run.sources.items():
-            typer.echo(f"  {name}: {source.rows} rows in, {source.late} late, {len(source.gaps)} gaps")
+            gaps = f"{len(source.gaps)} gaps {source.error}".rstrip()
+            typer.echo(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
         for name, sink in run.sinks.items():
             typer.echo(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped {sink.error}".rstrip())
     _exit_if_lost(run)
 
 
 def _exit_if_lost(run: "Run") -> None:
-    if any(sink.dropped or sink.error for sink in run.sinks.values()):
+    lost = any(sink.dropped or sink.error for sink in run.sinks.values())
+    if lost or any(source.error for source in run.sources.values()):
         raise typer.Exit(1)

@@ -42,35 +42,44 @@ def _value(value: object) -> str:
 
 def text(name: str, nodes: Sequence[Node]) -> str:
     """A flow as its declaration would read; a stream is named by what flows in it."""
-    fed, names, lines = consumers(nodes), dict[Node, str](), list[tuple[str, str]]()
-
-    def chain(node: Node) -> str:
-        if node in names:
-            return names[node]
-        return " & ".join(chain(parent) for parent in node.inputs) + " | " + describe(node.part)
-
+    names = _names(nodes)
+    lines = [f"flow {name}", *(f"  {line}" for line in streams(nodes))]
     for node in nodes:
         if isinstance(node.part, Sink):
-            continue
+            taken = [names.get(parent, parent.name) for parent in node.inputs]
+            lines += [f"  {stream} -> {describe(node.part)}" for stream in taken]
+    return "\n".join(lines)
+
+
+def streams(nodes: Sequence[Node]) -> list[str]:
+    """How each named stream of a flow comes about, sinks left out."""
+    names = _names(nodes)
+    width = max(map(len, names.values()), default=0)
+
+    def chain(node: Node) -> str:
+        inputs = [names[parent] if parent in names else chain(parent) for parent in node.inputs]
+        return f"{' & '.join(inputs)} | {describe(node.part)}"
+
+    return [
+        f"{name:<{width}} = {describe(node.part) if isinstance(node.part, Source) else chain(node)}"
+        for node, name in names.items()
+    ]
+
+
+def _names(nodes: Sequence[Node]) -> dict[Node, str]:
+    """Names of the streams that are more than a step on the way to one operator."""
+    fed, names = consumers(nodes), dict[Node, str]()
+    for node in nodes:
         takers = fed[node]
         if isinstance(node.part, Source):
             names[node] = node.name
-            lines.append((node.name, describe(node.part)))
-        elif len(takers) != 1 or isinstance(takers[0].part, Sink | Join):
-            drawn = chain(node)
+        elif not isinstance(node.part, Sink) and (
+            len(takers) != 1 or isinstance(takers[0].part, Sink | Join)
+        ):
             base, taken = (node.gives or type(node)).__name__.lower(), set(names.values())
-            names[node] = next(
-                n for n in (base, *(f"{base}{k}" for k in range(2, len(taken) + 3))) if n not in taken
-            )
-            lines.append((names[node], drawn))
-    width = max((len(name) for name, _ in lines), default=0)
-    drawn_lines = [f"flow {name}", *(f"  {name:<{width}} = {drawn}" for name, drawn in lines)]
-    for node in nodes:
-        if isinstance(node.part, Sink):
-            drawn_lines += [
-                f"  {names.get(parent, parent.name)} -> {describe(node.part)}" for parent in node.inputs
-            ]
-    return "\n".join(drawn_lines)
+            free = (base, *(f"{base}{k}" for k in range(2, len(taken) + 3)))
+            names[node] = next(name for name in free if name not in taken)
+    return names
 
 
 def mermaid(nodes: Sequence[Node]) -> str:

@@ -10,11 +10,12 @@ from math import inf
 from typing import Any
 
 from flows.clock import LoopClock
+from flows.drawing import streams
 from flows.graph import Flow
 from flows.node import Node
 from flows.plan import Delivery, Plan
 from operators.batch import Batch
-from operators.errors import SlipflowError
+from operators.errors import EndpointError, SlipflowError
 from operators.operator import Order
 from operators.ports import Clock, Gap, Run, Sink, SinkStatus, Source, SourceStatus
 
@@ -48,7 +49,9 @@ class LiveRunner:
         self._sources: dict[Node, Source[Any]] = {
             node: node.part for node in flow.nodes if isinstance(node.part, Source)
         }
-        self.run = Run(session, flow.name, self.clock, self.clock.now())
+        self.run = Run(
+            session, flow.name, self.clock, self.clock.now(), declaration=tuple(streams(flow.nodes))
+        )
         for node, source in self._sources.items():
             self.run.describe[node.name] = source.describe()
             self.run.sources[node.name] = SourceStatus()
@@ -60,14 +63,22 @@ class LiveRunner:
         self._push = asyncio.Lock()  # a full sink makes all sources wait: the rows of a stream stay in order
         self._in_hand = 0  # batches taken from a source and not delivered yet
         self._delivered, self._ending = asyncio.Event(), False
-        self._stop = asyncio.Event()
+        self._stop, self._stops = asyncio.Event(), 0
+        self._writers: list[asyncio.Task[None]] = []
 
     def stop(self) -> None:
-        """End the run: operators are flushed, sinks commit. Called again: failing sinks are given up."""
-        if self._stop.is_set():
+        """End the run: operators are flushed, sinks commit.
+
+        Called again, failing sinks are given up; called a third time, all that is still being written is.
+        """
+        self._stops += 1
+        self._stop.set()
+        if self._stops > 1:
             for outlet in self._outlets.values():
                 outlet.give_up()
-        self._stop.set()
+        if self._stops > 2:  # noqa: PLR2004 - as said above
+            for writer in self._writers:
+                writer.cancel()
 
     async def execute(self) -> Run:
         """Run to the end.
@@ -92,7 +103,7 @@ class LiveRunner:
         return self.run
 
     async def _carry(self) -> None:
-        writers = [asyncio.create_task(outlet.carry()) for outlet in self._outlets.values()]
+        self._writers = [asyncio.create_task(outlet.carry()) for outlet in self._outlets.values()]
         readers = [asyncio.create_task(self._read(node)) for node in self._sources]
         ends: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
         if self._duration is not None:
@@ -100,30 +111,37 @@ class LiveRunner:
         reading = asyncio.gather(*readers)
         try:
             await asyncio.wait([reading, *ends], return_when=asyncio.FIRST_COMPLETED)
-            if reading.done():
-                reading.result()  # raises what an operator raised: that ends the run
             self._ending = True
-            while self._in_hand:  # what was taken is delivered
+            while self._in_hand and not reading.done():  # what was taken is delivered
                 self._delivered.clear()
                 await self._delivered.wait()
             for task in readers:
                 task.cancel()
-            await asyncio.gather(*readers, return_exceptions=True)
+            await asyncio.wait(readers)
+            for task in readers:
+                if not task.cancelled():
+                    task.result()  # raises what an operator raised: that ends the run
             await self._deliver(self.plan.flush())
+        except Exception as error:
+            self.run.error = _text(error)
+            raise
         finally:
             for task in (*readers, *ends):
                 task.cancel()
             await asyncio.gather(reading, *readers, *ends, return_exceptions=True)
             for outlet in self._outlets.values():
                 outlet.complete()
-            await asyncio.gather(*writers)
+            await asyncio.gather(*self._writers, return_exceptions=True)
 
     async def _read(self, node: Node) -> None:
-        status, order = self.run.sources[node.name], Order()
+        status, orders = self.run.sources[node.name], {finger: Order() for finger in node.fingers}
         async with aclosing(self._batches(node, status)) as batches:
             async for batch in batches:
+                order = orders.setdefault(batch.finger, Order())
+                status.late -= order.late
                 order.keep(batch)
-                status.late, status.newest = order.late, order.newest
+                status.late += order.late
+                status.newest = max(status.newest, order.newest)
                 status.rows += len(batch)
                 self._in_hand += 1
                 try:
@@ -140,27 +158,35 @@ class LiveRunner:
     async def _batches(self, node: Node, status: SourceStatus) -> AsyncGenerator[Batch]:
         """What a source gives, over all its failures."""
         retry, failed_at, reason = FIRST_RETRY, 0, ""
-        while True:
-            try:
-                async for batch in self._sources[node].batches(self.clock):
-                    if not len(batch.check()):
-                        continue
-                    if failed_at:
-                        status.gaps.append(Gap(failed_at, self.clock.now(), reason))
-                        log.warning("%s is back", node.name)
-                        retry, failed_at = FIRST_RETRY, 0
-                    status.up = True
-                    yield batch
-            except Exception as error:  # noqa: BLE001 - whatever a device raises, it is tried again
-                if not failed_at:
-                    failed_at, reason = status.newest or self.run.start, _text(error)
-                    log.warning("%s failed, trying again: %s", node.name, reason)
-                status.up = False
+        try:
+            while True:
+                stream = self._sources[node].batches(self.clock)
+                try:
+                    async for batch in stream:
+                        if not len(batch.check()):
+                            continue
+                        if failed_at:
+                            status.gaps.append(Gap(failed_at, self.clock.now(), reason))
+                            log.warning("%s is back", node.name)
+                            retry, failed_at = FIRST_RETRY, 0
+                        status.up, status.error = True, ""
+                        yield batch
+                except Exception as error:  # noqa: BLE001 - whatever a device raises, it is tried again
+                    if not failed_at:
+                        failed_at, reason = status.newest or self.run.start, _text(error)
+                        log.warning("%s failed, trying again: %s", node.name, reason)
+                    status.up, status.error = False, _text(error)
+                else:
+                    return
+                finally:
+                    if isinstance(stream, AsyncGenerator):  # let go of the device before it is opened again
+                        await stream.aclose()
                 await asyncio.sleep(retry)
                 retry = min(2 * retry, LAST_RETRY)
-            else:
-                status.up = False
-                return
+        finally:
+            status.up = False
+            if failed_at:  # it never came back
+                status.gaps.append(Gap(failed_at, self.clock.now(), reason))
 
     async def _deliver(self, deliveries: Sequence[Delivery]) -> None:
         for node, batch in deliveries:
@@ -226,25 +252,36 @@ class _Outlet:
 
     async def carry(self) -> None:
         """Write what is queued until all is written, then close."""
-        while self._waiting or not self._end.is_set():
-            if not self._waiting:
-                self._more.clear()
-                await self._more.wait()
-                continue
-            batch = self._waiting.popleft()
-            self.status.queued = len(self._waiting)
-            self._room.set()
-            await self._write(batch)
         try:
+            while self._waiting or not self._end.is_set():
+                if not self._waiting:
+                    self._more.clear()
+                    await self._more.wait()
+                    continue
+                batch = self._waiting.popleft()
+                self.status.queued = len(self._waiting)
+                self._room.set()
+                await self._write(batch)
             await self.sink.close()
+        except asyncio.CancelledError:
+            self._drop(*self._waiting)
+            self._failed(EndpointError(self.sink.place, "was given up while it was being written"))
+            raise
         except Exception as error:  # noqa: BLE001 - the others must be closed too
             self._failed(error)
+
+    def _drop(self, *batches: Batch) -> None:
+        self.status.dropped += sum(map(len, batches))
+        self._waiting.clear()
 
     async def _write(self, batch: Batch) -> None:
         loop, retry, deadline = asyncio.get_running_loop(), FIRST_RETRY, inf
         while True:
             try:
                 await self.sink.write(batch)
+            except asyncio.CancelledError:
+                self.status.dropped += len(batch)
+                raise
             except Exception as error:  # noqa: BLE001 - whatever a sink raises must not stop the others
                 self._failed(error)
             else:
@@ -256,8 +293,7 @@ class _Outlet:
             if self._end.is_set():
                 deadline = min(deadline, loop.time() + FAREWELL)
             if self._given_up.is_set() or loop.time() >= deadline:
-                self.status.dropped += len(batch) + sum(map(len, self._waiting))
-                self._waiting.clear()
+                self._drop(batch, *self._waiting)
                 return
             interrupt = self._given_up if self._end.is_set() else self._end
             with suppress(TimeoutError):

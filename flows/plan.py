@@ -8,7 +8,7 @@ from flows.graph import Flow
 from flows.node import Node
 from flows.validate import validate
 from operators.batch import EVERY, Batch, concat
-from operators.errors import BatchError
+from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, Operator
 from operators.ports import Sink
 
@@ -21,6 +21,8 @@ class _Stage:
     """One node for one fingertip: where it reads and writes among the values of a push."""
 
     index: int
+    node: Node
+    finger: int
     inputs: tuple[int, ...]
     operator: Operator[Any, Any] | Join[Any, Any, Any] | None  # None for a source
     takes: tuple[type[Batch], ...]
@@ -42,7 +44,19 @@ class _Stage:
                 self.takes[0].empty() if left is None else left,
                 self.takes[1].empty() if right is None else right,
             )
-        return out if out.time.size else None
+        return self.checked(out)
+
+    def checked(self, out: Batch) -> Batch | None:
+        """What the operator gave, if it is what it declares to give; None if it is nothing."""
+        if not isinstance(out, self.gives):
+            raise TypeError(f"gave {type(out).__name__}, and declares to give {self.gives.__name__}")
+        if not out.time.size:
+            return None
+        if out.finger != self.finger:
+            raise ValueError(
+                f"gave rows of fingertip {out.finger}, not {self.finger}: pass finger=batch.finger on"
+            )
+        return out
 
 
 class Plan:
@@ -62,6 +76,7 @@ class Plan:
 
     def __init__(self, flow: Flow) -> None:
         validate(flow)
+        self._flow = flow.name
         self._stages: list[_Stage] = []
         self._stage_of: dict[Entry, int] = {}
         for node in _in_order(flow):
@@ -98,7 +113,10 @@ class Plan:
                 values[stage.index] = batch
                 deliveries += [(sink, batch) for sink in stage.sinks]
         for stage in self._downstream[next(iter(batches))] if len(batches) == 1 else self._all:
-            out = values[stage.index] = stage.push(values)
+            try:
+                out = values[stage.index] = stage.push(values)
+            except Exception as error:
+                raise self._failure(stage, error) from error
             if out is not None and stage.sinks:
                 deliveries += [(sink, out) for sink in stage.sinks]
         return deliveries
@@ -108,13 +126,20 @@ class Plan:
         values: list[Batch | None] = [None] * len(self._stages)
         deliveries: list[Delivery] = []
         for stage in self._all:
-            pushed = stage.push(values)
-            last = cast("Operator[Any, Any]", stage.operator).flush()
-            out = concat(stage.gives, [last] if pushed is None else [pushed, last])
+            try:
+                pushed = stage.push(values)
+                last = stage.checked(cast("Operator[Any, Any]", stage.operator).flush())
+            except Exception as error:
+                raise self._failure(stage, error) from error
+            out = concat(stage.gives, [batch for batch in (pushed, last) if batch is not None])
             if len(out):
                 values[stage.index] = out
                 deliveries += [(sink, out) for sink in stage.sinks]
         return deliveries
+
+    def _failure(self, stage: _Stage, error: Exception) -> OperatorError:
+        reason = str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"
+        return OperatorError(self._flow, stage.node.name, reason)
 
     def _unfold(self, node: Node, finger: int) -> None:
         inputs = tuple(
@@ -123,7 +148,7 @@ class Plan:
         operator = node.part.fresh() if isinstance(node.part, Operator | Join) else None
         kind = cast("type[Batch]", node.gives)
         self._stage_of[node, finger] = len(self._stages)
-        self._stages.append(_Stage(len(self._stages), inputs, operator, node.takes, kind))
+        self._stages.append(_Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind))
 
     def _reached_from(self, index: int) -> list[_Stage]:
         reached, stages = {index}, list[_Stage]()

@@ -6,16 +6,22 @@ from operators import Align, Label, Zero, ms
 from storage import Dataset
 
 
-def record(out: str = "recordings", seed: int = 0, speed: float = 0.003) -> Flow:
-    """Record into `out`; a sample slips where the arm is faster than `speed` (m/s)."""
-    rig = Rig(seed=seed)
+def record(out: str = "recordings", seed: int = 0, speed: float = 0.003, delay: int = 70 * ms) -> Flow:
+    """Record into `out`; a sample slips where the arm is faster than `speed` (m/s).
+
+    The simulated arm tells of its motion `delay` (ns) after the barometers felt it.
+    """
     flow = Flow("record")
+    collect(flow, Rig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))
+    return flow
+
+
+def collect(flow: Flow, rig: Rig, label: Label, dataset: Dataset) -> None:
+    """Declare how both streams of a rig, and the samples labelled from them, come into a dataset."""
     touch = flow.source(rig.touch)
     motion = flow.source(rig.motion)
-    samples = (touch | Zero()) & motion | Align(within=20 * ms) | Label(speed=speed)
+    samples = (touch | Zero()) & motion | Align(within=20 * ms) | label
 
-    dataset = Dataset(out)
     touch.to(dataset)
     motion.to(dataset)
     samples.to(dataset)
-    return flow

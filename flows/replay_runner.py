@@ -1,13 +1,14 @@
 """Running a flow over a recording: the same graph, as fast as the machine goes, or paced like a live run."""
 
 from collections.abc import Callable, Iterator, Mapping
-from itertools import islice
+from itertools import chain, islice
 from typing import Any, cast
 
 import numpy as np
 
 from connectors.replay import Replay
 from flows.clock import EventClock
+from flows.drawing import streams
 from flows.graph import Flow
 from flows.node import Node
 from flows.plan import Entry, Plan
@@ -66,7 +67,7 @@ class ReplayRunner:
         self.plan = Plan(self._flow)
         self._recording, self._rows = recording, rows
         self._clock = EventClock(0)
-        self.run = Run(session, flow.name, self._clock, 0)
+        self.run = Run(session, flow.name, self._clock, 0, live=False, declaration=tuple(streams(flow.nodes)))
         for node in self._flow.sources():
             self.run.describe[node.name] = cast("Source[Any]", node.part).describe()
             self.run.sources[node.name] = SourceStatus()
@@ -79,33 +80,35 @@ class ReplayRunner:
         Raises:
             SlipflowError: of an operator, a sink or the recording; what went before is committed.
         """
-        streams: dict[Entry, Iterator[Batch]] = {
+        recorded: dict[Entry, Iterator[Batch]] = {
             (node, finger): self._recording.read(cast("Source[Any]", node.part).kind, finger, self._rows)
             for node, finger in self.plan.entries
         }
+        slices = in_slices(recorded)
+        if (first := next(slices, None)) is None:
+            raise InputError(self._recording.name, "is empty")
+        self._clock.newest = self.run.start = min(int(batch.time[0]) for batch in first.values())
         sinks = {node: cast("Sink[Any]", node.part) for node in self._flow.sinks()}
         order = {entry: Order() for entry in self.plan.entries}
         opened: list[Sink[Any]] = []
         try:
-            for slices in in_slices(streams):
-                newest = max(int(batch.time[-1]) for batch in slices.values())
-                if not opened:
-                    self._clock.newest = self.run.start = min(int(b.time[0]) for b in slices.values())
-                    for sink in sinks.values():
-                        await sink.open(self.run)
-                        opened.append(sink)
-                self._clock.newest = max(self._clock.newest, newest)
-                for entry, batch in slices.items():
+            for sink in sinks.values():
+                await sink.open(self.run)
+                opened.append(sink)
+            for batches in chain([first], slices):
+                for entry, batch in batches.items():
                     order[entry].keep(batch)
                     status = self.run.sources[entry[0].name]
                     status.newest = max(status.newest, order[entry].newest)
                     status.rows += len(batch)
                     status.late = sum(o.late for (node, _), o in order.items() if node is entry[0])
-                await self._write(sinks, self.plan.push(slices))
+                    self._clock.newest = max(self._clock.newest, status.newest)
+                await self._write(sinks, self.plan.push(batches))
                 progress(self.run)
-            if not opened:
-                raise InputError(self._recording.name, "is empty")
             await self._write(sinks, self.plan.flush())
+        except Exception as error:
+            self.run.error = str(error)
+            raise
         finally:
             for sink in opened:
                 await sink.close()

@@ -1,6 +1,9 @@
 """Finding what is wrong with a flow before it runs."""
 
 from collections.abc import Iterator
+from dataclasses import fields
+
+import numpy as np
 
 from flows.graph import Flow
 from flows.node import Node, consumers
@@ -22,7 +25,14 @@ def validate(flow: Flow) -> None:
 
 def problems(flow: Flow) -> list[FlowError]:
     """All that is wrong with a flow; what hangs on its shape is looked at once the shape is sound."""
-    shape = [*_no_source(flow), *_foreign(flow), *_unconnected(flow), *_cycles(flow), *_shared_parts(flow)]
+    shape = [
+        *_no_source(flow),
+        *_foreign(flow),
+        *_unconnected(flow),
+        *_cycles(flow),
+        *_shared_parts(flow),
+        *_shared_state(flow),
+    ]
     return shape or [*_wrong_types(flow), *_shared_places(flow), *_same_streams(flow)]
 
 
@@ -83,6 +93,17 @@ def _shared_parts(flow: Flow) -> Iterator[FlowError]:
                 where,
                 f"the same {kind} object stands in two places: share its stream, or make two",
             )
+
+
+def _shared_state(flow: Flow) -> Iterator[FlowError]:
+    for node in flow.nodes:
+        if isinstance(node.part, Operator | Join):
+            for f in fields(node.part):
+                if f.init and isinstance(getattr(node.part, f.name), list | dict | set | np.ndarray):
+                    reason = (
+                        f"{f.name} would be shared by all runs: a parameter is a tuple, state has init=False"
+                    )
+                    yield FlowError(flow.name, node.name, reason)
 
 
 def _wrong_types(flow: Flow) -> Iterator[FlowError]:

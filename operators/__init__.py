@@ -28,6 +28,7 @@ from operators.errors import (
     EndpointError,
     FlowError,
     InputError,
+    OperatorError,
     ParameterError,
     SlipflowError,
 )
@@ -71,6 +72,7 @@ __all__ = [
     "Labelled",
     "Motion",
     "Operator",
+    "OperatorError",
     "ParameterError",
     "Recording",
     "Run",

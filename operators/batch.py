@@ -163,7 +163,7 @@ class Labelled(Sample):
     """A sample with what the arm's motion says of it."""
 
     speed: Reals = field(metadata=column(np.float64, unit="m/s"))  # (n,) in the contact plane; NaN unknown
-    label: Codes = field(metadata=column(np.int8))  # (n,) 1 slip, 0 static, -1 unknown
+    label: Codes = field(metadata=column(np.int8, unit="1 slip, 0 static, -1 unknown"))  # (n,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +185,7 @@ class Scores(Batch):
 class Slips(Batch):
     """Slip events: one row at each onset and at each end."""
 
-    state: Codes = field(metadata=column(np.int8))  # (n,) 1 onset, 0 end
+    state: Codes = field(metadata=column(np.int8, unit="1 onset, 0 end"))  # (n,)
     start: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first sample of the run that decided
     probability: Reals = field(metadata=column(np.float64))  # (n,) at `time`, the sample that decided
 

@@ -4,6 +4,10 @@
 class SlipflowError(Exception):
     """Base of every error that a user can cause and mend; its text is one line."""
 
+    def __reduce__(self) -> tuple[type["SlipflowError"], tuple[object, ...]]:
+        """Made anew from what it carries, in the order of its arguments: errors travel between processes."""
+        return type(self), tuple(vars(self).values()) or self.args
+
 
 class ParameterError(SlipflowError):
     """A parameter has a value that its owner cannot work with.
@@ -32,6 +36,14 @@ class FlowError(SlipflowError):
     def __init__(self, flow: str, edge: str, reason: str) -> None:
         super().__init__(f"flow {flow!r}: {edge}: {reason}")
         self.flow, self.edge, self.reason = flow, edge, reason
+
+
+class OperatorError(SlipflowError):
+    """An operator failed, or broke its contract, while the flow ran."""
+
+    def __init__(self, flow: str, operator: str, reason: str) -> None:
+        super().__init__(f"flow {flow!r}: {operator}: {reason}")
+        self.flow, self.operator, self.reason = flow, operator, reason
 
 
 class InputError(SlipflowError):

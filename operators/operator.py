@@ -7,11 +7,13 @@ into batches, the concatenated output is the same, bit for bit.
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cache
+from inspect import signature
 from typing import Any, Generic, Self, TypeVar, cast, get_type_hints
 
 import numpy as np
 
 from operators.batch import Batch
+from operators.errors import ParameterError
 
 In = TypeVar("In", bound=Batch, contravariant=True)
 Left = TypeVar("Left", bound=Batch, contravariant=True)
@@ -133,14 +135,30 @@ class Join(Step, Generic[Left, Right, Out]):
 
 @cache
 def input_types(kind: type[Step]) -> tuple[type[Batch], ...]:
-    """The batch types that a step takes, as its `process` declares them."""
-    hints: dict[str, Any] = get_type_hints(cast("Any", kind).process)
-    hints.pop("return")
-    return tuple(hints.values())
+    """The batch types that a step takes, as its `process` declares them.
+
+    Raises:
+        ParameterError: if it does not declare them.
+    """
+    return _declared(kind)[:-1]
 
 
 @cache
 def output_type(kind: type[Step]) -> type[Batch]:
-    """The batch type that a step gives, as its `process` declares it."""
-    result: type[Batch] = get_type_hints(cast("Any", kind).process)["return"]
-    return result
+    """The batch type that a step gives, as its `process` declares it.
+
+    Raises:
+        ParameterError: if it does not declare it.
+    """
+    return _declared(kind)[-1]
+
+
+def _declared(kind: type[Step]) -> tuple[type[Batch], ...]:
+    process: Any = cast("Any", kind).process
+    hints = get_type_hints(process)
+    names = [*list(signature(process).parameters)[1:], "return"]
+    for name in names:
+        if not (isinstance(hints.get(name), type) and issubclass(hints[name], Batch)):
+            like = "a batch type, as in def process(self, batch: Zeroed) -> Scores"
+            raise ParameterError(kind.__name__, f"the annotation of process, {name},", hints.get(name), like)
+    return tuple(hints[name] for name in names)

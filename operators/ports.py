@@ -46,6 +46,7 @@ class SourceStatus:
     late: int = 0  # rows that came after newer ones
     newest: int = 0  # ns, event time of the newest row
     up: bool = False
+    error: str = ""  # the newest failure; empty while it works
     gaps: list[Gap] = field(default_factory=list[Gap])
 
 
@@ -68,6 +69,9 @@ class Run:
     flow: str
     clock: Clock
     start: int  # ns
+    live: bool = True  # False: a replay at full speed, whose clock tells event time
+    error: str = ""  # why it ended early; empty: it did not
+    declaration: tuple[str, ...] = ()  # how the streams come about, a line each
     describe: dict[str, Description] = field(default_factory=dict[str, Description])  # by source
     sources: dict[str, SourceStatus] = field(default_factory=dict[str, SourceStatus])
     sinks: dict[str, SinkStatus] = field(default_factory=dict[str, SinkStatus])

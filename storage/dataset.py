@@ -26,17 +26,20 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults]):
         path: The dataset's folder; made if absent.
         part_span: How much event time may gather before it is committed, ns.
         part_rows: How many rows of one table may gather, and the most that a part holds.
+        host: What session.json calls the machine; None: by its name.
 
     Raises:
         ParameterError: if a part could hold nothing.
     """
 
-    def __init__(self, path: str | Path, *, part_span: int = 10 * s, part_rows: int = 100_000) -> None:
+    def __init__(
+        self, path: str | Path, *, part_span: int = 10 * s, part_rows: int = 100_000, host: str | None = None
+    ) -> None:
         for name, value in (("part_span", part_span), ("part_rows", part_rows)):
             if value < 1:
                 raise ParameterError("Dataset", name, value, "at least 1")
         self._root = Path(path).resolve()
-        self._part_span, self._part_rows = part_span, part_rows
+        self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None
 
     @property
@@ -68,7 +71,7 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults]):
         self._writer.add(batch)
 
     async def close(self) -> None:
-        """Commit everything and declare the session complete.
+        """Commit everything and declare the session ended: complete, if the run did not fail.
 
         Raises:
             EndpointError: if that fails; it may be tried again.
@@ -80,4 +83,4 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults]):
     def _begin(self, run: Run) -> "SessionWriter":
         from storage.writer import SessionWriter  # noqa: PLC0415 - pyarrow takes its time to import
 
-        return SessionWriter(self._root, run, self._part_span, self._part_rows)
+        return SessionWriter(self._root, run, self._part_span, self._part_rows, self._host)

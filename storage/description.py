@@ -30,8 +30,10 @@ def describe_dataset(root: Path) -> None:
         files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
 
 
-def describe_session(folder: Path, run: Run, *, zeroed: bool = False, complete: bool = False) -> None:
-    """Write session.json, when a run begins and again, `complete`, when it ends.
+def describe_session(
+    folder: Path, run: Run, *, host: str | None = None, zeroed: bool = False, ended: bool = False
+) -> None:
+    """Write session.json, when a run begins and again when it has `ended`: it is complete if nothing failed.
 
     The sources' descriptions are taken from the run each time: what is learnt on the way, such as a baseline,
     may be added to them.
@@ -47,7 +49,8 @@ def describe_session(folder: Path, run: Run, *, zeroed: bool = False, complete: 
         "start": _rfc3339(run.start),
         "start_ns": run.start,
         "software": f"slipflow {version('slipflow')}",
-        "host": platform.node(),
+        "host": platform.node() if host is None else host,
+        "declaration": list(run.declaration),
         "sources": {
             name: {key: value for key, value in each.items() if key != "episodes"}  # a table of their own
             for name, each in run.describe.items()
@@ -56,13 +59,14 @@ def describe_session(folder: Path, run: Run, *, zeroed: bool = False, complete: 
             table.name: {name: column.unit for name, column in table.columns.items() if column.unit}
             for table in TABLES
         },
-        "complete": complete,
+        "complete": ended and not run.error,
     }
-    if complete:
+    if ended:
         end = run.clock.now()
         about |= {
             "end": _rfc3339(end),
             "end_ns": end,
+            "error": run.error or None,
             "zeroed": zeroed,
             "streams": {
                 name: {"rows": each.rows, "late": each.late, "gaps": [asdict(gap) for gap in each.gaps]}

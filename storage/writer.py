@@ -46,7 +46,7 @@ class SessionWriter:
     All tables are committed together, so that their parts cover the same time.
     """
 
-    def __init__(self, root: Path, run: Run, part_span: int, part_rows: int) -> None:
+    def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
         """Make the session's folder and say in it what is known at the beginning.
 
         Raises:
@@ -56,6 +56,7 @@ class SessionWriter:
         """
         self.folder = session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
+        self._host = host
         self._episodes = Episodes.described(run.describe)
         self._committed = Episodes.described({}).table
         self._buffers: dict[str, _Buffer] = {}
@@ -73,7 +74,7 @@ class SessionWriter:
                 reason = f"has a session {run.session!r} already; give this one another name"
                 raise EndpointError(str(root), reason) from None
             try:
-                describe_session(self.folder, run)
+                describe_session(self.folder, run, host=host)
                 self._commit_episodes()
                 write_manifest(self.folder, self._parts)
             except BaseException:
@@ -125,7 +126,7 @@ class SessionWriter:
             write_manifest(self.folder, self._parts)
 
     def close(self) -> None:
-        """Commit everything and declare the session complete.
+        """Commit everything and declare the session ended.
 
         Raises:
             EndpointError: it may be called again.
@@ -134,7 +135,7 @@ class SessionWriter:
         touch = self._buffers.get(TOUCH.name)
         with self._reporting():
             zeroed = touch is not None and touch.kind is Zeroed
-            describe_session(self.folder, self._run, zeroed=zeroed, complete=True)
+            describe_session(self.folder, self._run, host=self._host, zeroed=zeroed, ended=True)
 
     def _commit_rows(self, table: Table, buffer: _Buffer) -> None:
         rows, parts = to_arrow(table, buffer.batches, self._episodes), list[Part]()

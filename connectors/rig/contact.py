@@ -10,6 +10,11 @@ Normal (Winkler foundation, quasi-static)::
     sum p A x + k_a (a - a0) + h Q_x = 0         k_a tilt stiffness (N m/rad), h lever (m), a0 tilt at rest
     sum p A y + k_a (b - b0) + h Q_y = 0         Q friction on the tip (N): the leading edge digs in
 
+Surface (a paraboloid fixed in the room, q the yaw of the arm about the TCP, r_0 from there to the pad)::
+
+    g = k_x u^2 / 2 + k_y v^2 / 2                k_x, k_y curvatures (1/m)
+    (u, v) = R(q) (r_0 + (x, y)) - r_0 - apex    strokes follow the surface: only rotations turn it
+
 Friction (elasto-plastic bristles, Dahl 1968, with the cap of Stribeck as in Canudas de Wit et al. 1995)::
 
     ds/dt = v - (plastic part)                   s bristle deflection (m), v velocity of the node (m/s)
@@ -77,6 +82,12 @@ class Law(NamedTuple):
     lever: float  # m
     tilt_x: float  # rad, a0
     tilt_y: float  # rad, b0
+    k_x: float  # 1/m
+    k_y: float  # 1/m
+    apex_x: float  # m
+    apex_y: float  # m
+    pivot_x: float  # m, r_0
+    pivot_y: float  # m
 
 
 class Pad(NamedTuple):
@@ -84,7 +95,7 @@ class Pad(NamedTuple):
 
     x: Reals  # (n,) m
     y: Reals  # (n,) m
-    gap: Reals  # (n,) m
+    gap: Reals  # (n,) m; changed in place when the surface turns
 
 
 class State(NamedTuple):
@@ -95,6 +106,7 @@ class State(NamedTuple):
     attitude: Reals  # (3,) m, rad, rad: d, a, b
     friction: Reals  # (2,) N: Q of the last step
     path: Reals  # (1,) m: l
+    yaw: Reals  # (1,) rad: q
     pressure: Reals  # (n,) Pa
     bristle: Reals  # (2, n) m: s
     pressed: Reals  # (n,) 1 where in contact, else 0
@@ -104,7 +116,7 @@ class State(NamedTuple):
     def rest(cls, nodes: int) -> "State":
         """A fingertip in the air, at rest."""
         return cls(
-            np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1),
+            np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1), np.zeros(1),
             np.zeros(nodes), np.zeros((2, nodes)), np.zeros(nodes), np.zeros(9),
         )  # fmt: skip
 
@@ -120,6 +132,20 @@ def gather(law: Law, pad: Pad, state: State) -> None:
         sxx, sxy, syy = sxx + k * x * x, sxy + k * x * y, syy + k * y * y
         sg, sgx, sgy = sg + kg, sgx + kg * x, sgy + kg * y
     state.springs[:] = s, sx, sy, sxx, sxy, syy, sg, sgx, sgy
+
+
+@summed
+def turn(law: Law, pad: Pad, state: State, spin: float) -> None:
+    """Turn the surface under the pad by one step."""
+    state.yaw[0] += spin * law.step
+    cos, sin = math.cos(state.yaw[0]), math.sin(state.yaw[0])
+    for i in range(pad.x.size):
+        x, y = pad.x[i] + law.pivot_x, pad.y[i] + law.pivot_y
+        u = cos * x - sin * y - law.pivot_x - law.apex_x
+        v = sin * x + cos * y - law.pivot_y - law.apex_y
+        pad.gap[i] = 0.5 * (law.k_x * u * u + law.k_y * v * v)
+    if state.springs[0] != 0.0:
+        gather(law, pad, state)
 
 
 @summed
@@ -213,7 +239,7 @@ def advance(law: Law, pad: Pad, state: State, drive: Reals, until: Times) -> tup
 
     Args:
         law: The constants.
-        pad: The nodes.
+        pad: The nodes; their gaps change in place.
         state: Where the scene stands; changed in place.
         drive: (steps, 6) velocity of the arm at the pad (m/s, m/s, rad/s), normal force (N), push (N, N).
         until: (k,) how many of the steps are done when each reading is taken, not decreasing.
@@ -223,11 +249,14 @@ def advance(law: Law, pad: Pad, state: State, drive: Reals, until: Times) -> tup
         reading (m/s) and normal force (N), (k, 2).
     """
     tractions, truth = np.empty((until.size, 3, pad.x.size)), np.empty((until.size, 2))
+    curved = law.k_x != 0.0 or law.k_y != 0.0
     done = 0
     for reading in range(until.size):
         slid = 0.0
         steps = until[reading] - done
         while done < until[reading]:
+            if curved and drive[done, 2] != 0.0:
+                turn(law, pad, state, drive[done, 2])
             press(law, pad, state, drive[done, 3])
             qx, qy, torque, slide = rub(law, pad, state, drive[done, 3])
             swing(law, state, drive[done], (qx, qy, torque))

@@ -9,6 +9,16 @@ from connectors.rig.contact import Law, Pad, State
 from operators.batch import Reals, Times
 
 
+def turn(law: Law, pad: Pad, state: State, spin: float) -> None:
+    """Turn the surface under the pad by one step."""
+    state.yaw[0] += spin * law.step
+    cos, sin = np.cos(state.yaw[0]), np.sin(state.yaw[0])
+    pivot = np.array([[law.pivot_x], [law.pivot_y]])
+    place = np.array([[cos, -sin], [sin, cos]]) @ (np.stack([pad.x, pad.y]) + pivot) - pivot  # (2, n)
+    place -= [[law.apex_x], [law.apex_y]]
+    pad.gap[:] = np.array([law.k_x, law.k_y]) / 2 @ place**2
+
+
 def press(law: Law, pad: Pad, state: State, force: float) -> None:
     """Balance the normal force and the tilting moments."""
     if force <= 0.0:
@@ -75,6 +85,7 @@ def advance(law: Law, pad: Pad, state: State, drive: Reals, until: Times) -> tup
     for reading, last in enumerate(until):
         slid: list[float] = []
         for row in drive[done:last]:
+            turn(law, pad, state, row[2])
             press(law, pad, state, row[3])
             friction, slide = rub(law, pad, state)
             swing(law, state, row, friction)

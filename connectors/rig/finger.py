@@ -6,9 +6,10 @@ from collections.abc import Callable
 import numpy as np
 
 from connectors.rig import contact
+from connectors.rig.hand import Orders
 from connectors.rig.motion import Arm
 from connectors.rig.parameters import Parameters
-from connectors.rig.scene import Move, Moves, Scene
+from connectors.rig.scene import Move, Moves, Scene, Vibration
 from connectors.rig.sensor import CEILING, grid, influence, respond
 from connectors.rig.timing import Sampler
 from connectors.rig.truth import Truth
@@ -41,6 +42,12 @@ def law(scene: Scene) -> contact.Law:
         lever=p.lever,
         tilt_x=scene.tilt[0],
         tilt_y=scene.tilt[1],
+        k_x=scene.curvatures[0],
+        k_y=scene.curvatures[1],
+        apex_x=scene.apex[0],
+        apex_y=scene.apex[1],
+        pivot_x=scene.offset[0],
+        pivot_y=scene.offset[1],
     )
 
 
@@ -53,6 +60,13 @@ def pad(scene: Scene) -> contact.Pad:
     return contact.Pad(x, y, gap)
 
 
+def shaking(vibration: Vibration, t: Reals) -> Reals:
+    """Velocity that a vibration adds to the arm's at instants (k,) (s): (k, 2) m/s."""
+    pulse, heading = 2 * math.pi * vibration.frequency, math.radians(vibration.direction_deg)
+    swing = pulse * vibration.amplitude * np.cos(pulse * t)
+    return np.multiply.outer(swing, (math.cos(heading), math.sin(heading)))
+
+
 class Finger:
     """A fingertip in a scene.
 
@@ -61,6 +75,7 @@ class Finger:
         seed: Of the plan, and with `finger` of its cells' rest levels and of all its noise.
         finger: Which fingertip it is.
         begun: Told of every move when it begins, with its start (s).
+        orders: Commands to the arm.
     """
 
     def __init__(
@@ -69,10 +84,11 @@ class Finger:
         seed: int,
         finger: int = 0,
         begun: Callable[[Move, float], None] | None = None,
+        orders: Orders | None = None,
     ) -> None:
         p = self._p = scene.parameters
         self._scene, self._finger = scene, finger
-        self._arm = Arm(scene, seed, begun)
+        self._arm = Arm(scene, seed, begun, orders)
         self._law, self._pad = law(scene), pad(scene)
         self._state = contact.State.rest(p.columns * p.rows)
         self._influence = influence(p)
@@ -97,7 +113,7 @@ class Finger:
         time, arrive = self._sampler.stamp(len(t))
         counts = self._counts(t, tractions)
         valid = np.ones((len(t), BAROMETERS), np.bool_)
-        valid[:, list(self._scene.faults.dead)] = False
+        valid[:, self._scene.faults.dead] = False
         temperature = self._temperature + 0.3 * self._warmth.standard_normal((len(t), BAROMETERS))
         touch = Touch(time, counts, np.rint(temperature).astype(np.int16), valid, finger=self._finger)
         velocity = np.zeros((len(t), 3))
@@ -109,19 +125,13 @@ class Finger:
     def _drive(self, steps: int) -> Reals:
         """The arm's next steps (steps, 6) for `contact.advance`; fewer when the plan has ended."""
         t = np.arange(self._ticks, self._ticks + steps, dtype=np.float64) * self._p.step
-        path = self._arm.at(t)
-        drive = np.empty((len(path.force), 6))
-        drive[:, :3], drive[:, 3], drive[:, 4:] = path.velocity, path.force, path.push
+        drive = self._arm.at(t).drive
         x, y = self._scene.offset
         if x or y:
             drive[:, 0] -= drive[:, 2] * y
             drive[:, 1] += drive[:, 2] * x
-        if (shake := self._scene.vibration) is not None:
-            pulse = 2 * math.pi * shake.frequency
-            swing = pulse * shake.amplitude * np.cos(pulse * t[: len(drive)])
-            heading = math.radians(shake.direction_deg)
-            drive[:, 0] += swing * math.cos(heading)
-            drive[:, 1] += swing * math.sin(heading)
+        if self._scene.vibration is not None:
+            drive[:, :2] += shaking(self._scene.vibration, t[: len(drive)])
         return drive
 
     def _counts(self, t: Reals, tractions: Reals) -> Counts:
@@ -138,9 +148,11 @@ class Finger:
             counts += t[:, None] * faults.drift
         if p.noise:
             counts += p.noise * self._noise.standard_normal(counts.shape)
-        held = self._held = counts[0].copy() if self._held is None else self._held
-        counts[:, list(faults.stuck)] = held[list(faults.stuck)]
-        counts[:, [*faults.floored, *faults.dead]] = 0.0
+        if faults.stuck:
+            held = self._held = counts[0].copy() if self._held is None else self._held
+            counts[:, faults.stuck] = held[list(faults.stuck)]
+        if faults.floored or faults.dead:
+            counts[:, faults.floored + faults.dead] = 0.0
         return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)
 
 

@@ -14,11 +14,13 @@ yaw q about its normal, its rotation vector is pi (cos q/2, -sin q/2, 0).
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
+from connectors.rig.contact import compiled
+from connectors.rig.hand import Obedience, Orders
+from connectors.rig.path import Path
 from connectors.rig.scene import Move, Scene
 from connectors.rig.timing import Sampler
 from operators.batch import Motion, Reals, s
@@ -27,101 +29,137 @@ TAP: Final = 0.01  # s
 CONTROLLER_START: Final = 3600.0  # s that the controller had been up when the run began
 
 
-@dataclass(frozen=True, slots=True)
-class Path:
-    """Where the arm is, how it moves and how hard it presses at k instants."""
+class Course(NamedTuple):
+    """One move in numbers."""
 
-    velocity: Reals  # (k, 3) m/s, m/s, rad/s of the TCP in the fingertip's frame
-    place: Reals  # (k, 3) m, m, rad of the TCP, seen along the normal from where it began
-    force: Reals  # (k,) N
-    push: Reals  # (k, 2) N in the fingertip's frame
+    start: float  # s
+    seconds: float
+    rest: float  # s
+    ramp: float  # s
+    speed: float  # m/s or, of a rotation, rad/s
+    spins: bool
+    along: tuple[float, float]  # of the direction, in the fingertip's frame
+    onward: tuple[float, float]  # the same as the place is seen
+    place: tuple[float, float, float]  # m, m, rad at its start
+    end: tuple[float, float, float]  # m, m, rad at its end
+    tap: float  # N
+    settle: float  # s
+    first: float  # N, at its start
+    last: float  # N, once it has settled
 
-    @classmethod
-    def blank(cls, k: int) -> "Path":
-        """Nothing yet, at k instants."""
-        return cls(np.zeros((k, 3)), np.zeros((k, 3)), np.zeros(k), np.zeros((k, 2)))
 
-    def __getitem__(self, rows: slice) -> "Path":
-        """A view of some of the instants."""
-        return Path(self.velocity[rows], self.place[rows], self.force[rows], self.push[rows])
+def course(move: Move, start: float, place: tuple[float, float, float], force: float, scene: Scene) -> Course:
+    """A move that begins at `start` (s) at a place (m, m, rad) and a force (N)."""
+    heading, spins = math.radians(move.direction_deg), move.motion == "rotation"
+    acceleration = scene.spin_acceleration if spins else scene.acceleration
+    ramp = min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
+    onward = math.cos(heading + place[2]), math.sin(heading + place[2])
+    travel = move.speed * (move.seconds - move.rest - ramp)
+    return Course(
+        start=start,
+        seconds=move.seconds,
+        rest=move.rest,
+        ramp=ramp,
+        speed=move.speed,
+        spins=spins,
+        along=(math.cos(heading), math.sin(heading)),
+        onward=onward,
+        place=place,
+        end=(
+            (place[0], place[1], place[2] + travel)
+            if spins
+            else (place[0] + travel * onward[0], place[1] + travel * onward[1], place[2])
+        ),
+        tap=move.tap,
+        settle=move.settle,
+        first=force,
+        last=force if move.force is None else move.force,
+    )
+
+
+@compiled
+def follow(course: Course, times: Reals, drive: Reals, place: Reals) -> None:
+    """Fill in the path of a course at instants (k,) (s): (k, 6) and (k, 3), see `Path`; `drive` is blank."""
+    for i in range(times.size):
+        t = times[i] - course.start
+        place[i, 0], place[i, 1], place[i, 2] = course.place
+        if course.speed != 0.0:
+            up = min(max((t - course.rest) / course.ramp, 0.0), 1.0)
+            down = min(max((course.seconds - t) / course.ramp, 0.0), 1.0)
+            longest = course.seconds - course.rest - 2 * course.ramp
+            cruise = min(max(t - course.rest - course.ramp, 0.0), longest)
+            speed = course.speed * min(up, down)
+            travel = course.speed * (
+                course.ramp * up * up / 2 + cruise + course.ramp * (1.0 - down * down) / 2
+            )
+            if course.spins:
+                drive[i, 2] = speed
+                place[i, 2] += travel
+            else:
+                drive[i, 0], drive[i, 1] = speed * course.along[0], speed * course.along[1]
+                place[i, 0] += travel * course.onward[0]
+                place[i, 1] += travel * course.onward[1]
+        drive[i, 3] = course.last
+        if course.first != course.last:
+            u = min(max(t / course.settle, 0.0), 1.0)
+            drive[i, 3] = course.first + (course.last - course.first) * u * u * (3 - 2 * u)
+        if course.tap != 0.0:
+            u = min(max((t - course.rest) / TAP, 0.0), 1.0)
+            push = 4 * course.tap * u * (1 - u)
+            drive[i, 4], drive[i, 5] = push * course.along[0], push * course.along[1]
 
 
 class Arm:
-    """Follows a scene's plan once, from its beginning.
+    """Follows a scene's plan once, from its beginning, and what it is commanded meanwhile.
 
     Args:
         scene: The scene.
         seed: What the plan draws from.
         begun: Told of every move when it begins, with its start (s).
+        orders: Commands that replace what the plan says.
     """
 
-    def __init__(self, scene: Scene, seed: int, begun: Callable[[Move, float], None] | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int,
+        begun: Callable[[Move, float], None] | None = None,
+        orders: Orders | None = None,
+    ) -> None:
         self._moves: Iterator[Move] = scene.plan.moves(np.random.default_rng([seed, 0]))
         self._scene, self._begun = scene, begun
-        self._move: Move | None = None
-        self._start = self._end = 0.0  # s, of the move
-        self._place = np.zeros(3)  # m, m, rad at its start
-        self._force = (0.0, 0.0)  # N, at its start and after it has settled
-        self._next()
+        self._obedience = None if orders is None else Obedience(orders, scene)
+        self._course: Course | None = None  # of the present move; None when the plan has ended
+        self._end = 0.0  # s, of the move
+        self._next((0.0, 0.0, 0.0), 0.0)
 
-    def _next(self) -> None:
-        if (last := self._move) is not None:
-            end = Path.blank(1)
-            self._follow(last, np.array([last.seconds]), end)
-            self._place = end.place[0]
-        self._move = move = next(self._moves, None)
-        self._start = self._end
-        if move is not None:
-            self._end += move.seconds
-            before = self._force[1]
-            self._force = (before, before if move.force is None else move.force)
+    def _next(self, place: tuple[float, float, float], force: float) -> None:
+        """Begin the next move at a place (m, m, rad) and a force (N)."""
+        self._course = None
+        if (move := next(self._moves, None)) is not None:
+            self._course = course(move, self._end, place, force, self._scene)
             if self._begun is not None:
-                self._begun(move, self._start)
+                self._begun(move, self._end)
+            self._end += move.seconds
 
     def at(self, times: Reals) -> Path:
         """The path at instants (k,) (s) that never go back; shorter where the plan ends before the last."""
+        if self._obedience is None:
+            return self._planned(times)
+        return self._obedience.path(times, self._planned)
+
+    def _planned(self, times: Reals) -> Path:
         k, done = len(times), 0
         path = Path.blank(k)
-        while (move := self._move) is not None:
-            until = int(np.searchsorted(times, self._end))
+        while (course := self._course) is not None:
+            until = int(times.searchsorted(self._end))
             if until > done:
-                self._follow(move, times[done:until] - self._start, path[done:until])
+                follow(course, times[done:until], path.drive[done:until], path.place[done:until])
                 done = until
             if done == k:
                 break
-            self._next()
+            self._next(course.end, course.last)
         return path[:done]
-
-    def _follow(self, move: Move, t: Reals, path: Path) -> None:
-        """Fill in the path of one move at instants (k,) since it began."""
-        path.place[:] = self._place
-        heading = math.radians(move.direction_deg)
-        along = math.cos(heading), math.sin(heading)
-        if move.speed:
-            spins = move.motion == "rotation"
-            acceleration = self._scene.spin_acceleration if spins else self._scene.acceleration
-            ramp = min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
-            up = np.clip((t - move.rest) / ramp, 0.0, 1.0)
-            down = np.clip((move.seconds - t) / ramp, 0.0, 1.0)
-            cruise = np.clip(t - move.rest - ramp, 0.0, move.seconds - move.rest - 2 * ramp)
-            speed = move.speed * np.minimum(up, down)
-            travel = move.speed * (ramp * up * up / 2 + cruise + ramp * (1.0 - down * down) / 2)
-            if spins:
-                path.velocity[:, 2] = speed
-                path.place[:, 2] += travel
-            else:
-                yaw = self._place[2]
-                path.velocity[:, 0], path.velocity[:, 1] = speed * along[0], speed * along[1]
-                path.place[:, 0] += travel * math.cos(heading + yaw)
-                path.place[:, 1] += travel * math.sin(heading + yaw)
-        if move.tap:
-            u = np.clip((t - move.rest) / TAP, 0.0, 1.0)
-            path.push[:] = np.multiply.outer(4 * move.tap * u * (1 - u), along)
-        first, last = self._force
-        path.force[:] = last
-        if first != last:
-            u = np.clip(t / move.settle, 0.0, 1.0)
-            path.force[:] = first + (last - first) * u * u * (3 - 2 * u)
 
 
 def in_base(path: Path) -> tuple[Reals, Reals]:
@@ -137,8 +175,8 @@ def in_base(path: Path) -> tuple[Reals, Reals]:
 class Controller:
     """What the arm's controller says of its own motion, a stretch at a time."""
 
-    def __init__(self, scene: Scene, seed: int) -> None:
-        self._arm = Arm(scene, seed)
+    def __init__(self, scene: Scene, seed: int, orders: Orders | None = None) -> None:
+        self._arm = Arm(scene, seed, orders=orders)
         self._sampler = Sampler(scene.motion, np.random.default_rng([seed, 1]))
 
     def take(self, samples: int) -> Motion | None:

@@ -1,4 +1,4 @@
-"""The simulated rig: fingertips on an arm as live sources, a peer of the hardware."""
+"""The simulated rig: fingertips and an arm as live sources, its hand as a sink, a peer of the hardware."""
 
 import asyncio
 from collections.abc import AsyncIterator, Iterator
@@ -6,18 +6,18 @@ from dataclasses import fields, is_dataclass, replace
 from itertools import count
 from typing import Any, Final, cast
 
-from connectors.rig.motion import Controller
+from connectors.rig.hand import Commands, Orders
 from connectors.rig.scene import Move, Scene, Timing
 from connectors.rig.truth import Memory, Truth
 from operators.batch import Motion, Touch, s
 from operators.errors import ParameterError
-from operators.ports import Clock, Description, Json, Source
+from operators.ports import Clock, Description, Json, Run, Sink, Source
 
 STRETCH: Final = 10.0  # s in one batch of a run that is not paced
 
 
 class Rig:
-    """A scene as two sources, `touch` and `motion`, that run on one time.
+    """A scene as two sources, `touch` and `motion`, that run on one time, and a sink, `hand`, for commands.
 
     A run begins when the first of the two is asked for its batches, and again when one is asked anew; the
     same seed then gives the same bytes, stamped from the new beginning.
@@ -51,6 +51,8 @@ class Rig:
         self.seed, self.pace, self.fingers = seed, pace, fingers
         self.touch = RigTouch(self)
         self.motion = RigMotion(self)
+        self.hand = RigHand(self)
+        self.orders = Orders()
         self._memory = {finger: Memory(int(remember * self.scene.touch.rate)) for finger in fingers}
         self._episodes: list[Json] = []
         self._origin = 0  # ns
@@ -78,6 +80,7 @@ class Rig:
         if not self._running or source in self._running:
             self._running = set()
             self._origin = clock.now()
+            self.orders.begin(self._origin)
             self._episodes.clear()
             for memory in self._memory.values():
                 memory.clear()
@@ -140,7 +143,10 @@ class RigTouch(Source[Touch]):
         from connectors.rig.finger import Finger  # noqa: PLC0415 - loads numba: only to run
 
         notes = [rig.note, *[None] * len(rig.fingers)]
-        fingers = [Finger(rig.scene, rig.seed, n, note) for n, note in zip(rig.fingers, notes, strict=False)]
+        fingers = [
+            Finger(rig.scene, rig.seed, finger, note, rig.orders)
+            for finger, note in zip(rig.fingers, notes, strict=False)
+        ]
         for due, samples in rig.schedule(rig.scene.touch):
             await (asyncio.sleep(0) if rig.pace is None else clock.sleep_until(due))
             for finger, simulation in zip(rig.fingers, fingers, strict=True):
@@ -168,11 +174,17 @@ class RigMotion(Source[Motion]):
         """What the arm's controller reports."""
         return Motion
 
+    async def prepare(self) -> None:
+        """Compile the motion, as the touch does."""
+        await self._rig.touch.prepare()
+
     async def batches(self, clock: Clock) -> AsyncIterator[Motion]:
         """Samples of the arm: one at a time when paced."""
         rig = self._rig
         origin = rig.begin(self, clock)
-        controller = Controller(rig.scene, rig.seed)
+        from connectors.rig.motion import Controller  # noqa: PLC0415 - loads numba: only to run
+
+        controller = Controller(rig.scene, rig.seed, rig.orders)
         for due, samples in rig.schedule(rig.scene.motion):
             await (asyncio.sleep(0) if rig.pace is None else clock.sleep_until(due))
             if (motion := controller.take(samples)) is None:
@@ -184,6 +196,29 @@ class RigMotion(Source[Motion]):
         """The arm, and the timing of this stream."""
         rig = self._rig
         return {"arm": "UR10, simulated", "rate_hz": rig.scene.motion.rate, "seed": rig.seed}
+
+
+class RigHand(Sink[Commands]):
+    """The simulated gripper and arm as something to command; made by `Rig`. See `connectors.rig.hand`."""
+
+    def __init__(self, rig: Rig) -> None:
+        self._rig = rig
+
+    @property
+    def place(self) -> str:
+        """The rig's hand: one flow commands it once."""
+        return f"hand of the rig {id(self._rig):x}"
+
+    async def open(self, run: Run) -> None:
+        """Forget what an earlier run commanded."""
+        del run
+        if self._rig.pace is None:
+            raise ParameterError("Rig", "pace", None, "a number when its hand is commanded")
+        self._rig.orders.given.clear()
+
+    async def write(self, batch: Commands) -> None:
+        """Obey from the commands' own time on."""
+        self._rig.orders.give(batch)
 
 
 def _json(value: object) -> Json:

@@ -5,6 +5,7 @@ A scene costs what it names: terms that are zero or absent are not computed.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import repeat
 from typing import Literal, Protocol, TypeAlias
 
 import numpy as np
@@ -91,6 +92,18 @@ class Strokes:
 
 
 @dataclass(frozen=True, slots=True)
+class Commanded:
+    """Stands still, in contact, and moves only when the hand is told to, for ever."""
+
+    force: float = 0.0  # N, until it is commanded; approached within 0.3 s
+
+    def moves(self, random: np.random.Generator) -> Iterator[Move]:
+        """One minute of holding after the other."""
+        del random
+        return repeat(Move("hold", 60.0, force=self.force))
+
+
+@dataclass(frozen=True, slots=True)
 class Timing:
     """When a stream samples the world, and what its stamps make of it.
 
@@ -141,12 +154,10 @@ class Scene:
     radius: float = 0.06  # m, of a curved surface
     apex: tuple[float, float] = (0.0, 0.0)  # m, where on the pad a curved surface is highest
     tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope along x and y at which the pad is held
-    offset: tuple[float, float] = (
-        0.0,
-        0.0,
-    )  # m, from the TCP, which rotations turn about, to the pad's centre
+    offset: tuple[float, float] = (0.0, 0.0)  # m, from the TCP (rotations turn about it) to the pad's centre
     acceleration: float = 1.0  # m/s2 of the arm at a stroke's ends
     spin_acceleration: float = 10.0  # rad/s2
+    force_rate: float = 50.0  # N/s that a commanded grip force changes by; assumed
     vibration: Vibration | None = None
     touch: Timing = Timing(100.0)
     motion: Timing = Timing(125.0, latency=0.07)

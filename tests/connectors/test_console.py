@@ -49,6 +49,7 @@ def test_each_onset_and_each_end_is_one_line_with_its_latency(run: Run) -> None:
 
 
 def test_what_is_replayed_has_no_latency(run: Run) -> None:
+    run.live = False
     onset, _ = printed(io.StringIO(), run, slips(0, EVERY))
     assert onset == "1970-01-01 00:00:00.000  finger every  slip onset  p 0.93"
 

@@ -46,7 +46,7 @@ def shaking(folder: Path, samples: int = 300) -> str:
 
 def test_help_names_every_command() -> None:
     text = slipflow("--help").stdout
-    for command in ("run", "check", "graph", "demo", "watch"):
+    for command in ("run", "check", "graph", "demo", "watch", "simulate"):
         assert f"  {command} " in text
         assert "Usage" in slipflow(command, "--help").stdout
 
@@ -74,7 +74,7 @@ def test_a_paced_replay_prints_the_same_events_as_a_full_speed_one(tmp_path: Pat
 def test_check_says_that_a_flow_is_sound_and_lists_its_parameters() -> None:
     done = slipflow("check", "live")
     assert done.returncode == 0
-    assert "live is sound: 1 sources, 1 sinks" in done.stdout
+    assert "live is sound; sources: touch; sinks: console" in done.stdout
     assert "--set detector=psd  (str)" in done.stdout
 
 

@@ -11,7 +11,7 @@ import pytest
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
 from flows.testing import TestSink, TestSource, run_virtually
-from operators import Clock, Debounce, EndpointError, Run, Scores, Slips, Source, ms, s
+from operators import Clock, Debounce, EndpointError, OperatorError, Run, Scores, Slips, Source, ms, s
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -197,15 +197,17 @@ def test_an_operator_that_fails_ends_the_run_after_committing_what_came_before()
     stream = flow.source(TestSource(Scores, scores(0, 100)))
     stream.to(raw)
     (stream | Broken()).to(TestSink())
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(OperatorError, match="flow 'f': Broken: ZeroDivisionError") as raised:
         execute(flow)
+    assert isinstance(raised.value.__cause__, ZeroDivisionError)
     assert times(raw) == list(range(50))
     assert raw.closed == 1
+    assert raw.run.error == str(raised.value)
 
 
 def test_a_sink_that_cannot_be_opened_ends_the_run_before_it_starts() -> None:
     class Closed(TestSink):
-        async def open(self, run: Run) -> None:  # noqa: ARG002 - the signature of a sink
+        async def open(self, run: Run) -> None:
             raise EndpointError("mqtt://nowhere", "no such host")
 
     flow, first = Flow("f"), TestSink()
@@ -279,3 +281,75 @@ def test_what_was_taken_when_the_run_ends_is_delivered_whole() -> None:
     run = execute(flow, duration=s)
     assert times(slow) == times(other) == list(range(run.sources["scores"].rows))
     assert 10 < run.sources["scores"].rows < 100
+
+
+def test_an_operator_that_fails_while_the_run_drains_is_not_forgotten() -> None:
+    class Broken(Debounce):
+        def process(self, batch: Scores) -> Slips:
+            raise ZeroDivisionError
+
+    async def slowly() -> None:
+        await asyncio.sleep(3)
+
+    flow = Flow("f")
+    flow.source(TestSource(Scores, scores(0, 500)), "busy").to(TestSink(capacity=1, hold=slowly))
+    late = TestSource(Scores, [*scores(0, 1), *scores(400, 1)])
+    (flow.source(late, "late") | Broken()).to(TestSink())
+    with pytest.raises(OperatorError, match="Broken"):
+        execute(flow, duration=5 * s)
+
+
+def test_the_gap_of_a_source_that_never_comes_back_is_recorded() -> None:
+    flow, sink = Flow("f"), TestSink()
+    broken: list[Scores | Exception] = [*scores(0, 10), *[OSError("gone")] * 1000]
+    flow.source(TestSource(Scores, broken)).to(sink)
+    run = execute(flow, duration=10 * s)
+    [gap] = run.sources["scores"].gaps
+    assert (gap.start, gap.reason) == (90 * ms, "gone")
+    assert gap.end == pytest.approx(run.start + 10 * s)
+    assert run.sources["scores"].error == "gone"
+
+
+def test_fingertips_of_one_source_are_not_late_against_each_other() -> None:
+    flow, sink = Flow("f"), TestSink()
+    batches = [Scores(np.arange(3), np.ones(3), finger=finger) for finger in (0, 1)]
+    flow.source(TestSource(Scores, batches, fingers=(0, 1))).to(sink)
+    assert execute(flow).sources["scores"].late == 0
+
+
+def test_a_third_stop_ends_a_run_whose_sink_hangs() -> None:
+    async def for_ever() -> None:
+        await asyncio.Event().wait()
+
+    flow = Flow("f")
+    flow.source(Endless()).to(TestSink(hold=for_ever))
+
+    async def main() -> Run:
+        runner = LiveRunner(flow, "test")
+        for after in (1, 2, 3):
+            asyncio.get_running_loop().call_later(after, runner.stop)
+        return await runner.execute()
+
+    run = run_virtually(main())
+    assert run.sinks["testsink"].dropped == run.sources["scores"].rows > 0
+    assert "given up" in run.sinks["testsink"].error
+
+
+def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> None:
+    class Device(Endless):
+        open = 0
+
+        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+            assert not Device.open
+            Device.open += 1
+            try:
+                single: Any = np.ones(1, np.float32)
+                yield Scores(np.array([0]), single)
+            finally:
+                Device.open -= 1
+
+    flow = Flow("f")
+    flow.source(Device()).to(TestSink())
+    run = execute(flow, duration=s)
+    assert "float32" in run.sources["scores"].error
+    assert Device.open == 0

@@ -1,4 +1,6 @@
+import re
 from dataclasses import dataclass, field
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from operators import (
     Debounce,
     Motion,
     Operator,
+    OperatorError,
     Sample,
     Scores,
     Slips,
@@ -136,3 +139,31 @@ def test_nothing_in_gives_nothing_out() -> None:
     plan = Plan(flow)
     assert plan.push({plan.entries[0]: Scores.empty()}) == []
     assert plan.flush() == list[tuple[object, Batch]]()
+
+
+class Forgetful(Operator[Scores, Scores]):
+    def process(self, batch: Scores) -> Scores:
+        return Scores(batch.time, batch.probability)
+
+
+class Wrong(Operator[Scores, Scores]):
+    def process(self, batch: Scores) -> Scores:
+        return cast("Scores", None)
+
+
+@pytest.mark.parametrize(
+    ("operator", "message"),
+    [
+        (Forgetful(), "flow 'f': Forgetful: ValueError: gave rows of fingertip -1, not 2: pass finger="),
+        (Wrong(), "flow 'f': Wrong: TypeError: gave NoneType, and declares to give Scores"),
+    ],
+    ids=["finger", "type"],
+)
+def test_an_operator_that_breaks_its_contract_is_named(
+    operator: Operator[Scores, Scores], message: str
+) -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores, fingers=(2,))) | operator).to(TestSink())
+    plan = Plan(flow)
+    with pytest.raises(OperatorError, match=re.escape(message)):
+        plan.push({plan.entries[0]: scores(0.1, finger=2)})

@@ -1,3 +1,4 @@
+from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
@@ -5,7 +6,7 @@ import pytest
 from flows.graph import Flow, Stream
 from flows.testing import TestSink, TestSource
 from flows.validate import problems, validate
-from operators import Align, Debounce, FlowError, Label, Motion, Scores, Touch, Zero
+from operators import Align, Debounce, FlowError, Label, Motion, Operator, ParameterError, Scores, Touch, Zero
 
 
 def _one_problem(flow: Flow) -> str:
@@ -102,3 +103,27 @@ def test_a_stream_of_another_flow_is_told() -> None:
     mixed: Any = motion & zeroed
     (mixed | Align()).to(TestSink())
     assert any("Zero belongs to another flow" in str(problem) for problem in problems(flow))
+
+
+def test_state_that_runs_would_share_is_told() -> None:
+    @dataclass
+    class Sharing(Operator[Scores, Scores]):
+        seen: list[float] = field(default_factory=list[float])
+
+        def process(self, batch: Scores) -> Scores:
+            return batch
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Sharing()).to(TestSink())
+    assert _one_problem(flow).startswith("Sharing: seen would be shared by all runs")
+
+
+def test_an_operator_that_does_not_declare_its_types_is_told() -> None:
+    class Silent(Operator[Scores, Scores]):
+        def process(self, batch):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
+            return batch
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Silent()).to(TestSink())
+    with pytest.raises(ParameterError, match="Silent: the annotation of process, batch, is None"):
+        problems(flow)

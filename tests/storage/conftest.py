@@ -19,7 +19,7 @@ class StoppedClock:
 @pytest.fixture(scope="session")
 def new_run() -> Callable[..., Run]:
     def build(session: str = "one", describe: Mapping[str, Description] | None = None) -> Run:
-        return Run(session, "slip", StoppedClock(), 1_700_000_000 * s + 5, dict(describe or {}))
+        return Run(session, "slip", StoppedClock(), 1_700_000_000 * s + 5, describe=dict(describe or {}))
 
     return build
 

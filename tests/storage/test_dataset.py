@@ -123,6 +123,26 @@ def test_what_the_session_says_of_itself_is_written_first_and_completed_last(
     assert session.frame("samples")["episode"].to_list() == [0, 0, -1, -1, -1]
 
 
+def test_a_session_whose_run_failed_is_not_complete_and_says_why(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    run = new_run()
+    run.declaration = ("scores = TestSource(Scores)",)
+
+    async def main() -> None:
+        dataset = Dataset(tmp_path)
+        await dataset.open(run)
+        await dataset.write(new_batch(Labelled))
+        run.error = "Press: ZeroDivisionError"
+        await dataset.close()
+
+    asyncio.run(main())
+    session = Session.open(tmp_path)
+    assert (session.about["complete"], session.about["error"]) == (False, "Press: ZeroDivisionError")
+    assert session.about["declaration"] == ["scores = TestSource(Scores)"]
+    assert len(session.frame("samples")) == 5
+
+
 def test_episodes_that_a_source_tells_of_as_they_begin_are_kept(
     tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
 ) -> None:
@@ -296,7 +316,7 @@ def test_a_write_that_is_cancelled_takes_nothing_and_spoils_nothing(
 
 
 @pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}])
-def test_a_part_that_could_hold_nothing_is_refused(tmp_path: Path, parameters: dict[str, int]) -> None:
+def test_a_part_that_could_hold_nothing_is_refused(tmp_path: Path, parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match="must be at least 1"):
         Dataset(tmp_path, **parameters)
 

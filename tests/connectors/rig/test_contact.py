@@ -101,6 +101,28 @@ def test_lifting_off_leaves_nothing_behind() -> None:
     assert truth[-1, 1] == 0.0
 
 
+def turned(scene: Scene, degrees: float) -> Reals:
+    """The gaps of a pad that was turned in the air."""
+    nodes, state = pad(scene), contact.State.rest(48)
+    drive = np.zeros((100, 6))
+    drive[:, 2] = np.radians(degrees) / 0.1
+    contact.advance(law(scene), nodes, state, drive, np.array([100]))
+    return nodes.gap
+
+
+def test_a_surface_turns_under_the_pad() -> None:
+    """A quarter turn makes one cylinder of the other; half of one about a pivot moves the apex around it."""
+    quarter = turned(Scene(curvature="cylinder_x"), 90.0)
+    np.testing.assert_allclose(quarter, pad(Scene(curvature="cylinder_y")).gap, atol=1e-15)
+    half = turned(Scene(curvature="sphere", apex=(0.001, 0.002), offset=(0.003, -0.001)), 180.0)
+    expected = pad(Scene(curvature="sphere", apex=(-0.007, 0.0))).gap
+    np.testing.assert_allclose(half, expected, atol=1e-15)
+
+
+def test_a_sphere_turning_about_its_apex_stays_as_it_is() -> None:
+    np.testing.assert_allclose(turned(Scene(curvature="sphere"), 77.0), pad(Scene(curvature="sphere")).gap)
+
+
 def test_the_leading_edge_digs_in() -> None:
     tractions, _ = run(Scene(), drag(400, heading=0.0))
     x = pad(Scene()).x
