@@ -184,8 +184,8 @@ def simulate(
 ) -> None:
     """Simulate a collection plan, split for training and testing, as a labelled dataset."""
     if report is not None:
-        from flows.scene_measured import Size
-        from flows.scene_report import write_report
+        from flows.scene_report.measured import Size
+        from flows.scene_report.report import write_report
 
         def told(text: str) -> None:
             typer.echo(text, err=True)

@@ -1,0 +1,107 @@
+"""How the project's figures look: one style, light, as SVG files whose bytes repeat."""
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from functools import wraps
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final, ParamSpec, TypeAlias
+
+from operators.errors import InputError
+
+Given = ParamSpec("Given")
+Figure: TypeAlias = Any  # matplotlib leaves many of its arguments without types
+Axes: TypeAlias = Any
+
+INK: Final = "#22272e"
+FAINT: Final = "#9aa4b0"
+SHADE: Final = "#f3d9b1"  # behind slip
+MAIN: Final = "#0b6e99"
+SECOND: Final = "#d1495b"
+CELLS: Final = ("#0b6e99", "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # barometers 0 to 5
+STYLE: Final[Any] = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial", "sans-serif"],
+    "font.size": 9,
+    "text.color": INK,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.8,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.size": 3,
+    "ytick.major.size": 3,
+    "grid.color": "#e6e9ed",
+    "legend.frameon": False,
+    "lines.linewidth": 1.2,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",
+    "svg.hashsalt": "slipflow",
+}
+
+
+def require() -> None:
+    """Make sure that figures can be drawn.
+
+    Raises:
+        InputError: if matplotlib is not installed.
+    """
+    if find_spec("matplotlib") is None:
+        raise InputError("figures", "need matplotlib: pip install 'slipflow[report]'")
+
+
+def styled(draw: Callable[Given, Figure]) -> Callable[Given, Figure]:
+    """Let a function draw in the project's style.
+
+    Raises:
+        InputError: when it is called and matplotlib is not installed.
+    """
+
+    @wraps(draw)
+    def drawn(*args: Given.args, **kwargs: Given.kwargs) -> Figure:
+        require()
+        with _style():
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def grid(
+    rows: int,
+    columns: int,
+    size: tuple[float, float],
+    *,
+    sharex: bool = False,
+    sharey: bool = False,
+    heights: Sequence[float] | None = None,
+    widths: Sequence[float] | None = None,
+) -> tuple[Figure, list[Axes]]:
+    """A figure of `size` inches and its panels, row by row; for use in `styled` functions."""
+    from matplotlib import figure as matplotlib  # noqa: PLC0415
+
+    figure: Figure = matplotlib.Figure(figsize=size, layout="constrained")
+    axes = figure.subplots(
+        rows, columns, squeeze=False, sharex=sharex, sharey=sharey, height_ratios=heights, width_ratios=widths
+    )
+    return figure, list(axes.flat)
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure in the form that the path's ending names."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _style():
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=110)
+
+
+def _style() -> AbstractContextManager[None]:
+    import matplotlib as mpl  # noqa: PLC0415 - an extra, and slow to import
+
+    library: Any = mpl
+    context: AbstractContextManager[None] = library.rc_context(STYLE)
+    return context

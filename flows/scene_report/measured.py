@@ -1,0 +1,82 @@
+"""What the sections of the scene's report share: recordings, and the detectors that judge them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import process_time
+from typing import Final, Self
+
+from connectors.rig.paper import Collection
+from flows.scene_report.ablation import GRIDS, TERMS
+from flows.scene_report.judges import fitted
+from flows.scene_report.motion import Cells
+from flows.scene_report.trials import read, simulate
+from flows.simulate import PLANS
+from operators.detectors import Detector
+from operators.errors import ParameterError
+from storage import load_detector
+
+NETWORK: Final = "paper's TCN"
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """How much is measured."""
+
+    plan: Collection = field(default_factory=Collection)
+    reduced: Collection = field(
+        default_factory=lambda: Collection(repeats=2, rotations=1)
+    )  # ablation, fitting
+    seeds: int = 3  # of the ablation
+    hop: int = 5  # samples from one judged window to the next
+    terms: tuple[str, ...] = (*TERMS, *GRIDS)  # of the ablation
+    timed: float = 20.0  # simulated s
+
+    @classmethod
+    def of(cls, plan: str) -> Self:
+        """What suits a plan of `flows.simulate`: all of paper, a hasty look at others.
+
+        Raises:
+            ParameterError: on a plan that there is not.
+        """
+        if plan == "paper":
+            return cls()
+        if plan not in PLANS:
+            raise ParameterError("simulate", "plan", plan, " or ".join(PLANS))
+        return cls(PLANS[plan], PLANS[plan], seeds=2, terms=("texture", "noise", "6 x 4 nodes"), timed=2.0)
+
+
+class Measured:
+    """What several sections are made of.
+
+    Args:
+        seed: Of the recordings that are judged; those that detectors are fitted to have others.
+        judge: File with the weights of the paper's TCN, which knows real recordings only.
+        trace: A real trace with labels, as CSV.
+        size: How much is measured.
+        told: Is told what is being done.
+    """
+
+    def __init__(
+        self, seed: int, judge: Path | None, trace: Path | None, size: Size, told: Callable[[str], None]
+    ) -> None:
+        self.seed, self.size, self.told = seed, size, told
+        self.network: Detector | None = None if judge is None else load_detector(judge)
+        self.trace = None if trace is None else read(trace)
+        told("simulating the plan")
+        begin = process_time()
+        self.trials = simulate(size.plan, seed)
+        self.simulating = process_time() - begin  # CPU s, with alignment and labels
+        training = simulate(size.reduced, seed + 500)
+        told("fitting the detectors")
+        self.fitted_to = (
+            f"{len(training)} simulated recordings ({sum(map(len, training))} samples) of another seed"
+        )
+        self.psd, self.logistic = fitted(training, size.hop)
+        self.judges: dict[str, Detector] = {"logistic regression": self.logistic}
+        if self.network is not None:
+            self.judges = {NETWORK: self.network, **self.judges}
+        self.cells: dict[str, Cells] = {}
+        for name, detector in self.judges.items():
+            told(f"judging by the {name}")
+            self.cells[name] = Cells.of(detector, self.trials, size.hop)

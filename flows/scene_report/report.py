@@ -1,0 +1,79 @@
+"""The scene's report: how real it looks, what each of its terms is worth, and how fast it is.
+
+`write_report` measures everything anew and writes one Markdown page with figures beside it.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from flows.figures import require, save
+from flows.scene_report import sections as scene_sections
+from flows.scene_report.measured import NETWORK, Measured, Size
+
+SECTIONS: Final = {
+    "traces": scene_sections.traces,
+    "realism": scene_sections.realism,
+    "statistics": scene_sections.statistics,
+    "ablation": scene_sections.ablation,
+    "motion": scene_sections.motion,
+    "speed": scene_sections.speeds,
+}
+HEAD: Final = """# The simulated scene, measured
+
+Written by `slipflow simulate --report`; every number is of that run.
+
+What was fitted to what: the scene's constants were fitted, all together and to other recordings than these,
+so that the paper's TCN, whose weights come from real recordings, recognises slip in the simulation, and so
+that its level, spread, steps and slip-to-static ratio are near the published ones. So the score of that
+network and those statistics show how far the fit got, not that it generalises; the place that rotations turn
+about was chosen by them, too. The differences between motions and the real trace were not aimed at. Other
+networks and another real trace are held back to judge the result.
+"""
+
+
+def write_report(
+    folder: Path,
+    *,
+    seed: int = 0,
+    judge: Path | None = None,
+    trace: Path | None = None,
+    size: Size | None = None,
+    told: Callable[[str], None] = lambda _: None,
+    form: str = "svg",
+) -> Path:
+    """Measure the scene; write ``scene.md`` and ``figures/scene-*`` into a folder.
+
+    Args:
+        folder: Is made where it does not exist.
+        seed: Of the recordings that are judged.
+        judge: File with the weights of the paper's TCN; without it, its judgement is skipped.
+        trace: A real trace with labels, as CSV; without it, what needs one is skipped.
+        size: How much is measured.
+        told: Is told what is being done, and what is skipped.
+        form: Of the figures: svg or png.
+
+    Returns:
+        The path of the page.
+
+    Raises:
+        InputError: if a file cannot be used, or matplotlib is not installed.
+    """
+    require()
+    files = {"--judge": judge, "--trace": trace}
+    for option, lost in (("--judge", NETWORK), ("--trace", "the real trace")):
+        if files[option] is None:
+            told(f"SKIPPED: {lost}, because {option} was not given")
+    measured = Measured(seed, judge, trace, size or Size(), told)
+    options = [f"{option} {path.name}" for option, path in files.items() if path is not None]
+    command = " ".join(["slipflow simulate --report", folder.name, f"--seed {seed}", *options])
+    page = [HEAD]
+    for name, make in SECTIONS.items():
+        told(f"section: {name}")
+        section = make(measured)
+        figure = f"figures/scene-{name}.{form}"
+        save(section.figure, folder / figure)
+        page += [f"## {section.title}", f"![{name}]({figure})", section.text, f"    {command}"]
+    path = folder / "scene.md"
+    path.write_text("\n\n".join(part.strip("\n") for part in page) + "\n", encoding="utf-8")
+    return path

@@ -1,0 +1,157 @@
+"""The scene's report on a tiny plan: all of it is there, its numbers are those computed, gaps are named."""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from connectors.rig.paper import Collection
+from flows import figures
+from flows.scene_report.judges import Logistic, Tally, fitted, tally, windows
+from flows.scene_report.measured import Size
+from flows.scene_report.motion import Cell, Cells
+from flows.scene_report.report import SECTIONS, write_report
+from flows.scene_report.statistics import TABLE, Published, distance, measure
+from flows.scene_report.trials import Trial, simulate
+from operators.errors import InputError, ParameterError
+
+SHARED = Path(__file__).parents[2].parent / "shared" / "real"
+TINY = Collection(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
+SIZE = Size(TINY, TINY, seeds=2, hop=10, terms=("texture", "6 x 4 nodes"), timed=0.5)
+
+
+@dataclass(frozen=True)
+class Written:
+    folder: Path
+    page: str
+    told: list[str]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
+    """The report of a tiny plan without real data."""
+    folder, told = tmp_path_factory.mktemp("docs"), list[str]()
+    path = write_report(folder, size=SIZE, told=told.append)
+    return Written(folder, path.read_text(), told)
+
+
+@pytest.fixture(scope="module")
+def trials() -> list[Trial]:
+    return simulate(TINY, 0)
+
+
+def cells(page: str, row: str) -> list[str]:
+    """The cells of the first table row that begins with this text, after it."""
+    [line, *_] = [line for line in page.splitlines() if line.startswith(f"| {row} |")]
+    return [cell.strip() for cell in line.strip("| ").split("|")][1:]
+
+
+def test_every_section_has_a_title_a_figure_and_its_command(written: Written) -> None:
+    assert written.page.count("\n## ") == len(SECTIONS)
+    assert written.page.count("\n    slipflow simulate --report docs") == len(SECTIONS)
+    for name in SECTIONS:
+        assert f"![{name}](figures/scene-{name}.svg)" in written.page
+
+
+def test_every_figure_is_an_svg_with_something_drawn(written: Written) -> None:
+    for name in SECTIONS:
+        root = ET.parse(written.folder / "figures" / f"scene-{name}.svg").getroot()  # noqa: S314 - ours
+        assert root.tag == "{http://www.w3.org/2000/svg}svg"
+        assert len(list(root.iter("{http://www.w3.org/2000/svg}path"))) > 3
+
+
+def test_what_needs_a_file_that_was_not_given_is_skipped_loudly(written: Written) -> None:
+    assert [text for text in written.told if text.startswith("SKIPPED")] == [
+        "SKIPPED: paper's TCN, because --judge was not given",
+        "SKIPPED: the real trace, because --trace was not given",
+    ]
+    assert written.page.count("**Skipped: the paper's TCN, because no `--judge` was given.**") == 3
+    assert written.page.count("**Skipped: the real trace, because no `--trace` was given.**") == 2
+
+
+def test_the_numbers_of_the_tables_are_those_computed(written: Written, trials: list[Trial]) -> None:
+    found = measure(trials)
+    for row in TABLE:
+        if not row.text.startswith("the same"):
+            shown = [float(value) for value in cells(written.page, row.text)[0].split(",")]
+            assert shown == pytest.approx(found[row.key], rel=5e-3, abs=5e-3, nan_ok=True), row.key
+    assert f"**{distance(found):.2f}**" in written.page
+
+    _, logistic = fitted(simulate(TINY, 500), SIZE.hop)
+    judged = Cells.of(logistic, trials, SIZE.hop)
+    first, second = (judged.at(Cell("primary", 0.05, surface)).f1 for surface in ("plane", "sphere"))
+    assert [text.split()[0] for text in cells(written.page, "primary, 5 cm/s")[:2]] == [
+        f"{first:.1f}",
+        f"{second:.1f}",
+    ]
+    assert f"logistic regression {tally(logistic, trials, SIZE.hop).balanced:.1f} %" in written.page
+
+
+def test_with_real_data_the_judgement_stands_in_the_report(tmp_path: Path) -> None:
+    judge, trace = SHARED / "paper_tcn.npz", SHARED / "mat_trace.csv"
+    if not (judge.exists() and trace.exists()):
+        pytest.skip(f"SKIPPED: no real data in {SHARED}")
+    page = write_report(tmp_path, judge=judge, trace=trace, size=SIZE).read_text()
+    assert "Skipped" not in page
+    # the paper's TCN on the trace: 70.4 % balanced, .687 accuracy as its authors' code gives
+    assert cells(page, "paper's TCN")[2:] == ["70.4", "75.5", "65.2"]
+    assert re.search(r"\n## A network trained on real data is right on \d\d\.\d % of the simulation", page)
+    assert str(SHARED) not in page
+
+
+def test_without_matplotlib_it_says_what_to_install_before_it_measures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> None:
+        del name
+
+    monkeypatch.setattr(figures, "find_spec", missing)
+    with pytest.raises(InputError, match=re.escape("pip install 'slipflow[report]'")):
+        write_report(tmp_path, told=pytest.fail)
+
+
+def test_an_unknown_plan_is_refused() -> None:
+    with pytest.raises(ParameterError, match="plan is 'huge', must be paper or tiny"):
+        Size.of("huge")
+
+
+def test_a_tally_of_known_answers_has_the_known_scores() -> None:
+    truth = np.array([True, True, True, True, False, False])
+    found = Tally.of(np.array([True, True, True, False, True, False]), truth)
+    assert found.counts.tolist() == [[1, 1], [1, 3]]
+    assert found.accuracy == pytest.approx(100 * 4 / 6)
+    assert found.recalls == pytest.approx((50, 75))
+    assert found.balanced == 62.5
+    assert found.f1 == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
+
+
+def test_a_statistic_inside_the_published_range_has_no_distance() -> None:
+    row = Published("x", "x", (2.0,), (4.0,))
+    assert [row.distance(np.array([value])) for value in (1.0, 2.0, 3.0, 4.0, 7.0)] == [1 / 3, 0, 0, 0, 1]
+
+
+def test_the_logistic_regression_tells_shaking_from_rest_on_any_barometer() -> None:
+    random = np.random.default_rng(0)
+    rest = random.normal(0, 1, (200, 41, 6)).round().astype(np.int16)
+    shaking = rest.copy()
+    shaking[:, :, 2] += random.normal(0, 40, (200, 41)).round().astype(np.int16)
+    slip = np.arange(400) >= 200
+    logistic = Logistic.fitted(np.concatenate([rest, shaking]), slip)
+    assert ((logistic.score(shaking[:, :, ::-1]) > 0.5).mean(), (logistic.score(rest) < 0.5).mean()) == (1, 1)
+
+
+def test_a_window_ends_with_the_sample_that_is_judged() -> None:
+    counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
+    trial = Trial(counts, np.zeros(150, np.bool_), "plane")
+    assert windows(trial, 25, 10)[:, -1, 0].tolist() == counts[trial.judged(10), 0].tolist()
+    assert windows(trial, 100, 10)[0].tolist() == counts[:100].tolist()
+
+
+def test_the_same_seed_gives_the_same_trials(trials: list[Trial]) -> None:
+    again = simulate(TINY, 0)
+    assert [trial.counts.tobytes() for trial in again] == [trial.counts.tobytes() for trial in trials]
+    assert {trial.surface for trial in trials} == {"plane", "sphere"}
+    assert {trial.speed for trial in trials} == {0.05, None}
