@@ -4,6 +4,7 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import fields, is_dataclass, replace
 from itertools import count
+from math import inf
 from typing import Any, Final, cast
 
 from connectors.rig.hand import Commands, Orders
@@ -13,7 +14,7 @@ from operators.batch import Motion, Touch, s
 from operators.errors import ParameterError
 from operators.ports import Clock, Description, Json, Run, Sink, Source
 
-STRETCH: Final = 10.0  # s in one batch of a run that is not paced
+STRETCH: Final = 5.0  # s in one batch of a run that is not paced; joins keep motion for longer
 
 
 class Rig:
@@ -57,6 +58,8 @@ class Rig:
         self._episodes: list[Json] = []
         self._origin = 0  # ns
         self._running: set[Source[Any]] = set()
+        self._given: dict[Source[Any], float] = {}  # batches that each source has given, if not paced
+        self._advanced = asyncio.Event()
 
     def truth(self, finger: int | None = None) -> Truth:
         """What really happened to a fingertip (the first one) in this run, up to its newest touch sample."""
@@ -78,7 +81,7 @@ class Rig:
     def begin(self, source: Source[Any], clock: Clock) -> int:
         """Origin (ns) of the run that a source takes part in: the present one, if it was not in it."""
         if not self._running or source in self._running:
-            self._running = set()
+            self._running, self._given, self._advanced = set(), {}, asyncio.Event()
             self._origin = clock.now()
             self.orders.begin(self._origin)
             self._episodes.clear()
@@ -94,6 +97,21 @@ class Rig:
                 yield self._origin, max(1, round(STRETCH * timing.rate))
         for taken in count():
             yield self._origin + round((taken / timing.rate + timing.latency) / self.pace * s), 1
+
+    async def turn(self, source: Source[Any]) -> None:
+        """Wait for this source's turn in a run that is not paced: both advance together, the arm ahead."""
+        given = self._given[source] = self._given.get(source, -1) + 1
+        self._advanced.set()
+        await asyncio.sleep(0)  # at the beginning the other one has yet to be asked
+        least = given + (source is self.touch)
+        while any(self._given.get(other, 0) < least for other in self._running - {source}):
+            self._advanced.clear()
+            await self._advanced.wait()
+
+    def end(self, source: Source[Any]) -> None:
+        """Nobody need wait for this source any more."""
+        self._given[source] = inf
+        self._advanced.set()
 
     def remember(self, finger: int, truth: Truth) -> None:
         """Keep what really happened to a fingertip."""
@@ -147,15 +165,18 @@ class RigTouch(Source[Touch]):
             Finger(rig.scene, rig.seed, finger, note, rig.orders)
             for finger, note in zip(rig.fingers, notes, strict=False)
         ]
-        for due, samples in rig.schedule(rig.scene.touch):
-            await (asyncio.sleep(0) if rig.pace is None else clock.sleep_until(due))
-            for finger, simulation in zip(rig.fingers, fingers, strict=True):
-                if (taken := simulation.take(samples)) is None:
-                    return
-                touch, truth = taken
-                rig.remember(finger, truth)
-                if len(touch):
-                    yield replace(touch, time=touch.time + origin)
+        try:
+            for due, samples in rig.schedule(rig.scene.touch):
+                await (rig.turn(self) if rig.pace is None else clock.sleep_until(due))
+                for finger, simulation in zip(rig.fingers, fingers, strict=True):
+                    if (taken := simulation.take(samples)) is None:
+                        return
+                    touch, truth = taken
+                    rig.remember(finger, truth)
+                    if len(touch):
+                        yield replace(touch, time=touch.time + origin)
+        finally:
+            rig.end(self)
 
     def describe(self) -> Description:
         """The rig, and the timing of this stream."""
@@ -185,12 +206,15 @@ class RigMotion(Source[Motion]):
         from connectors.rig.motion import Controller  # noqa: PLC0415 - loads numba: only to run
 
         controller = Controller(rig.scene, rig.seed, rig.orders)
-        for due, samples in rig.schedule(rig.scene.motion):
-            await (asyncio.sleep(0) if rig.pace is None else clock.sleep_until(due))
-            if (motion := controller.take(samples)) is None:
-                return
-            if len(motion):
-                yield replace(motion, time=motion.time + origin)
+        try:
+            for due, samples in rig.schedule(rig.scene.motion):
+                await (rig.turn(self) if rig.pace is None else clock.sleep_until(due))
+                if (motion := controller.take(samples)) is None:
+                    return
+                if len(motion):
+                    yield replace(motion, time=motion.time + origin)
+        finally:
+            rig.end(self)
 
     def describe(self) -> Description:
         """The arm, and the timing of this stream."""
