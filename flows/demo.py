@@ -9,10 +9,9 @@ import numpy as np
 from connectors import Console, Mqtt, Rig
 from flows.graph import Flow
 from flows.onsets import match_onsets
-from operators import Align, Debounce, Label, Run, Score, Sink, Slips, Zero, ms
+from flows.record import ARM_LATENCY, collect
+from operators import Debounce, Label, Run, Score, Sink, Slips, ms
 from storage import Dataset, load_detector
-
-ARM_LATENCY = 70 * ms  # how much later than the barometers the simulated arm tells of the same instant
 
 
 def local_broker() -> str | None:
@@ -52,16 +51,9 @@ class Demo:
         self.rig = Rig(seed=seed)
         self.onsets = Onsets()
         self.flow = Flow("demo")
-        touch = self.flow.source(self.rig.touch)
-        motion = self.flow.source(self.rig.motion)
-        zeroed = touch | Zero()
-        slips = zeroed | Score(load_detector("psd")) | Debounce(consecutive=2, release=10)
-        samples = zeroed & motion | Align(within=20 * ms) | Label(speed=0.003, delay=ARM_LATENCY)
-
         dataset = Dataset(str(out))
-        touch.to(dataset)
-        motion.to(dataset)
-        samples.to(dataset)
+        zeroed = collect(self.flow, self.rig, Label(speed=0.003, delay=ARM_LATENCY), dataset)
+        slips = zeroed | Score(load_detector("psd")) | Debounce(consecutive=2, release=10)
         slips.to(dataset)
         slips.to(Console())
         slips.to(self.onsets)
@@ -73,7 +65,8 @@ class Demo:
         found = match_onsets(np.array(self.onsets.times, np.int64), self._slips(run))
         delays = found.delays / ms  # (caught,) ms
         return {
-            "samples": run.sinks["dataset"].rows,
+            "samples": run.sources["touch"].rows,
+            "recorded": run.sinks["dataset"].rows,
             "slips": len(self.onsets.times),
             "true_slips": len(found.delays) + found.missed,
             "missed": found.missed,
@@ -93,7 +86,7 @@ class Demo:
         rows = ", ".join(f"{source.rows} {name}" for name, source in run.sources.items())
         caught = found["true_slips"] - found["missed"]
         lines = [
-            f"{seconds:.1f} s: {rows} samples in, {found['samples']} rows recorded",
+            f"{seconds:.1f} s: {rows} samples in, {found['recorded']} rows recorded",
             f"{found['true_slips']} true slips: {caught} caught, {found['missed']} missed",
             f"{found['slips']} onsets raised, {found['false']} of them false",
         ]

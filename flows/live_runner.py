@@ -94,7 +94,8 @@ class LiveRunner:
             for outlet in self._outlets.values():
                 await outlet.sink.open(self.run)
                 opened.append(outlet)
-        except BaseException:
+        except BaseException as error:
+            self.run.error = str(error) or type(error).__name__
             for outlet in opened:
                 await outlet.sink.close()
             raise

@@ -1,12 +1,14 @@
 """Record synchronized, labelled samples of a fingertip dragged by an arm."""
 
 from connectors import Rig
-from flows.graph import Flow
-from operators import Align, Label, Zero, ms
+from flows.graph import Flow, Stream
+from operators import Align, Label, Zero, Zeroed, ms
 from storage import Dataset
 
+ARM_LATENCY = 70 * ms  # how much later than the barometers the simulated arm tells of the same instant
 
-def record(out: str = "recordings", seed: int = 0, speed: float = 0.003, delay: int = 70 * ms) -> Flow:
+
+def record(out: str = "recordings", seed: int = 0, speed: float = 0.003, delay: int = ARM_LATENCY) -> Flow:
     """Record into `out`; a sample slips where the arm is faster than `speed` (m/s).
 
     The simulated arm tells of its motion `delay` (ns) after the barometers felt it.
@@ -16,12 +18,18 @@ def record(out: str = "recordings", seed: int = 0, speed: float = 0.003, delay: 
     return flow
 
 
-def collect(flow: Flow, rig: Rig, label: Label, dataset: Dataset) -> None:
-    """Declare how both streams of a rig, and the samples labelled from them, come into a dataset."""
+def collect(flow: Flow, rig: Rig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
+    """Declare how both streams of a rig, and the samples labelled from them, come into a dataset.
+
+    Returns:
+        The zeroed touch, for what else is to be made of it.
+    """
     touch = flow.source(rig.touch)
     motion = flow.source(rig.motion)
-    samples = (touch | Zero()) & motion | Align(within=20 * ms) | label
+    zeroed = touch | Zero()
+    samples = zeroed & motion | Align(within=20 * ms) | label
 
     touch.to(dataset)
     motion.to(dataset)
     samples.to(dataset)
+    return zeroed

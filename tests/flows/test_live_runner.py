@@ -217,6 +217,7 @@ def test_a_sink_that_cannot_be_opened_ends_the_run_before_it_starts() -> None:
     with pytest.raises(EndpointError, match="mqtt://nowhere: no such host"):
         execute(flow)
     assert (first.opened, first.closed, first.written) == (1, 1, [])
+    assert first.run.error == "mqtt://nowhere: no such host"
 
 
 def test_late_rows_are_counted_and_reach_the_recorder_as_received() -> None:
