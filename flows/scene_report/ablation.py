@@ -10,7 +10,7 @@ from connectors.rig.paper import Collection
 from connectors.rig.scene import Move, Plan, Scene
 from flows.scene_report.judges import fitted, tally
 from flows.scene_report.statistics import distance, measure
-from flows.scene_report.trials import simulate
+from flows.trials import simulate
 from operators.batch import Reals
 from operators.detectors import Detector
 

@@ -10,7 +10,7 @@ from flows.scene_report.ablation import TERMS, Ablation
 from flows.scene_report.motion import PAPER, SPEEDS, SURFACES, Cell, Cells
 from flows.scene_report.speed import Speed
 from flows.scene_report.statistics import FREQUENCIES, RATE, TABLE
-from flows.scene_report.trials import Trial
+from flows.trials import Trial
 from operators.batch import BAROMETERS, Reals
 
 MARK: Final = 1100  # simulated s per CPU s of one core at 24 nodes: what a prototype reached

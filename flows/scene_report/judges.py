@@ -7,7 +7,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.scene_report.trials import Trial
+from flows.trials import Trial
 from operators.batch import SLIP, STATIC, Counts, Flags, Reals
 from operators.detectors import Detector, Psd
 

@@ -10,8 +10,8 @@ from connectors.rig.paper import Collection
 from flows.scene_report.ablation import GRIDS, TERMS
 from flows.scene_report.judges import fitted
 from flows.scene_report.motion import Cells
-from flows.scene_report.trials import read, simulate
 from flows.simulate import PLANS
+from flows.trials import read, simulate
 from operators.detectors import Detector
 from operators.errors import ParameterError
 from storage import load_detector

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flows.scene_report.judges import Tally, answers
-from flows.scene_report.trials import Trial
+from flows.trials import Trial
 from operators.batch import Reals
 from operators.detectors import Detector
 

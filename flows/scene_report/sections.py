@@ -16,7 +16,7 @@ from flows.scene_report.measured import NETWORK, Measured
 from flows.scene_report.motion import EFFECTS, PAPER, PAPER_SURFACES, SURFACES, Cell, Cells, Chosen
 from flows.scene_report.speed import speed
 from flows.scene_report.statistics import RATE, TABLE, distance, measure
-from flows.scene_report.trials import Trial, trial
+from flows.trials import Trial, trial
 from operators.batch import Reals
 from operators.detectors import Detector
 

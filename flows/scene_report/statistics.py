@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.scene_report.trials import Trial
+from flows.trials import Trial
 from operators.batch import BAROMETERS, Flags, Reals
 
 RATE: Final = 100.0  # Hz

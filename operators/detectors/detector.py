@@ -1,6 +1,6 @@
 """What a slip detector is."""
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from operators.batch import Counts, Reals
 
@@ -27,4 +27,29 @@ class Detector(Protocol):
         Returns:
             (n,) 0 to 1
         """
+        ...
+
+
+class Stream(Protocol):
+    """A streaming detector at work on some fingertips; pickles with what it remembers."""
+
+    def push(self, counts: Counts | Reals) -> Reals:
+        """Take the next samples in order.
+
+        Args:
+            counts: (n, fingers, 6) zeroed counts
+
+        Returns:
+            (n, fingers) how sure it is that each sample is slip; once `length` samples were pushed, what
+            `score` says of the window behind it, to 1e-5. However the samples are cut, the same bits.
+        """
+        ...
+
+
+@runtime_checkable
+class Streaming(Detector, Protocol):
+    """A detector that remembers what it needs of the past, so that a sample costs little."""
+
+    def stream(self, fingers: int = 1) -> Stream:
+        """A new stream that has seen nothing, of `fingers` fingertips that are sampled together."""
         ...

@@ -15,7 +15,7 @@ from flows.scene_report.measured import Size
 from flows.scene_report.motion import Cell, Cells
 from flows.scene_report.report import SECTIONS, write_report
 from flows.scene_report.statistics import TABLE, Published, distance, measure
-from flows.scene_report.trials import Trial, simulate
+from flows.trials import Trial, simulate
 from operators.errors import InputError, ParameterError
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "real"
@@ -145,7 +145,7 @@ def test_the_logistic_regression_tells_shaking_from_rest_on_any_barometer() -> N
 
 def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
-    trial = Trial(counts, np.zeros(150, np.bool_), "plane")
+    trial = Trial(counts, np.zeros(150, np.int8), "plane")
     assert windows(trial, 25, 10)[:, -1, 0].tolist() == counts[trial.judged(10), 0].tolist()
     assert windows(trial, 100, 10)[0].tolist() == counts[:100].tolist()
 
