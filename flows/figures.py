@@ -1,9 +1,12 @@
 """How the project's figures look: one style, light, as SVG files whose bytes repeat."""
 
+import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
+from html import escape
 from importlib.util import find_spec
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeAlias
 
@@ -97,6 +100,26 @@ def save(figure: Figure, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with _style():
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=110)
+
+
+def inline(figure: Figure, name: str, text: str) -> str:
+    """A figure as SVG to stand within an HTML page: no prolog, no reference to anything outside.
+
+    Args:
+        figure: To draw.
+        name: Of letters and hyphens; begins its identifiers, so that several figures share a page.
+        text: What it shows, for those who cannot see it.
+    """
+    drawn = StringIO()
+    with _style():
+        figure.savefig(drawn, format="svg", metadata={"Date": None})
+    _, _, svg = drawn.getvalue().partition("<svg ")
+    head, _, body = svg.partition(">")
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body.replace("xlink:href", "href"))
+    size = re.search(r'viewBox="[^"]+"', head)
+    assert size, "matplotlib says how large a figure is"
+    return f'<svg {size[0]} role="img" aria-label="{escape(text)}">{body}'
 
 
 def _style() -> AbstractContextManager[None]:

@@ -28,6 +28,7 @@ import numpy as np
 from connectors import Rig
 from connectors.rig.paper import Collection, Recording
 from connectors.rig.scene import Scene
+from connectors.rig.variety import varied
 from flows.clock import EventClock
 from flows.graph import Flow
 from flows.record import collect
@@ -45,6 +46,7 @@ R = TypeVar("R")
 
 PLANS: Final[Mapping[str, Collection]] = {
     "paper": Collection(),
+    "wide": Collection(repeats=6, rotations=4, vary=varied),
     "tiny": Collection(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
 }
 SPLITS: Final[tuple[str, ...]] = ("train", "validation", "test")
@@ -141,7 +143,7 @@ def recordings(plan: str, seed: int) -> list[Planned]:
         ParameterError: on a plan that there is not, or a negative seed.
     """
     if plan not in PLANS:
-        raise ParameterError("simulate", "plan", plan, " or ".join(PLANS))
+        raise ParameterError("simulate", "plan", plan, f"one of {', '.join(PLANS)}")
     if seed < 0:
         raise ParameterError("simulate", "seed", seed, "0 or above")
     scenes = list(PLANS[plan].scenes(seed))

@@ -1,6 +1,6 @@
 """What a detector is trained and judged on: recordings of one fingertip as counts and labels."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -12,15 +12,16 @@ from connectors import CsvTrace
 from connectors.rig.finger import Finger
 from connectors.rig.motion import Controller
 from connectors.rig.paper import Collection
-from connectors.rig.scene import Move, Scene
+from connectors.rig.scene import Move, Scene, Timing
 from connectors.rig.truth import SLIDING, Truth
-from operators import Align, Label, Zero, ms
+from operators import Align, Health, Label, Zero, ms
 from operators.batch import (
     BAROMETERS,
     SLIP,
     UNKNOWN,
     Codes,
     Counts,
+    Faults,
     Flags,
     Labelled,
     Motion,
@@ -54,6 +55,7 @@ class Trial:
     zeroing: int = 0  # samples that it begins with and that the baseline was taken from
     name: str = ""
     split: str = ""  # train, validation or test
+    degraded: Flags | None = None  # (n,) whether `Health` reports a barometer at fault; None: not asked
 
     def __len__(self) -> int:
         return len(self.label)
@@ -69,10 +71,12 @@ class Trial:
         return np.arange(JUDGED, len(self), hop)
 
 
-def simulate(collection: Collection, seed: int) -> list[Trial]:
-    """Every recording of a plan."""
+def simulate(
+    collection: Collection, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
+) -> list[Trial]:
+    """Every recording of a plan; `change` is what becomes of each scene first."""
     return [
-        trial(scene, int(np.random.SeedSequence([seed, n]).generate_state(1)[0]))
+        trial(change(scene), int(np.random.SeedSequence([seed, n]).generate_state(1)[0]))
         for n, scene in enumerate(collection.scenes(seed))
     ]
 
@@ -84,9 +88,10 @@ def trial(scene: Scene, seed: int, name: str = "", split: str = "") -> Trial:
     controller = Controller(scene, seed)
     taken = list(iter(lambda: finger.take(_STRETCH), None))
     motion = concat(Motion, list(iter(lambda: controller.take(_STRETCH), None)))
-    truth = concat(Truth, [happened for _, happened in taken])
+    touch = concat(Touch, [felt for felt, _ in taken])
+    truth = _felt(concat(Truth, [happened for _, happened in taken]), touch, scene.touch)
     zero, align, label = Zero(), Align(within=20 * ms), Label(rotation=0.2)
-    zeroed = zero.push(concat(Touch, [touch for touch, _ in taken]))
+    zeroed = zero.push(touch)
     samples = [align.push(zeroed, motion), align.flush()]
     labelled = concat(Labelled, [label.push(batch) for batch in samples])
     strokes = [(start, move) for start, move in moves if move.motion in _STROKES]
@@ -104,6 +109,7 @@ def trial(scene: Scene, seed: int, name: str = "", split: str = "") -> Trial:
         zero.scans,
         name,
         split,
+        _degraded(touch),
     )
 
 
@@ -159,6 +165,23 @@ def _of_session(session: Session, finger: int) -> Trial:
         name=session.name,
         split=split,
     )
+
+
+def _felt(truth: Truth, touch: Touch, timing: Timing) -> Truth:
+    """The truth of the samples that arrived: where some were lost, found by their stamps."""
+    if len(truth) == len(touch):
+        return truth
+    t = (touch.time / s - timing.latency - timing.offset) / (1 + timing.drift)  # (n,) s
+    return truth[np.rint(t * timing.rate).astype(np.intp).clip(0, len(truth) - 1)]
+
+
+def _degraded(touch: Touch) -> Flags:
+    """Whether `Health` reports a barometer at fault; (n,)."""
+    health = Health()
+    faults = concat(Faults, [health.push(touch), health.flush()])
+    number = np.concatenate(([0], np.where(faults.active, 1, -1).cumsum()))  # of faults, after each change
+    active: Flags = number[faults.time.searchsorted(touch.time, "right")] > 0
+    return active
 
 
 def _held(labelled: Labelled) -> Counts:

@@ -6,14 +6,17 @@ its defaults 45 minutes, 54 % of them static. Split by recording, never by windo
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import product
+from typing import TypeAlias
 
 import numpy as np
 
 from connectors.rig.parameters import Parameters
 from connectors.rig.scene import Curvature, Move, Scene, Timing, Vibration
+
+Variation: TypeAlias = Callable[[Scene, np.random.Generator], Scene]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,11 @@ class Recording:
                 return
 
 
+def _unvaried(scene: Scene, random: np.random.Generator) -> Scene:
+    del random
+    return scene
+
+
 @dataclass(frozen=True, slots=True)
 class Collection:
     """How the recordings of a plan differ from each other.
@@ -69,15 +77,13 @@ class Collection:
     repeats: int = 9  # recordings of each surface and speed; paper: 45 minutes in all
     rotations: int = 5  # recordings of each surface; paper: about a tenth, from its Table III
     rounds: int = 2  # of eight strokes in a recording
-    force: float = 1.5  # N, median of the grip; fit
-    force_spread: float = 0.37  # of its logarithm; fit
-    tilt: float = 0.0027  # rad, standard deviation of the pad's slope along x and y; fit
-    apex: float = 0.0009  # m, standard deviation of a curved surface's highest point; fit
+    force: float = 1.5  # N, grip; fit
     vibration: float = 1.5e-4  # m, mean amplitude of the arm's shaking; fit
     pivot: float = 0.0065  # m, from the pad's centre to what rotations turn about; fit
     latency: float = 0.07  # s, of the arm's velocity against the barometers, times 0.4 to 1.6; fit
     acceleration: float = 0.63  # m/s2 at a stroke's ends; fit
     parameters: Parameters = field(default_factory=Parameters)
+    vary: Variation = _unvaried  # each recording's scene, on top of all this
 
     def scenes(self, seed: int) -> Iterator[Scene]:
         """One scene for each recording, the surfaces by turns; the same seed gives the same ones."""
@@ -86,18 +92,15 @@ class Collection:
             yield self._scene(np.random.default_rng([seed, 3, number]), surface, speed)
 
     def _scene(self, random: np.random.Generator, surface: Curvature, speed: float | None) -> Scene:
-        force = float(self.force * np.exp(self.force_spread * random.standard_normal()))
-        slope, apex = self.tilt * random.standard_normal(2), self.apex * random.standard_normal(2)
         turn, heading = random.uniform(0.0, 360.0, 2)
         shake = self.vibration * random.uniform(0.3, 1.7)
-        return Scene(
-            Recording(speed, force, rounds=self.rounds),
+        scene = Scene(
+            Recording(speed, self.force, rounds=self.rounds),
             surface,
-            apex=(float(apex[0]), float(apex[1])),
-            tilt=(float(slope[0]), float(slope[1])),
             offset=(self.pivot * math.cos(math.radians(turn)), self.pivot * math.sin(math.radians(turn))),
             acceleration=self.acceleration,
             vibration=Vibration(float(shake), float(random.choice([6.5, 12.0])), float(heading)),
             motion=Timing(125.0, latency=float(self.latency * random.uniform(0.4, 1.6))),
             parameters=self.parameters,
         )
+        return self.vary(scene, random)

@@ -51,7 +51,7 @@ class Parameters:
     sensitivity: float = 0.012  # counts/Pa; fit, below the datasheet's 0.016 (1023 counts over 65 kPa)
     creep: float = 0.5  # of the response follows late; fit
     creep_time: float = 0.8  # s; fit of a prototype
-    noise: float = 0.7  # counts, standard deviation; paper: 0.43 to 0.7 on unloaded cells
+    noise: float = 0.0  # counts, standard deviation; real unloaded cells have 0.43 to 0.7: no result changes
     rest_lowest: int = 420  # counts of an unloaded cell; paper: cells floor 420 to 502 below their rest
     rest_highest: int = 502  # counts
 

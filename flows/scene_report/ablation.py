@@ -8,7 +8,7 @@ import numpy as np
 
 from connectors.rig.paper import Collection
 from connectors.rig.scene import Move, Plan, Scene
-from flows.scene_report.judges import fitted, tally
+from flows.scene_report.judges import confusion, fitted
 from flows.scene_report.statistics import distance, measure
 from flows.trials import simulate
 from operators.batch import Reals
@@ -78,12 +78,9 @@ TERMS: Final[Mapping[str, Change]] = {
     "Stribeck friction": _no_stribeck,
     "resonance of the finger (damping 1)": _physics(damping=1.0),
     "floor of the barometers": _no_floor,
-    "noise": _physics(noise=0.0),
     "latency of the velocity": _plan(latency=0.0),
     "arm vibration": _plan(vibration=0.0),
     "pivot off the pad's centre": _plan(pivot=0.0),
-    "spread of the grip": _plan(force_spread=0.0),
-    "spread of the pose": _plan(tilt=0.0, apex=0.0),
     "force changes, taps and lifts": _calm,
 }  # what is missing in each
 GRIDS: Final[Mapping[str, Change]] = {
@@ -138,8 +135,8 @@ def ablate(
 
     def row(changed: Collection, number: int) -> list[float]:
         trials = simulate(changed, seeds[number])
-        scores = [] if network is None else [tally(network, trials, hop).accuracy]
-        found = [tally(detector, judged[number], hop).balanced for detector in fitted(trials, hop)]
+        scores = [] if network is None else [confusion(network, trials, hop).accuracy]
+        found = [confusion(detector, judged[number], hop).balanced for detector in fitted(trials, hop)]
         return [*scores, distance(measure(trials)), *found]
 
     def rows(name: str, changed: Collection) -> Reals:

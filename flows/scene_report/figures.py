@@ -7,7 +7,6 @@ import numpy as np
 
 from flows.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
 from flows.scene_report.ablation import TERMS, Ablation
-from flows.scene_report.motion import PAPER, SPEEDS, SURFACES, Cell, Cells
 from flows.scene_report.speed import Speed
 from flows.scene_report.statistics import FREQUENCIES, RATE, TABLE
 from flows.trials import Trial
@@ -115,34 +114,6 @@ def ablation(found: Ablation) -> Figure:
     axes[0].set_yticks(
         range(len(names)), [f"{'without' if name in TERMS else 'with'} {name}" for name in names]
     )
-    return figure
-
-
-@styled
-def motion(found: Mapping[str, Cells]) -> Figure:
-    """F1 in each cell of the paper's Table III."""
-    figure, axes = grid(1, len(SURFACES), (11, 3.4), sharey=True)
-    turn = len(SPEEDS)  # where rotation stands
-    styles = dict(zip(found, ((MAIN, "o"), (SECOND, "s")), strict=False))
-    for column, (axis, surface) in enumerate(zip(axes, SURFACES, strict=True)):
-        for kind, line in (("primary", "-"), ("oblique", ":")):
-            paper = [PAPER[kind, speed][column] for speed in SPEEDS]
-            axis.plot(range(turn), paper, line, color=FAINT, label=f"paper, {kind}")
-            for name, cells in found.items():
-                colour, mark = styles[name]
-                values = [cells.at(Cell(kind, speed, surface)).f1 for speed in SPEEDS]
-                label = f"{name}, {kind}"
-                axis.plot(range(turn), values, line, marker=mark, markersize=4, color=colour, label=label)
-        axis.plot(turn, PAPER["rotation", None][column], "D", color=FAINT, markersize=5)
-        for name, cells in found.items():
-            colour, mark = styles[name]
-            axis.plot(turn, cells.at(Cell("rotation", None, surface)).f1, mark, color=colour, markersize=5)
-        axis.set(title=surface.replace("_", " "), xlabel="cm/s, or rotation")
-        axis.set_xticks(range(turn + 1), [*(f"{100 * speed:g}" for speed in SPEEDS), "rot."])
-        axis.yaxis.grid(visible=True)
-    axes[0].set_ylabel("F1, %")
-    handles, names = axes[0].get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=3)
     return figure
 
 

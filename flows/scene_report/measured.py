@@ -7,9 +7,9 @@ from time import process_time
 from typing import Final, Self
 
 from connectors.rig.paper import Collection
+from flows.evaluation.motions import Cells
 from flows.scene_report.ablation import GRIDS, TERMS
-from flows.scene_report.judges import fitted
-from flows.scene_report.motion import Cells
+from flows.scene_report.judges import cells, fitted
 from flows.simulate import PLANS
 from flows.trials import read, simulate
 from operators.detectors import Detector
@@ -42,8 +42,8 @@ class Size:
         if plan == "paper":
             return cls()
         if plan not in PLANS:
-            raise ParameterError("simulate", "plan", plan, " or ".join(PLANS))
-        return cls(PLANS[plan], PLANS[plan], seeds=2, terms=("texture", "noise", "6 x 4 nodes"), timed=2.0)
+            raise ParameterError("simulate", "plan", plan, f"one of {', '.join(PLANS)}")
+        return cls(PLANS[plan], PLANS[plan], seeds=2, terms=("texture", "creep", "6 x 4 nodes"), timed=2.0)
 
 
 class Measured:
@@ -79,4 +79,4 @@ class Measured:
         self.cells: dict[str, Cells] = {}
         for name, detector in self.judges.items():
             told(f"judging by the {name}")
-            self.cells[name] = Cells.of(detector, self.trials, size.hop)
+            self.cells[name] = cells(detector, self.trials, size.hop)

@@ -8,12 +8,15 @@ import numpy as np
 
 from connectors.rig.paper import Collection
 from connectors.rig.scene import Move, Moves, Scene
+from flows.evaluation.figures import motion as motion_figure
+from flows.evaluation.metrics import Confusion
+from flows.evaluation.motions import PAPER, PAPER_SURFACES, SURFACES, Cell, Cells, Chosen
 from flows.figures import Figure
 from flows.scene_report import figures as scene_figures
 from flows.scene_report.ablation import DISTANCE, GRIDS, TERMS, ablate
-from flows.scene_report.judges import Tally, tally
+from flows.scene_report.judges import confusion
 from flows.scene_report.measured import NETWORK, Measured
-from flows.scene_report.motion import EFFECTS, PAPER, PAPER_SURFACES, SURFACES, Cell, Cells, Chosen
+from flows.scene_report.motion import EFFECTS
 from flows.scene_report.speed import speed
 from flows.scene_report.statistics import RATE, TABLE, distance, measure
 from flows.trials import Trial, trial
@@ -105,13 +108,13 @@ def _by_network(of: Measured) -> tuple[str, str, list[Mark]]:
     """Title, text and marks."""
     if (cells := of.cells.get(NETWORK)) is None:
         return "", SKIPPED_JUDGE, []
-    accuracy = cells.tally().accuracy
+    accuracy = cells.confusion().accuracy
     text = (
         "The paper's TCN, with its published weights and standardisation and no adaptation, on each "
         f"{of.size.hop}th window of the {len(of.trials)} recordings of the plan (seed {of.seed}). Weighted "
         "F1 stands beside that of the paper's Table III, on its real test set.\n\n"
     )
-    rows = [_row(name, cells.tally(chosen), paper) for name, chosen, paper in groups()]
+    rows = [_row(name, cells.confusion(chosen), paper) for name, chosen, paper in groups()]
     text += table(["windows", "number", "accuracy %", "static %", "slip %", "F1 %", "paper's F1 %"], rows)
     title = (
         f"a network trained on real data is right on {accuracy:.1f} % of the simulation "
@@ -128,16 +131,16 @@ def _by_network(of: Measured) -> tuple[str, str, list[Mark]]:
 def _by_trace(of: Measured) -> tuple[str, str, list[Mark]]:
     """Title, text and marks."""
     detectors: dict[str, Detector] = {"PSD threshold": of.psd, "logistic regression": of.logistic}
-    home = {name: tally(detector, of.trials, of.size.hop) for name, detector in detectors.items()}
+    home = {name: confusion(detector, of.trials, of.size.hop) for name, detector in detectors.items()}
     if of.trace is None:
         text = f"{SKIPPED_TRACE}\n\nFitted to {of.fitted_to}, on the simulation (balanced accuracy): "
-        text += ", ".join(f"{name} {tally.balanced:.1f} %" for name, tally in home.items()) + "."
+        text += ", ".join(f"{name} {counted.balanced:.1f} %" for name, counted in home.items()) + "."
         return (
             "",
             text,
-            [(f"{name} on the simulation", tally.balanced, False) for name, tally in home.items()],
+            [(f"{name} on the simulation", counted.balanced, False) for name, counted in home.items()],
         )
-    found = {name: tally(detector, [of.trace], 1) for name, detector in detectors.items()}
+    found = {name: confusion(detector, [of.trace], 1) for name, detector in detectors.items()}
     best = max(found, key=lambda name: found[name].balanced)
     title = (
         f"the better of two simple detectors fitted to the simulation on {found[best].balanced:.1f} % of a "
@@ -147,7 +150,7 @@ def _by_trace(of: Measured) -> tuple[str, str, list[Mark]]:
         (f"{name}, fitted to the simulation, on the trace", found[name].balanced, False) for name in found
     ]
     if of.network is not None:
-        found[NETWORK], home[NETWORK] = tally(of.network, [of.trace], 1), of.cells[NETWORK].tally()
+        found[NETWORK], home[NETWORK] = confusion(of.network, [of.trace], 1), of.cells[NETWORK].confusion()
         marks.append((f"{NETWORK} on the trace", found[NETWORK].balanced, False))
     marks.append(("goal on the trace", GOAL_TRACE, True))
     rows = [
@@ -194,7 +197,7 @@ def _named(kind: str, pace: float | None) -> str:
     return f"{kind}, {'1 rad/s' if pace is None else f'{100 * pace:g} cm/s'}"
 
 
-def _row(name: str, of: Tally, paper: float) -> list[str]:
+def _row(name: str, of: Confusion, paper: float) -> list[str]:
     numbers = (of.accuracy, *of.recalls, of.f1, paper)
     return [name, f"{of.counts.sum():.0f}", *(f"{number:.1f}" for number in numbers)]
 
@@ -316,14 +319,14 @@ def motion(of: Measured) -> Section:
         text += f"\n\n{SKIPPED_JUDGE}"
     named = ", ".join(name.split(",")[0] for name in good) or "none"
     title = f"{len(good)} of {len(EFFECTS)} motion effects of the real data are reproduced ({named})"
-    return Section(title, text, scene_figures.motion(of.cells))
+    return Section(title, text, motion_figure(of.cells))
 
 
 def _cells(cells: Cells) -> str:
     rows = list[list[str]]()
     for (kind, pace), paper in PAPER.items():
         each = [cells.at(Cell(kind, pace, surface)) for surface in SURFACES]
-        each.append(Tally(np.sum([one.counts for one in each], axis=0)))
+        each.append(Confusion(np.sum([one.counts for one in each], axis=0)))
         values = [f"{one.f1:.1f} ({theirs:.1f})" for one, theirs in zip(each, paper, strict=True)]
         rows.append([_named(kind, pace), *values])
     return table(["motion", *(surface.replace("_", " ") for surface in SURFACES), "all"], rows)

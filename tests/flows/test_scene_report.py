@@ -10,9 +10,10 @@ import pytest
 
 from connectors.rig.paper import Collection
 from flows import figures
-from flows.scene_report.judges import Logistic, Tally, fitted, tally, windows
+from flows.evaluation.motions import Cell
+from flows.scene_report.judges import cells as judged_cells
+from flows.scene_report.judges import confusion, fitted
 from flows.scene_report.measured import Size
-from flows.scene_report.motion import Cell, Cells
 from flows.scene_report.report import SECTIONS, write_report
 from flows.scene_report.statistics import TABLE, Published, distance, measure
 from flows.trials import Trial, simulate
@@ -81,13 +82,13 @@ def test_the_numbers_of_the_tables_are_those_computed(written: Written, trials: 
     assert f"**{distance(found):.2f}**" in written.page
 
     _, logistic = fitted(simulate(TINY, 500), SIZE.hop)
-    judged = Cells.of(logistic, trials, SIZE.hop)
+    judged = judged_cells(logistic, trials, SIZE.hop)
     first, second = (judged.at(Cell("primary", 0.05, surface)).f1 for surface in ("plane", "sphere"))
     assert [text.split()[0] for text in cells(written.page, "primary, 5 cm/s")[:2]] == [
         f"{first:.1f}",
         f"{second:.1f}",
     ]
-    assert f"logistic regression {tally(logistic, trials, SIZE.hop).balanced:.1f} %" in written.page
+    assert f"logistic regression {confusion(logistic, trials, SIZE.hop).balanced:.1f} %" in written.page
 
 
 def test_with_real_data_the_judgement_stands_in_the_report(tmp_path: Path) -> None:
@@ -114,40 +115,13 @@ def test_without_matplotlib_it_says_what_to_install_before_it_measures(
 
 
 def test_an_unknown_plan_is_refused() -> None:
-    with pytest.raises(ParameterError, match="plan is 'huge', must be paper or tiny"):
+    with pytest.raises(ParameterError, match="plan is 'huge', must be one of paper, wide, tiny"):
         Size.of("huge")
-
-
-def test_a_tally_of_known_answers_has_the_known_scores() -> None:
-    truth = np.array([True, True, True, True, False, False])
-    found = Tally.of(np.array([True, True, True, False, True, False]), truth)
-    assert found.counts.tolist() == [[1, 1], [1, 3]]
-    assert found.accuracy == pytest.approx(100 * 4 / 6)
-    assert found.recalls == pytest.approx((50, 75))
-    assert found.balanced == 62.5
-    assert found.f1 == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
 
 
 def test_a_statistic_inside_the_published_range_has_no_distance() -> None:
     row = Published("x", "x", (2.0,), (4.0,))
     assert [row.distance(np.array([value])) for value in (1.0, 2.0, 3.0, 4.0, 7.0)] == [1 / 3, 0, 0, 0, 1]
-
-
-def test_the_logistic_regression_tells_shaking_from_rest_on_any_barometer() -> None:
-    random = np.random.default_rng(0)
-    rest = random.normal(0, 1, (200, 41, 6)).round().astype(np.int16)
-    shaking = rest.copy()
-    shaking[:, :, 2] += random.normal(0, 40, (200, 41)).round().astype(np.int16)
-    slip = np.arange(400) >= 200
-    logistic = Logistic.fitted(np.concatenate([rest, shaking]), slip)
-    assert ((logistic.score(shaking[:, :, ::-1]) > 0.5).mean(), (logistic.score(rest) < 0.5).mean()) == (1, 1)
-
-
-def test_a_window_ends_with_the_sample_that_is_judged() -> None:
-    counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
-    trial = Trial(counts, np.zeros(150, np.int8), "plane")
-    assert windows(trial, 25, 10)[:, -1, 0].tolist() == counts[trial.judged(10), 0].tolist()
-    assert windows(trial, 100, 10)[0].tolist() == counts[:100].tolist()
 
 
 def test_the_same_seed_gives_the_same_trials(trials: list[Trial]) -> None:

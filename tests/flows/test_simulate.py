@@ -202,7 +202,7 @@ def test_a_folder_that_is_there_is_kept_unless_it_is_empty(tmp_path: Path, tiny:
 
 
 def test_parameters_that_cannot_be_are_told_before_anything_is_written(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="plan is 'papre', must be paper or tiny"):
+    with pytest.raises(ParameterError, match="plan is 'papre', must be one of paper, wide, tiny"):
         simulate(tmp_path / "out", "papre")
     with pytest.raises(ParameterError, match="seed is -1, must be 0 or above"):
         simulate(tmp_path / "out", "tiny", -1)

@@ -27,7 +27,8 @@ def take(finger: Finger, samples: int) -> tuple[Touch, Truth]:
 
 
 def test_an_unloaded_fingertip_reads_its_rest_level_and_noise() -> None:
-    touch, truth = take(Finger(Scene(Moves((Move("hold", 20.0, force=0.0),))), 0), 2000)
+    scene = Scene(Moves((Move("hold", 20.0, force=0.0),)), parameters=Parameters(noise=0.7))
+    touch, truth = take(Finger(scene, 0), 2000)
     touch.check()
     assert not truth.force.any()
     assert ((touch.counts.mean(axis=0) > 415) & (touch.counts.mean(axis=0) < 507)).all()

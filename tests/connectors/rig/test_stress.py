@@ -25,7 +25,7 @@ HARD = {
     "noise": 14.0, "gain": 1.3, "offset": 30.0, "drift": 20.0, "dead": 2, "stuck": 2, "floored": 2,
     "touch_jitter": 0.005, "touch_dropped": 0.3, "touch_clock_offset": -0.1, "touch_clock_rate": 1e-3,
     "motion_jitter": 0.005, "motion_dropped": 0.3, "motion_clock_offset": 0.1, "motion_clock_rate": 1e-3,
-    "vibration": 3e-4, "friction": 0.5, "force": 0.2, "slip_speed": 0.1,
+    "vibration": 3e-4, "friction": 0.5, "stick_slip": 0.0, "force": 0.2, "slip_speed": 0.1,
 }  # fmt: skip
 
 
@@ -81,6 +81,14 @@ def test_force_and_speed_are_the_plans() -> None:
 
     assert truth("force", 0.5) == pytest.approx((1.0, 0.1))
     assert truth("slip_speed", 0.5) == pytest.approx((2.0, 0.05))
+
+
+def test_without_stick_slip_a_moving_surface_holds_as_well_as_one_at_rest() -> None:
+    p, half = (stressed(PLAIN, "stick_slip", value).parameters for value in (0.0, 0.5))
+    assert p.static_friction == p.kinetic_friction == Parameters().kinetic_friction
+    assert half.static_friction == pytest.approx(
+        (Parameters().static_friction + Parameters().kinetic_friction) / 2
+    )
 
 
 def test_an_unknown_field_or_half_a_cell_is_refused() -> None:
