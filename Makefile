@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow check bench clean
+.PHONY: demo test test-slow check bench models clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -24,6 +24,23 @@ bench:  ## measure; prints tables
 	@deploy/prepare test
 	.venv/bin/python tests/benchmarks/bench_engine.py
 	.venv/bin/python tests/benchmarks/bench_scene.py
+	.venv/bin/python tests/benchmarks/bench_detectors.py
+	.venv/bin/python tests/benchmarks/bench_label_delay.py
+
+models: export PATH := $(CURDIR)/.venv/bin:$(PATH)
+models:  ## train again what ships in storage/trained: an hour and a half on two cores
+	@deploy/prepare test
+	mkdir -p models
+	slipflow simulate models/paper-0 --plan paper --seed 0
+	for seed in 3 4 5; do slipflow simulate models/wide-$$seed --plan wide --seed $$seed || exit 1; done
+	slipflow train models/paper-0 models/wide-3 models/wide-4 models/wide-5 --seeds 3 \
+	    --curve docs/figures/training.svg -o models/tcn.safetensors
+	slipflow train models/paper-0 --method paper_tcn --epochs 25 -o models/paper_tcn.safetensors
+	slipflow train models/paper-0 --method frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors
+	slipflow train models/paper-0 --method frequency_cnn_interleaved --epochs 30 \
+	    -o models/frequency_cnn_interleaved.safetensors
+	for name in tcn paper_tcn frequency_cnn frequency_cnn_interleaved; do \
+	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 
 clean:  ## forget everything that was set up or built
 	rm -rf .venv dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

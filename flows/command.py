@@ -8,6 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from flows import detector_commands
+from flows.options import AsJson, nanoseconds, progress_bar, told
+
 if TYPE_CHECKING:
     from collections.abc import Callable
 
@@ -40,7 +43,6 @@ Settings = Annotated[
         "--set", metavar="NAME=VALUE", help="Set a parameter of the flow; may be given several times."
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on the last line.")]
 Duration = Annotated[
     str | None, typer.Option("--for", metavar="TIME", help="Stop after this time: 30s, 5min.")
 ]
@@ -187,32 +189,33 @@ def simulate(
         from flows.scene_report.measured import Size
         from flows.scene_report.report import write_report
 
-        def told(text: str) -> None:
-            typer.echo(text, err=True)
-
         page = write_report(report, seed=seed, judge=judge, trace=trace, size=Size.of(plan), told=told)
         typer.echo(json.dumps({"page": str(page)}) if as_json else f"written: {page}")
         return
     if out is None:
         raise typer.BadParameter("give OUT, the dataset's folder, or --report DIR")
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn
-
     from flows import simulate as simulation
 
-    columns = *Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn()
-    screen = Console(stderr=True)
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        task = bar.add_task(f"simulating {plan}")
+    with progress_bar(f"simulating {plan}") as update:
         done = simulation.simulate(
             out,
             plan,
             seed,
-            delay=_nanoseconds(delay) or 0,
+            delay=nanoseconds(delay) or 0,
             jobs=jobs,
-            progress=lambda done, of: bar.update(task, completed=done, total=of),
+            progress=update,
         )
     typer.echo(json.dumps(done.summary()) if as_json else done.report())
+
+
+for each in (
+    detector_commands.train,
+    detector_commands.evaluate,
+    detector_commands.chart,
+    detector_commands.stress,
+    detector_commands.onnx,
+):
+    app.command()(each)
 
 
 @app.command()
@@ -275,22 +278,6 @@ def _recording(path: Path) -> "Recording":
     return Session.open(path)
 
 
-def _nanoseconds(duration: str | None) -> int | None:
-    """A duration as a person writes it.
-
-    >>> _nanoseconds("1.5s")
-    1500000000
-    """
-    import re
-
-    if duration is None:
-        return None
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|min|h)", duration.strip())
-    if match is None:
-        raise typer.BadParameter(f"{duration!r} is no time: write it as 500ms, 30s, 5min or 1h")
-    return round(float(match[1]) * {"ms": 1e6, "s": 1e9, "min": 60e9, "h": 3600e9}[match[2]])
-
-
 async def _execute(
     flow: "Flow", recording: "Recording | None", duration: str | None, pace: float | None
 ) -> "Run":
@@ -307,7 +294,7 @@ async def _execute(
         return await ReplayRunner(flow, recording, session).execute(_progress(recording))
     clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
     flow = flow if recording is None else replayed(flow, recording)
-    return await LiveRunner(flow, session, clock=clock, duration=_nanoseconds(duration)).execute()
+    return await LiveRunner(flow, session, clock=clock, duration=nanoseconds(duration)).execute()
 
 
 def _progress(recording: "Recording") -> "Callable[[Run], None]":

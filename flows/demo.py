@@ -2,7 +2,7 @@
 
 import socket
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -11,7 +11,9 @@ from flows.graph import Flow
 from flows.onsets import match_onsets
 from flows.record import ARM_LATENCY, collect
 from operators import Debounce, Label, Run, Score, Sink, Slips, ms
-from storage import Dataset, load_detector
+from storage import Dataset, load_debounce, load_detector
+
+DETECTOR: Final = "tcn"
 
 
 def local_broker() -> str | None:
@@ -53,12 +55,22 @@ class Demo:
         self.flow = Flow("demo")
         dataset = Dataset(str(out))
         zeroed = collect(self.flow, self.rig, Label(speed=0.003, delay=ARM_LATENCY), dataset)
-        slips = zeroed | Score(load_detector("psd")) | Debounce(consecutive=2, release=10)
+        debounce = load_debounce(DETECTOR) or Debounce()
+        slips = zeroed | Score(load_detector(DETECTOR)) | debounce
         slips.to(dataset)
         slips.to(Console())
         slips.to(self.onsets)
         if broker:
-            slips.to(Mqtt(broker, "lab", "demo", model={"id": "psd"}, threshold=0.5, consecutive=2))
+            slips.to(
+                Mqtt(
+                    broker,
+                    "lab",
+                    "demo",
+                    model={"id": DETECTOR},
+                    threshold=debounce.threshold,
+                    consecutive=debounce.consecutive,
+                )
+            )
 
     def summary(self, run: Run) -> dict[str, Any]:
         """What was recorded and felt, against what the simulation knows."""

@@ -3,16 +3,17 @@
 from connectors import Console, Mqtt, Rig
 from flows.graph import Flow
 from operators import Debounce, Health, Score, Zero
-from storage import load_detector
+from storage import load_debounce, load_detector
 
 
 def live(
-    detector: str = "psd", broker: str | None = None, site: str = "lab", rig: str = "rig", seed: int = 0
+    detector: str = "tcn", broker: str | None = None, site: str = "lab", rig: str = "rig", seed: int = 0
 ) -> Flow:
     """Score with `detector`, a built-in one or a file of weights; publish to `broker`, as mqtt://localhost."""
     flow = Flow("live")
     touch = flow.source(Rig(seed=seed).touch)
-    slips = touch | Zero() | Score(load_detector(detector)) | Debounce(consecutive=2, release=10)
+    debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
+    slips = touch | Zero() | Score(load_detector(detector)) | debounce
 
     faults = touch | Health()
 

@@ -2,10 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from operators.batch import Times, ms
+
+BEFORE: Final = 50 * ms  # ns, how much too early an onset may be: labels are that uncertain (paper, Fig. 6)
+AFTER: Final = 150 * ms  # ns, how long after its end a slip may still ring
 
 
 @dataclass(frozen=True)
@@ -18,14 +22,14 @@ class Onsets:
 
 
 def match_onsets(
-    onsets: Times, slips: Sequence[tuple[int, int]], *, before: int = 50 * ms, after: int = 150 * ms
+    onsets: Times, slips: Sequence[tuple[int, int]], *, before: int = BEFORE, after: int = AFTER
 ) -> Onsets:
     """Match each slip with the first onset from `before` its start to `after` its end.
 
     Args:
         onsets: (n,) times of raised onsets, ns, increasing.
         slips: start and end of each true slip, ns, increasing.
-        before: how much too early an onset may be, ns: labels are that uncertain (paper, Fig. 6).
+        before: how much too early an onset may be, ns.
         after: how long after its end a slip may still ring, ns.
 
     >>> match_onsets(np.array([30 * ms, 900 * ms]), [(0, 200 * ms), (400 * ms, 500 * ms)])

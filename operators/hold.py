@@ -22,7 +22,7 @@ def hold(values: NDArray[Scalar], valid: Flags, last: NDArray[Scalar]) -> NDArra
     >>> hold(values, valid, np.zeros(1, np.int64)).ravel()
     array([7, 7, 9])
     """
-    if valid.all():
+    if np.count_nonzero(valid) == valid.size:  # as valid.all(), in a third of the time for few rows
         return values
     source = np.where(valid, np.arange(1, len(values) + 1)[:, None], 0)  # (n, m) 0: `last`
     np.maximum.accumulate(source, axis=0, out=source)

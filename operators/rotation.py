@@ -51,6 +51,16 @@ def between(first: Vector[Real], second: Vector[Real], part: Real) -> Vector[Rea
     return _vector(_product(start, quaternion((part * a, part * b, part * c))))
 
 
+def onward(first: Vector[Real], second: Vector[Real]) -> Vector[Real]:
+    """The rotation vector, in the base frame, that turns one rotation into another the shortest way.
+
+    >>> onward((0.0, 0.0, 1.5), (0.0, 0.0, 1.0))
+    (0.0, 0.0, -0.5)
+    """
+    w, x, y, z = quaternion(first)
+    return _vector(_product(quaternion(second), (w, -x, -y, -z)))
+
+
 def _product(p: Quaternion[Real], q: Quaternion[Real]) -> Quaternion[Real]:
     a, b, c, d = p
     w, x, y, z = q

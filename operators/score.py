@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Scores, Zeroed
-from operators.detectors.detector import Detector
+from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed
+from operators.detectors.detector import Detector, Stream, Streaming
 from operators.errors import ParameterError
 from operators.hold import hold
 from operators.operator import Operator
@@ -22,18 +22,25 @@ class Score(Operator[Zeroed, Scores]):
 
     A cell that did not answer is taken to read what it read last, or 0 before it ever did. Where more than
     three cells of the newest sample did not answer, the score is NaN.
+
+    A detector that can is streamed: it is given each sample once, and no window is kept.
     """
 
     detector: Detector
     hop: int = 1  # samples
-    _window: Window = field(init=False, repr=False, compare=False)
+    _way: "_Streamed | _Windowed" = field(init=False, repr=False, compare=False)
     _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid
+    _due: int = field(default=0, init=False, repr=False)  # samples until the next score
 
     def __post_init__(self) -> None:
         if self.hop < 1:
             raise ParameterError("Score", "hop", self.hop, "at least 1")
-        self._window = Window(self.detector.length, self.hop)
+        if isinstance(self.detector, Streaming):
+            self._way = _Streamed(self.detector.stream())
+        else:
+            self._way = _Windowed(self.detector, Window(self.detector.length, self.hop))
         self._last = np.zeros(BAROMETERS, np.int16)
+        self._due = self.detector.length
 
     def process(self, batch: Zeroed) -> Scores:
         """Give a score for each window whose newest sample is in the batch."""
@@ -42,17 +49,37 @@ class Score(Operator[Zeroed, Scores]):
         if not answered:
             batch = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
         self._last = counts[-1]
-        windows = self._window.process(batch)
-        size = len(windows)
-        if not size:
+        rows = slice(self._due - 1, None, self.hop)  # that are judged
+        probability = self._way.judge(batch, rows)
+        self._due += len(probability) * self.hop - len(counts)
+        if not len(probability):
             return Scores.empty()
-        counts = windows.counts
-        if size <= _BLOCK:
-            probability = self.detector.score(counts)
-        else:
-            blocks = range(0, size, _BLOCK)
-            probability = np.concatenate([self.detector.score(counts[i : i + _BLOCK]) for i in blocks])
         if not answered:
-            missing = BAROMETERS - windows.valid[:, -1].sum(axis=1)  # (n,)
+            missing = BAROMETERS - batch.valid[rows].sum(axis=1)  # (n,)
             probability = np.where(missing > _MISSING, np.nan, probability)
-        return Scores(windows.time, probability, finger=batch.finger)
+        return Scores(batch.time[rows], probability, finger=batch.finger)
+
+
+@dataclass
+class _Streamed:
+    """Has the detector remember the past."""
+
+    stream: Stream
+
+    def judge(self, batch: Zeroed, rows: slice) -> Reals:
+        return self.stream.push(batch.counts[:, None])[rows, 0]
+
+
+@dataclass
+class _Windowed:
+    """Gives the detector windows, those whose newest samples are the rows."""
+
+    detector: Detector
+    window: Window
+
+    def judge(self, batch: Zeroed, rows: slice) -> Reals:  # noqa: ARG002 - the window counts on its own
+        windows, score = self.window.process(batch).counts, self.detector.score
+        if len(windows) <= _BLOCK:
+            return score(windows) if len(windows) else np.empty(0)
+        blocks = range(0, len(windows), _BLOCK)
+        return np.concatenate([score(windows[i : i + _BLOCK]) for i in blocks])

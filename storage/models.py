@@ -11,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors import numpy as safetensors
 
-from operators.detectors import DETECTORS, Detector, PaperTcn
+from operators.debounce import Debounce
+from operators.detectors import DETECTORS, TRAINED, Detector
 from operators.errors import InputError, ParameterError
 from storage import files
 
+_SHIPPED: Final = Path(__file__).parent / "trained"
+_UNNAMED: Final = "paper_tcn"  # what weights are of that do not say so, as those in .npz
 LIMIT: Final = 256 * files.MiB  # of a file, and of what is packed in it
 
 
@@ -58,21 +61,57 @@ def save_weights(
 
 
 def load_detector(name: str | Path) -> Detector:
-    """A detector by its name, such as psd, or the paper's TCN with the weights in a file.
+    """A detector by its name, such as tcn or psd, or the one whose weights are in a file.
 
     Raises:
         InputError: if there is no such detector, or the file does not hold its weights.
     """
     if make := DETECTORS.get(str(name)):
         return make()
-    if Path(name).suffix in _READERS:
-        weights, _ = load_weights(name)
+    path = shipped(str(name)) or Path(name)
+    if path.suffix in _READERS:
+        weights, about = load_weights(path)
+        kind = about.get("detector", _UNNAMED)
+        if kind not in TRAINED:
+            raise InputError(str(name), f"is of a detector {kind!r}; known are {', '.join(sorted(TRAINED))}")
         try:
-            return PaperTcn(weights)
+            return TRAINED[kind](weights)
         except InputError as error:
             raise InputError(str(name), error.reason) from error
-    known = ", ".join(sorted(DETECTORS))
+    known = ", ".join(sorted([*DETECTORS, *filter(shipped, TRAINED)]))
     raise InputError(str(name), f"is no detector: give {known} or a {' or '.join(_READERS)} file of weights")
+
+
+def shipped(name: str) -> Path | None:
+    """The file of a trained detector that comes with the package; None where there is none of that name."""
+    path = _SHIPPED / f"{name}.safetensors"
+    return path if name in TRAINED and path.exists() else None
+
+
+def load_card(path: Path) -> dict[str, Any]:
+    """What a model's card, the .json beside it, says; nothing where there is none.
+
+    Raises:
+        InputError: if it is damaged.
+    """
+    card = path.with_suffix(".json")
+    return files.read_json(card) if card.exists() else {}
+
+
+def load_debounce(name: str | Path) -> Debounce | None:
+    """How a detector's card says that its scores are best turned into events; None where it does not.
+
+    Raises:
+        InputError: if the card is damaged.
+    """
+    path = shipped(str(name)) or Path(name)
+    settings = load_card(path).get("debounce") if path.suffix in _READERS else None
+    if settings is None:
+        return None
+    try:
+        return Debounce(**settings)
+    except (TypeError, ParameterError) as error:
+        raise InputError(str(path.with_suffix(".json")), f"debounce: {error}") from error
 
 
 def _read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

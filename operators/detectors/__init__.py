@@ -2,10 +2,30 @@
 
 from collections.abc import Callable
 
-from operators.detectors.detector import Detector
+from operators.detectors.detector import Detector, Stream, Streaming
+from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
 from operators.detectors.paper_tcn import PaperTcn
 from operators.detectors.psd import Psd
+from operators.detectors.tcn import Tcn
+from operators.detectors.weights import Weights
 
-__all__ = ["DETECTORS", "Detector", "PaperTcn", "Psd"]
+__all__ = [
+    "DETECTORS",
+    "TRAINED",
+    "Detector",
+    "FrequencyCnn",
+    "InterleavedFrequencyCnn",
+    "PaperTcn",
+    "Psd",
+    "Stream",
+    "Streaming",
+    "Tcn",
+]
 
 DETECTORS: dict[str, Callable[[], Detector]] = {"psd": Psd}  # by name, those that need no weights
+TRAINED: dict[str, Callable[[Weights], Detector]] = {  # those that do
+    "frequency_cnn": FrequencyCnn,
+    "frequency_cnn_interleaved": InterleavedFrequencyCnn,
+    "paper_tcn": PaperTcn,
+    "tcn": Tcn,
+}

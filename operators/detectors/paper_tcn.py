@@ -1,17 +1,12 @@
 """The paper's temporal convolutional network (its Table I), as a plain numpy forward pass."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Self, TypeAlias
+from typing import Final, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, Counts, Reals
-from operators.errors import InputError
-
-Floats: TypeAlias = NDArray[np.float32]
-Weights: TypeAlias = Mapping[str, NDArray[Any]]
+from operators.detectors.weights import Floats, Weights, check
 
 _LENGTH: Final = 100  # samples
 _BLOCKS: Final = 4
@@ -40,11 +35,11 @@ class PaperTcn:
         InputError: an array is missing, has another shape, or is not finite.
     """
 
-    name = "paper-tcn"
+    name = "paper_tcn"
     length = _LENGTH
 
     def __init__(self, weights: Weights) -> None:
-        _check(weights)
+        check("PaperTcn", weights, shapes())
         steps = [_LENGTH]
         while len(steps) < _BLOCKS:
             steps.append(_halved(steps[-1]))  # into each block: 100, 50, 25, 13
@@ -162,14 +157,3 @@ def shapes() -> dict[str, tuple[int, ...]]:
         norm(f"dense{dense}_ln", _UNITS)
     linear("out", _UNITS, 2)
     return result
-
-
-def _check(weights: Weights) -> None:
-    for name, shape in shapes().items():
-        if name not in weights:
-            raise InputError("PaperTcn weights", f"{name} is missing")
-        array = weights[name]
-        if array.shape != shape:
-            raise InputError("PaperTcn weights", f"{name} has shape {array.shape}, must be {shape}")
-        if not np.isfinite(array).all():
-            raise InputError("PaperTcn weights", f"{name} is not finite")

@@ -46,7 +46,7 @@ def shaking(folder: Path, samples: int = 300) -> str:
 
 def test_help_names_every_command() -> None:
     text = slipflow("--help").stdout
-    for command in ("run", "check", "graph", "demo", "watch", "simulate"):
+    for command in ("run", "check", "graph", "demo", "watch", "simulate", "evaluate"):
         assert f"  {command} " in text
         assert "Usage" in slipflow(command, "--help").stdout
 
@@ -75,7 +75,7 @@ def test_check_says_that_a_flow_is_sound_and_lists_its_parameters() -> None:
     done = slipflow("check", "live")
     assert done.returncode == 0
     assert "live is sound; sources: touch; sinks: console" in done.stdout
-    assert "--set detector=psd  (str)" in done.stdout
+    assert "--set detector=tcn  (str)" in done.stdout
 
 
 def test_check_finds_every_problem(tmp_path: Path) -> None:
@@ -130,7 +130,7 @@ def test_other_bad_input_is_one_line_each(tmp_path: Path) -> None:
     assert "missing.csv" in error("run", "live", "--replay", str(tmp_path / "missing.csv"))
     assert "wrong.csv" in error("run", "live", "--replay", str(wrong))
     assert str(tmp_path / "none") in error("run", "live", "--replay", str(tmp_path / "none"))
-    assert "oracle: is no detector: give psd or" in error("check", "live", "--set", "detector=oracle")
+    assert "oracle: is no detector: give " in error("check", "live", "--set", "detector=oracle")
     assert "must be the name of one of its parameters" in error("check", "live", "--set", "speed=1")
     assert "holds no motion stream" in error("run", "record", "--replay", here)
 

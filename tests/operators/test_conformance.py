@@ -32,8 +32,16 @@ from operators import (
     s,
 )
 from operators.batch import Counts, Reals, Times
-from operators.detectors import PaperTcn, Psd
-from operators.detectors.paper_tcn import shapes
+from operators.detectors import (
+    FrequencyCnn,
+    InterleavedFrequencyCnn,
+    PaperTcn,
+    Psd,
+    Tcn,
+    frequency_cnn,
+    paper_tcn,
+    tcn,
+)
 from operators.operator import Step, input_types, output_type
 
 Value = TypeVar("Value")
@@ -110,7 +118,21 @@ class _Spread:
 
 def _paper_tcn() -> PaperTcn:
     rng = np.random.default_rng(0)
-    return PaperTcn({name: rng.normal(size=shape) + 1 for name, shape in shapes().items()})
+    return PaperTcn({name: rng.normal(size=shape) + 1 for name, shape in paper_tcn.shapes().items()})
+
+
+def _frequency_cnn(kind: type[FrequencyCnn]) -> FrequencyCnn:
+    rng = np.random.default_rng(5)
+    weights = {name: rng.normal(size=shape) / 10 for name, shape in frequency_cnn.shapes().items()}
+    return kind(weights | {"std": np.abs(weights["std"])})
+
+
+def _tcn() -> Tcn:
+    rng = np.random.default_rng(0)
+    sizes = tcn.shapes(taps=3, filters=5, units=4, blocks=2)
+    weights = {name: rng.normal(size=shape) / 3 for name, shape in sizes.items()}
+    scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
+    return Tcn(weights | scales | {"dilations": np.array([1, 3])})
 
 
 @dataclass(frozen=True)
@@ -141,6 +163,10 @@ CASES: Final = [
     Case(Score(_Spread(), hop=2), (_touch(Zeroed),)),
     Case(Score(Psd()), (_touch(Zeroed),)),
     Case(Score(_paper_tcn(), hop=5), (_touch(Zeroed),), snapshot=100_000),  # with the weights
+    Case(Score(_frequency_cnn(FrequencyCnn), hop=5), (_touch(Zeroed),), snapshot=150_000),
+    Case(Score(_frequency_cnn(InterleavedFrequencyCnn), hop=5), (_touch(Zeroed),), snapshot=150_000),
+    Case(Score(_tcn()), (_touch(Zeroed),), snapshot=10_000),
+    Case(Score(_tcn(), hop=4), (_touch(Zeroed),), snapshot=10_000),
     Case(Debounce(), (_scores,)),
     Case(Debounce(threshold=0.88, consecutive=3, release=1, minimum=80 * ms), (_scores,)),
     Case(Health(), (_touch(Touch),)),

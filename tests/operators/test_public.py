@@ -1,6 +1,8 @@
+import pytest
+
 import operators
-from operators import detectors
-from operators.detectors import DETECTORS
+from operators import InputError, detectors
+from operators.detectors import DETECTORS, TRAINED
 
 
 def test_every_public_name_is_there_and_named_once() -> None:
@@ -11,3 +13,12 @@ def test_every_public_name_is_there_and_named_once() -> None:
 
 def test_detectors_that_need_no_weights_are_known_by_their_names() -> None:
     assert {name: make().name for name, make in DETECTORS.items()} == {name: name for name in DETECTORS}
+
+
+def test_detectors_that_need_weights_are_known_by_their_names_and_say_what_is_missing() -> None:
+    assert {name: getattr(make, "name", None) for name, make in TRAINED.items()} == {
+        name: name for name in TRAINED
+    }
+    for make in TRAINED.values():
+        with pytest.raises(InputError, match="is missing"):
+            make({})

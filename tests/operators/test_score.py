@@ -20,6 +20,18 @@ class _Keeper:
         return windows[:, -1, 0] / 1000
 
 
+@dataclass
+class _Runner(_Keeper):
+    """The same, streaming."""
+
+    def stream(self, fingers: int = 1) -> "_Runner":
+        return self
+
+    def push(self, counts: Counts | Reals) -> Reals:
+        self.given.append(counts)
+        return counts[:, :, 0] / 1000
+
+
 def _touch(*first: int, rows: int = 0) -> Zeroed:
     counts = np.zeros((len(first) or rows, 6), np.int16)
     counts[:, 0] = first or np.arange(rows)
@@ -59,6 +71,23 @@ def test_a_sample_of_which_more_than_three_cells_are_invalid_has_no_score() -> N
     touch.valid[1, :3] = False
     touch.valid[2, :4] = False
     assert np.isnan(Score(_Keeper()).push(touch).probability).tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("hop", [1, 3, 11])
+@pytest.mark.parametrize("rows", [1, 4, 30])
+def test_a_streaming_detector_is_given_each_sample_once_and_judges_as_one_of_windows(
+    hop: int, rows: int
+) -> None:
+    touch, runner = _touch(rows=30), _Runner(length=5)
+    touch.valid[10:20:2] = False
+    streaming, windowed = Score(runner, hop), Score(_Keeper(length=5), hop)
+    for start in range(0, 30, rows):
+        piece = touch[start : start + rows]
+        found, expected = streaming.push(piece), windowed.push(piece)
+        np.testing.assert_array_equal(found.probability, expected.probability)
+        np.testing.assert_array_equal(found.time, expected.time)
+    held = [row - 1 if row in range(10, 20, 2) else row for row in range(30)]
+    assert np.concatenate(runner.given)[:, 0, 0].tolist() == held
 
 
 def test_a_hop_out_of_range_is_refused() -> None:

@@ -1,3 +1,4 @@
+import hashlib
 import io
 import zipfile
 from pathlib import Path
@@ -10,8 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 from numpy.typing import NDArray
 
+from operators import Debounce
+from operators.detectors import TRAINED
 from operators.errors import InputError, ParameterError
-from storage import load_detector, load_weights, save_weights
+from storage import load_debounce, load_detector, load_weights, save_weights
+from storage.models import load_card, shipped
 
 SHARED = Path(__file__).parents[2].parent / "shared/real"
 
@@ -140,3 +144,35 @@ def test_the_papers_tcn_is_made_of_its_weights_in_either_format(tmp_path: Path) 
     windows = np.random.default_rng(0).integers(-500, 200, (3, 100, 6), np.int16)
     first, second = (load_detector(path) for path in (SHARED / "paper_tcn.npz", tmp_path / "tcn.safetensors"))
     assert first.score(windows).tolist() == second.score(windows).tolist()
+
+
+@pytest.mark.parametrize("name", sorted(TRAINED))
+def test_what_ships_is_small_and_what_its_card_says(name: str) -> None:
+    path = shipped(name)
+    assert path is not None
+    card = load_card(path)
+    assert card["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    assert card["detector"] == name == load_detector(name).name
+    assert path.stat().st_size < 200_000
+    assert {"data", "seed", "scores", "recipe", "software"} < card.keys()
+    assert isinstance(load_debounce(name), Debounce)
+
+
+def test_a_detector_without_a_card_says_nothing_of_debouncing(tmp_path: Path) -> None:
+    assert load_debounce("psd") is None
+    save_weights(tmp_path / "model.safetensors", {"x": np.zeros(1)})
+    assert load_debounce(tmp_path / "model.safetensors") is None
+
+
+@pytest.mark.parametrize("settings", ['{"threshold": 2}', '{"speed": 1}', "[]", "3"])
+def test_a_card_with_wrong_settings_is_reported(tmp_path: Path, settings: str) -> None:
+    save_weights(tmp_path / "model.safetensors", {"x": np.zeros(1)})
+    (tmp_path / "model.json").write_text(f'{{"debounce": {settings}}}')
+    with pytest.raises(InputError, match="debounce"):
+        load_debounce(tmp_path / "model.safetensors")
+
+
+def test_weights_of_an_unknown_detector_are_refused(tmp_path: Path) -> None:
+    save_weights(tmp_path / "model.safetensors", {"x": np.zeros(1)}, {"detector": "oracle"})
+    with pytest.raises(InputError, match="is of a detector 'oracle'"):
+        load_detector(tmp_path / "model.safetensors")

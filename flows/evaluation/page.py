@@ -1,0 +1,113 @@
+"""A page of findings: each a title that says it, its figure, its tables; as HTML and as Markdown."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import Final
+
+from flows.figures import Figure, inline
+
+_STYLE: Final = """
+:root { color-scheme: light; }
+body { margin: 2.5rem auto; max-width: 66rem; padding: 0 1.5rem; background: #fff; color: #22272e;
+       font: 16px/1.5 system-ui, "DejaVu Sans", Helvetica, Arial, sans-serif; }
+h1 { font-size: 1.6rem; line-height: 1.25; } h2 { font-size: 1.15rem; line-height: 1.3; margin-top: 3rem; }
+p { max-width: 46rem; } svg { width: 100%; height: auto; max-height: 36rem; }
+table { border-collapse: collapse; margin: 1rem 0; font-size: .86rem; font-variant-numeric: tabular-nums; }
+div.table { overflow-x: auto; } caption { text-align: left; font-weight: 600; padding: .2rem 0; }
+th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed; white-space: nowrap; }
+th:first-child, td:first-child { text-align: left; padding-left: 0; }
+th { font-weight: 600; border-bottom-color: #9aa4b0; }
+pre { background: #f5f7f9; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; }
+footer { margin-top: 3rem; color: #5b6672; font-size: .85rem; }
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows of text below a head; all columns but the first to the right."""
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    caption: str = ""
+
+    def markdown(self) -> str:
+        """Padded, so that it reads as plain text too.
+
+        >>> print(Table(["method", "F1"], [["psd", "57.5"], ["tcn", "9"]]).markdown())
+        | method |   F1 |
+        | ------ | ---: |
+        | psd    | 57.5 |
+        | tcn    |    9 |
+        """
+        lines = [self.head, *self.rows]
+        wide = [max(3, *(len(line[column]) for line in lines)) for column in range(len(self.head))]
+        rule = ["-" * wide[0], *("-" * (width - 1) + ":" for width in wide[1:])]
+        padded = [
+            [
+                line[0].ljust(wide[0]),
+                *(cell.rjust(width) for cell, width in zip(line[1:], wide[1:], strict=True)),
+            ]
+            for line in (self.head, rule, *self.rows)
+        ]
+        text = "\n".join(f"| {' | '.join(line)} |" for line in padded)
+        return f"{self.caption}\n\n{text}" if self.caption else text
+
+    def html(self) -> str:
+        """The same as an element."""
+
+        def row(tag: str, cells: Sequence[str]) -> str:
+            return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+        caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
+        body = "\n".join(row("td", cells) for cells in self.rows)
+        head = f"<thead>{row('th', self.head)}</thead>"
+        return f'<div class="table"><table>{caption}{head}<tbody>\n{body}\n</tbody></table></div>'
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One finding."""
+
+    name: str  # of letters and hyphens
+    title: str  # the finding, in numbers
+    text: str  # what it rests on
+    tables: Sequence[Table]
+    figure: Figure | None = None  # None: nothing to see, or nothing that could draw it
+
+    def html(self) -> str:
+        """As an element."""
+        figure = "" if self.figure is None else inline(self.figure, self.name, self.title)
+        tables = "\n".join(table.html() for table in self.tables)
+        title, text = escape(self.title), escape(self.text)
+        return f'<section id="{self.name}">\n<h2>{title}</h2>\n<p>{text}</p>\n{figure}\n{tables}\n</section>'
+
+    def markdown(self) -> str:
+        """Without the figure."""
+        return "\n\n".join([f"## {self.title}", self.text, *(table.markdown() for table in self.tables)])
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Findings, and the command that made them."""
+
+    title: str
+    text: str
+    sections: Sequence[Section]
+    command: str
+
+    def html(self) -> str:
+        """One file that needs no other."""
+        sections = "\n".join(section.html() for section in self.sections)
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
+            f"<h1>{escape(self.title)}</h1>\n<p>{escape(self.text)}</p>\n{sections}\n"
+            f"<footer>Made by<pre>{escape(self.command)}</pre></footer>\n</body>\n</html>\n"
+        )
+
+    def markdown(self) -> str:
+        """The same without figures."""
+        parts = [f"# {self.title}", self.text, *(section.markdown() for section in self.sections)]
+        return "\n\n".join([*parts, f"    {self.command}"]) + "\n"

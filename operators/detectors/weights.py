@@ -1,0 +1,30 @@
+"""What a detector with weights is made of: named arrays, checked before they are used."""
+
+from collections.abc import Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.errors import InputError
+
+Floats: TypeAlias = NDArray[np.float32]
+Weights: TypeAlias = Mapping[str, NDArray[Any]]
+Shapes: TypeAlias = Mapping[str, tuple[int, ...]]
+
+
+def check(owner: str, weights: Weights, shapes: Shapes) -> None:
+    """Make sure that the arrays named in `shapes` are there, have these shapes and are finite.
+
+    >>> check("Net", {"bias": np.zeros(3)}, {"bias": (2,)})
+    Traceback (most recent call last):
+    operators.errors.InputError: Net weights: bias has shape (3,), must be (2,)
+    """
+    for name, shape in shapes.items():
+        if name not in weights:
+            raise InputError(f"{owner} weights", f"{name} is missing")
+        array = weights[name]
+        if array.shape != shape:
+            raise InputError(f"{owner} weights", f"{name} has shape {array.shape}, must be {shape}")
+        if not np.isfinite(array).all():
+            raise InputError(f"{owner} weights", f"{name} is not finite")

@@ -1,0 +1,142 @@
+"""What a sample costs our TCN, by its filters: streaming, and on windows; batch 1, one core, CPU time.
+
+Run by `make bench`. Streaming takes sample after sample, of one fingertip or of 64 that are sampled together,
+then per fingertip; live is one fingertip's batches of one through `Score`. Windowed takes a whole window for
+each sample, as those must who do not stream. Weights are random: they cost what trained ones do. All variants
+take turns, so that a change of the machine's speed hits all of them; the table shows medians.
+"""
+
+import argparse
+import gc
+import os
+import platform
+import statistics
+import subprocess
+import time
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.lib.stride_tricks import sliding_window_view
+
+from flows.evaluation.onnx_windowed import OnnxWindowed
+from flows.evaluation.torch_eager import TorchEager
+from operators import Score, Zeroed, ms
+from operators.batch import Counts
+from operators.detectors import Detector, Tcn
+from operators.detectors.tcn import shapes
+
+FILTERS = (4, 8, 12, 16, 24)
+FINGERS = 64
+SAMPLES = 2000  # of one fingertip
+Run = Callable[[], int]  # says how many samples it scored
+
+
+def network(filters: int, seed: int) -> Tcn:
+    """Our TCN with random weights: a receptive field of 100 samples."""
+    rng = np.random.default_rng([seed, filters])
+    sizes = shapes(taps=8, filters=filters, units=24, blocks=3)
+    weights = {name: rng.normal(size=shape) / np.sqrt(np.prod(shape[:-1])) for name, shape in sizes.items()}
+    scales = {"position_scale": np.array([8.0]), "step_scale": np.array([1.5])}
+    return Tcn(weights | scales | {"dilations": np.array([1, 2, 4])})
+
+
+def streaming(tcn: Tcn, counts: Counts, fingers: int) -> Run:
+    """Sample after sample, of some fingertips at once."""
+    stream, rows = tcn.stream(fingers), [row[None, None].repeat(fingers, axis=1) for row in counts]
+
+    def run() -> int:
+        for row in rows:
+            stream.push(row)
+        return len(rows) * fingers
+
+    return run
+
+
+def live(tcn: Tcn, counts: Counts) -> Run:
+    """Batches of one through the operator."""
+    time = np.arange(len(counts)) * 10 * ms
+    touch = Zeroed(time, counts, counts, np.ones_like(counts, np.bool_), finger=0)
+    rows = [touch[row : row + 1] for row in range(len(touch))]
+
+    def run() -> int:
+        score = Score(tcn)
+        for row in rows:
+            score.push(row)
+        return len(rows)
+
+    return run
+
+
+def windowed(detector: Detector, counts: Counts, number: int) -> Run:
+    """One window after the other."""
+    windows = sliding_window_view(counts, detector.length, axis=0)[:number, None].swapaxes(2, 3).copy()
+
+    def run() -> int:
+        for window in windows:  # (1, length, 6)
+            detector.score(window)
+        return number
+
+    return run
+
+
+def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
+    """What is measured for one size."""
+    tcn = network(filters, seed)
+    eager, runtime = TorchEager(tcn), OnnxWindowed(tcn)
+    windows = sliding_window_view(counts, tcn.length, axis=0)[:50].swapaxes(1, 2)
+    streamed = tcn.stream().push(counts[:, None])[tcn.length - 1 :][:50, 0]
+    for same in (tcn.score(windows), eager.score(windows), runtime.score(windows)):
+        np.testing.assert_allclose(same, streamed, atol=1e-5)
+    return {
+        "streaming": streaming(tcn, counts, 1),
+        f"streaming, {FINGERS} fingertips, each": streaming(tcn, counts[: SAMPLES // FINGERS], FINGERS),
+        "live, through Score": live(tcn, counts),
+        "windowed, numpy": windowed(tcn, counts, 200),
+        "windowed, onnxruntime": windowed(runtime, counts, 100),
+        "windowed, torch eager": windowed(eager, counts, 20),
+    }
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--turns", type=int, default=15)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(options.seed)
+    counts = (-250 + np.cumsum(rng.integers(-20, 21, (SAMPLES, 6)), axis=0) % 250).astype(np.int16)
+    runs = {
+        (name, filters): run
+        for filters in FILTERS
+        for name, run in variants(filters, counts, options.seed).items()
+    }
+    cost: dict[tuple[str, int], list[float]] = {key: [] for key in runs}
+    gc.disable()
+    for turn in range(options.turns + 1):  # the first one warms up
+        for key, run in runs.items():
+            began = time.process_time()
+            samples = run()
+            if turn:
+                cost[key].append((time.process_time() - began) / samples * 1e6)
+        gc.collect()
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit.stdout.strip()}")
+    machine = platform.processor() or platform.machine()
+    versions = f"Python {platform.python_version()}, numpy {np.__version__}, torch {torch.__version__}"
+    print(f"{machine}, {os.cpu_count()} cores, {versions}")
+    print(f"{'us per sample, by filters':36}" + "".join(f"{filters:9}" for filters in FILTERS))
+    for name in dict.fromkeys(name for name, _ in cost):
+        medians = [statistics.median(cost[name, filters]) for filters in FILTERS]
+        print(f"{name:36}" + "".join(f"{median:9.2f}" for median in medians))
+    for name in ("windowed, onnxruntime", "windowed, torch eager"):
+        pairs = [(cost[name, filters], cost["streaming", filters]) for filters in FILTERS]
+        ratios = [statistics.median(a / b for a, b in zip(*pair, strict=True)) for pair in pairs]
+        print(f"{name + ' : streaming':36}" + "".join(f"{ratio:9.0f}" for ratio in ratios))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""`slipflow evaluate` as a user meets it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+SLIPFLOW = [sys.executable, "-c", "from flows.command import main; main()"]
+
+
+def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=300, check=False, cwd=cwd
+    )
+
+
+def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
+    done = slipflow("evaluate", str(tiny), "--method", "psd", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert list(found["methods"]) == ["psd"]
+    assert 50 < found["methods"]["psd"]["accuracy"] < 100
+    assert "judging psd" in done.stderr
+    names = {path.name for path in (tmp_path / "evaluation").iterdir()}
+    assert {"evaluation.html", "evaluation.json", "evaluation.md", "evaluation-motions.svg"} < names
+    markdown = (tmp_path / "evaluation" / "evaluation.md").read_text()
+    assert markdown.endswith("    slipflow evaluate tiny --split test --method psd --budget 2\n")
+
+
+def test_evaluate_prints_tables_for_a_person(tiny: Path, tmp_path: Path) -> None:
+    done = slipflow("evaluate", str(tiny), "--method", "psd", "--out", "here", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "| psd    |" in done.stdout
+    assert "| rotation" in done.stdout
+    assert (tmp_path / "here" / "evaluation.html").exists()
+
+
+def test_mistakes_are_one_line_each(tiny: Path, tmp_path: Path) -> None:
+    for arguments in (
+        ("evaluate", "nowhere"),
+        ("evaluate", str(tiny), "--split", "holdout"),
+        ("evaluate", str(tiny), "--method", "oracle"),
+        ("evaluate", str(tiny), "--model", "missing.safetensors"),
+    ):
+        done = slipflow(*arguments, cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.splitlines()[-1].startswith("error: ")
+        assert "Traceback" not in done.stderr
+
+
+def test_train_and_onnx_make_files_that_others_read(tiny: Path, tmp_path: Path) -> None:
+    size = ("--filters", "4", "--steps", "20", "-o", "small.safetensors", "--curve", "curve.svg")
+    done = slipflow("train", str(tiny), *size, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    (model,) = json.loads(done.stdout.splitlines()[-1])["models"]
+    assert model["recipe"]["steps"] == 20
+    assert json.loads((tmp_path / "small.json").read_text())["sha256"] == model["sha256"]
+    assert "% on validation" in done.stderr
+    assert (tmp_path / "curve.svg").read_text().startswith("<?xml")
+    done = slipflow("onnx", "small.safetensors", "small.onnx", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "small.onnx").stat().st_size > 1000

@@ -1,0 +1,61 @@
+"""Simulated trials: what they know beside counts and labels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from connectors.rig.scene import Faults, Move, Moves, Scene
+from connectors.rig.stress import stressed
+from flows.trials import Trial, trial
+from operators.batch import Flags
+
+SCENE = Scene(
+    Moves(
+        (
+            Move("hold", 1.2, force=0.0),
+            Move("hold", 0.8, force=0.5),
+            Move("translation", 0.9, 0.3, 0.0, 0.1),
+            Move("translation", 0.9, 0.3, 45.0, 0.1),
+            Move("hold", 1.0, force=0.0),
+        )
+    )
+)
+START, REST = 2.3, (3.1, 3.2)  # s, of the first stroke's motion; before the second's
+
+
+def there(flags: Flags | None) -> Flags:
+    assert flags is not None
+    return flags
+
+
+def test_the_truth_of_a_sample_is_that_of_its_own_instant_even_where_others_were_lost() -> None:
+    whole, thinned = trial(SCENE, 3), trial(stressed(SCENE, "touch_dropped", 0.3), 3)
+    assert 0.6 < len(thinned) / len(whole) < 0.8
+    found = [there(flags) for flags in (thinned.sliding, thinned.oblique, thinned.degraded)]
+    assert [len(flags) for flags in found] == [len(thinned)] * 3
+    kept = np.flatnonzero(there(thinned.sliding))
+    # the thinned samples keep their place in the recording, in proportion
+    share = np.array([kept[0], kept[-1]]) / len(thinned) * len(whole) / 100  # s
+    sliding = np.flatnonzero(there(whole.sliding)) / 100  # s
+    assert share == pytest.approx([sliding[0], sliding[-1]], abs=0.15)
+
+
+def test_the_truth_says_when_the_contact_slides() -> None:
+    sliding = np.flatnonzero(there(trial(SCENE, 3).sliding)) / 100  # s
+    assert START < sliding[0] < START + 0.15
+    assert not ((sliding > REST[0]) & (sliding < REST[1])).any()
+
+
+@pytest.mark.parametrize(
+    ("faults", "after"), [(Faults(dead=(2,)), 0.5), (Faults(stuck=(2,)), 2.0), (Faults(floored=(2,)), 0.05)]
+)
+def test_a_fault_degrades_a_trial_from_when_it_can_be_told(faults: Faults, after: float) -> None:
+    def degraded(scene: Scene) -> Flags:
+        found: Trial = trial(scene, 3)
+        return there(found.degraded)
+
+    assert not degraded(SCENE).any()
+    found = degraded(replace(SCENE, faults=faults))
+    assert found.argmax() == pytest.approx(100 * after, abs=2)
+    assert found[found.argmax() :].all()

@@ -1,0 +1,145 @@
+import pickle
+from collections.abc import Callable
+from math import prod
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from operators import InputError
+from operators.batch import Counts, Reals
+from operators.detectors import Detector
+from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn, shapes
+
+Arrays = dict[str, NDArray[Any]]
+
+both = pytest.mark.parametrize("kind", [FrequencyCnn, InterleavedFrequencyCnn])
+
+
+def _random() -> Arrays:
+    rng = np.random.default_rng(0)
+    weights = {name: rng.normal(size=shape) / prod(shape[:-1]) ** 0.5 for name, shape in shapes().items()}
+    return weights | {
+        "out/bias": np.array([0, 4.4]),
+        "mean": np.linspace(-250, -100, 6),
+        "std": np.linspace(300, 150, 6),
+    }
+
+
+def _windows(rows: int) -> Counts:
+    rng = np.random.default_rng(1)
+    swell = np.linspace(0, 1, rows + 99)[:, None] * rng.permutation(6)
+    counts = (-150 + 60 * swell * rng.normal(size=(rows + 99, 6))).clip(-500, 200).astype(np.int16)
+    return np.lib.stride_tricks.sliding_window_view(counts, 100, axis=0).swapaxes(1, 2)
+
+
+def _spectra(inputs: Reals) -> Reals:
+    """Of standardised counts (100, 6), as an image (2, 3, 51)."""
+    layout = [[5, 4, 3], [0, 1, 2]]
+    return np.array([[np.abs(np.fft.rfft(inputs[:, cell])) for cell in row] for row in layout])
+
+
+def _interleaved(inputs: Reals) -> Reals:
+    """The same as the authors made it."""
+    image = np.abs(np.fft.fft(inputs.reshape(2, 3, 100)))[:, :, :51]
+    image = np.flip(image, 0).copy()
+    image[0] = np.flip(image[0], 0).copy()
+    return image
+
+
+def _plain(weights: Arrays, image: Reals) -> float:
+    """The network on an image, pixel by pixel, in double precision."""
+
+    def conv(image: Reals, name: str) -> Reals:
+        kernel = weights[f"{name}/kernel"]
+        rows, columns = (image.shape[axis] - kernel.shape[axis] + 1 for axis in (0, 1))
+        pixels = [
+            [
+                np.tensordot(image[row : row + len(kernel), column : column + len(kernel)], kernel, 3)
+                for column in range(columns)
+            ]
+            for row in range(rows)
+        ]
+        result: Reals = np.maximum(np.array(pixels) + weights[f"{name}/bias"], 0)
+        return result
+
+    def dense(values: Reals, name: str) -> Reals:
+        result: Reals = values @ weights[f"{name}/kernel"] + weights[f"{name}/bias"]
+        return result
+
+    image = conv(conv(np.pad(image, ((1, 1), (1, 1), (0, 0))), "conv0"), "conv1")
+    assert image.shape == (1, 2, 20)
+    values = image.reshape(-1)
+    for layer in ("dense0", "dense1"):
+        values = np.maximum(dense(values, layer), 0)
+    odds = np.exp(dense(values, "out"))
+    return float(odds[1] / odds.sum())
+
+
+@pytest.mark.parametrize(
+    ("kind", "image"), [(FrequencyCnn, _spectra), (InterleavedFrequencyCnn, _interleaved)]
+)
+def test_it_is_the_network_that_the_paper_states(
+    kind: type[FrequencyCnn], image: Callable[[Reals], Reals]
+) -> None:
+    weights, windows = _random(), _windows(40)
+    inputs = (windows - weights["mean"]) / weights["std"]
+    expected = [_plain(weights, image(each)) for each in inputs]
+    assert np.ptp(expected) > 0.1
+    np.testing.assert_allclose(kind(weights).score(windows), expected, atol=1e-5)
+
+
+@both
+def test_each_window_is_judged_by_itself(kind: type[FrequencyCnn]) -> None:
+    detector, windows = kind(_random()), _windows(70)
+    one_by_one = [detector.score(windows[i : i + 1]).item() for i in range(len(windows))]
+    np.testing.assert_array_equal(detector.score(windows), one_by_one)
+    np.testing.assert_array_equal(detector.score(windows[3:37].copy()), one_by_one[3:37])
+
+
+@both
+def test_no_window_gives_no_score(kind: type[FrequencyCnn]) -> None:
+    assert kind(_random()).score(_windows(5)[:0]).shape == (0,)
+
+
+@both
+def test_counts_far_from_any_in_training_give_a_probability(kind: type[FrequencyCnn]) -> None:
+    windows = np.full((2, 100, 6), 30_000, np.int16)
+    windows[1, ::2] = -30_000
+    for sign in (1, -1):
+        probability = kind(_random() | {"out/kernel": sign * _random()["out/kernel"]}).score(windows)
+        assert ((probability >= 0) & (probability <= 1)).all()
+
+
+def test_names_tell_the_two_images_apart() -> None:
+    detectors: list[Detector] = [FrequencyCnn(_random()), InterleavedFrequencyCnn(_random())]
+    assert [each.name for each in detectors] == ["frequency_cnn", "frequency_cnn_interleaved"]
+    assert {each.length for each in detectors} == {100}
+
+
+@both
+def test_weights_in_single_precision_will_do_and_a_pickle_is_the_same_detector(
+    kind: type[FrequencyCnn],
+) -> None:
+    detector, windows = (
+        kind({name: array.astype(np.float32) for name, array in _random().items()}),
+        _windows(3),
+    )
+    again: FrequencyCnn = pickle.loads(pickle.dumps(detector))  # noqa: S301 our own bytes
+    np.testing.assert_array_equal(again.score(windows), detector.score(windows))
+    np.testing.assert_allclose(detector.score(windows), kind(_random()).score(windows), atol=1e-5)
+
+
+@both
+def test_arrays_that_it_cannot_work_with_are_named(kind: type[FrequencyCnn]) -> None:
+    missing = _random()
+    del missing["conv1/bias"]
+    with pytest.raises(InputError, match=rf"^{kind.__name__} weights: conv1/bias is missing$"):
+        kind(missing)
+    with pytest.raises(InputError, match=r"dense0/kernel has shape \(40, 41\), must be \(40, 40\)"):
+        kind(_random() | {"dense0/kernel": np.zeros((40, 41))})
+    with pytest.raises(InputError, match="out/bias is not finite"):
+        kind(_random() | {"out/bias": np.array([0, np.nan])})
+    with pytest.raises(InputError, match="std must be above 0"):
+        kind(_random() | {"std": np.array([1, 1, 0, 1, 1, 1])})
