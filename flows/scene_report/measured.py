@@ -12,11 +12,12 @@ from flows.scene_report.ablation import GRIDS, TERMS
 from flows.scene_report.judges import cells, fitted
 from flows.simulate import PLANS
 from flows.trials import read, simulate
-from operators.detectors import Detector
+from operators.detectors import TRAINED, Detector
 from operators.errors import ParameterError
 from storage import load_detector
 
 NETWORK: Final = "paper's TCN"
+DEFAULT: Final = "tcn"  # of the detectors that ship
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,7 @@ class Measured:
             f"{len(training)} simulated recordings ({sum(map(len, training))} samples) of another seed"
         )
         self.psd, self.logistic = fitted(training, size.hop)
+        self.shipped: dict[str, Detector] = {name: load_detector(name) for name in sorted(TRAINED)}
         self.judges: dict[str, Detector] = {"logistic regression": self.logistic}
         if self.network is not None:
             self.judges = {NETWORK: self.network, **self.judges}

@@ -29,7 +29,8 @@ and slip-to-static ratio are near the published ones. The search drew new record
 vibration were then set by hand on the plans of seeds 0 and 1, so other seeds are the cleaner test. The
 score of that network and those statistics show how far the fit got, not that it generalises. The
 differences between motions were not aimed at, nor was the real trace's score, though it was looked at
-beside the simulation. Other networks and another real trace are held back to judge the result.
+beside the simulation, and its score was seen while the default detector's inputs were chosen. Other networks
+and another real trace are held back to judge the result.
 """
 
 
