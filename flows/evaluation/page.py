@@ -82,9 +82,15 @@ class Section:
         title, text = escape(self.title), escape(self.text)
         return f'<section id="{self.name}">\n<h2>{title}</h2>\n<p>{text}</p>\n{figure}\n{tables}\n</section>'
 
-    def markdown(self) -> str:
-        """Without the figure."""
-        return "\n\n".join([f"## {self.title}", self.text, *(table.markdown() for table in self.tables)])
+    def file(self, page: str) -> str:
+        """What its figure is called beside a page of that name."""
+        return f"{page}.svg" if self.name == page else f"{page}-{self.name}.svg"
+
+    def markdown(self, page: str = "") -> str:
+        """With its figure as a file beside a page of that name; without a name, without figure."""
+        shown = [f"![{self.name}]({self.file(page)})"] if page and self.figure is not None else []
+        tables = (table.markdown() for table in self.tables)
+        return "\n\n".join([f"## {self.title}", self.text, *shown, *tables])
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +113,7 @@ class Page:
             f"<footer>Made by<pre>{escape(self.command)}</pre></footer>\n</body>\n</html>\n"
         )
 
-    def markdown(self) -> str:
-        """The same without figures."""
-        parts = [f"# {self.title}", self.text, *(section.markdown() for section in self.sections)]
+    def markdown(self, name: str = "") -> str:
+        """The same for a file of that name, its figures beside it; without a name, without figures."""
+        parts = [f"# {self.title}", self.text, *(section.markdown(name) for section in self.sections)]
         return "\n\n".join([*parts, f"    {self.command}"]) + "\n"

@@ -29,15 +29,14 @@ def written(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) -> 
         EndpointError: if they cannot be written.
     """
     claim(folder)
-    texts = {"html": page.html(), "md": page.markdown(), "json": json.dumps(numbers, indent=1) + "\n"}
+    texts = {"html": page.html(), "md": page.markdown(name), "json": json.dumps(numbers, indent=1) + "\n"}
     paths = [folder / f"{name}.{ending}" for ending in texts]
     try:
         for path, text in zip(paths, texts.values(), strict=True):
             path.write_text(text, encoding="utf-8")
         for section in page.sections:
             if section.figure is not None:
-                figure = f"{name}.svg" if section.name == name else f"{name}-{section.name}.svg"
-                paths.append(folder / figure)
+                paths.append(folder / section.file(name))
                 save(section.figure, paths[-1])
     except OSError as error:
         raise EndpointError(str(folder), f"cannot be written: {error.strerror}") from error

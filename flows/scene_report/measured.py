@@ -74,7 +74,7 @@ class Measured:
             f"{len(training)} simulated recordings ({sum(map(len, training))} samples) of another seed"
         )
         self.psd, self.logistic = fitted(training, size.hop)
-        self.shipped: dict[str, Detector] = {name: load_detector(name) for name in sorted(TRAINED)}
+        self.shipped: dict[str, Detector] = {name: load_detector(name) for name in TRAINED}
         self.judges: dict[str, Detector] = {"logistic regression": self.logistic}
         if self.network is not None:
             self.judges = {NETWORK: self.network, **self.judges}

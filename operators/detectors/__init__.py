@@ -23,9 +23,9 @@ __all__ = [
 ]
 
 DETECTORS: dict[str, Callable[[], Detector]] = {"psd": Psd}  # by name, those that need no weights
-TRAINED: dict[str, Callable[[Weights], Detector]] = {  # those that do
-    "frequency_cnn": FrequencyCnn,
-    "frequency_cnn_interleaved": InterleavedFrequencyCnn,
-    "paper_tcn": PaperTcn,
+TRAINED: dict[str, Callable[[Weights], Detector]] = {  # those that do; the default first
     "tcn": Tcn,
+    "paper_tcn": PaperTcn,
+    "frequency_cnn_interleaved": InterleavedFrequencyCnn,
+    "frequency_cnn": FrequencyCnn,
 }

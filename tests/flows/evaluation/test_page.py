@@ -1,6 +1,8 @@
 from html.parser import HTMLParser
+from pathlib import Path
 
 from flows.evaluation.page import Page, Section, Table
+from flows.evaluation.written import written
 from flows.figures import Figure, grid, styled
 
 TABLE = Table(["method", "F1 < 90"], [["<b>tcn</b>", "1 & 2"], ["psd", "3"]], caption="a > b")
@@ -92,3 +94,11 @@ def test_markdown_holds_the_same_tables() -> None:
     assert markdown.startswith("# A <page>\n\nof & findings\n\n## one")
     assert markdown.count("| <b>tcn</b> |   1 & 2 |") == 2
     assert markdown.endswith("\n\n    slipflow evaluate 'a<b>'\n")
+
+
+def test_the_markdown_of_a_file_shows_the_figures_that_are_written_beside_it(tmp_path: Path) -> None:
+    paths = written(page(), {}, tmp_path, "found")
+    markdown = (tmp_path / "found.md").read_text()
+    figures = [path.name for path in paths if path.suffix == ".svg"]
+    assert figures
+    assert all(f"]({figure})" in markdown for figure in figures)

@@ -1,0 +1,45 @@
+"""How right an observer is who knows the arm's motion exactly, but not how late each recording tells of it.
+
+Every recording of the plan has a latency of its own. The observer's answer is the recording's own label,
+shifted to one latency for all; the best one is the limit of every detector that feels the fingertip alone.
+"""
+
+import subprocess
+from argparse import ArgumentParser
+
+import numpy as np
+
+from flows.simulate import SPLITS, recordings
+from flows.trials import JUDGED, trial
+from operators.batch import SLIP
+
+RATE = 100.0  # Hz
+LATENCIES = (0.05, 0.06, 0.07, 0.08, 0.09)  # s
+EDGE = 15  # samples at the end that a shift may lack
+
+
+def main() -> None:
+    """Simulate the plan and print the table."""
+    options = ArgumentParser(description=__doc__)
+    options.add_argument("--seed", type=int, default=0)
+    given = options.parse_args()
+    right: dict[tuple[str, float], list[np.ndarray[tuple[int], np.dtype[np.bool_]]]] = {}
+    for each in recordings("paper", given.seed):
+        slip = trial(each.scene, each.seed).label == SLIP
+        for latency in LATENCIES:
+            shift = round((latency - each.scene.motion.latency) * RATE)
+            same = (np.roll(slip, shift) == slip)[JUDGED:-EDGE]
+            right.setdefault((each.split, latency), []).append(same)
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    print(f"paper plan, seed {given.seed}, commit {commit.stdout.strip()}; % of samples")
+    print("| split | " + " | ".join(f"{1000 * latency:.0f} ms" for latency in LATENCIES) + " |")
+    print("| --- |" + " ---: |" * len(LATENCIES))
+    for split in SPLITS:
+        shares = (100 * np.concatenate(right[split, latency]).mean() for latency in LATENCIES)
+        print(f"| {split} | " + " | ".join(f"{share:.1f}" for share in shares) + " |")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""What one label costs in training: dense crops against windows, the same network, by turns."""
+
+import subprocess
+from argparse import ArgumentParser
+from collections.abc import Callable
+from platform import machine, python_version
+from statistics import median
+from time import process_time
+
+import torch
+from torch import Tensor
+
+from flows.training.network import DenseTcn
+from flows.training.recipe import Recipe
+
+WINDOWS = 256  # of a batch, as the paper has it
+SAMPLES = 266_000  # of the paper's plan: labels of one epoch
+
+
+def step(network: DenseTcn, counts: Tensor, first: int) -> Callable[[], None]:
+    """One step of training on (b, 6, n) counts, the labels from sample `first` on."""
+    optimiser = torch.optim.AdamW(network.parameters())
+    network.train()
+
+    def run() -> None:
+        logit = network(counts)[:, first:]
+        loss = torch.nn.functional.binary_cross_entropy_with_logits(logit, torch.ones_like(logit))
+        optimiser.zero_grad()
+        torch.autograd.backward(loss)
+        optimiser.step()
+
+    return run
+
+
+def main() -> None:
+    """Measure and print the table."""
+    options = ArgumentParser(description=__doc__)
+    options.add_argument("--turns", type=int, default=7)
+    given = options.parse_args()
+    torch.set_num_threads(1)
+    recipe = Recipe()
+    field = recipe.receptive_field
+    shapes = {"dense": (recipe.batch, recipe.crop), "windowed": (WINDOWS, field)}
+    steps = {
+        name: step(DenseTcn(recipe), 100 * torch.randn(b, 6, n), field - 1) for name, (b, n) in shapes.items()
+    }
+    labels = {name: b * (n - field + 1) for name, (b, n) in shapes.items()}
+    spent: dict[str, list[float]] = {name: [] for name in steps}
+    for turn in range(given.turns + 1):
+        for name, run in steps.items():
+            begin = process_time()
+            run()
+            if turn:  # the first one warms up
+                spent[name].append((process_time() - begin) / labels[name])
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    print(f"seed none, medians of {given.turns} turns, one thread, commit {commit.stdout.strip()}")
+    print(f"{machine()}, Python {python_version()}, torch {torch.__version__}, {recipe.filters} filters")
+    print(f"{'':10} {'us/label':>10} {'s/epoch of the plan':>20}")
+    for name, values in spent.items():
+        print(f"{name:10} {1e6 * median(values):10.1f} {SAMPLES * median(values):20.1f}")
+    ratio = median(w / d for w, d in zip(spent["windowed"], spent["dense"], strict=True))
+    print(f"windowed : dense {ratio:.0f}")
+
+
+if __name__ == "__main__":
+    main()
