@@ -86,8 +86,8 @@ def train(
 
     Stop it with Ctrl-C and start it again: the tcn goes on where it was. Needs the train extra.
     """
+    from flows.networks.recipe import Recipe
     from flows.training.curve import Check, draw
-    from flows.training.recipe import Recipe
     from flows.training.train import train as learn
 
     after = nanoseconds(lag)
@@ -123,7 +123,7 @@ def onnx(
     out: Annotated[Path, typer.Argument(metavar="FILE", help="The .onnx file to write.")],
 ) -> None:
     """Write a tcn for other runtimes: windows of zeroed counts in, the probability of slip out."""
-    from flows.training.onnx import export
+    from flows.networks.onnx import export
     from storage import load_weights
     from storage.models import shipped
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.training.onnx import export
+from flows.networks.onnx import export
 from operators.batch import Counts, Reals
 from operators.detectors.tcn import Tcn
 

@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 import torch
 
-from flows.training.network import DenseTcn
-from flows.training.recipe import Recipe
+from flows.networks.recipe import Recipe
+from flows.networks.tcn import DenseTcn
 from operators.batch import Counts, Reals
 from operators.detectors.tcn import Tcn
 

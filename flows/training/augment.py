@@ -6,7 +6,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from flows.training.recipe import CELLS, Augmentation
+from flows.networks.recipe import CELLS, Augmentation
 
 MIRROR_X: Final = (2, 1, 0, 5, 4, 3)  # cells 5 4 3 over 0 1 2
 MIRROR_Y: Final = (5, 4, 3, 2, 1, 0)

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from flows.networks.recipe import Recipe
 from flows.training.curve import Check
-from flows.training.recipe import Recipe
 from operators.errors import InputError
 from storage import load_weights, save_weights
 
 if TYPE_CHECKING:
-    from flows.training.network import DenseTcn
+    from flows.networks.tcn import DenseTcn
 
 
 class Checkpoint:

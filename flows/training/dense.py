@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional, utils
 
+from flows.networks.recipe import Recipe
+from flows.networks.tcn import DenseTcn
 from flows.training.augment import augmented
 from flows.training.checkpoint import Checkpoint
 from flows.training.curve import Check, best
-from flows.training.network import DenseTcn
-from flows.training.recipe import Recipe
 from flows.trials import JUDGED, Trial
 from operators.batch import SLIP, STATIC
 from operators.errors import ParameterError

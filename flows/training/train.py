@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from flows.evaluation.events import Slips
 from flows.evaluation.metrics import Confusion
 from flows.evaluation.tuning import tuned
+from flows.networks.recipe import Recipe
 from flows.scoring import probabilities
 from flows.simulate import SPLITS
 from flows.training.curve import Check
 from flows.training.lag import relabelled
 from flows.training.paper import WINDOWED, Epoch, PaperRecipe, train_windowed
-from flows.training.recipe import Recipe
 from flows.trials import Trial, load
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import TRAINED, Detector

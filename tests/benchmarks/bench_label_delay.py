@@ -12,11 +12,11 @@ from platform import machine, processor
 import numpy as np
 
 from flows.evaluation.metrics import Confusion
+from flows.networks.recipe import Recipe
 from flows.scoring import probabilities
 from flows.simulate import recordings
 from flows.training.dense import train_dense
 from flows.training.lag import lags, relabelled
-from flows.training.recipe import Recipe
 from flows.trials import Trial, trial
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Tcn

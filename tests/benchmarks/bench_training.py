@@ -10,8 +10,8 @@ from time import process_time
 import torch
 from torch import Tensor
 
-from flows.training.network import DenseTcn
-from flows.training.recipe import Recipe
+from flows.networks.recipe import Recipe
+from flows.networks.tcn import DenseTcn
 
 WINDOWS = 256  # of a batch, as the paper has it
 SAMPLES = 266_000  # of the paper's plan: labels of one epoch

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 
+from flows.networks.recipe import Augmentation
 from flows.training.augment import MIRROR_X, MIRROR_Y, augmented
-from flows.training.recipe import Augmentation
 
 NOTHING = Augmentation(flip=0.0, gain=0.0, load=0.0, noise=0.0, dead=0.0)
 COUNTS = torch.arange(8 * 6 * 50, dtype=torch.float32).reshape(8, 6, 50)

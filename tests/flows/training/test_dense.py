@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
+from flows.networks.recipe import Recipe
+from flows.networks.tcn import DenseTcn
 from flows.training.curve import Check, best
 from flows.training.dense import train_dense
-from flows.training.network import DenseTcn
-from flows.training.recipe import Recipe
 from flows.trials import Trial
 from operators import ParameterError
 from operators.detectors import Tcn

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from flows.networks.recipe import Recipe
 from flows.simulate import simulate
 from flows.training import train as training
 from flows.training.curve import Check, best, draw
-from flows.training.recipe import Recipe
 from flows.training.train import train
 from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError

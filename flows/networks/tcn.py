@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from flows.training.recipe import CELLS, Recipe
+from flows.networks.recipe import CELLS, Recipe
 
 
 class DenseTcn(nn.Module):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from flows.training.network import DenseTcn
-from flows.training.onnx import export
-from flows.training.recipe import Recipe
+from flows.networks.onnx import export
+from flows.networks.recipe import Recipe
+from flows.networks.tcn import DenseTcn
 from operators.detectors import Tcn
 from operators.errors import InputError
 
