@@ -17,9 +17,10 @@ WINDOWS = 256  # of a batch, as the paper has it
 SAMPLES = 266_000  # of the paper's plan: labels of one epoch
 
 
-def step(network: DenseTcn, counts: Tensor, first: int) -> Callable[[], None]:
+def step(
+    network: DenseTcn, optimiser: torch.optim.Optimizer, counts: Tensor, first: int
+) -> Callable[[], None]:
     """One step of training on (b, 6, n) counts, the labels from sample `first` on."""
-    optimiser = torch.optim.AdamW(network.parameters())
     network.train()
 
     def run() -> None:
@@ -41,9 +42,11 @@ def main() -> None:
     recipe = Recipe()
     field = recipe.receptive_field
     shapes = {"dense": (recipe.batch, recipe.crop), "windowed": (WINDOWS, field)}
-    steps = {
-        name: step(DenseTcn(recipe), 100 * torch.randn(b, 6, n), field - 1) for name, (b, n) in shapes.items()
-    }
+    steps: dict[str, Callable[[], None]] = {}
+    for name, (b, n) in shapes.items():
+        network = DenseTcn(recipe)
+        optimiser = torch.optim.AdamW(network.parameters())
+        steps[name] = step(network, optimiser, 100 * torch.randn(b, 6, n), field - 1)
     labels = {name: b * (n - field + 1) for name, (b, n) in shapes.items()}
     spent: dict[str, list[float]] = {name: [] for name in steps}
     for turn in range(given.turns + 1):
