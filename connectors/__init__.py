@@ -3,9 +3,23 @@
 from connectors.console import Console
 from connectors.csv_trace import CsvTrace
 from connectors.events import Event
+from connectors.gripper import Gripper
 from connectors.mqtt import Mqtt
 from connectors.mqtt_signal import MqttSignal
 from connectors.replay import Replay
 from connectors.rig.rig import Rig
+from connectors.takktile import TakkTile
+from connectors.ur_motion import UrMotion
 
-__all__ = ["Console", "CsvTrace", "Event", "Mqtt", "MqttSignal", "Replay", "Rig"]
+__all__ = [
+    "Console",
+    "CsvTrace",
+    "Event",
+    "Gripper",
+    "Mqtt",
+    "MqttSignal",
+    "Replay",
+    "Rig",
+    "TakkTile",
+    "UrMotion",
+]

@@ -1,6 +1,6 @@
 """How a run is doing, as it is reported while it lasts."""
 
-from operators.batch import ms, s
+from operators.batch import Clocks, ms, s
 from operators.ports import Json, Run
 
 
@@ -45,3 +45,18 @@ class HealthReports:
                 for name, sink in run.sinks.items()
             },
         }
+
+
+def clock_report(clocks: Clocks) -> dict[str, Json]:
+    """How a device's clock stood to the host's, as the newest row (there is one at least) tells.
+
+    >>> import numpy as np
+    >>> clock_report(Clocks(np.array([5 * s]), np.array([3 * s]), np.array([5e-05]), np.array([0.004])))
+    {'time_ns': 5000000000, 'offset_ms': 3000.0, 'drift_ppm': 50.0, 'residual_ms': 4.0}
+    """
+    return {
+        "time_ns": clocks.time.item(-1),
+        "offset_ms": clocks.offset.item(-1) / ms,
+        "drift_ppm": round(clocks.drift.item(-1) * 1e6, 3),
+        "residual_ms": round(clocks.residual.item(-1) * 1e3, 3),
+    }

@@ -10,9 +10,9 @@ from importlib.metadata import version
 
 from connectors.broker import Broker
 from connectors.events import Event, Fault, encode, faults, finger_name, timestamp, topic
-from connectors.health_report import HealthReports
+from connectors.health_report import HealthReports, clock_report
 from connectors.publisher import Message, Publisher
-from operators.batch import SLIP, Batch, Faults, Slips, ms
+from operators.batch import SLIP, Batch, Clocks, Faults, Slips, ms
 from operators.errors import ParameterError, SlipflowError
 from operators.ports import Json, Run, Sink
 
@@ -22,7 +22,7 @@ HEALTH_EVERY = 5.0  # s
 
 
 @dataclass(eq=False)
-class Mqtt(Sink[Slips | Faults]):
+class Mqtt(Sink[Slips | Faults | Clocks]):
     """Publishes each slip event once it is decided, and keeps the state of every fingertip on the broker.
 
     Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all but the events retained:
@@ -34,7 +34,7 @@ class Mqtt(Sink[Slips | Faults]):
     - ``info``: what runs; ``health``: how it does
 
     An event that is published again, because the broker's answer to the first was lost, has the same id.
-    Faults mark the events that come after them, and show in the health.
+    Faults mark the events that come after them, and show in the health; so does how a device's clock stands.
 
     Raises:
         ParameterError: on a value that cannot be used.
@@ -74,6 +74,7 @@ class Mqtt(Sink[Slips | Faults]):
         self._run, self._seq = run, 0
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._health = HealthReports(run)
+        self._clock: dict[str, Json] | None = None  # how a device's clock stood last
         self._batch: Batch | None = None  # that is being written
         self._left = deque[Message]()  # of it, to be published
         identifier = f"slipflow/{self.site}/{self.rig}"  # the same in each run: a new one disarms an old will
@@ -86,7 +87,7 @@ class Mqtt(Sink[Slips | Faults]):
             raise
         self._reporting = asyncio.create_task(self._keep_reporting())
 
-    async def write(self, batch: Slips | Faults) -> None:
+    async def write(self, batch: Slips | Faults | Clocks) -> None:
         """Publish the events of a batch; called again with the same batch, go on where it failed.
 
         Raises:
@@ -96,6 +97,9 @@ class Mqtt(Sink[Slips | Faults]):
             known = self._faults.setdefault(finger_name(batch.finger), set())
             for _, fault, begins in faults(batch):
                 (known.add if begins else known.discard)(fault)
+            return
+        if isinstance(batch, Clocks):
+            self._clock = clock_report(batch)
             return
         if batch is not self._batch:
             self._batch, self._left = batch, deque(self._messages(batch))
@@ -170,7 +174,7 @@ class Mqtt(Sink[Slips | Faults]):
         degraded: dict[str, Json] = {
             finger: [asdict(fault) for fault in self._degraded(finger)] for finger in self._faults
         }
-        return _message("health", {**self._health.next(), "degraded": degraded})
+        return _message("health", {**self._health.next(), "degraded": degraded, "clock": self._clock})
 
     async def _keep_reporting(self) -> None:
         """Publish the health for ever; it is this, too, that connects again while there is no event."""

@@ -2,7 +2,7 @@
 
 from connectors import Console, Mqtt, Rig
 from flows.graph import Flow
-from operators import Debounce, Health, Score, Zero
+from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero
 from storage import load_debounce, load_detector
 
 
@@ -17,7 +17,10 @@ def live(
 
     faults = touch | Health()
 
-    for sink in (Console(), *([Mqtt(broker, site=site, rig=rig)] if broker else [])):
+    sinks: list[Sink[Slips | Faults]] = [Console()]
+    if broker:
+        sinks.append(Mqtt(broker, site=site, rig=rig))
+    for sink in sinks:
         slips.to(sink)
         faults.to(sink)
     return flow

@@ -8,6 +8,8 @@ from operators.batch import (
     STATIC,
     UNKNOWN,
     Batch,
+    Clocks,
+    Commands,
     Faults,
     Labelled,
     Motion,
@@ -23,6 +25,7 @@ from operators.batch import (
     us,
 )
 from operators.debounce import Debounce
+from operators.device_clock import DeviceClock, WatchClock, fit_clock
 from operators.errors import (
     BatchError,
     EndpointError,
@@ -59,7 +62,10 @@ __all__ = [
     "Batch",
     "BatchError",
     "Clock",
+    "Clocks",
+    "Commands",
     "Debounce",
+    "DeviceClock",
     "EndpointError",
     "FaultKind",
     "Faults",
@@ -86,11 +92,13 @@ __all__ = [
     "Source",
     "SourceStatus",
     "Touch",
+    "WatchClock",
     "Window",
     "Windows",
     "Zero",
     "Zeroed",
     "concat",
+    "fit_clock",
     "ms",
     "s",
     "us",

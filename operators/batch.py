@@ -197,3 +197,20 @@ class Faults(Batch):
     barometer: Codes = field(metadata=column(np.int8))  # (n,) 0..5
     kind: Codes = field(metadata=column(np.int8))  # (n,) a FaultKind
     active: Flags = field(metadata=column(np.bool_))  # (n,) True: it begins, False: it ends
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Commands(Batch):
+    """What the hand is to do from `time` on; a NaN row of either leaves it as it was."""
+
+    force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal, at least 0
+    velocity: Reals = field(metadata=column(np.float64, 6, unit="m/s, rad/s"))  # (n, 6) TCP, base frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clocks(Batch):
+    """How a device's clock stood to the host's: host = device + offset + drift * (time gone by since)."""
+
+    offset: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) host minus device, at `time`
+    drift: Reals = field(metadata=column(np.float64, unit="s/s"))  # (n,) what the offset gains
+    residual: Reals = field(metadata=column(np.float64, unit="s"))  # (n,) by which rows came late, mean

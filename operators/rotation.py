@@ -51,6 +51,15 @@ def between(first: Vector[Real], second: Vector[Real], part: Real) -> Vector[Rea
     return _vector(_product(start, quaternion((part * a, part * b, part * c))))
 
 
+def turned(first: Vector[Real], by: Vector[Real]) -> Vector[Real]:
+    """The rotation vector of a rotation and then another, both in the base frame.
+
+    >>> turned((0.0, 0.0, 1.0), by=(0.0, 0.0, 1.0))
+    (0.0, 0.0, 2.0)
+    """
+    return _vector(_product(quaternion(by), quaternion(first)))
+
+
 def onward(first: Vector[Real], second: Vector[Real]) -> Vector[Real]:
     """The rotation vector, in the base frame, that turns one rotation into another the shortest way.
 

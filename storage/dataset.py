@@ -4,7 +4,7 @@ import asyncio
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from operators.batch import Faults, Labelled, Motion, Slips, Touch, s
+from operators.batch import Clocks, Faults, Labelled, Motion, Slips, Touch, s
 from operators.errors import ParameterError
 from operators.ports import Run, Sink
 
@@ -12,13 +12,13 @@ if TYPE_CHECKING:
     from storage.writer import SessionWriter
 
 
-class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults]):
+class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
     """A folder of recordings; each run becomes a session of it, as storage.layout lays it out.
 
     Every row that `write` took is committed, whole parts at a time, in the order of arrival; a reader sees
     only whole parts. A batch goes to the table of its type: Touch as received, or Zeroed (not both in one
-    session), to touch; Labelled to samples; Motion, Slips and Faults to their own. A crash loses what has
-    gathered since the last commit, and the slips and faults, which are one file, written at the end.
+    session), to touch; Labelled to samples; Motion, Slips, Faults and Clocks to their own. A crash loses what
+    has gathered since the last commit, and the last three, which are one file each, written at the end.
 
     Disk work runs in a thread. After a failed write (a full disk, say) the same batch may be written again.
 
@@ -57,7 +57,7 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults]):
         """
         self._writer = await asyncio.to_thread(self._begin, run)
 
-    async def write(self, batch: Touch | Motion | Labelled | Slips | Faults) -> None:
+    async def write(self, batch: Touch | Motion | Labelled | Slips | Faults | Clocks) -> None:
         """Take one batch.
 
         Raises:

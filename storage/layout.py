@@ -8,6 +8,7 @@
     sessions/<session>/samples/part-000000.parquet  derived rows, which can be rebuilt
     sessions/<session>/episodes.parquet             what was done when
     sessions/<session>/slips.parquet                the events that were raised; faults.parquet alike
+    sessions/<session>/clocks.parquet               how a device's clock stood to the host's
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
 """
 
@@ -18,7 +19,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from operators.batch import Batch, Column, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns
+from operators.batch import Batch, Clocks, Column, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns
 from operators.errors import InputError, ParameterError
 
 DATASET: Final = "dataset.json"
@@ -64,7 +65,8 @@ MOTION: Final = Table("motion", Motion, finger=False)
 SAMPLES: Final = Table("samples", Labelled, frozenset({"temperature", "pose", "matched"}))
 SLIPS: Final = Table("slips", Slips, parted=False)
 FAULTS: Final = Table("faults", Faults, parted=False)
-TABLES: Final = (TOUCH, MOTION, SAMPLES, SLIPS, FAULTS)
+CLOCKS: Final = Table("clocks", Clocks, finger=False, parted=False)
+TABLES: Final = (TOUCH, MOTION, SAMPLES, SLIPS, FAULTS, CLOCKS)
 TABLE_OF: Final[Mapping[type[Batch], Table]] = MappingProxyType(
     {table.kind: table for table in TABLES} | {Zeroed: TOUCH}
 )

@@ -13,7 +13,7 @@ from connectors.rig.scene import Move, Moves, Scene, Vibration
 from connectors.rig.sensor import CEILING, grid, influence, respond
 from connectors.rig.timing import Sampler
 from connectors.rig.truth import Truth
-from operators.batch import BAROMETERS, Counts, Reals, Touch, s
+from operators.batch import BAROMETERS, Counts, Flags, Reals, Touch, s
 
 ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
 
@@ -94,6 +94,7 @@ class Finger:
         self._influence = influence(p)
         self._late = np.zeros(BAROMETERS)
         self._ticks = 0
+        self._sensed = 0.0  # s, instant of the newest sample of `sense`
         body, timing, self._noise, self._warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
         self._rest = body.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
         self._temperature = ROOM_TEMPERATURE + body.integers(-8, 8, BAROMETERS)
@@ -103,6 +104,39 @@ class Finger:
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
         """The next samples, stamped from the run's start; fewer where the plan ends, None after it."""
         t = self._sampler.instants(samples)  # (k,) s
+        if (felt := self._feel(t, 1 / (self._scene.touch.rate * self._p.creep_time))) is None:
+            return None
+        counts, temperature, valid, happened = felt
+        time, arrive = self._sampler.stamp(len(counts))
+        touch = Touch(time, counts, temperature, valid, finger=self._finger)
+        return (touch if arrive.all() else touch[arrive]), happened
+
+    def sense(self, instant: float) -> tuple[Touch, Truth] | None:
+        """One sample at an instant of one's own choice (s since the run began), stamped with it.
+
+        For a fingertip that is read as a real one is: whenever the host comes round to it. It is not to be
+        mixed with `take`.
+
+        Args:
+            instant: Later than the one before, by `Parameters.step` at least.
+
+        Returns:
+            None once the plan has ended.
+        """
+        aged = (instant - self._sensed) / self._p.creep_time
+        if (felt := self._feel(np.array([instant]), aged)) is None:
+            return None
+        self._sensed = instant
+        counts, temperature, valid, happened = felt
+        return Touch(happened.time, counts, temperature, valid, finger=self._finger), happened
+
+    def _feel(self, t: Reals, aged: float) -> tuple[Counts, Counts, Flags, Truth] | None:
+        """Counts, temperatures, validity and truth at instants (k,) (s); None when the plan has ended.
+
+        Args:
+            t: Fewer are felt where the plan ends before the last.
+            aged: Times of creep that pass from each instant to the next.
+        """
         until = np.rint(t / self._p.step).astype(np.int64) - self._ticks
         drive = self._drive(int(until[-1]))
         t, until = t[until <= len(drive)], until[until <= len(drive)]
@@ -110,17 +144,15 @@ class Finger:
             return None
         tractions, truth = contact.advance(self._law, self._pad, self._state, drive, until)
         self._ticks += int(until[-1])
-        time, arrive = self._sampler.stamp(len(t))
-        counts = self._counts(t, tractions)
+        counts = self._counts(t, tractions, aged)
         valid = np.ones((len(t), BAROMETERS), np.bool_)
         valid[:, self._scene.faults.dead] = False
         temperature = self._temperature + 0.3 * self._warmth.standard_normal((len(t), BAROMETERS))
-        touch = Touch(time, counts, np.rint(temperature).astype(np.int16), valid, finger=self._finger)
         velocity = np.zeros((len(t), 3))
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
         happened = Truth(np.rint(t * s).astype(np.int64), truth[:, 0], truth[:, 1], velocity)
-        return (touch if arrive.all() else touch[arrive]), happened
+        return counts, np.rint(temperature).astype(np.int16), valid, happened
 
     def _drive(self, steps: int) -> Reals:
         """The arm's next steps (steps, 6) for `contact.advance`; fewer when the plan has ended."""
@@ -134,10 +166,10 @@ class Finger:
             drive[:, :2] += shaking(self._scene.vibration, t[: len(drive)])
         return drive
 
-    def _counts(self, t: Reals, tractions: Reals) -> Counts:
-        """Raw ADC counts (k, 6) at instants (k,) (s)."""
+    def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
+        """Raw ADC counts (k, 6) at instants (k,) (s), `aged` times of creep apart."""
         p, faults = self._p, self._scene.faults
-        gained = 1 - math.exp(-1 / (self._scene.touch.rate * p.creep_time))
+        gained = 1 - math.exp(-aged)
         counts = respond(tractions, self._influence, (p.sensitivity, p.creep, gained), self._late)
         if faults.gain:
             counts *= faults.gain

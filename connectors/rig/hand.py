@@ -11,24 +11,16 @@ before its time is simulated: always in virtual time, and on a host that keeps t
 """
 
 import math
-from bisect import insort
+from bisect import bisect_left, insort
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
 
 from connectors.rig.path import Path
 from connectors.rig.scene import Scene
-from operators.batch import Batch, Reals, column, s
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Commands(Batch):
-    """What the hand is to do from `time` on; a NaN row of either leaves it as it was."""
-
-    force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal, at least 0
-    velocity: Reals = field(metadata=column(np.float64, 6, unit="m/s, rad/s"))  # (n, 6) TCP, base frame
+from operators.batch import Commands, Reals, s
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +33,11 @@ class Aim:
 
 
 class Orders:
-    """The commands of one run, in the order in which they are obeyed; all are kept, for each arm to obey."""
+    """The commands of one run, in the order in which they are obeyed; they are kept for each arm to obey."""
 
     def __init__(self) -> None:
         self.given: list[Aim] = []
+        self.forgotten = 0  # aims that came before the first of `given`
         self._origin = self._reached = 0  # ns
 
     def begin(self, origin: int) -> None:
@@ -58,6 +51,12 @@ class Orders:
             grip = max(force, 0.0)  # in this order: NaN stays NaN
             aim = Aim(max(time, self._reached), grip, (float(x), -float(y), -float(turn)))
             insort(self.given, aim, key=attrgetter("time"))
+
+    def forget(self, before: int) -> None:
+        """Drop what was to be obeyed before an instant (ns) that every arm of the run has passed."""
+        done = bisect_left(self.given, before, key=attrgetter("time"))
+        self.forgotten += done
+        del self.given[:done]
 
     def instant(self, aim: Aim) -> float:
         """When it is obeyed, s since the run began."""
@@ -78,18 +77,19 @@ class Obedience:
 
     def __init__(self, orders: Orders, scene: Scene) -> None:
         self._orders, self._scene = orders, scene
-        self._obeyed = 0  # of the orders
+        self._obeyed = 0  # of the orders, the forgotten ones included
         self._grip: tuple[float, float, float] | None = None  # s, N, N: since when, from, to
         self._course: tuple[float, Reals, Reals, Reals] | None = None  # since when, place, from, to
 
     def path(self, times: Reals, planned: Callable[[Reals], Path]) -> Path:
         """The path at instants (k,) (s) that never go back; shorter where the plan ends before the last."""
-        given, due = self._orders.given, self._obeyed
+        given, first = self._orders.given, self._obeyed - self._orders.forgotten
+        due = first
         while due < len(given) and len(times) and self._orders.instant(given[due]) <= times[-1]:
             due += 1
         if len(times):
             self._orders.reach(float(times[-1]))
-        aims, self._obeyed = given[self._obeyed : due], due
+        aims, self._obeyed = given[first:due], due + self._orders.forgotten
         if not aims and self._grip is None and self._course is None:
             return planned(times)
         turns = np.array([self._orders.instant(aim) for aim in aims])  # (aims,) s

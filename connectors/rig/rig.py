@@ -7,10 +7,10 @@ from itertools import count
 from math import inf
 from typing import Any, Final, cast
 
-from connectors.rig.hand import Commands, Orders
+from connectors.rig.hand import Orders
 from connectors.rig.scene import Move, Scene, Timing
 from connectors.rig.truth import Memory, Truth
-from operators.batch import Motion, Touch, s
+from operators.batch import Commands, Motion, Touch, s
 from operators.errors import ParameterError
 from operators.ports import Clock, Description, Json, Run, Sink, Source
 

@@ -17,7 +17,7 @@ from connectors import Event, Mqtt, link, mqtt
 from connectors.events import Fault
 from connectors.link import Link
 from connectors.testing import Received, TestBroker, TestListener
-from operators.batch import Faults, Slips, ms, s
+from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
@@ -247,11 +247,15 @@ def test_health_is_published_again_and_again(
 
     async def body() -> None:
         await sink.write(fault(3, FaultKind.STUCK, begins=True))
+        offset, drift, residual = np.array([3 * s]), np.array([-5e-05]), np.array([0.004])
+        await sink.write(Clocks(np.array([NOW]), offset, drift, residual))
         listener = broker.listen(f"{RIG}/health")
         reports = [read(await asyncio.to_thread(listener.next)) for _ in range(3)]
         assert reports[-1]["sources"]["touch"]["rows"] == 1000
         assert reports[-1]["sinks"]["dataset"]["error"] == "disk full"
         assert reports[-1]["degraded"] == {"0": [{"barometer": 3, "kind": "stuck"}]}
+        clock = {"time_ns": NOW, "offset_ms": 3000.0, "drift_ppm": -50.0, "residual_ms": 4.0}
+        assert reports[-1]["clock"] == clock
 
     use(sink, run, body)
 

@@ -17,6 +17,7 @@ from operators import (
     Align,
     Batch,
     Debounce,
+    DeviceClock,
     Health,
     Label,
     Motion,
@@ -24,6 +25,7 @@ from operators import (
     Score,
     Scores,
     Touch,
+    WatchClock,
     Window,
     Zero,
     Zeroed,
@@ -93,6 +95,21 @@ def _motion(rng: np.random.Generator, rows: int) -> Motion:
     return Motion(time, time - 5 * ms, velocity, _vectors(rng, rows, (0, 1e-9, 1, 1, 3, np.nan)))
 
 
+def _clocked(rng: np.random.Generator, rows: int) -> Motion:
+    """An arm whose controller restarts, drifts, and tells late."""
+    motion = _motion(rng, rows)
+    up = np.cumsum(rng.choice([0, 8 * ms, 9 * ms, 800 * ms, 9 * s], rows, p=[0.02, 0.8, 0.1, 0.06, 0.02]))
+    restarts = np.maximum.accumulate(np.where(rng.random(rows) < 0.01, up, 0))
+    late = rng.integers(0, 20 * ms, rows)
+    time = _times(rng, rows, 0) + up + up // 20_000 + late  # 50 ppm
+    return Motion(
+        np.where(rng.random(rows) < 0.97, np.maximum.accumulate(time), time),
+        up - restarts,
+        motion.velocity,
+        motion.pose,
+    )
+
+
 def _sample(rng: np.random.Generator, rows: int) -> Sample:
     touch, motion = _touch(Zeroed)(rng, rows), _motion(rng, rows)
     matched = np.isfinite(motion.velocity[:, 0])
@@ -154,6 +171,11 @@ CASES: Final = [
     Case(Align(how="previous", wait=0, keep=100 * ms), (_touch(Zeroed), _motion)),
     Case(Align(how="linear", within=30 * ms, wait=50 * ms, keep=100 * ms), (_touch(Zeroed), _motion)),
     Case(Align(how="nearest", within=10 * ms, wait=10 * ms, keep=100 * ms), (_touch(Zeroed), _motion)),
+    Case(DeviceClock(), (_clocked,)),
+    Case(DeviceClock(window=2 * s, drift=1e-3, jump=100 * ms), (_clocked,)),
+    Case(DeviceClock(), (_motion,)),
+    Case(WatchClock(), (_clocked,)),
+    Case(WatchClock(window=2 * s, every=100 * ms), (_clocked,)),
     Case(Label(), (_sample,)),
     Case(Label(rotation=0.2, normal=(0, 1, 2)), (_sample,)),
     Case(Label(rotation=0.2, delay=37 * ms), (_sample,)),

@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from operators.batch import Reals
-from operators.rotation import between, quaternion, turn
+from operators.rotation import between, onward, quaternion, turn, turned
 
 angles = st.floats(-4, 4)
 vectors = st.tuples(angles, angles, angles)
@@ -42,6 +42,18 @@ def test_the_way_between_rotations_begins_and_ends_at_them(
     for part, end in ((0.0, first), (1.0, second)):
         found = Rotation.from_rotvec(between(first, second, part))
         assert (found.inv() * Rotation.from_rotvec(end)).magnitude() < 1e-7
+
+
+@given(first=vectors, second=vectors)
+def test_one_rotation_and_what_is_onward_make_the_other(
+    first: tuple[float, float, float], second: tuple[float, float, float]
+) -> None:
+    both = Rotation.from_rotvec(turned(first, by=second))
+    assert (both.inv() * Rotation.from_rotvec(second) * Rotation.from_rotvec(first)).magnitude() < 1e-7
+    way = onward(first, second)
+    assert np.linalg.norm(way) < np.pi + 1e-9
+    end = Rotation.from_rotvec(turned(first, by=way))
+    assert (end.inv() * Rotation.from_rotvec(second)).magnitude() < 1e-7
 
 
 @given(rows=st.lists(st.tuples(vectors, vectors, parts), min_size=1, max_size=9))

@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.batch import EVERY, Batch, Motion, columns, ms, s
+from operators.batch import EVERY, Batch, Clocks, Motion, columns, ms, s
 from operators.ports import Description, Run
 
 
@@ -38,7 +38,7 @@ def new_batch() -> Callable[..., Any]:
             else:
                 bits = random.bytes(int(np.prod(shape)) * column.dtype.itemsize)
                 values.append(np.frombuffer(bits, column.dtype).reshape(shape).copy())
-        return kind(*values, finger=EVERY if kind is Motion else finger)
+        return kind(*values, finger=EVERY if kind in (Motion, Clocks) else finger)
 
     return build
 

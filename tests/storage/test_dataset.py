@@ -12,7 +12,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from operators.batch import Labelled, Motion, Sample, Scores, Slips, Touch, Zeroed, columns, concat, ms, s
+from operators.batch import (
+    Clocks,
+    Labelled,
+    Motion,
+    Sample,
+    Scores,
+    Slips,
+    Touch,
+    Zeroed,
+    columns,
+    concat,
+    ms,
+    s,
+)
 from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
 from operators.ports import Gap, Json, Run, SinkStatus, SourceStatus
 from storage import Dataset, Session
@@ -58,11 +71,11 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
 def test_every_batch_goes_to_the_table_of_its_type(
     tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
 ) -> None:
-    kinds = [Touch, Motion, Labelled, Slips]
+    kinds = [Touch, Motion, Labelled, Slips, Clocks]
     record(Dataset(tmp_path), new_run(), [new_batch(kind) for kind in kinds])
     session = Session.open(tmp_path)
-    assert session.tables == ("touch", "motion", "samples", "slips")
-    assert [session.fingers(kind) for kind in kinds] == [(0,), (-1,), (0,), (0,)]
+    assert session.tables == ("touch", "motion", "samples", "slips", "clocks")
+    assert [session.fingers(kind) for kind in kinds] == [(0,), (-1,), (0,), (0,), (-1,)]
 
 
 def test_the_line_that_opens_a_table_with_polars_just_works(

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from operators.batch import Batch, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns, concat
+from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns, concat
 from storage.episodes import Episodes
 from storage.layout import SAMPLES, TABLE_OF, TABLES, Table
 from storage.parts import read_part, write_part
 from storage.schema import batch_type, from_arrow, schema, to_arrow
 
-KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults]
+KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
 NONE = Episodes.described({})
 
 
@@ -46,6 +46,7 @@ def test_columns_stand_in_the_order_that_the_dataset_promises() -> None:
         "samples": ["time", "finger", "counts", "valid", "velocity", "speed", "label", "episode"],
         "slips": ["time", "finger", "state", "start", "probability"],
         "faults": ["time", "finger", "barometer", "kind", "active"],
+        "clocks": ["time", "offset", "drift", "residual"],
     }
 
 

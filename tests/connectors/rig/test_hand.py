@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from connectors.rig.hand import Commands, Orders
+from connectors.rig.hand import Orders
 from connectors.rig.motion import Arm, Controller
 from connectors.rig.rig import Rig
 from connectors.rig.scene import Commanded, Move, Moves, Plan, Scene, Timing
@@ -17,7 +17,7 @@ from flows.graph import Flow
 from flows.live_runner import LiveRunner
 from flows.testing import TestSink, TestSource, run_virtually
 from operators import EVERY, Motion, Operator, Touch, ms, s
-from operators.batch import Counts, Reals
+from operators.batch import Commands, Counts, Reals
 from operators.errors import ParameterError
 
 ORIGIN = 1_700_000_000 * s

@@ -1,0 +1,60 @@
+"""An arm in free space: it goes where it is commanded, and touches nothing."""
+
+from math import inf
+
+import numpy as np
+
+from operators.batch import Commands, Reals, s
+from operators.rotation import turned
+
+
+class FreeArm:
+    """An arm that obeys velocities; a controller can drive it where no fingertip is of interest.
+
+    Args:
+        pose: (6,) m and rotation vector, where it is at first.
+        acceleration: At which it changes its velocity, m/s2 and rad/s2.
+
+    >>> arm = FreeArm(np.zeros(6))
+    >>> forward = np.array([[0.1, 0, 0, 0, 0, 0.5]])
+    >>> arm.command(Commands(np.array([1 * s]), np.array([np.nan]), forward))
+    >>> pose, velocity = arm.motion(3 * s)
+    >>> pose.tolist()
+    [0.2, 0.0, 0.0, 0.0, 0.0, 1.0]
+    """
+
+    def __init__(self, pose: Reals, acceleration: float = inf) -> None:
+        self._pose, self._velocity, self._aim = pose.astype(np.float64), np.zeros(6), np.zeros(6)
+        self._acceleration = acceleration
+        self._time: int | None = None  # ns
+        self._orders: list[tuple[int, Reals]] = []
+
+    def motion(self, time: int) -> tuple[Reals, Reals]:
+        """Pose (6,) and velocity (6,) at an instant (ns) that never goes back."""
+        while self._orders and self._orders[0][0] <= time:
+            instant, aim = self._orders.pop(0)
+            self._move(instant)
+            self._aim = aim
+        self._move(time)
+        return self._pose.copy(), self._velocity.copy()
+
+    def command(self, commands: Commands) -> None:
+        """Obey velocities from their times on, in order; NaN ones are none."""
+        for time, velocity in zip(commands.time.tolist(), commands.velocity, strict=True):
+            if not np.isnan(velocity).any():
+                self._orders.append((time, velocity.copy()))
+
+    def _move(self, time: int) -> None:
+        """Go on until an instant (ns)."""
+        if self._time is None or time <= self._time:
+            self._time = time if self._time is None else self._time
+            return
+        span, change = (time - self._time) / s, self._aim - self._velocity
+        ramp = float(np.linalg.norm(change)) / self._acceleration  # s
+        rising = min(span, ramp)
+        velocity = self._velocity + change * (span / ramp if ramp > span else 1.0)
+        travel = (self._velocity + velocity) / 2 * rising + velocity * (span - rising)  # (6,)
+        self._pose[:3] += travel[:3]
+        rotation = turned(tuple(self._pose[3:].tolist()), tuple(travel[3:].tolist()))
+        self._pose[3:] = rotation
+        self._time, self._velocity = time, velocity

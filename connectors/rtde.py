@@ -1,0 +1,259 @@
+"""UR's Real-Time Data Exchange (RTDE), version 2, as bytes: packages and recipes. No I/O.
+
+A connection carries packages: uint16 size (these three bytes included), uint8 kind, payload; all numbers are
+big-endian. A client asks for a *recipe* of outputs by name, is told their types, and then is sent their
+values at a rate. It may ask for recipes of inputs, too, and send values for those.
+
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from struct import Struct, error
+from types import MappingProxyType
+from typing import Final, NamedTuple, Self, TypeAlias
+
+from operators.errors import SlipflowError
+
+Value: TypeAlias = float | tuple[float, ...]  # integers and flags are floats, too, as type checkers see it
+
+PORT: Final = 30004
+PROTOCOL: Final = 2  # its version
+LARGEST: Final = (
+    8192  # bytes of one package that we read; all variables that a controller has take half of it
+)
+FORMATS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "BOOL": "?",
+        "UINT8": "B",
+        "UINT32": "I",
+        "UINT64": "Q",
+        "INT32": "i",
+        "DOUBLE": "d",
+        "VECTOR3D": "3d",
+        "VECTOR6D": "6d",
+        "VECTOR6INT32": "6i",
+        "VECTOR6UINT32": "6I",
+    }
+)
+
+_HEADER: Final = Struct(">HB")
+_VERSION: Final = Struct(">4I")
+_RATE: Final = Struct(">d")
+
+
+class RtdeError(SlipflowError):
+    """What the peer sent is not as RTDE has it, or says that it refused."""
+
+
+class Kind(IntEnum):
+    """What a package is; a request and its answer are of one kind."""
+
+    PROTOCOL = ord("V")  # uint16 version -> bool
+    CONTROLLER = ord("v")  # -> uint32 major, minor, bugfix, build
+    TEXT = ord("M")  # from the controller: uint8 length, message, uint8 length, source, uint8 level
+    DATA = ord("U")  # both ways: uint8 number of the recipe, packed values
+    OUTPUTS = ord("O")  # double rate, names -> uint8 number of the recipe, types
+    INPUTS = ord("I")  # names -> uint8 number of the recipe, types
+    START = ord("S")  # -> bool
+    PAUSE = ord("P")  # -> bool
+
+
+class Package(NamedTuple):
+    """One package without its header."""
+
+    kind: int
+    payload: bytes
+
+
+def pack(kind: int, payload: bytes = b"") -> bytes:
+    r"""A package as bytes.
+
+    >>> pack(Kind.PROTOCOL, b"\0\2").hex(" ")
+    '00 05 56 00 02'
+    """
+    return _HEADER.pack(_HEADER.size + len(payload), kind) + payload
+
+
+class Packages:
+    """Cuts what is read from a connection, however it comes, into packages."""
+
+    def __init__(self, largest: int = LARGEST) -> None:
+        self._largest, self._rest = largest, b""
+
+    def feed(self, data: bytes) -> Iterator[Package]:
+        """Give the packages that `data` completes; to be iterated to its end.
+
+        Raises:
+            RtdeError: where a size cannot be: there is no telling where the next package begins.
+        """
+        data, begin = self._rest + data, 0
+        try:
+            while len(data) - begin >= _HEADER.size:
+                size, kind = _HEADER.unpack_from(data, begin)
+                if not _HEADER.size <= size <= self._largest:
+                    raise RtdeError(f"a package of {size} bytes")
+                if len(data) - begin < size:
+                    break
+                begin += size
+                yield Package(kind, data[begin - size + _HEADER.size : begin])
+        finally:
+            self._rest = data[begin:]
+
+
+def names(payload: bytes) -> tuple[str, ...]:
+    """Names or types separated by commas; clients end their lists with one, too.
+
+    >>> names(b"timestamp,actual_q,")
+    ('timestamp', 'actual_q')
+    """
+    return tuple(name.strip() for name in payload.decode("ascii", "replace").split(",") if name.strip())
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The fields of a data package, in order.
+
+    Raises:
+        RtdeError: on a type that RTDE does not have.
+
+    >>> recipe = Recipe(1, ("timestamp", "actual_q"), ("DOUBLE", "VECTOR6D"))
+    >>> recipe.unpack(recipe.pack((0.5, (1, 2, 3, 4, 5, 6))))
+    (0.5, (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))
+    """
+
+    number: int  # 1..255
+    names: tuple[str, ...]
+    types: tuple[str, ...]
+    _struct: Struct = field(init=False, repr=False, compare=False)
+    _widths: tuple[int, ...] = field(init=False, repr=False, compare=False)  # numbers that each field has
+
+    def __post_init__(self) -> None:
+        unknown = [kind for kind in self.types if kind not in FORMATS]
+        if unknown or len(self.types) != len(self.names):
+            raise RtdeError(f"{len(self.names)} fields cannot be of the types {', '.join(self.types)}")
+        formats = [FORMATS[kind] for kind in self.types]
+        object.__setattr__(self, "_struct", Struct(">B" + "".join(formats)))
+        object.__setattr__(self, "_widths", tuple(int(each[:-1] or 1) for each in formats))
+
+    @classmethod
+    def granted(cls, names_asked: Sequence[str], payload: bytes) -> Self:
+        """The recipe that a controller's answer grants.
+
+        Raises:
+            RtdeError: if it grants none, naming the fields at fault.
+        """
+        number, types = payload[:1], names(payload[1:])
+        refused = [
+            f"{name} {why}" for name, why in zip(names_asked, types, strict=False) if why not in FORMATS
+        ]
+        if refused:
+            raise RtdeError(f"the controller refused {', '.join(refused)}")
+        if number in (b"", b"\0"):
+            raise RtdeError(f"the controller refused {', '.join(names_asked)}")
+        return cls(number[0], tuple(names_asked), types)
+
+    @property
+    def size(self) -> int:
+        """Bytes of a payload."""
+        return self._struct.size
+
+    @property
+    def answer(self) -> bytes:
+        """What tells a client that it is granted."""
+        return bytes([self.number]) + ",".join(self.types).encode()
+
+    def pack(self, values: Sequence[Value]) -> bytes:
+        """The payload that carries values.
+
+        Raises:
+            RtdeError: if one is of another type or out of its range.
+        """
+        flat: list[float] = []
+        for value in values:
+            flat.extend(value if isinstance(value, tuple) else (value,))
+        try:
+            return self._struct.pack(self.number, *flat)
+        except error as reason:
+            raise RtdeError(f"{self.names} cannot be {tuple(values)}: {reason}") from reason
+
+    def unpack(self, payload: bytes) -> tuple[Value, ...]:
+        """The values that a payload carries.
+
+        Raises:
+            RtdeError: if it belongs to another recipe, or has another size.
+        """
+        self.check(payload)
+        flat, begin, values = self._struct.unpack(payload), 1, list[Value]()
+        for width in self._widths:
+            values.append(flat[begin] if width == 1 else flat[begin : begin + width])
+            begin += width
+        return tuple(values)
+
+    def check(self, payload: bytes) -> None:
+        """Do nothing if a payload is one of this recipe.
+
+        Raises:
+            RtdeError: if it is not.
+        """
+        if payload[:1] != bytes([self.number]) or len(payload) != self.size:
+            found = f"{len(payload)} bytes for recipe {payload[:1].hex() or 'none'}"
+            raise RtdeError(f"data of {found}, not {self.size} for {self.number:02x}")
+
+
+class Version(NamedTuple):
+    """Of a controller's software."""
+
+    major: int  # 3: CB3, 125 Hz; 5: e-Series, 500 Hz
+    minor: int
+    bugfix: int
+    build: int
+
+    @classmethod
+    def read(cls, payload: bytes) -> Self:
+        """The version that a controller's answer tells.
+
+        Raises:
+            RtdeError: if it has another size.
+        """
+        if len(payload) != _VERSION.size:
+            raise RtdeError(f"the controller's version in {len(payload)} bytes")
+        return cls(*_VERSION.unpack(payload))
+
+    @property
+    def payload(self) -> bytes:
+        """What tells a client."""
+        return _VERSION.pack(*self)
+
+    def __str__(self) -> str:
+        return ".".join(map(str, self))
+
+
+def ask_outputs(rate: float, outputs: Sequence[str]) -> bytes:
+    """The payload that asks for outputs at a rate (Hz)."""
+    return _RATE.pack(rate) + ",".join(outputs).encode()
+
+
+def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
+    """Rate (Hz) and names that a client asks for.
+
+    Raises:
+        RtdeError: if the payload is too short.
+    """
+    if len(payload) < _RATE.size:
+        raise RtdeError(f"outputs asked for in {len(payload)} bytes")
+    return _RATE.unpack_from(payload)[0], names(payload[_RATE.size :])
+
+
+def text(payload: bytes) -> str:
+    r"""The message of a text package and where it comes from.
+
+    >>> text(b"\5hello\4RTDE\1")
+    'hello (RTDE)'
+    """
+    length = payload[0] if payload else 0
+    message, rest = payload[1 : 1 + length], payload[1 + length :]
+    source = rest[1 : 1 + rest[0]] if rest else b""
+    read = f"{message.decode('utf-8', 'replace')} ({source.decode('utf-8', 'replace')})"
+    return "".join(each if each.isprintable() else " " for each in read)

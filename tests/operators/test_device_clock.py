@@ -1,0 +1,243 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators import Clocks, DeviceClock, Motion, ParameterError, WatchClock, concat, fit_clock, ms, s
+from operators.batch import Reals, Times
+from operators.envelope import line
+
+START = 1_700_000_000 * s
+UP = 3600 * s  # that the device had been on
+Way = Callable[[np.random.Generator, Reals], Reals]
+
+
+def motion(device: Times, arrival: Times) -> Motion:
+    nothing = np.zeros((len(device), 6))
+    return Motion(arrival, device, nothing, nothing)
+
+
+def independent(random: np.random.Generator, sent: Reals) -> Reals:
+    """Each package up to 20 ms late, none overtaking another."""
+    return np.maximum.accumulate(sent + random.uniform(0, 0.02, len(sent)))
+
+
+def woken(random: np.random.Generator, sent: Reals) -> Reals:
+    """A reader that is kept away for up to 20 ms, again and again, and then takes what is there."""
+    times = 100 + round(float(sent[-1]) * 120)
+    wakes: Reals = np.cumsum(random.uniform(0, 0.02, times))
+    return wakes[np.searchsorted(wakes, sent)]
+
+
+def late(way: Way, rate: float, drift: float, seconds: int = 600, seed: int = 0) -> tuple[Motion, Times]:
+    """A stream from a device whose clock drifts, over a way of 5 ms at least; and when it was sent."""
+    sent = np.arange(seconds * rate) / rate
+    device = UP + np.rint(sent * (1 + drift) * s).astype(np.int64)
+    arrival = START + 5 * ms + np.rint(way(np.random.default_rng(seed), sent) * s).astype(np.int64)
+    return motion(device, arrival), START + 5 * ms + np.rint(sent * s).astype(np.int64)
+
+
+def p99(time: Times, true: Times) -> float:
+    """Of the error, ms."""
+    return float(np.percentile(np.abs(time - true), 99)) / ms
+
+
+@pytest.mark.parametrize("drift", [50e-6, -50e-6])
+@pytest.mark.parametrize(("way", "rate"), [(independent, 125.0), (woken, 125.0), (woken, 500.0)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_20_ms_of_jitter_and_50_ppm_leave_half_a_millisecond_live_and_a_tenth_of_one_afterwards(
+    way: Way, rate: float, drift: float, seed: int
+) -> None:
+    stream, true = late(way, rate, drift, seed=seed)
+    live = DeviceClock().push(stream).time
+    assert p99(live, true) < 0.5
+    assert p99(live[len(live) // 10 :], true[len(live) // 10 :]) < 0.15
+    afterwards, _ = fit_clock(stream)
+    assert p99(afterwards.time, true) < 0.1
+    assert p99(stream.time, true) > 15
+
+
+def test_time_runs_smoothly_though_arrivals_do_not() -> None:
+    stream, _ = late(independent, 125.0, 50e-6)
+    raw, mapped = np.diff(stream.time), np.diff(DeviceClock().push(stream).time)
+    settled = slice(60 * 125, None)
+    assert np.abs(raw - 8 * ms).max() > 15 * ms
+    assert np.abs(mapped[settled] - 8 * ms).max() < 0.2 * ms
+    assert np.percentile(np.abs(mapped[settled] - 8 * ms), 99) < 0.002 * ms
+
+
+def test_everything_but_the_time_stays_as_it_was() -> None:
+    stream, _ = late(independent, 125.0, 50e-6, seconds=1)
+    velocity, pose = np.random.default_rng(0).normal(size=(2, len(stream), 6))
+    stream = Motion(stream.time, stream.device_time, velocity, pose, finger=3)
+    mapped = DeviceClock().push(stream)
+    assert mapped.device_time is stream.device_time
+    assert mapped.velocity is velocity
+    assert mapped.pose is pose
+    assert mapped.finger == 3
+
+
+@given(
+    steps=st.lists(
+        st.tuples(
+            st.sampled_from([0, 1, 8 * ms, 8 * ms, 8 * ms, 3 * s, -(5 * s)]),
+            st.sampled_from([0, 0, 1, 8 * ms, 8 * ms, 20 * ms, 3 * s]),
+        ),
+        min_size=1,
+        max_size=80,
+    )
+)
+def test_time_never_decreases_and_is_never_later_than_the_arrival(steps: list[tuple[int, int]]) -> None:
+    device, arrival = np.cumsum(np.array(steps, np.int64), axis=0).T
+    stream = motion(100 * s + device, START + arrival)
+    for mapped in (DeviceClock(window=s).push(stream), fit_clock(stream)[0]):
+        assert (np.diff(mapped.time) >= 0).all()
+        assert (mapped.time <= stream.time).all()
+
+
+# --- epochs ----------------------------------------------------------------------------------------------
+
+
+def restarted(away: int, up: int) -> tuple[Motion, Times]:
+    """A minute of a device, then it is away for a while (ns), and back, having been up for another."""
+    first, true = late(woken, 125.0, 50e-6, seconds=60)
+    gone = true[-1] - true[0] + away
+    device = np.concatenate((first.device_time, first.device_time - UP + up))
+    arrival = np.concatenate((first.time, first.time + gone))
+    return motion(device, arrival), np.concatenate((true, true + gone))
+
+
+@pytest.mark.parametrize(
+    ("away", "up"),
+    [(s // 2, s // 4), (30 * s, 0), (30 * s, UP + 70 * s), (300 * s, UP + 61 * s)],
+    ids=["at once", "after a while", "with a later stamp", "with a much earlier one than is due"],
+)
+def test_another_clock_begins_a_new_epoch(away: int, up: int) -> None:
+    stream, true = restarted(away, up)
+    again = len(stream) // 2
+    for mapped in (DeviceClock().push(stream), fit_clock(stream)[0]):
+        error = np.abs(mapped.time - true)
+        assert error[again:].max() < 20 * ms
+        assert np.percentile(error[again + 250 :], 99) < 0.5 * ms
+    assert len(fit_clock(stream)[1]) == 2
+
+
+def test_a_gap_that_both_clocks_agree_on_changes_nothing() -> None:
+    stream, true = late(woken, 125.0, 50e-6, seconds=400)
+    kept = (stream.device_time < UP + 100 * s) | (stream.device_time > UP + 350 * s)
+    mapped = DeviceClock().push(stream[kept])
+    assert np.abs(mapped.time - true[kept])[100 * 125 :].max() < 0.5 * ms
+    assert len(fit_clock(stream[kept])[1]) == 1
+
+
+def test_a_pause_after_which_nobody_knows_the_drift_begins_an_epoch() -> None:
+    stream, true = late(woken, 125.0, 50e-6, seconds=60)
+    device = np.concatenate((stream.device_time, stream.device_time + 3600 * s))
+    arrival = np.concatenate((stream.time, stream.time + 3600 * s - 150 * ms))  # it drifted by 42 ppm
+    mapped = DeviceClock().push(motion(device, arrival))
+    error = np.abs(mapped.time - np.concatenate((true, true + 3600 * s - 150 * ms)))
+    assert np.percentile(error[60 * 125 + 250 :], 99) < 0.5 * ms
+
+
+def test_a_burst_after_a_stall_is_placed_where_it_belongs() -> None:
+    stream, true = late(woken, 125.0, 50e-6, seconds=60)
+    stalled = (true >= true[0] + 30 * s) & (true < true[0] + 31 * s)
+    arrival = np.where(stalled, true[0] + 31 * s, stream.time)
+    mapped = DeviceClock().push(motion(stream.device_time, np.maximum.accumulate(arrival)))
+    assert np.abs(mapped.time - true)[10 * 125 :].max() < 0.5 * ms
+
+
+@pytest.mark.parametrize("longer", [3, -3])
+def test_a_way_of_another_length_is_followed(longer: int) -> None:
+    stream, true = late(woken, 125.0, 50e-6)
+    shift = np.where(true > true[0] + 300 * s, longer * ms, 0)
+    mapped = DeviceClock().push(motion(stream.device_time, np.maximum.accumulate(stream.time + shift)))
+    error = np.abs(mapped.time - true - shift)
+    assert error.max() < 20 * ms
+    assert error[440 * 125 :].max() < 0.1 * ms
+
+
+# --- how the clock stands --------------------------------------------------------------------------------
+
+
+def test_offset_drift_and_residual_are_told_as_they_are() -> None:
+    stream, true = late(independent, 125.0, 50e-6)
+    watch = WatchClock()
+    clocks = concat(Clocks, [watch.push(stream), watch.flush()])
+    assert len(clocks) == 120
+    settled = clocks[24:]
+    assert np.abs(settled.drift + 50e-6).max() < 3e-6
+    assert np.abs(settled.residual - 0.011).max() < 0.002  # ordered, they are later than their mean of 10 ms
+    offset = np.interp(settled.time, true, true - stream.device_time)
+    assert np.abs(settled.offset - offset).max() < 0.2 * ms
+    assert (np.diff(clocks.time) > 0).all()
+
+
+def test_what_is_told_agrees_with_where_rows_are_put() -> None:
+    stream, _ = restarted(30 * s, 0)
+    watch = WatchClock()
+    clocks = concat(Clocks, [watch.push(stream), watch.flush()])
+    mapped = DeviceClock().push(stream)
+    rows = mapped.time.searchsorted(clocks.time, "right") - 1
+    assert (clocks.offset == mapped.time[rows] - mapped.device_time[rows]).all()
+    assert len(clocks) == 24
+    assert len(np.unique(clocks.offset // s)) == 2
+
+
+def test_a_recordings_fit_has_a_row_per_epoch_that_maps_its_stamps() -> None:
+    stream, true = restarted(30 * s, 0)
+    mapped, clocks = fit_clock(stream)
+    again = len(stream) // 2
+    assert np.abs(clocks.drift + 50e-6).max() < 1e-6
+    assert np.abs(clocks.residual - 0.0067).max() < 0.001  # a reader that wakes so comes late by 20/3 ms
+    for first, stop, row in ((0, again, 0), (again, None, 1)):
+        device = stream.device_time[first:stop]
+        since = clocks.time[row] - clocks.offset[row]
+        host = device + clocks.offset[row] + clocks.drift[row] * (device - since)
+        assert np.abs(host - mapped.time[first:stop]).max() < 1000  # ns
+        assert clocks.time[row] == pytest.approx(true[first], abs=0.1 * ms)
+
+
+def test_an_empty_recording_has_no_clock() -> None:
+    mapped, clocks = fit_clock(Motion.empty())
+    assert not len(mapped)
+    assert not len(clocks)
+
+
+# --- the line --------------------------------------------------------------------------------------------
+
+
+@given(
+    rows=st.lists(st.tuples(st.integers(0, 1000), st.integers(-50, 50)), min_size=1, max_size=40),
+    limit=st.sampled_from([0.0, 0.01, 10.0]),
+)
+def test_the_line_lies_under_all_rows_and_no_other_lies_higher_in_their_mean(
+    rows: list[tuple[int, int]], limit: float
+) -> None:
+    x, y = np.array(sorted(rows), np.float64).T
+    x *= s
+    offset, drift = line(x, y, limit)
+    assert abs(drift) <= limit
+    above = y - offset - drift * x
+    assert above.min() == pytest.approx(0, abs=1e-6)
+    covered = x[-1] - x[0] >= 5 * s
+    if not covered:
+        assert drift == 0
+        return
+    slopes = {
+        (y[j] - y[i]) / (x[j] - x[i]) for i in range(len(x)) for j in range(i) if x[i] > x[j]
+    }  # of the hull's edges, among others
+    for other in {-limit, limit, *(each for each in slopes if abs(each) <= limit)}:
+        best = (y - other * x).min() + other * x.mean()
+        assert offset + drift * x.mean() >= best - 1e-6
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("window", 59), ("window", 0), ("drift", -1e-6), ("drift", np.nan), ("jump", -1)]
+)
+def test_values_that_cannot_be_are_refused(name: str, value: float) -> None:
+    for kind in (DeviceClock, WatchClock):
+        with pytest.raises(ParameterError, match=name):
+            kind(**{name: value})  # type: ignore[arg-type]  # wrong on purpose
