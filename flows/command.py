@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows import detector_commands
+from flows import detector_commands, rig_commands
 from flows.options import AsJson, nanoseconds, progress_bar, told
 
 if TYPE_CHECKING:
@@ -66,6 +66,11 @@ def main() -> None:
         if _debug:
             raise
         typer.echo(f"error: {error}", err=True)
+        sys.exit(2)
+    except OSError as error:
+        if _debug or error.filename is None:
+            raise
+        typer.echo(f"error: {error.filename}: {error.strerror}", err=True)
         sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
@@ -166,7 +171,9 @@ def simulate(
         Path | None, typer.Argument(metavar="OUT", help="The dataset's folder, new or empty.")
     ] = None,
     *,
-    plan: Annotated[str, typer.Option(help="What to record: paper, 45 minutes, or tiny, 2.")] = "paper",
+    plan: Annotated[
+        str, typer.Option(help="paper: 45 minutes; wide: 30, each on a material of its own; tiny: 2.")
+    ] = "paper",
     seed: Annotated[int, typer.Option(help="Of everything random; the same seed gives the same bytes.")] = 0,
     delay: Annotated[
         str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
@@ -214,6 +221,8 @@ for each in (
     detector_commands.chart,
     detector_commands.stress,
     detector_commands.onnx,
+    rig_commands.collect,
+    rig_commands.rig,
 ):
     app.command()(each)
 

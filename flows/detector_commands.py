@@ -98,16 +98,20 @@ def train(
             if check:
                 told(f"{part}, {check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
 
-        found = learn(
-            datasets,
-            out,
-            method=method,
-            recipe=Recipe(filters=filters, steps=steps, seed=seed),
-            epochs=epochs,
-            seeds=seeds,
-            lag=None if after is None else after / 1e9,
-            progress=progress,
-        )
+        try:
+            found = learn(
+                datasets,
+                out,
+                method=method,
+                recipe=Recipe(filters=filters, steps=steps, seed=seed),
+                epochs=epochs,
+                seeds=seeds,
+                lag=None if after is None else after / 1e9,
+                progress=progress,
+            )
+        except KeyboardInterrupt:
+            told("stopped; the same command goes on from the last check" if method == "tcn" else "stopped")
+            raise
     if curve is not None:
         from flows.figures import save
 
@@ -124,9 +128,13 @@ def onnx(
 ) -> None:
     """Write a tcn for other runtimes: windows of zeroed counts in, the probability of slip out."""
     from flows.networks.onnx import export
-    from storage import load_weights
+    from operators.detectors import Tcn
+    from operators.errors import InputError
+    from storage import load_detector, load_weights
     from storage.models import shipped
 
+    if not isinstance(load_detector(model), Tcn):
+        raise InputError(model, "is no tcn, the only detector that can be exported")
     export(load_weights(shipped(model) or Path(model))[0], out)
     typer.echo(f"written: {out}")
 

@@ -114,7 +114,8 @@ def _errors_of(file: Path) -> Generator[None]:
     except SyntaxError as error:
         raise InputError(f"{error.filename or file}:{error.lineno}", error.msg) from error
     except Exception as error:
-        lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename) == file]
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
         where = f"{file}:{lines[-1]}" if lines else str(file)
         raise InputError(where, f"{type(error).__name__}: {error}") from error
 

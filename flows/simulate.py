@@ -33,6 +33,7 @@ from flows.clock import EventClock
 from flows.graph import Flow
 from flows.record import collect
 from flows.replay_runner import ReplayRunner
+from flows.trials import TURNS
 from operators import Label, Source
 from operators.batch import SLIP, STATIC, Batch, Labelled, Motion, Touch, concat, s
 from operators.errors import EndpointError, ParameterError, SlipflowError
@@ -51,7 +52,7 @@ PLANS: Final[Mapping[str, Collection]] = {
 }
 SPLITS: Final[tuple[str, ...]] = ("train", "validation", "test")
 
-_TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
+_APART: Final = {"tiny": 1_000_000}  # of seeds: a small plan repeats no recording of a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
 _SPACING: Final = 60 * s  # ns between the beginnings of two recordings, which are shorter
 _WHOLE: Final = 3600 * s  # ns, longer than any recording: a table of a session is one part
@@ -146,13 +147,14 @@ def recordings(plan: str, seed: int) -> list[Planned]:
         raise ParameterError("simulate", "plan", plan, f"one of {', '.join(PLANS)}")
     if seed < 0:
         raise ParameterError("simulate", "seed", seed, "0 or above")
-    scenes = list(PLANS[plan].scenes(seed))
+    begin = seed + _APART.get(plan, 0)
+    scenes = list(PLANS[plan].scenes(begin))
     groups = [_group(scene) for scene in scenes]
     counted, planned = Counter[str](), list[Planned]()
     for number, (scene, group, split) in enumerate(zip(scenes, groups, _splits(groups, seed), strict=True)):
         counted[group] += 1
         session = f"{group}-{counted[group]:02d}"
-        own = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+        own = int(np.random.SeedSequence([begin, number]).generate_state(1)[0])
         start = _EPOCH + (seed * len(scenes) + number) % 10**6 * _SPACING
         planned.append(Planned(session, scene, own, start, split))
     return planned
@@ -168,7 +170,7 @@ def _splits(groups: Sequence[str], seed: int) -> list[str]:
     """The split of each recording: by turns through all of them, like beside like, else in random order."""
     chance = np.random.default_rng([seed, 4]).permutation(len(groups))
     keys = [(group.endswith("rotation"), group, int(chance[k]), k) for k, group in enumerate(groups)]
-    split = {key[-1]: _TURNS[place % len(_TURNS)] for place, key in enumerate(sorted(keys))}
+    split = {key[-1]: TURNS[place % len(TURNS)] for place, key in enumerate(sorted(keys))}
     return [split[k] for k in range(len(groups))]
 
 

@@ -1,7 +1,7 @@
 """What a detector is trained and judged on: recordings of one fingertip as counts and labels."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +35,7 @@ from operators.hold import hold
 from storage import Session
 from storage.layout import session_folder, session_names
 
+TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 JUDGED: Final = 99  # samples before the first that is judged: what the longest window needs
 _STRETCH: Final = 3000  # samples simulated at once
 _STROKES: Final = ("translation", "rotation")
@@ -116,6 +117,9 @@ def trial(scene: Scene, seed: int, name: str = "", split: str = "") -> Trial:
 def load(dataset: Path) -> list[Trial]:
     """Every fingertip of every session of a dataset.
 
+    Where no session says which split it belongs to, as none does that was recorded by hand, they take turns
+    in the order of their names: seven of ten train, one validates, two test.
+
     Raises:
         InputError: if there is no dataset there, a file of it is damaged, or it holds no labelled samples.
     """
@@ -125,6 +129,9 @@ def load(dataset: Path) -> list[Trial]:
         for session in (Session.open(session_folder(dataset, name)) for name in names)
         for finger in session.fingers(Labelled)
     ]
+    if trials and not any(trial.split for trial in trials):
+        order = {name: number for number, name in enumerate(names)}
+        trials = [replace(trial, split=TURNS[order[trial.name] % len(TURNS)]) for trial in trials]
     if not trials:
         raise InputError(
             str(dataset), "holds no labelled samples; `slipflow simulate` or `run record` make some"

@@ -20,7 +20,7 @@ from flows.evaluation.tuning import BUDGET, tuned
 from flows.scoring import probabilities
 from flows.trials import Trial, load
 from operators import Debounce
-from operators.batch import UNKNOWN, Flags, Reals
+from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals
 from operators.errors import InputError
 
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # the robot tests of the paper
@@ -115,6 +115,9 @@ def evaluate(
     if not judged:
         there = ", ".join(sorted({trial.split for trial in trials} - {""})) or "none"
         raise InputError(str(dataset), f"has no split {split!r}; it has {there}; all takes everything")
+    for code, what in ((SLIP, "slip"), (STATIC, "static")):
+        if not any((trial.label == code).any() for trial in judged):
+            raise InputError(str(dataset), f"has no {what} in its {split} split, so nothing can be judged")
     parts = {name: [trial for trial in trials if trial.split == name] for name in ("train", "validation")}
     told("simulating again what truly happened, where the session says how")
     judged = [with_truth(dataset, trial) for trial in judged]

@@ -45,16 +45,18 @@ def methods(
     Args:
         training: what the simple detectors are fitted to
         models: files of weights to compare as well
-        names: only these; empty: all
+        names: only these, and those of `models`; empty: all
         told: is told what is being fitted
 
     Raises:
         InputError: if a file does not hold a detector's weights, or there is no such method.
     """
     found = {method.name: method for method in map(_shipped, filter(shipped, TRAINED))}
+    given: list[str] = []
     for path in models:
         method = _of_file(path, found)
         found[method.name] = method
+        given.append(method.name)
     unknown = sorted(set(names) - {*found, *FITTED, *TRAINED})
     if unknown:
         known = ", ".join([*found, *FITTED])
@@ -70,7 +72,7 @@ def methods(
             found[name] = _fitted(name, fit, training)
         except InputError as error:
             missing[name] = error.reason
-    wanted = names or {*found, *missing}
+    wanted = {*names, *given} if names else {*found, *missing}
     return [found[name] for name in found if name in wanted], {
         name: reason for name, reason in missing.items() if name in wanted
     }

@@ -14,11 +14,11 @@ from flows.evaluation.written import written
 def page(of: Evaluation, command: str) -> Page:
     """The findings; `command` made them."""
     first = sections.leader(of)
-    clean = "Nothing was fitted to them or chosen on them."
+    clean = "Nothing is fitted to them or chosen on them here; what models learnt from is on their cards."
     used = "Methods were fitted to some of them, or settings chosen on them: this is no test."
     text = (
         f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
-        f"{of.minutes:.0f} minutes, {of.samples} samples at 100 Hz, split by recording. "
+        f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. "
         + (clean if of.split == "test" else used)
     )
     title = f"Slip detectors on {of.dataset}: {first.method.name} reaches {first.confusion.accuracy:.1f} %"

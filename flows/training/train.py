@@ -109,7 +109,7 @@ def train(
         if not parts[split]:
             names = ", ".join(map(str, datasets))
             raise ParameterError(
-                "train", "datasets", names, f"some with a {split} split; `slipflow simulate` has"
+                "train", "datasets", names, f"five recordings or more, or some with a {split} split"
             )
     learnt = parts if lag is None else {split: relabelled(found, lag) for split, found in parts.items()}
     about: dict[str, Any] = {

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from storage.models import shipped
+
 SLIPFLOW = [sys.executable, "-c", "from flows.command import main; main()"]
 
 
@@ -60,3 +62,21 @@ def test_train_and_onnx_make_files_that_others_read(tiny: Path, tmp_path: Path) 
     done = slipflow("onnx", "small.safetensors", "small.onnx", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "small.onnx").stat().st_size > 1000
+
+
+def test_models_that_are_given_are_judged_beside_the_methods_that_are_named(
+    tiny: Path, tmp_path: Path
+) -> None:
+    model = str(shipped("tcn"))
+    done = slipflow("evaluate", str(tiny), "--method", "psd", "--model", model, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert set(json.loads(done.stdout.splitlines()[-1])["methods"]) == {"psd", "tcn_2"}
+
+
+def test_only_a_tcn_can_be_exported_and_only_to_where_a_file_can_be(tmp_path: Path) -> None:
+    done = slipflow("onnx", "psd", "psd.onnx", cwd=tmp_path)
+    assert (done.returncode, "is no tcn" in done.stderr) == (2, True)
+    done = slipflow("onnx", "tcn", "nowhere/tcn.onnx", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "nowhere/tcn.onnx" in done.stderr

@@ -1,13 +1,15 @@
 """Simulated trials: what they know beside counts and labels."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from connectors.rig.scene import Faults, Move, Moves, Scene
 from connectors.rig.stress import stressed
-from flows.trials import Trial, trial
+from flows.simulate import recordings, simulate
+from flows.trials import TURNS, Trial, load, trial
 from operators.batch import Flags
 
 SCENE = Scene(
@@ -59,3 +61,21 @@ def test_a_fault_degrades_a_trial_from_when_it_can_be_told(faults: Faults, after
     found = degraded(replace(SCENE, faults=faults))
     assert found.argmax() == pytest.approx(100 * after, abs=2)
     assert found[found.argmax() :].all()
+
+
+def test_recordings_without_splits_take_turns_by_session(tmp_path: Path) -> None:
+    simulate(tmp_path / "tiny", "tiny", seed=0, jobs=1)
+    told = [each.split for each in load(tmp_path / "tiny")]
+    for episodes in (tmp_path / "tiny").glob("sessions/*/episodes.parquet"):
+        episodes.unlink()
+        manifest = episodes.with_name("MANIFEST.json")
+        lines = manifest.read_text().splitlines()
+        listed = [line.rstrip(",") for line in lines if '"path"' in line and "episodes" not in line]
+        manifest.write_text('{"version": 1, "parts": [\n' + ",\n".join(listed) + "\n]}\n")
+    turns = [each.split for each in load(tmp_path / "tiny")]
+    assert turns == list((TURNS * 2)[: len(turns)]) != told
+
+
+def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:
+    scenes = {plan: {each.seed for each in recordings(plan, 0)} for plan in ("paper", "tiny")}
+    assert not scenes["paper"] & scenes["tiny"]

@@ -1,0 +1,1 @@
+"""Collecting: an arm carries out a plan of strokes while a flow records what a fingertip feels."""

@@ -1,0 +1,91 @@
+"""What a plan will do, and what was collected, for a person and for a program."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from flows.collection.path import Extent, Place
+from flows.collection.plan import Session, extent
+from operators.ports import Run
+
+
+def planned(sessions: Sequence[Session], low: Place, high: Place) -> dict[str, Any]:
+    """A plan's path, its duration and its bounds, within a workspace (m)."""
+    whole = extent(sessions)
+    return {
+        "sessions": [
+            {
+                "session": session.name,
+                "surface": session.surface.curvature,
+                "speed": session.speed,
+                "split": session.split,
+                "strokes": len(session.strokes),
+                "seconds": round(_reach(session).seconds, 3),
+                "low": list(_reach(session).low),
+                "high": list(_reach(session).high),
+            }
+            for session in sessions
+        ],
+        "strokes": sum(len(session.strokes) for session in sessions),
+        "seconds": round(whole.seconds, 3),
+        "low": list(whole.low),
+        "high": list(whole.high),
+        "workspace": [*low, *high],
+    }
+
+
+def as_table(plan: dict[str, Any]) -> str:
+    """The same as text.
+
+    >>> print(as_table({"sessions": [], "strokes": 0, "seconds": 75.0, "low": [0, 0, 0], "high": [1, 1, 1],
+    ...     "workspace": [0, 0, 0, 1, 1, 1]}))
+    session                      strokes      time   x mm            y mm            z mm            split
+    in all                             0  1.2 min   0 .. 1000       0 .. 1000       0 .. 1000
+    workspace                                       0 .. 1000       0 .. 1000       0 .. 1000
+    """
+    head = f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"
+    rows = [
+        f"{each['session']:28} {each['strokes']:7} {each['seconds']:7.1f} s"
+        f"   {_spans(each['low'], each['high'])} {each['split']}"
+        for each in plan["sessions"]
+    ]
+    low, high = plan["workspace"][:3], plan["workspace"][3:]
+    minutes = f"{plan['seconds'] / 60:.1f} min"
+    whole = f"{'in all':28} {plan['strokes']:7} {minutes:>8}   {_spans(plan['low'], plan['high'])}"
+    return "\n".join([head, *rows, whole.rstrip(), f"{'workspace':47} {_spans(low, high)}".rstrip()])
+
+
+def summary(runs: Sequence[Run], strokes: int) -> dict[str, Any]:
+    """What was collected."""
+    return {
+        "strokes": strokes,
+        "sessions": [
+            {
+                "session": run.session,
+                "rows": {name: source.rows for name, source in run.sources.items()},
+                "gaps": sum(len(source.gaps) for source in run.sources.values()),
+                "dropped": sum(sink.dropped for name, sink in run.sinks.items() if name == "dataset"),
+                "error": run.error or None,
+            }
+            for run in runs
+        ],
+    }
+
+
+def as_text(collected: dict[str, Any]) -> str:
+    """The same as text."""
+    rows = [
+        f"{each['session']:40} {', '.join(f'{rows} {name}' for name, rows in each['rows'].items())}"
+        f"{'' if not each['gaps'] else ', gaps ' + str(each['gaps'])}"
+        f"{'' if not each['dropped'] else ', dropped ' + str(each['dropped'])}"
+        f"{'' if not each['error'] else ': ' + each['error']}"
+        for each in collected["sessions"]
+    ]
+    return "\n".join([*rows, f"{collected['strokes']} strokes in {len(rows)} sessions"])
+
+
+def _reach(session: Session) -> Extent:
+    return Extent.of(session.steps, session.begin.pose)
+
+
+def _spans(low: Sequence[float], high: Sequence[float]) -> str:
+    return " ".join(f"{f'{1000 * a:.0f} .. {1000 * b:.0f}':15}" for a, b in zip(low, high, strict=True))

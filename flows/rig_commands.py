@@ -1,0 +1,261 @@
+"""The commands about a real rig and the virtual lab; `flows.command` registers each with one line."""
+
+import asyncio
+import json
+import logging
+import os
+import sys
+from contextlib import AsyncExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast
+
+import typer
+
+from flows.options import AsJson, nanoseconds, told
+
+if TYPE_CHECKING:
+    from connectors.rig.scene import Curvature
+    from connectors.rig.ur_controller import Ports
+    from flows.collection.live import Box, Collected, Rigging
+    from flows.collection.path import Pose
+    from flows.collection.plan import Plan
+
+# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# ruff: noqa: PLC0415
+
+GRIPPER = 5020  # port; that of real ones, 502, is for root only
+
+Curvatures = Annotated[str, typer.Option(help="plane, sphere, cylinder_x or cylinder_y.")]
+
+
+def rig(
+    *,
+    listen: Annotated[
+        str, typer.Option(metavar="ADDRESS", help="Where the servers listen: whoever gets there may move it.")
+    ] = "127.0.0.1",
+    rtde: Annotated[int, typer.Option(help="Port of RTDE; ur-rtde knows 30004 only.")] = 30004,
+    script: Annotated[int, typer.Option(help="Port of scripts; ur-rtde knows 30003 only.")] = 30003,
+    dashboard: Annotated[int, typer.Option(help="Port; ur-rtde knows 29999 only.")] = 29999,
+    gripper: Annotated[
+        int, typer.Option(help="Port of Modbus TCP (real grippers have 502); -1: no gripper.")
+    ] = GRIPPER,
+    surface: Curvatures = "plane",
+    seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
+    duration: Annotated[
+        str | None, typer.Option("--for", metavar="TIME", help="Stop after this time: 30s, 5min.")
+    ] = None,
+) -> None:
+    """Serve the virtual lab: one simulated scene as a UR controller and a gripper, over their own protocols.
+
+    Its TakkTile bus can be had in the same process only, since no kernel serves it: `slipflow collect
+    --virtual` has the whole lab inside. Ends at Ctrl-C.
+    """
+    from connectors.rig.ur_controller import Ports
+
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    span = nanoseconds(duration)
+    ports, port = Ports(rtde, script, dashboard), None if gripper < 0 else gripper
+    asyncio.run(
+        _serve(
+            listen, ports, gripper=port, surface=_curvature(surface), seed=seed, seconds=span and span / 1e9
+        )
+    )
+
+
+def collect(
+    plan: Annotated[str, typer.Argument(metavar="PLAN", help="paper, or tiny.")],
+    *,
+    surface: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME[@X,Y,Z,RX,RY,RZ]",
+            help="plane, sphere, cylinder_x or cylinder_y, and the TCP pose (m, rotation vector) at which the"
+            " fingertip just touches its middle; by default the pose that the arm has now. May be repeated.",
+        ),
+    ] = None,
+    robot: Annotated[str | None, typer.Option(metavar="HOST", help="Address of the UR controller.")] = None,
+    touch: Annotated[str, typer.Option(metavar="BUS", help="I2C bus of the fingertips: 1, or a path.")] = "1",
+    rows: Annotated[str, typer.Option(metavar="N,N", help="Rows of the fingertips.")] = "0",
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print the path, its duration and bounds; move nothing.")
+    ] = False,
+    virtual: Annotated[
+        bool, typer.Option("--virtual", help="On a virtual lab of one's own, at --robot or 127.0.0.1.")
+    ] = False,
+    speeds: Annotated[str | None, typer.Option(metavar="V,V", help="Of strokes, m/s.")] = None,
+    repeats: Annotated[int | None, typer.Option(help="Sessions of each speed.")] = None,
+    rotations: Annotated[int | None, typer.Option(help="Sessions of rotations.")] = None,
+    rounds: Annotated[int | None, typer.Option(help="Of eight strokes in each session.")] = None,
+    depth: Annotated[float | None, typer.Option(help="To press beyond the first touch, m.")] = None,
+    workspace: Annotated[
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z,X,Y,Z",
+            help="Corners of the box to stay in, m; else the path with 5 mm around it.",
+        ),
+    ] = None,
+    force: Annotated[float, typer.Option(help="At the TCP, beyond which the arm is stopped, N.")] = 50.0,
+    delay: Annotated[
+        str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
+    ] = "0s",
+    patience: Annotated[
+        float, typer.Option(help="Seconds without a reading, after which the arm is stopped.")
+    ] = 0.3,
+    watchdog: Annotated[
+        float, typer.Option(help="Hz at which the controller must hear of us, else it stops the arm.")
+    ] = 5.0,
+    seed: Annotated[int, typer.Option(help="Of the order of directions, and of a virtual lab.")] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Drive the arm through a collection plan and record it, labelled and split, as a dataset.
+
+    The fingertip has to be in the air, or just touch, when it begins. Each stroke comes down, rests, slides,
+    rests and goes up. Ctrl-C stops the arm first and then commits; SIGUSR1 pauses, and a second one goes on.
+    The arm is stopped for good on a stop of the controller, at the workspace's bounds, by too much force, and
+    when a fingertip is not felt any more.
+    """
+    from flows.collection import live, report
+    from flows.collection.plan import named
+
+    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    chosen = named(plan)
+    changed = replace(
+        chosen,
+        speeds=chosen.speeds if speeds is None else tuple(_numbers("--speeds", speeds)),
+        repeats=chosen.repeats if repeats is None else repeats,
+        rotations=chosen.rotations if rotations is None else rotations,
+        rounds=chosen.rounds if rounds is None else rounds,
+        depth=chosen.depth if depth is None else depth,
+    )
+    surfaces = [_surface(each) for each in surface or ["plane"]]
+    box = None if workspace is None else _box(workspace)
+    if dry_run:
+        found = _dry(changed, surfaces, box, seed)
+        typer.echo(json.dumps(found) if as_json else report.as_table(found))
+        return
+    if robot is None and not virtual:
+        raise typer.BadParameter("give --robot HOST, or --virtual for a virtual lab, or --dry-run")
+    rigging = live.Rigging(
+        robot or "127.0.0.1",
+        out,
+        int(touch) if touch.isdigit() else touch,
+        tuple(int(row) for row in _numbers("--rows", rows)),
+        box,
+        0.03 if virtual else live.MARGIN,  # m; a host that is held up stops a virtual arm late
+        force,
+        delay=nanoseconds(delay) or 0,
+        patience=patience,
+        watchdog=watchdog,
+    )
+    told(f"pause, and go on: kill -USR1 {os.getpid()}")
+    done = asyncio.run(_collect(changed, plan, surfaces, rigging, seed, virtual=virtual))
+    collected = report.summary(done.runs, done.strokes)
+    collected["error"] = done.error or None
+    typer.echo(json.dumps(collected) if as_json else report.as_text(collected))
+    if done.error:
+        typer.echo(f"error: {done.error}; the arm stands where it is", err=True)
+        raise typer.Exit(130 if done.interrupted else 2)
+    if any(each["dropped"] or each["gaps"] for each in collected["sessions"]):
+        raise typer.Exit(1)
+
+
+async def _collect(
+    plan: "Plan",
+    name: str,
+    surfaces: "list[tuple[Curvature, Pose | None]]",
+    rigging: "Rigging",
+    seed: int,
+    *,
+    virtual: bool,
+) -> "Collected":
+    from connectors.rig.virtual_lab import scene, virtual_lab
+    from flows.collection import live
+
+    async with AsyncExitStack() as lab:
+        if virtual:
+            told("starting the virtual lab; the first time, its physics is compiled for some seconds")
+            path = f"/dev/i2c-{rigging.bus}" if isinstance(rigging.bus, int) else rigging.bus
+            surface = scene(surfaces[0][0])
+            await lab.enter_async_context(
+                virtual_lab(surface, seed, fingers=rigging.rows, host=rigging.robot, path=path)
+            )
+            surfaces = [(curvature, place or _middle()) for curvature, place in surfaces]
+        return await live.collect(plan, surfaces, rigging, name=name, seed=seed, told=told)
+
+
+async def _serve(
+    listen: str,
+    ports: "Ports",
+    *,
+    gripper: int | None,
+    surface: "Curvature",
+    seed: int,
+    seconds: float | None,
+) -> None:
+    from connectors.rig.virtual_lab import scene, virtual_lab
+
+    told("starting; the first time, the simulated physics is compiled for some seconds")
+    serving = virtual_lab(scene(surface), seed, host=listen, ports=ports, gripper=gripper)
+    async with serving as lab:
+        for device, place in lab.places.items():
+            typer.echo(f"{device:10} {place}")
+        sys.stdout.flush()
+        try:
+            async with asyncio.timeout(seconds):
+                await asyncio.Event().wait()
+        except TimeoutError:
+            told("done")
+
+
+def _dry(
+    plan: "Plan", surfaces: "list[tuple[Curvature, Pose | None]]", box: "Box | None", seed: int
+) -> "dict[str, object]":
+    from flows.collection.live import room
+    from flows.collection.plan import Surface
+    from flows.collection.report import planned
+
+    places = [Surface(curvature, place or _middle()) for curvature, place in surfaces]
+    sessions = plan.sessions(places, seed)
+    return planned(sessions, *room(sessions, None, box))
+
+
+def _middle() -> "Pose":
+    """Where a fingertip that looks down touches the middle of a virtual lab's surface."""
+    from math import pi
+
+    return 0.0, 0.0, 0.0, pi, 0.0, 0.0
+
+
+def _curvature(name: str) -> "Curvature":
+    from typing import get_args
+
+    from connectors.rig.scene import Curvature
+
+    if name not in get_args(Curvature):
+        raise typer.BadParameter(f"--surface {name}: one of {', '.join(get_args(Curvature))}")
+    return cast("Curvature", name)
+
+
+def _surface(text: str) -> "tuple[Curvature, Pose | None]":
+    name, at, place = text.partition("@")
+    if not at:
+        return _curvature(name), None
+    x, y, z, a, b, c = _numbers("--surface", place, 6)
+    return _curvature(name), (x, y, z, a, b, c)
+
+
+def _box(text: str) -> "Box":
+    a, b, c, d, e, f = _numbers("--workspace", text, 6)
+    return (a, b, c), (d, e, f)
+
+
+def _numbers(option: str, text: str, count: int | None = None) -> list[float]:
+    try:
+        numbers = [float(each) for each in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not numbers or count not in (None, len(numbers)):
+        raise typer.BadParameter(f"{option} {text}: write {count or 'some'} numbers, with commas between")
+    return numbers

@@ -1,0 +1,81 @@
+import asyncio
+import os
+import socket
+from collections.abc import AsyncGenerator
+from contextlib import aclosing
+from typing import Any, cast
+
+import numpy as np
+from pymodbus.client import AsyncModbusTcpClient
+
+from connectors import TakkTile, UrMotion
+from connectors.rig.ur_controller import Ports
+from connectors.rig.virtual_lab import HEIGHT, virtual_lab
+from flows.clock import LoopClock
+from operators import Touch
+from operators.batch import Counts
+
+ANYWHERE = Ports(0, 0, 0)
+BUS = f"/dev/i2c-{os.getpid()}"
+
+
+def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip() -> None:
+    async def main() -> None:
+        clock = LoopClock()
+        async with virtual_lab(ports=ANYWHERE, path=BUS) as lab:
+            touch, motion = TakkTile(BUS), UrMotion("127.0.0.1", port=lab.controller.ports.rtde)
+
+            async def felt() -> Counts:
+                async with aclosing(cast("AsyncGenerator[Touch]", touch.batches(clock))) as batches:
+                    counts: Counts = (await anext(batches)).counts[0]
+                    return counts
+
+            in_air = await felt()
+            cast("Any", lab.controller.box)._drive.line(
+                np.array([0.0, 0.0, -0.002, np.pi, 0.0, 0.0]), 0.2, 1.0
+            )
+            async with asyncio.timeout(10):
+                async for moved in motion.batches(clock):
+                    if moved.pose[-1, 2] < -0.0019:
+                        break
+            pressed = await felt()
+            assert (in_air - pressed).max() > 20
+            truth = lab.lab.truth()
+            assert truth.force[0] == 0.0
+            assert 1.8 < truth.force[-1] < 2.1
+
+    asyncio.run(main())
+
+
+def test_every_device_is_where_it_says_and_gone_afterwards() -> None:
+    async def main() -> dict[str, str]:
+        async with virtual_lab(ports=ANYWHERE, path=BUS, gripper=0) as lab:
+            places = lab.places
+            for device in ("rtde", "script", "dashboard"):
+                host, port = places[device].split(":")
+                _, writer = await asyncio.open_connection(host, int(port))
+                writer.close()
+            assert lab.gripper
+            client = AsyncModbusTcpClient("127.0.0.1", port=lab.gripper.port)
+            assert await client.connect()
+            status = await client.read_input_registers(0, count=3, device_id=lab.gripper.unit)
+            assert status.registers == [0, 0, 0]
+            client.close()
+            assert str(lab.gripper.port) in places["gripper"]
+        return places
+
+    places = asyncio.run(main())
+    assert places["takktile"] == f"{BUS}, in this process only"
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", int(places["rtde"].split(":")[1])))
+
+
+def test_the_arm_begins_above_the_surface_and_stands() -> None:
+    async def main() -> None:
+        async with virtual_lab(ports=ANYWHERE, path=BUS) as lab:
+            async for moved in UrMotion("127.0.0.1", port=lab.controller.ports.rtde).batches(LoopClock()):
+                np.testing.assert_allclose(moved.pose[-1], [0, 0, HEIGHT, np.pi, 0, 0], atol=1e-9)
+                assert not moved.velocity[-1].any()
+                return
+
+    asyncio.run(main())

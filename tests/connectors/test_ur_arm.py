@@ -1,0 +1,176 @@
+"""The real RTDEControlInterface, in its process, against the emulated controller."""
+
+import asyncio
+import importlib.util
+import math
+import os
+import signal
+from collections.abc import AsyncGenerator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from connectors.rig.free_arm import FreeArm
+from connectors.rig.ur_control_box import RuntimeState
+from connectors.rig.ur_controller import UrController
+from connectors.rtde import Version
+from connectors.ur_arm import UrArm
+from connectors.ur_state import Bounds
+from flows.clock import LoopClock
+from operators import EndpointError
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
+)
+
+HOST = f"127.0.{os.getpid() % 250 + 1}.2"  # of this process: ur-rtde knows one port only
+BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
+BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
+CB3 = Version(3, 15, 8, 0)
+
+
+@dataclass
+class Lab:
+    controller: UrController
+    arm: UrArm
+
+
+@asynccontextmanager
+async def lab(bounds: Bounds = BOUNDS) -> AsyncGenerator[Lab]:
+    clock, arm = LoopClock(), FreeArm(np.array(BEGIN), 1.0)
+    async with (
+        UrController(arm, host=HOST, version=CB3, now=clock.now) as controller,
+        UrArm(HOST, bounds, clock, watchdog=1.0) as moved,
+    ):
+        yield Lab(controller, moved)
+
+
+def refused(act: Callable[[Lab], None] | None, move: Callable[[UrArm], Coroutine[Any, Any, None]]) -> Lab:
+    """A lab whose arm was stopped while it moved, some time after which something was done."""
+
+    async def main() -> Lab:
+        async with lab() as here:
+            if act:
+                asyncio.get_running_loop().call_later(0.3, act, here)
+            with pytest.raises(EndpointError):
+                await move(here.arm)
+            await here.arm.stop()
+            assert here.arm.state.still
+            with pytest.raises(EndpointError):  # for good
+                await here.arm.line(BEGIN, 0.1, 0.5, 1.0)
+        return here
+
+    return asyncio.run(main())
+
+
+def away(arm: UrArm) -> Coroutine[Any, Any, None]:
+    return arm.slide((0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 4.0, 0.5)
+
+
+def test_it_goes_along_lines_slides_and_turns() -> None:
+    async def main() -> list[tuple[float, ...]]:
+        poses = list[tuple[float, ...]]()
+        async with lab() as here:
+            arm = here.arm
+            await arm.line((0.42, 0.05, 0.12, math.pi, 0, 0), 0.1, 0.5, 0.8)
+            poses.append(arm.state.pose)
+            await arm.slide((0.05, 0.0, 0.0, 0.0, 0.0, 0.5), 0.5, 1.0)
+            poses.append(arm.state.pose)
+            await arm.line(BEGIN, 0.2, 0.5, 0.8)  # a line after a velocity
+            assert arm.state.at(BEGIN)
+            assert not arm.fault
+        return poses
+
+    first, second = asyncio.run(main())
+    np.testing.assert_allclose(first, (0.42, 0.05, 0.12, math.pi, 0, 0), atol=6e-4)
+    assert second[0] - first[0] > 0.015
+    assert abs(second[4]) > 0.1  # turned about the vertical
+
+
+def test_a_protective_stop_ends_its_moves() -> None:
+    here = refused(lambda here: here.controller.box.stop_protectively("a test"), away)
+    assert here.arm.fault == "protective stop"
+
+
+def test_an_emergency_stop_ends_its_moves() -> None:
+    here = refused(lambda here: here.controller.box.stop_in_emergency(), away)
+    assert here.arm.fault == "emergency stop"
+
+
+def test_it_is_stopped_at_the_bounds_of_its_workspace() -> None:
+    here = refused(None, lambda arm: arm.slide((0.0, 0.1, 0.0, 0.0, 0.0, 0.0), 4.0, 1.0))
+    assert "outside its workspace" in here.arm.fault
+    assert here.arm.state.pose[1] < 0.2
+
+
+def test_it_is_stopped_by_too_much_force() -> None:
+    def press(here: Lab) -> None:
+        cast("Any", here.controller.box)._values["actual_TCP_force"] = (3.0, 0.0, -30.0, 0.0, 0.0, 0.0)
+
+    assert refused(press, away).arm.fault == "a force of 30.1 N, more than 20 N"
+
+
+def test_it_is_not_sent_beyond_its_workspace() -> None:
+    here = refused(None, lambda arm: arm.line((0.6, 0.0, 0.1, math.pi, 0, 0), 0.1, 0.5, 2.0))
+    assert here.arm.state.pose == pytest.approx(BEGIN)
+
+
+def test_a_process_that_dies_leaves_no_arm_moving() -> None:
+    def kill(here: Lab) -> None:
+        assert here.arm.process
+        assert here.arm.process.pid
+        os.kill(here.arm.process.pid, signal.SIGSEGV)
+
+    here = refused(kill, away)
+    assert "died" in here.arm.fault
+    assert here.controller.box.runtime_state == RuntimeState.STOPPED
+
+
+def test_a_state_that_is_not_told_any_more_stops_it() -> None:
+    async def main() -> str:
+        async with lab() as here:
+            asyncio.get_running_loop().call_later(0.3, here.controller.stall)
+            with pytest.raises(EndpointError, match="its state is unknown: sends nothing"):
+                await away(here.arm)
+            return here.arm.fault
+
+    assert "sends nothing" in asyncio.run(main())
+
+
+def test_who_cancels_a_move_stops_the_arm() -> None:
+    async def main() -> bool:
+        async with lab() as here:
+            move = asyncio.create_task(away(here.arm))
+            await here.arm.wait(0.5)
+            assert max(map(abs, here.arm.state.velocity)) > 0.01
+            move.cancel()
+            await asyncio.gather(move, return_exceptions=True)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return not here.arm.fault
+
+    assert asyncio.run(main())
+
+
+def test_an_arm_that_may_not_move_is_not_opened() -> None:
+    async def main() -> None:
+        arm = FreeArm(np.array(BEGIN))
+        async with UrController(arm, host=HOST, version=CB3) as controller:
+            controller.box.stop_in_emergency()
+            async with UrArm(HOST, BOUNDS, LoopClock()):
+                pass
+
+    with pytest.raises(EndpointError, match="emergency stop"):
+        asyncio.run(main())
+
+
+def test_no_controller_is_said_at_once() -> None:
+    async def main() -> None:
+        async with UrArm(HOST, BOUNDS, LoopClock()):
+            pass
+
+    with pytest.raises(EndpointError, match=HOST):
+        asyncio.run(main())

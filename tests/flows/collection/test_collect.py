@@ -1,0 +1,187 @@
+"""On the virtual lab: ur-rtde commands its controller, and smbus2 reads its fingertip."""
+
+import asyncio
+import importlib.util
+import json
+import math
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from connectors.rig.truth import Truth
+from connectors.rig.virtual_lab import VirtualLab, virtual_lab
+from flows.collection.live import Collected, Rigging, collect, room
+from flows.collection.path import Pose
+from flows.collection.plan import Plan, Surface
+from operators import SLIP, UNKNOWN, EndpointError, Labelled, Motion, ParameterError, Touch, concat, s
+from storage import Session
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
+)
+
+HOST = f"127.0.{os.getpid() % 250 + 1}.3"  # of this process: ur-rtde knows one port only
+BUS = f"/dev/i2c-{os.getpid()}"
+PLACE: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
+QUICK = Plan(
+    speeds=(0.1,), repeats=1, rotations=0, rounds=1, time=0.4, rest=0.2, air=1.2, clearance=0.004, press=0.05
+)
+
+
+class Made(NamedTuple):
+    collected: Collected
+    truth: Truth
+    out: Path
+
+    @property
+    def session(self) -> Session:
+        return Session.open(self.out / "sessions" / self.collected.runs[0].session)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        about: dict[str, Any] = json.loads((self.session.folder / "session.json").read_text())
+        return about
+
+
+def made(
+    out: Path, plan: Plan = QUICK, act: Callable[[VirtualLab], None] | None = None, after: float = 5.0
+) -> Made:
+    """What was collected on a virtual lab to which something is done `after` seconds."""
+    rigging = Rigging(HOST, out, BUS, margin=0.05, patience=1.0, watchdog=1.0)  # the host may be busy
+
+    async def main() -> Made:
+        async with virtual_lab(host=HOST, path=BUS) as lab:
+            if act:
+                asyncio.get_running_loop().call_later(after, act, lab)
+            async with asyncio.timeout(120):
+                collected = await collect(plan, [("plane", PLACE)], rigging, name="quick", seed=1)
+            return Made(collected, lab.lab.truth(), out)
+
+    return asyncio.run(main())
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    return made(tmp_path_factory.mktemp("quick") / "data")
+
+
+def test_all_strokes_are_made_and_recorded_whole(quick: Made) -> None:
+    collected = quick.collected
+    assert (collected.strokes, collected.error, collected.interrupted) == (8, "", False)
+    assert quick.about["complete"]
+    touch = concat(Touch, list(quick.session.read(Touch, 0)))
+    motion = concat(Motion, list(quick.session.read(Motion, -1)))
+    assert touch.valid.all()
+    assert (np.rint(np.diff(motion.device_time) / 8e6) == 1).all()  # every package once
+    assert not collected.runs[0].sources["touch"].gaps
+
+
+def test_labels_are_those_of_the_scenes_truth_within_one_sample(quick: Made) -> None:
+    labelled, truth = concat(Labelled, list(quick.session.read(Labelled, 0))), quick.truth
+    newer = np.clip(truth.time.searchsorted(labelled.time), 1, len(truth) - 1)  # (n,)
+    nearest = newer - (labelled.time - truth.time[newer - 1] < truth.time[newer] - labelled.time)
+    velocity = truth.velocity[nearest]  # (n, 3)
+    slips = np.hypot(velocity[:, 0], velocity[:, 1]) > 0.003  # (n,)
+    around = np.stack([np.roll(slips, shift) for shift in (-1, 0, 1)])
+    known = labelled.label != UNKNOWN
+    agrees = (around == (labelled.label == SLIP)).any(axis=0)
+    assert agrees[known].all()
+    assert (labelled.label[known] == SLIP).sum() > 8 * 30
+    pressed = truth.force[nearest] > 0
+    assert pressed[labelled.label == SLIP].all()  # what the arm does in the air is no slip
+
+
+def test_episodes_tell_of_every_stroke(quick: Made) -> None:
+    air, *strokes = quick.session.frame("episodes").to_dicts()
+    assert air["motion"] == "hold"
+    assert sorted(each["direction_deg"] for each in strokes) == [45.0 * k for k in range(8)]
+    for each in strokes:
+        assert (each["motion"], each["speed"], each["curvature"]) == ("translation", 0.1, "plane")
+        assert each["axis"] == ("oblique" if each["direction_deg"] % 90 else "primary")
+        assert each["split"] in ("train", "validation", "test")
+    labelled = concat(Labelled, list(quick.session.read(Labelled, 0)))
+    for each in strokes:
+        inside = (labelled.time >= each["start"]) & (labelled.time < each["end"])
+        assert (labelled.label[inside] == SLIP).sum() > 30
+        assert (labelled.label[inside] == UNKNOWN).sum() == 0
+
+
+def test_session_json_says_the_plan(quick: Made) -> None:
+    collection = quick.about["sources"]["collection"]
+    assert (collection["plan"], collection["surface"], collection["speed"]) == ("quick", "plane", 0.1)
+    assert collection["place"] == list(PLACE)
+    assert quick.about["sources"]["touch"]["sensor"] == "TakkTile 2x3"
+    assert "Lifted" in " ".join(quick.about["declaration"])
+
+
+def test_rotations_slip_too(tmp_path: Path) -> None:
+    done = made(
+        tmp_path / "data",
+        Plan(speeds=(), rotations=1, rounds=1, turn=0.4, rest=0.2, clearance=0.004, press=0.05),
+    )
+    assert (done.collected.strokes, done.collected.error) == (8, "")
+    labelled = concat(Labelled, list(done.session.read(Labelled, 0)))
+    assert (labelled.label == SLIP).sum() > 8 * 20
+    assert {each["motion"] for each in done.session.frame("episodes").to_dicts()} == {"hold", "rotation"}
+
+
+def interrupted(done: Made, why: str) -> None:
+    """It ended early, with the arm at rest and all that there was committed."""
+    assert why in done.collected.error
+    assert done.collected.strokes < 8
+    assert not done.about["complete"]
+    assert why in done.about["error"]
+    velocity = done.truth.velocity[-1]
+    assert np.abs(velocity).max() < 1e-3
+    touch = concat(Touch, list(done.session.read(Touch, 0)))
+    assert touch.time[-1] - touch.time[0] > 2 * s
+    ends = [each["end"] for each in done.session.frame("episodes").to_dicts()]
+    assert ends[-1] <= done.about["end_ns"]
+
+
+def test_an_emergency_stop_ends_the_collection(tmp_path: Path) -> None:
+    interrupted(
+        made(tmp_path / "data", act=lambda lab: lab.controller.box.stop_in_emergency()), "emergency stop"
+    )
+
+
+def test_a_sensor_that_is_lost_stops_the_arm(tmp_path: Path) -> None:
+    interrupted(made(tmp_path / "data", act=lambda lab: lab.bus.unplug()), "has given no reading for 1.0 s")
+
+
+def test_ctrl_c_stops_the_arm_and_commits(tmp_path: Path) -> None:
+    done = made(tmp_path / "data", act=lambda _: signal.raise_signal(signal.SIGINT))
+    interrupted(done, "interrupted")
+    assert done.collected.interrupted
+
+
+def test_sigusr1_pauses_and_goes_on(tmp_path: Path) -> None:
+    def pause(_: VirtualLab) -> None:
+        signal.raise_signal(signal.SIGUSR1)
+        asyncio.get_running_loop().call_later(2.0, signal.raise_signal, signal.SIGUSR1)
+
+    done = made(tmp_path / "data", act=pause)
+    assert (done.collected.strokes, done.collected.error) == (8, "")
+    assert len(done.session.frame("episodes")) in (9, 10)  # with the interrupted one, if there was one
+    assert done.about["complete"]
+
+
+def test_no_sensor_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.collection.collect.APPEAR", 1.0)
+    with pytest.raises(EndpointError, match="fingertip 0 gives no reading"):
+        made(tmp_path / "data", act=lambda lab: lab.bus.unplug(), after=0.0)
+
+
+def test_a_path_that_leaves_the_workspace_is_refused_before_anything_moves() -> None:
+    sessions = QUICK.sessions([Surface("plane", PLACE)], seed=0)
+    with pytest.raises(ParameterError, match=r"from -0\.0200 to 0\.0200 m along x"):
+        room(sessions, None, ((-0.01, -1.0, -1.0), (0.01, 1.0, 1.0)))
+    with pytest.raises(ParameterError, match="along z"):  # where the arm is now counts
+        room(sessions, (0, 0, 0.5, math.pi, 0, 0), ((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)))
+    low, high = room(sessions, None, None, 0.01)
+    np.testing.assert_allclose((low, high), ((-0.03, -0.03, -0.0115), (0.03, 0.03, 0.014)), atol=1e-9)

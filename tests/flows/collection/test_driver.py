@@ -1,0 +1,139 @@
+import asyncio
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from connectors.ur_state import State
+from flows.clock import LoopClock
+from flows.collection.driver import Driver
+from flows.collection.path import Extent, Pose, Slide
+from flows.collection.plan import Plan, Session, Surface
+from flows.testing import run_virtually
+from operators import EndpointError, s
+from operators.ports import Json
+
+PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
+REST = (0.0,) * 6
+
+
+@dataclass
+class TestArm:
+    """Is where it is sent as soon as the time for it has passed."""
+
+    __test__ = False
+    state: State = field(default_factory=lambda: State(PLACE, REST))
+    ways: list[Pose] = field(default_factory=list[Pose])
+    stops: int = 0
+    fault: str = ""
+
+    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
+        await self.wait(seconds)
+        self.state = State(pose, REST)
+        self.ways.append(pose)
+
+    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
+        slide = Slide(velocity, seconds, acceleration)
+        here = cast("Pose", self.state.pose)
+        await self.wait(slide.seconds(here))
+        self.state = State(slide.end(here), REST)
+        self.ways.append(slide.end(here))
+
+    async def wait(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+        if self.fault:
+            raise EndpointError("arm", self.fault)
+
+    async def stop(self) -> None:
+        self.stops += 1
+
+
+def session(strokes: int = 2, *, rotations: bool = False) -> Session:
+    plan = Plan(speeds=() if rotations else (0.1,), repeats=1, rotations=int(rotations), rounds=1)
+    (whole,) = plan.sessions([Surface("sphere", PLACE)], seed=0)
+    return replace(whole, strokes=whole.strokes[:strokes])
+
+
+@dataclass
+class Driven:
+    arm: TestArm
+    driver: Driver
+    episodes: list[dict[str, Any]]
+    seconds: float
+
+
+def drive(planned: Session, *acts: tuple[float, str], fault: str = "") -> Driven:
+    """A session that was driven; acts of the driver (or a fault of the arm) come at their seconds."""
+
+    async def main() -> Driven:
+        clock, arm, episodes = LoopClock(0), TestArm(), list[Json]()
+        driver = Driver(arm, clock)
+        await driver.follow([planned.begin])
+        loop, began = asyncio.get_running_loop(), clock.now()
+        for after, act in acts:
+            loop.call_later(after, getattr(driver, act) if act else lambda: setattr(arm, "fault", fault))
+        try:
+            await driver.carry_out(planned, episodes)
+        except EndpointError as error:
+            assert error.reason == fault  # noqa: PT017 - it may also go well
+        return Driven(arm, driver, cast("list[dict[str, Any]]", episodes), (clock.now() - began) / s)
+
+    return run_virtually(main())
+
+
+@pytest.mark.parametrize("rotations", [False, True])
+def test_a_session_takes_its_path_and_the_time_that_was_planned(rotations: bool) -> None:  # noqa: FBT001
+    planned = session(rotations=rotations)
+    driven = drive(planned)
+    reach = Extent.of(planned.steps, planned.begin.pose)
+    assert driven.seconds == pytest.approx(reach.seconds, abs=1e-6)
+    np.testing.assert_allclose(driven.arm.state.pose, reach.end)
+    assert driven.driver.strokes == 2
+    assert not driven.arm.stops
+
+
+def test_each_contact_is_an_episode_as_datasets_have_them() -> None:
+    planned = session(3)
+    air, *strokes = drive(planned).episodes
+    assert (air["motion"], (air["end"] - air["start"]) / s) == ("hold", pytest.approx(1.5))
+    for stroke, episode in zip(planned.strokes, strokes, strict=True):
+        told = {key: episode[key] for key in episode if key not in ("start", "end")}
+        assert told == {
+            "motion": "translation",
+            "axis": stroke.axis,
+            "direction_deg": stroke.direction_deg,
+            "speed": 0.1,
+            "curvature": "sphere",
+            "split": planned.split,
+        }
+        seconds = 2 * 0.4 + 0.6 + 0.1 / 0.5
+        assert (episode["end"] - episode["start"]) / s == pytest.approx(seconds, abs=1e-6)
+    assert all(a["end"] <= b["start"] for a, b in zip([air, *strokes], strokes, strict=False))
+
+
+def test_a_paused_stroke_is_stopped_raised_and_made_again() -> None:
+    planned = session(2)
+    driven = drive(planned, (3.5, "pause"), (60.0, "resume"))
+    assert driven.arm.stops == 1
+    assert driven.driver.strokes == 2
+    assert 60 < driven.seconds < 60 + Extent.of(planned.steps, planned.begin.pose).seconds
+    interrupted, again = driven.episodes[1:3]
+    assert interrupted["direction_deg"] == again["direction_deg"]
+    assert interrupted["end"] - interrupted["start"] < again["end"] - again["start"]
+    assert again["start"] > 60 * s
+    raised = driven.arm.ways[3]  # begin, over it, down, and after the pause
+    np.testing.assert_allclose(raised[2], 0.11)
+
+
+def test_a_pause_between_strokes_makes_none_twice() -> None:
+    driven = drive(session(2), (0.1, "pause"), (60.0, "resume"))  # while it is in the air
+    assert [each["motion"] for each in driven.episodes] == ["hold", "translation", "translation"]
+    assert driven.seconds > 60
+
+
+def test_an_arm_that_had_to_be_stopped_ends_the_session_and_its_episode() -> None:
+    driven = drive(session(2), (3.5, ""), fault="emergency stop")
+    assert driven.driver.strokes == 0
+    assert driven.episodes[-1]["end"] <= driven.seconds * s + 1.5 * s

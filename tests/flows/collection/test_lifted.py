@@ -1,0 +1,63 @@
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+from flows.collection.lifted import Lifted
+from operators import SLIP, STATIC, UNKNOWN, Labelled, ParameterError, concat
+
+PLACE = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)  # looks down
+
+
+def labelled(height: list[float], label: list[int]) -> Labelled:
+    n = len(height)
+    pose = np.tile((0.5, 0.3, 0.0, math.pi, 0.0, 0.0), (n, 1))
+    pose[:, 2] = np.array(height)
+    counts = np.zeros((n, 6), np.int16)
+    return Labelled(
+        np.arange(n) * 10,
+        counts,
+        counts,
+        np.ones((n, 6), np.bool_),
+        np.zeros((n, 6)),
+        pose,
+        np.ones(n, np.bool_),
+        np.full(n, 0.1),
+        np.array(label, np.int8),
+        finger=1,
+    )
+
+
+HEIGHTS = [0.0985, 0.1, 0.1019, 0.1021, 0.15, 0.15, math.nan]
+LABELS = [SLIP, SLIP, SLIP, SLIP, SLIP, STATIC, SLIP]
+
+
+def test_only_slip_in_the_air_becomes_unknown() -> None:
+    given = Lifted(PLACE).push(labelled(HEIGHTS, LABELS))
+    assert given.label.tolist() == [SLIP, SLIP, SLIP, UNKNOWN, UNKNOWN, STATIC, SLIP]
+    assert given.finger == 1
+    np.testing.assert_array_equal(given.pose, labelled(HEIGHTS, LABELS).pose)
+
+
+def test_cutting_the_input_anywhere_changes_nothing() -> None:
+    batch = labelled(HEIGHTS, LABELS)
+    whole = Lifted(PLACE).push(batch)
+    for cut in range(len(batch) + 1):
+        lifted = Lifted(PLACE)
+        first = lifted.push(batch[:cut])
+        parts = [first, pickle.loads(pickle.dumps(lifted)).push(batch[cut:]), lifted.flush()]  # noqa: S301 - ours
+        assert concat(Labelled, parts).label.tolist() == whole.label.tolist()
+
+
+def test_a_surface_may_lie_any_way() -> None:
+    wall = (0.5, 0.3, 0.1, 0.0, math.pi / 2, 0.0)  # looks along x, away from the base
+    batch = labelled([0.1, 0.2], [SLIP, SLIP])  # both at the wall's x
+    assert Lifted(wall).push(batch).label.tolist() == [SLIP, SLIP]
+    away = (0.6, 0.3, 0.1, 0.0, math.pi / 2, 0.0)
+    assert Lifted(away).push(batch).label.tolist() == [UNKNOWN, UNKNOWN]
+
+
+def test_a_margin_below_0_is_refused() -> None:
+    with pytest.raises(ParameterError):
+        Lifted(PLACE, margin=-0.001)

@@ -1,0 +1,112 @@
+"""`slipflow collect` and `slipflow rig` as a user meets them."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from connectors.rig.ur_controller import PORTS
+
+SLIPFLOW = [sys.executable, "-c", "from flows.command import main; main()"]
+HOST = f"127.0.{os.getpid() % 250 + 1}.4"  # of this process: ur-rtde knows one port only
+SPHERE = "sphere@0.4,0,0.1,3.1415926,0,0"
+
+
+def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=120, check=False, cwd=cwd
+    )
+
+
+def test_a_dry_run_prints_the_path_its_duration_and_its_bounds(tmp_path: Path) -> None:
+    done = slipflow("collect", "tiny", "--dry-run", "--surface", SPHERE, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    head, strokes, rotation, whole, workspace = done.stdout.splitlines()
+    assert head.split()[:3] == ["session", "strokes", "time"]
+    assert strokes.split()[:2] == ["sphere-050-01", "8"]
+    assert "385 .. 415" in strokes
+    assert "98 .. 110" in whole
+    assert rotation.startswith("sphere-rotation-01")
+    assert whole.split()[:5] == ["in", "all", "16", "1.1", "min"]
+    assert "380 .. 420" in workspace
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dry_run_of_the_papers_plan_tells_a_program_the_same(tmp_path: Path) -> None:
+    arguments = ["--dry-run", "--json", "--surface", "plane", "--surface", "cylinder_x@0.5,0,0,3.1415926,0,0"]
+    found = json.loads(slipflow("collect", "paper", *arguments, cwd=tmp_path).stdout)
+    assert len(found["sessions"]) == 2 * (3 * 9 + 5)
+    assert found["strokes"] == 64 * 16
+    assert found["seconds"] > sum(each["seconds"] for each in found["sessions"])  # and from one to the next
+    assert found["low"] == pytest.approx([-0.03, -0.03, -0.0015], abs=1e-6)
+    assert found["high"] == pytest.approx([0.53, 0.03, 0.01], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["grand", "--dry-run"], "one of paper, tiny"),
+        (["tiny"], "--robot HOST"),
+        (["tiny", "--dry-run", "--surface", "cube"], "one of plane"),
+        (["tiny", "--dry-run", "--surface", "plane@1,2,3"], "write 6 numbers"),
+        (["tiny", "--dry-run", "--speeds", "0.5"], "below 0.3 m/s"),
+        (["tiny", "--dry-run", "--workspace", "0,0,0,1,1,1"], "around the path"),
+        (["tiny", "--robot", "127.0.0.1:x"], "rtde://"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], why: str, tmp_path: Path) -> None:
+    done = slipflow("collect", *arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert why in " ".join(done.stderr.replace("│", " ").split())
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
+def test_ctrl_c_on_a_virtual_collection_stops_and_commits(tmp_path: Path) -> None:
+    arguments = [
+        "collect",
+        "tiny",
+        "--virtual",
+        "--robot",
+        HOST,
+        "--watchdog",
+        "1",
+        "--patience",
+        "1",
+        "--json",
+    ]
+    process = subprocess.Popen(
+        [*SLIPFLOW, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    assert process.stderr
+    for line in process.stderr:
+        if "plane-050-01" in line:
+            break
+    while not list(tmp_path.glob("recordings/sessions/*/session.json")):
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    out, told = process.communicate(timeout=60)
+    assert process.returncode == 130, told
+    found = json.loads(out)
+    assert "interrupted" in found["error"]
+    (session,) = tmp_path.glob("recordings/sessions/*/session.json")
+    assert "interrupted" in json.loads(session.read_text())["error"]
+    assert "the arm stands where it is" in told
+
+
+def test_the_rig_says_where_things_are_and_ends_at_ctrl_c(tmp_path: Path) -> None:
+    ports = ["--rtde", "0", "--script", "0", "--dashboard", "0", "--gripper", "0"]
+    process = subprocess.Popen([*SLIPFLOW, "rig", *ports], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    assert process.stdout
+    told = [process.stdout.readline().split() for _ in range(5)]
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert [line[0] for line in told] == ["takktile", "rtde", "script", "dashboard", "gripper"]
+    assert "process" in told[0]
+    assert str(PORTS.rtde) not in told[1][1]
+    assert process.returncode == 130
