@@ -40,9 +40,8 @@ def evaluate(
     claim(out)
     models, names = model or [], method or []
     found = judge(dataset, split=split, models=models, names=names, budget=budget, told=told)
-    options = [f"--split {split}", *(f"--model {path.name}" for path in models)]
-    options += [*(f"--method {name}" for name in names), f"--budget {budget:g}"]
-    paths = report.write(found, out, " ".join([f"slipflow evaluate {found.dataset}", *options]))
+    options = f"--split {split}{_chosen(models, names)} --budget {budget:g}"
+    paths = report.write(found, out, f"slipflow evaluate {found.dataset} {options}")
     told(f"written: {paths[0]} and what it is made of")
     typer.echo(json.dumps(report.summary(found)) if as_json else report.text(found))
 
@@ -159,8 +158,7 @@ def chart(
     claim(out)
     models, names = model or [], method or []
     found = measure(dataset, models, names=names, budget=budget, told=told)
-    options = [*(f"--model {path.name}" for path in models), *(f"--method {name}" for name in names)]
-    command = " ".join([f"slipflow chart {found.dataset}", *options, f"--budget {budget:g}"])
+    command = f"slipflow chart {found.dataset}{_chosen(models, names)} --budget {budget:g}"
     told(f"written: {', '.join(map(str, chart_page.write(found, out, command)))}")
     typer.echo(json.dumps(found.json()) if as_json else chart_page.text(found))
 
@@ -193,7 +191,12 @@ def stress(
             told=told,
             progress=update,
         )
-    options = [*(f"--model {path.name}" for path in models), *(f"--method {name}" for name in names)]
-    command = " ".join(["slipflow stress", *options, f"--seed {seed}"])
+    command = f"slipflow stress{_chosen(models, names)} --seed {seed}"
     told(f"written: {', '.join(map(str, stress_page.write(found, out, command)))}")
     typer.echo(json.dumps(found.json()) if as_json else stress_page.text(found))
+
+
+def _chosen(models: list[Path], names: list[str]) -> str:
+    """Which detectors, as options of the command that a page names."""
+    given = [*(f"--model {path.name}" for path in models), *(f"--method {name}" for name in names)]
+    return "".join(f" {option}" for option in given)

@@ -22,12 +22,8 @@ _APEX = 0.0018  # m, standard deviation of where a curved surface is highest
 
 def varied(scene: Scene, random: np.random.Generator) -> Scene:
     """A scene of the collection plan with a material, finger, pose and pace of its own."""
-
-    def factor(spread: float) -> float:
-        return math.exp(spread * random.standard_normal())
-
     plan = cast("Recording", scene.plan)
-    plan = replace(plan, force=plan.force * factor(0.6))
+    plan = replace(plan, force=plan.force * _factor(random, 0.6))
     if plan.speed is not None and random.random() < 0.4:  # noqa: PLR2004 the rest keeps the plan's pace
         plan = replace(plan, speed=float(np.exp(random.uniform(math.log(_SLOWEST), math.log(_FASTEST)))))
     tilt, apex = _TILT * random.standard_normal(2), _APEX * random.standard_normal(2)
@@ -38,33 +34,37 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
         tilt=(float(tilt[0]), float(tilt[1])),
         apex=(float(apex[0]), float(apex[1])),
         vibration=replace(
-            shaking, amplitude=shaking.amplitude * factor(0.6), frequency=float(random.uniform(4.0, 16.0))
+            shaking,
+            amplitude=shaking.amplitude * _factor(random, 0.6),
+            frequency=float(random.uniform(4.0, 16.0)),
         ),
         parameters=_material(scene.parameters, random),
     )
 
 
-def _material(p: Parameters, random: np.random.Generator) -> Parameters:
-    def factor(spread: float) -> float:
-        return math.exp(spread * random.standard_normal())
+def _factor(random: np.random.Generator, spread: float) -> float:
+    """Log-normal around 1."""
+    return math.exp(spread * random.standard_normal())
 
-    kinetic = p.kinetic_friction * factor(0.35)
+
+def _material(p: Parameters, random: np.random.Generator) -> Parameters:
+    kinetic = p.kinetic_friction * _factor(random, 0.35)
     excess = (p.static_friction - p.kinetic_friction) * float(random.uniform(0.0, 1.3))  # 0: no stick-slip
-    grain = factor(0.35)
+    grain = _factor(random, 0.35)
     return replace(
         p,
         kinetic_friction=kinetic,
         static_friction=kinetic + excess,
-        stribeck_speed=p.stribeck_speed * factor(0.4),
+        stribeck_speed=p.stribeck_speed * _factor(random, 0.4),
         texture=min(0.95, p.texture * float(random.uniform(0.2, 1.3))),
         texture_lengths=(
-            p.texture_lengths[0] * grain * factor(0.2),
-            p.texture_lengths[1] * grain * factor(0.2),
+            p.texture_lengths[0] * grain * _factor(random, 0.2),
+            p.texture_lengths[1] * grain * _factor(random, 0.2),
         ),
-        stiffness=p.stiffness * factor(0.4),
-        mass=p.mass * factor(0.2),
-        damping=p.damping * factor(0.4),
-        tilt_stiffness=p.tilt_stiffness * factor(0.3),
-        sensitivity=p.sensitivity * factor(0.2),
-        shear_gain=p.shear_gain * factor(0.3),
+        stiffness=p.stiffness * _factor(random, 0.4),
+        mass=p.mass * _factor(random, 0.2),
+        damping=p.damping * _factor(random, 0.4),
+        tilt_stiffness=p.tilt_stiffness * _factor(random, 0.3),
+        sensitivity=p.sensitivity * _factor(random, 0.2),
+        shear_gain=p.shear_gain * _factor(random, 0.3),
     )

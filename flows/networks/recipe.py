@@ -6,7 +6,6 @@ from typing import Final
 
 from operators.errors import ParameterError
 
-CELLS: Final = 6
 LONGEST: Final = 100  # samples that an answer may depend on: those of a window
 
 

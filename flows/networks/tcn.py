@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from flows.networks.recipe import CELLS, Recipe
+from flows.networks.recipe import Recipe
+from operators.batch import BAROMETERS
 
 
 class DenseTcn(nn.Module):
@@ -24,7 +25,7 @@ class DenseTcn(nn.Module):
         super().__init__()
         self.recipe = recipe
         convs: list[_Layer] = []
-        width = 2 * CELLS
+        width = 2 * BAROMETERS
         for dilation in recipe.dilations:
             for _ in range(2):
                 convs.append(_Layer(width, recipe.filters, recipe.taps, dilation))

@@ -6,7 +6,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from flows.networks.recipe import CELLS, Augmentation
+from flows.networks.recipe import Augmentation
+from operators.batch import BAROMETERS
 
 MIRROR_X: Final = (2, 1, 0, 5, 4, 3)  # cells 5 4 3 over 0 1 2
 MIRROR_Y: Final = (5, 4, 3, 2, 1, 0)
@@ -33,21 +34,21 @@ def augmented(counts: Tensor, how: Augmentation, generator: torch.Generator) -> 
     x = torch.where(some(how.flip), counts[:, MIRROR_X], counts)
     x = torch.where(some(how.flip), x[:, MIRROR_Y], x)
     if how.gain:
-        spread = how.gain_spread * (normal(crops, 1, 1) + 0.8 * normal(crops, CELLS, 1))
+        spread = how.gain_spread * (normal(crops, 1, 1) + 0.8 * normal(crops, BAROMETERS, 1))
         x = x * torch.exp(some(how.gain) * spread)
     if how.load:
         time = torch.arange(samples, device=device) / _RATE  # (n,) s
         frequency = _SLOWEST * (_FASTEST / _SLOWEST) ** uniform(crops, _WAVES, 1)  # Hz
         wave = torch.sin(2 * math.pi * (frequency * time + uniform(crops, _WAVES, 1)))  # (b, waves, n)
-        moved = (wave * normal(crops, _WAVES, 1)).sum(1, keepdim=True) * normal(crops, CELLS, 1)
+        moved = (wave * normal(crops, _WAVES, 1)).sum(1, keepdim=True) * normal(crops, BAROMETERS, 1)
         x = x + some(how.load) * how.load_amplitude * moved
     if how.noise:
         least, most = how.noise_range
         deviation = least * (most / least) ** uniform(crops, 1, 1)
-        x = x + some(how.noise) * deviation * normal(crops, CELLS, samples)
+        x = x + some(how.noise) * deviation * normal(crops, BAROMETERS, samples)
     x = torch.round(x)
     if how.dead:
-        order = uniform(crops, CELLS).argsort(1)[:, :, None]  # (b, 6, 1)
+        order = uniform(crops, BAROMETERS).argsort(1)[:, :, None]  # (b, 6, 1)
         dead = (order == 0) | ((order == 1) & some(0.5))
         x = x.masked_fill(dead & some(how.dead), 0.0)
     return x
