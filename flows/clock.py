@@ -3,7 +3,9 @@
 import asyncio
 import time
 
-from operators.batch import s
+from operators.batch import ms, s
+
+STEP = 10 * ms  # ns; the host's clock was set if it is further off than before
 
 
 class LoopClock:
@@ -17,7 +19,13 @@ class LoopClock:
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         self._start = time.time_ns() if start is None else start
+        self._ahead = time.time_ns() - time.monotonic_ns() if start is None else None
         self._pace = pace
+
+    @property
+    def stray(self) -> int | None:
+        """How far the host's clock is ahead of this one, ns: it was set since; None in a replay."""
+        return None if self._ahead is None else time.time_ns() - time.monotonic_ns() - self._ahead
 
     def now(self) -> int:
         """The present, ns since 1970-01-01 UTC."""

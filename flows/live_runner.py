@@ -9,21 +9,23 @@ from contextlib import aclosing, contextmanager, suppress
 from math import inf
 from typing import Any
 
-from flows.clock import LoopClock
+from flows.clock import STEP, LoopClock
 from flows.drawing import streams
 from flows.graph import Flow
 from flows.node import Node
 from flows.plan import Delivery, Plan
-from operators.batch import Batch
+from operators.batch import Batch, s
 from operators.errors import EndpointError, SlipflowError
 from operators.operator import Order
-from operators.ports import Clock, Gap, Run, Sink, SinkStatus, Source, SourceStatus
+from operators.ports import Clock, ClockStep, Gap, Run, Sink, SinkStatus, Source, SourceStatus
 
 log = logging.getLogger("slipflow")
 
 FIRST_RETRY = 0.1  # s
 LAST_RETRY = 5.0  # s, up to which the back-off doubles
 FAREWELL = 5.0  # s, how long a failing sink is retried once the run is over
+STUCK = 10.0  # s, that one write may take while others wait; then the sink counts as failing
+LOOK = 1.0  # s, between two looks at the host's clock
 TURN = 16  # rows
 
 
@@ -32,7 +34,8 @@ class LiveRunner:
 
     A source that fails is started again with back-off, and its gap is recorded. A sink that fails is retried
     with the same batch and never stops the others: a lossless one makes the sources wait while it is slow,
-    one that is not drops its oldest batch. Rows that a failed sink could not take are counted as dropped.
+    one that is not drops its oldest batch. A sink that is stuck counts as one that fails. Rows that a failed
+    sink could not take are counted as dropped. Steps of the host's clock, which change no stamp, are noted.
     """
 
     def __init__(
@@ -107,6 +110,7 @@ class LiveRunner:
         self._writers = [asyncio.create_task(outlet.carry()) for outlet in self._outlets.values()]
         readers = [asyncio.create_task(self._read(node)) for node in self._sources]
         ends: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
+        watching = asyncio.create_task(self._watch_host())
         if self._duration is not None:
             ends.append(asyncio.create_task(self.clock.sleep_until(self.run.start + self._duration)))
         reading = asyncio.gather(*readers)
@@ -127,9 +131,10 @@ class LiveRunner:
             self.run.error = _text(error)
             raise
         finally:
-            for task in (*readers, *ends):
+            tasks: list[asyncio.Task[Any]] = [*readers, *ends, watching]
+            for task in tasks:
                 task.cancel()
-            await asyncio.gather(reading, *readers, *ends, return_exceptions=True)
+            await asyncio.gather(reading, *tasks, return_exceptions=True)
             for outlet in self._outlets.values():
                 outlet.complete()
             await asyncio.gather(*self._writers, return_exceptions=True)
@@ -195,6 +200,15 @@ class LiveRunner:
             if not outlet.offer(batch):
                 await outlet.put(batch)
 
+    async def _watch_host(self) -> None:
+        """Note when the host's clock is set: stamps go on, and are that much off from then on."""
+        while (stray := self.clock.stray if isinstance(self.clock, LoopClock) else None) is not None:
+            known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
+            if abs(stray - known) >= STEP:
+                self.run.clock_steps.append(ClockStep(self.clock.now(), stray))
+                log.warning("the host's clock was set by %+.3f s; time stamps go on", (stray - known) / s)
+            await asyncio.sleep(LOOK)
+
     @contextmanager
     def _signals(self) -> Generator[None]:
         loop = asyncio.get_running_loop()
@@ -220,13 +234,14 @@ class _Outlet:
         self._waiting: deque[Batch] = deque()
         self._more, self._room = asyncio.Event(), asyncio.Event()
         self._end, self._given_up = asyncio.Event(), asyncio.Event()
+        self._writing: float | None = None  # s of the loop, since when
 
     def offer(self, batch: Batch) -> bool:
         """Queue a batch if there is room, or if this sink's policy makes some."""
         if len(self._waiting) >= self.sink.capacity:
             if not self.sink.lossless:
                 self.status.dropped += len(self._waiting.popleft())
-            elif self.status.error:  # it fails: waiting for it would stop the others
+            elif self.status.error or self._is_stuck():  # waiting for it would stop the others
                 self.status.dropped += len(batch)
                 return True
             else:
@@ -240,7 +255,9 @@ class _Outlet:
         """Queue a batch, waiting for room."""
         while not self.offer(batch):
             self._room.clear()
-            await self._room.wait()
+            with suppress(TimeoutError):
+                async with asyncio.timeout(STUCK):
+                    await self._room.wait()
 
     def complete(self) -> None:
         """No more will come."""
@@ -275,9 +292,17 @@ class _Outlet:
         self.status.dropped += sum(map(len, batches))
         self._waiting.clear()
 
+    def _is_stuck(self) -> bool:
+        """Whether the write at hand takes too long; it counts as failed until it ends."""
+        stuck = self._writing is not None and asyncio.get_running_loop().time() - self._writing >= STUCK
+        if stuck:
+            self._failed(EndpointError(self.sink.place, f"has been stuck for {STUCK:.0f} s"))
+        return stuck
+
     async def _write(self, batch: Batch) -> None:
         loop, retry, deadline = asyncio.get_running_loop(), FIRST_RETRY, inf
         while True:
+            self._writing = loop.time()
             try:
                 await self.sink.write(batch)
             except asyncio.CancelledError:
@@ -291,6 +316,8 @@ class _Outlet:
                     self.status.error = ""
                 self.status.rows += len(batch)
                 return
+            finally:
+                self._writing = None
             if self._end.is_set():
                 deadline = min(deadline, loop.time() + FAREWELL)
             if self._given_up.is_set() or loop.time() >= deadline:

@@ -40,6 +40,7 @@ from operators.label import Label
 from operators.operator import Join, Operator
 from operators.ports import (
     Clock,
+    ClockStep,
     Gap,
     Recording,
     Run,
@@ -62,6 +63,7 @@ __all__ = [
     "Batch",
     "BatchError",
     "Clock",
+    "ClockStep",
     "Clocks",
     "Commands",
     "Debounce",

@@ -38,6 +38,14 @@ class Gap:
     reason: str
 
 
+@dataclass(frozen=True)
+class ClockStep:
+    """The host's clock was set during a run, whose time goes on as before."""
+
+    time: int  # ns, of the run, when it was noticed
+    offset: int  # ns, the host's clock minus the run's since then
+
+
 @dataclass
 class SourceStatus:
     """What a run knows of one source."""
@@ -75,6 +83,7 @@ class Run:
     describe: dict[str, Description] = field(default_factory=dict[str, Description])  # by source
     sources: dict[str, SourceStatus] = field(default_factory=dict[str, SourceStatus])
     sinks: dict[str, SinkStatus] = field(default_factory=dict[str, SinkStatus])
+    clock_steps: list[ClockStep] = field(default_factory=list[ClockStep])
 
 
 class Source(ABC, Generic[Given]):

@@ -2,6 +2,7 @@ import asyncio
 import logging
 import os
 import signal
+import time
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -166,6 +167,64 @@ def test_a_slow_lossless_sink_makes_the_source_wait_and_gets_everything() -> Non
     run = execute(flow)
     assert times(slow) == list(range(100))
     assert run.sinks["testsink"].dropped == 0
+
+
+def test_a_lossless_sink_that_is_stuck_counts_as_failing_and_no_longer_holds_up_the_others() -> None:
+    flow, other = Flow("f"), TestSink()
+    stuck = TestSink(capacity=10, hold=lambda: asyncio.sleep(60))
+    stream = flow.source(TestSource(Scores, scores(0, 3000)))
+    stream.to(stuck)
+    stream.to(other)
+    run = execute(flow, duration=30 * s)
+    assert times(other) == list(range(3000))
+    status = run.sinks["testsink"]
+    assert status.rows + status.dropped == 3000
+    assert status.dropped > 2500
+    assert status.failures >= 1
+
+
+def test_a_stuck_sink_works_again_once_its_write_ends(caplog: pytest.LogCaptureFixture) -> None:
+    flow, waits = Flow("f"), [60.0]
+    sink = TestSink(capacity=10, hold=lambda: asyncio.sleep(waits.pop() if waits else 0))
+    flow.source(TestSource(Scores, scores(0, 9000))).to(sink)
+    with caplog.at_level(logging.WARNING):
+        run = execute(flow)
+    kept = times(sink)
+    assert kept[:11] == list(range(11))
+    assert kept[-1] == 8999
+    assert run.sinks["testsink"].dropped == 9000 - len(kept)
+    assert not run.sinks["testsink"].error
+    assert [record.message.partition(":")[0] for record in caplog.records] == [
+        "testsink failed",
+        "testsink works again",
+    ]
+
+
+def test_a_step_of_the_hosts_clock_is_noted_and_changes_no_stamp(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    flow, sink, steps = Flow("f"), TestSink(), [0]
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() + steps[0])
+    flow.source(Endless()).to(sink)
+
+    async def main() -> Run:
+        runner = LiveRunner(flow, "test", duration=20 * s)
+        loop = asyncio.get_running_loop()
+        loop.call_later(5.5, steps.__setitem__, 0, -3600 * s)
+        loop.call_later(12.5, steps.__setitem__, 0, -3600 * s + 50 * ms)
+        return await runner.execute()
+
+    with caplog.at_level(logging.WARNING):
+        run = run_virtually(main())
+    stamps = sink.rows(Scores).time
+    assert set(np.diff(stamps).tolist()) == {10 * ms}
+    assert [(step.time - run.start) // s for step in run.clock_steps] == [6, 13]
+    assert [round(step.offset / ms) for step in run.clock_steps] == [-3_600_000, -3_599_950]
+    assert [record.message for record in caplog.records] == [
+        "the host's clock was set by -3600.000 s; time stamps go on",
+        "the host's clock was set by +0.050 s; time stamps go on",
+    ]
 
 
 def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
