@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast, get_args, get_type_hints
 
 from operators.batch import EVERY, Batch
+from operators.errors import ParameterError
 from operators.operator import Join, Operator, input_types, output_type
 from operators.ports import Sink, Source
 
@@ -21,12 +22,21 @@ class Node:
 
     @property
     def takes(self) -> tuple[type[Batch], ...]:
-        """The batch types that it takes: one for each input of an operator, the choice that a sink has."""
+        """The batch types that it takes: one for each input of an operator, the choice that a sink has.
+
+        Raises:
+            ParameterError: if it does not declare them.
+        """
         if isinstance(self.part, Operator | Join):
             return input_types(type(self.part))
         if isinstance(self.part, Sink):
-            hint: Any = get_type_hints(type(self.part).write)["batch"]
-            return cast("tuple[type[Batch], ...]", get_args(hint) or (hint,))
+            hints: dict[str, Any] = get_type_hints(type(self.part).write)
+            hint = hints.get(next(iter(hints), ""))  # of the first parameter, whatever its name
+            kinds: tuple[Any, ...] = get_args(hint) or (hint,)
+            if not all(isinstance(kind, type) and issubclass(kind, Batch) for kind in kinds):
+                like = "a batch type, as in async def write(self, batch: Slips) -> None"
+                raise ParameterError(type(self.part).__name__, "the annotation of write", hint, like)
+            return kinds
         return ()
 
     @property

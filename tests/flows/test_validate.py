@@ -6,7 +6,19 @@ import pytest
 from flows.graph import Flow, Stream
 from flows.testing import TestSink, TestSource
 from flows.validate import problems, validate
-from operators import Align, Debounce, FlowError, Label, Motion, Operator, ParameterError, Scores, Touch, Zero
+from operators import (
+    Align,
+    Debounce,
+    FlowError,
+    Label,
+    Motion,
+    Operator,
+    ParameterError,
+    Scores,
+    Slips,
+    Touch,
+    Zero,
+)
 
 
 def _one_problem(flow: Flow) -> str:
@@ -127,3 +139,25 @@ def test_an_operator_that_does_not_declare_its_types_is_told() -> None:
     (flow.source(TestSource(Scores)) | Silent()).to(TestSink())
     with pytest.raises(ParameterError, match="Silent: the annotation of process, batch, is None"):
         problems(flow)
+
+
+def test_a_sink_may_call_its_batch_as_it_likes() -> None:
+    class Named(TestSink):
+        async def write(self, slips: Slips) -> None:  # type: ignore[override]
+            """Take them."""
+
+    flow = Flow("f")
+    scores: Stream[Any] = flow.source(TestSource(Scores))
+    scores.to(Named())
+    assert "takes Slips, not Scores" in _one_problem(flow)
+
+
+def test_a_sink_that_does_not_declare_what_it_takes_is_told() -> None:
+    class Untyped(TestSink):
+        async def write(self, batch: object) -> None:
+            """Take anything."""
+
+    flow = Flow("f")
+    flow.source(TestSource(Scores)).to(Untyped())
+    with pytest.raises(ParameterError, match="Untyped: the annotation of write"):
+        validate(flow)
