@@ -6,16 +6,15 @@ from collections.abc import Callable
 import numpy as np
 
 from connectors.rig import contact
+from connectors.rig.cells import Cells
 from connectors.rig.hand import Orders
 from connectors.rig.motion import Arm
 from connectors.rig.parameters import Parameters
 from connectors.rig.scene import Move, Moves, Scene, Vibration
-from connectors.rig.sensor import CEILING, grid, influence, respond
+from connectors.rig.sensor import grid
 from connectors.rig.timing import Sampler
 from connectors.rig.truth import Truth
-from operators.batch import BAROMETERS, Counts, Flags, Reals, Touch, s
-
-ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
+from operators.batch import Counts, Flags, Reals, Touch, s
 
 
 def law(scene: Scene) -> contact.Law:
@@ -76,6 +75,9 @@ class Finger:
         finger: Which fingertip it is.
         begun: Told of every move when it begins, with its start (s).
         orders: Commands to the arm.
+
+    Attributes:
+        cells: Its barometers.
     """
 
     def __init__(
@@ -91,15 +93,11 @@ class Finger:
         self._arm = Arm(scene, seed, begun, orders)
         self._law, self._pad = law(scene), pad(scene)
         self._state = contact.State.rest(p.columns * p.rows)
-        self._influence = influence(p)
-        self._late = np.zeros(BAROMETERS)
         self._ticks = 0
         self._sensed = 0.0  # s, instant of the newest sample of `sense`
-        body, timing, self._noise, self._warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
-        self._rest = body.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
-        self._temperature = ROOM_TEMPERATURE + body.integers(-8, 8, BAROMETERS)
+        body, timing, noise, warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
+        self.cells = Cells(p, scene.faults, body, noise, warmth)
         self._sampler = Sampler(scene.touch, timing)
-        self._held: Reals | None = None  # (6,) the first reading, which stuck cells repeat
 
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
         """The next samples, stamped from the run's start; fewer where the plan ends, None after it."""
@@ -144,15 +142,12 @@ class Finger:
             return None
         tractions, truth = contact.advance(self._law, self._pad, self._state, drive, until)
         self._ticks += int(until[-1])
-        counts = self._counts(t, tractions, aged)
-        valid = np.ones((len(t), BAROMETERS), np.bool_)
-        valid[:, self._scene.faults.dead] = False
-        temperature = self._temperature + 0.3 * self._warmth.standard_normal((len(t), BAROMETERS))
+        counts, temperature, valid = self.cells.read(t, tractions, aged)
         velocity = np.zeros((len(t), 3))
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
         happened = Truth(np.rint(t * s).astype(np.int64), truth[:, 0], truth[:, 1], velocity)
-        return counts, np.rint(temperature).astype(np.int16), valid, happened
+        return counts, temperature, valid, happened
 
     def _drive(self, steps: int) -> Reals:
         """The arm's next steps (steps, 6) for `contact.advance`; fewer when the plan has ended."""
@@ -165,27 +160,6 @@ class Finger:
         if self._scene.vibration is not None:
             drive[:, :2] += shaking(self._scene.vibration, t[: len(drive)])
         return drive
-
-    def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
-        """Raw ADC counts (k, 6) at instants (k,) (s), `aged` times of creep apart."""
-        p, faults = self._p, self._scene.faults
-        gained = 1 - math.exp(-aged)
-        counts = respond(tractions, self._influence, (p.sensitivity, p.creep, gained), self._late)
-        if faults.gain:
-            counts *= faults.gain
-        counts += self._rest
-        if faults.offset:
-            counts += faults.offset
-        if faults.drift:
-            counts += t[:, None] * faults.drift
-        if p.noise:
-            counts += p.noise * self._noise.standard_normal(counts.shape)
-        if faults.stuck:
-            held = self._held = counts[0].copy() if self._held is None else self._held
-            counts[:, faults.stuck] = held[list(faults.stuck)]
-        if faults.floored or faults.dead:
-            counts[:, faults.floored + faults.dead] = 0.0
-        return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)
 
 
 def compile_physics() -> None:

@@ -114,9 +114,9 @@ def test_a_scene_without_vibration_or_noise_computes_none(monkeypatch: pytest.Mo
     monkeypatch.setattr(finger, "shaking", _Unpaid())
     for field, drawn in (("vibration", "_noise"), ("noise", "_noise")):
         simulation = Finger(quiet, 0)
-        monkeypatch.setattr(simulation, drawn, _Unpaid())
+        monkeypatch.setattr(simulation.cells, drawn, _Unpaid())
         assert simulation.take(50) is not None
         simulation = Finger(stressed(quiet, field, 1e-4), 0)
-        monkeypatch.setattr(simulation, drawn, _Unpaid())
+        monkeypatch.setattr(simulation.cells, drawn, _Unpaid())
         with pytest.raises(AssertionError, match="does not name"):
             simulation.take(50)
