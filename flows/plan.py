@@ -1,6 +1,6 @@
 """What a runner carries out: a flow unfolded into one fresh operator per fingertip, in order of flow."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast
 
@@ -28,27 +28,28 @@ class _Stage:
     takes: tuple[type[Batch], ...]
     gives: type[Batch]
     sinks: list[Node] = field(default_factory=list[Node])
+    _push: Callable[..., Batch] = field(init=False)
+    _nothing: tuple[Batch, ...] = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.operator is not None:
+            self._push = self.operator.push
+        self._nothing = tuple(kind.empty() for kind in self.takes)
 
     def push(self, values: Sequence[Batch | None]) -> Batch | None:
         """The output for what the inputs have, or None if they have nothing or nothing came of it."""
         if len(self.inputs) == 1:
             batch = values[self.inputs[0]]
-            if batch is None:
-                return None
-            out: Batch = cast("Operator[Any, Any]", self.operator).push(batch)
-        else:
-            left, right = values[self.inputs[0]], values[self.inputs[1]]
-            if left is None and right is None:
-                return None
-            out = cast("Join[Any, Any, Any]", self.operator).push(
-                self.takes[0].empty() if left is None else left,
-                self.takes[1].empty() if right is None else right,
-            )
-        return self.checked(out)
+            return None if batch is None else self.checked(self._push(batch))
+        first, second = self.inputs
+        left, right = values[first], values[second]
+        if left is None and right is None:
+            return None
+        return self.checked(self._push(left or self._nothing[0], right or self._nothing[1]))
 
     def checked(self, out: Batch) -> Batch | None:
         """What the operator gave, if it is what it declares to give; None if it is nothing."""
-        if not isinstance(out, self.gives):
+        if type(out) is not self.gives and not isinstance(out, self.gives):
             raise TypeError(f"gave {type(out).__name__}, and declares to give {self.gives.__name__}")
         if not out.time.size:
             return None

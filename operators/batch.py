@@ -3,8 +3,9 @@
 A batch of one row is the live case, a batch of a million the backfill: the same code takes both.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias, TypeVar, cast
 
@@ -55,8 +56,8 @@ class Batch:
 
     def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> Self:
         """Rows by slice (a view), by flags or by indices (a copy)."""
-        values = [getattr(self, name)[rows] for name in columns(type(self))]
-        return type(self)(*values, finger=self.finger)
+        kind = type(self)
+        return kind(*[column[rows] for column in _layout(kind).take(self)], finger=self.finger)
 
     @classmethod
     def empty(cls) -> Self:
@@ -76,6 +77,14 @@ class Batch:
         Raises:
             BatchError: naming the column.
         """
+        layout, values = _layout(type(self)), _layout(type(self)).take(self)
+        for value, dtype, shape in zip(values, layout.dtypes, layout.shapes, strict=True):
+            if type(value) is not np.ndarray or value.dtype is not dtype or value.shape[1:] != shape:
+                return self._check_each()
+        return self if len({len(value) for value in values}) == 1 else self._check_each()
+
+    def _check_each(self) -> Self:
+        """Look closer, and say what is wrong."""
         kind, length = type(self).__name__, len(self.time)
         for name, expected in columns(type(self)).items():
             value: NDArray[Any] = getattr(self, name)
@@ -96,6 +105,20 @@ class Batch:
 AnyBatch = TypeVar("AnyBatch", bound=Batch)
 
 
+class _Layout:
+    """The columns of a batch type, at hand for what is done with each batch."""
+
+    def __init__(self, kind: type[Batch]) -> None:
+        expected = columns(kind)
+        self.dtypes = [each.dtype for each in expected.values()]
+        self.shapes = [each.shape for each in expected.values()]
+        getter = attrgetter(*expected)
+        self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
+            getter if len(expected) > 1 else lambda batch: (batch.time,)
+        )
+
+
+_layouts: Final[dict[type[Any], _Layout]] = {}
 _columns: Final[dict[type[Any], Mapping[str, Column]]] = {}
 _empty: Final[dict[type[Any], Any]] = {}
 
@@ -111,6 +134,13 @@ def columns(kind: type[Batch]) -> Mapping[str, Column]:
             {f.name: f.metadata["column"] for f in fields(kind) if "column" in f.metadata}
         )
     return _columns[kind]
+
+
+def _layout(kind: type[Batch]) -> _Layout:
+    layout = _layouts.get(kind)
+    if layout is None:
+        layout = _layouts[kind] = _Layout(kind)
+    return layout
 
 
 def concat(kind: type[AnyBatch], batches: Sequence[AnyBatch]) -> AnyBatch:
