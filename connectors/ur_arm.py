@@ -9,9 +9,9 @@ it does not hear of the process.
 
 import asyncio
 import logging
-from collections.abc import Callable, Coroutine
-from contextlib import suppress
-from math import inf, isfinite, isnan
+from collections.abc import AsyncGenerator, Callable, Coroutine, Sequence
+from contextlib import asynccontextmanager, suppress
+from math import hypot, inf, isfinite, isnan
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -20,6 +20,8 @@ from typing import Any, Final, Self
 
 from connectors import ur_dashboard
 from connectors.ur_control import WATCHDOG, Alive, End, Go, Line, Order, Rest, Stop, Vector, Word, serve
+from connectors.ur_course import Course, Place
+from connectors.ur_probe import Probe, mean_force
 from connectors.ur_state import Bounds, State, Watch
 from operators.errors import EndpointError
 from operators.ports import Clock
@@ -30,6 +32,7 @@ BEGIN: Final = 30.0  # s, for the process to begin; it imports and uploads a pro
 STAND: Final = 1.0  # s, for the arm to come to rest
 HUNG: Final = 2.0  # s without a word from the process
 _TALK: Final = 0.1  # s from word to word to the process
+_STEER: Final = 0.02  # s from order to order along a bent way
 
 
 class UrArm:
@@ -56,6 +59,7 @@ class UrArm:
         self.process: SpawnProcess | None = None
         self._news, self._ready, self._gone = asyncio.Event(), False, asyncio.Event()
         self._closing = self._asked = False
+        self._air: Place = (0.0, 0.0, 0.0)  # N, that is told though nothing is touched
         self._told = True  # the controller still tells the state
         self._heard = 0.0  # s, of the loop, when the process last said something
         self._moved = 0.0  # s, of the loop, when it moved last
@@ -71,7 +75,7 @@ class UrArm:
             self.state = await self._watch.open()
             self.fault = self.bounds.breach(self.state)
             self._check()
-            if isfinite(self.bounds.force) and isnan(self.state.force):
+            if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
                 log.warning("%s: the controller tells no force: its bound is not watched", self._place)
             self._begin(self._follow())
             self._start()
@@ -105,16 +109,65 @@ class UrArm:
             EndpointError: if the arm had to be stopped.
         """
         self._check()
-        try:
+        async with self._gliding(max(map(abs, velocity)), acceleration):
             self._send(Go(velocity, acceleration))
             await self.wait(seconds)
-            self._send(Go((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), acceleration))
-            ramp = max(map(abs, velocity)) / acceleration
-            await self._until(lambda: self.state.still, 2 * ramp + 2, "to come to rest")
-        except asyncio.CancelledError:
-            self._send(Stop())
-            raise
-        self._send(Rest())
+
+    async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
+        """Go along a line of places at one speed, turned as it is, which is planned to take so many seconds.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        for place in places:
+            if why := self.bounds.breach(State((*place, *self.state.pose[3:]), (0.0,) * 6)):
+                self.fail(f"not sent where {why}")
+        self._check()
+        loop = asyncio.get_running_loop()
+        course, end = Course([self._here, *places], speed, acceleration), loop.time() + 2 * seconds + 2
+        async with self._gliding(speed, acceleration):
+            while (velocity := course.steer(self._here)) is not None:
+                if loop.time() > end:
+                    self.fail(f"takes more than {2 * seconds + 2:.1f} s to get there")
+                self._send(Go((*velocity, 0.0, 0.0, 0.0), acceleration))
+                await self.wait(_STEER)
+
+    async def tare(self, seconds: float) -> None:
+        """Stand still in the air, and take the force that is told meanwhile for none.
+
+        Raises:
+            EndpointError: if the arm had to be stopped, or its controller tells no force.
+        """
+        loop, told = asyncio.get_running_loop(), [self.state]
+        end = loop.time() + seconds
+        while loop.time() < end:
+            await self.wait(_STEER)
+            told.append(self.state)
+        if (air := mean_force(told)) is None:
+            self.fail("its controller tells no force, so contact cannot be felt")
+            self._check()
+        else:
+            self._air = air
+
+    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> None:
+        """Go straight on, by a way (m) at most, until what is touched pushes back with a force (N).
+
+        The force is what the controller tells beyond that of the last `tare`.
+
+        Raises:
+            EndpointError: if the arm had to be stopped, as it is when the way ends without that force.
+        """
+        self._check()
+        probe = Probe(self.state, way, force, self._air)
+        x, y, z = (speed * each for each in probe.direction)
+        async with self._gliding(speed, acceleration):
+            self._send(Go((x, y, z, 0.0, 0.0, 0.0), acceleration))
+            longest = 2 * probe.longest / speed + 2
+            await self._until(lambda: probe.look(self.state), longest, "to touch anything")
+        if not probe.felt:
+            far, push = 1000 * probe.longest, probe.push
+            self.fail(f"no contact of {force:g} N within {far:.1f} mm: {push:.1f} N there")
+            self._check()
 
     async def wait(self, seconds: float) -> None:
         """Go on as it is for a time.
@@ -175,6 +228,27 @@ class UrArm:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         await self.close()
+
+    @property
+    def _here(self) -> Place:
+        x, y, z, *_ = self.state.pose
+        return x, y, z
+
+    @asynccontextmanager
+    async def _gliding(self, speed: float, acceleration: float) -> AsyncGenerator[None]:
+        """A block that moves by velocities (m/s or rad/s at most); it ends at rest.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        try:
+            yield
+            self._send(Go((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), acceleration))
+            await self._until(lambda: self.state.still, 2 * speed / acceleration + 2, "to come to rest")
+        except asyncio.CancelledError:
+            self._send(Stop())
+            raise
+        self._send(Rest())
 
     def _start(self) -> None:
         context = get_context("spawn")  # what a fork would inherit, an event loop and threads, is not for it

@@ -2,7 +2,7 @@
 
 import asyncio
 from dataclasses import dataclass
-from math import dist, hypot, inf, isnan
+from math import dist, hypot, inf, nan
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -56,7 +56,7 @@ class State(NamedTuple):
 
     pose: tuple[float, ...]  # (6,) m and rotation vector in rad
     velocity: tuple[float, ...]  # (6,) m/s and rad/s
-    force: float = float("nan")  # N at the TCP; NaN: unknown
+    force: tuple[float, ...] = (nan, nan, nan)  # (3,) N, on the tool at the TCP; NaN: unknown
     robot_mode: int = RUNNING
     safety_mode: int = 1
 
@@ -102,8 +102,8 @@ class Bounds:
         for axis, low, at, high in zip("xyz", self.low, state.pose, self.high, strict=False):
             if not low <= at <= high:
                 return f"at {axis} {at:.4f} m it is outside its workspace"
-        if not isnan(state.force) and state.force > self.force:
-            return f"a force of {state.force:.1f} N, more than {self.force:g} N"
+        if (push := hypot(*state.force)) > self.force:  # NaN is not
+            return f"a force of {push:.1f} N, more than {self.force:g} N"
         return ""
 
 
@@ -154,10 +154,10 @@ class Watch:
         if self._link.types != TYPES:
             raise EndpointError(self._place, f"its {', '.join(OUTPUTS)} are {', '.join(self._link.types)}")
         rows = np.frombuffer(packages, _ROW)
-        force = np.linalg.norm(rows["force"][:, :3], axis=1)  # (n,)
+        force = rows["force"][:, :3]  # (n, 3)
         fields = rows["pose"], rows["velocity"], force, rows["robot_mode"], rows["safety_mode"]
         return [
-            State(tuple(pose), tuple(velocity), push, mode, safety)
+            State(tuple(pose), tuple(velocity), tuple(push), mode, safety)
             for pose, velocity, push, mode, safety in zip(*(each.tolist() for each in fields), strict=True)
         ]
 

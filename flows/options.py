@@ -33,6 +33,18 @@ def nanoseconds(duration: str | None) -> int | None:
     return round(float(match[1]) * {"ms": 1e6, "s": 1e9, "min": 60e9, "h": 3600e9}[match[2]])
 
 
+def newtons(force: str) -> float:
+    """A force as a person writes it.
+
+    >>> newtons("2.5N")
+    2.5
+    """
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*N", force.strip())
+    if match is None:
+        raise typer.BadParameter(f"{force!r} is no force: write it as 2N or 0.5N")
+    return float(match[1])
+
+
 def told(text: str) -> None:
     """Say what is being done, beside the result."""
     typer.echo(text, err=True)

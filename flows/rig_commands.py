@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from flows.options import AsJson, nanoseconds, told
+from flows.options import AsJson, nanoseconds, newtons, told
 
 if TYPE_CHECKING:
     from connectors.rig.scene import Curvature
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from flows.collection.live import Box, Collected, Rigging
     from flows.collection.path import Pose
     from flows.collection.plan import Plan
+    from flows.collection.surface import Spot
 
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
@@ -69,9 +70,10 @@ def collect(
     surface: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="NAME[@X,Y,Z,RX,RY,RZ]",
-            help="plane, sphere, cylinder_x or cylinder_y, and the TCP pose (m, rotation vector) at which the"
-            " fingertip just touches its middle; by default the pose that the arm has now. May be repeated.",
+            metavar="NAME[:RADIUS][@X,Y,Z,RX,RY,RZ]",
+            help="plane, sphere, cylinder_x or cylinder_y (its axis along that of the fingertip), radius of a"
+            " curved one (m; 0.06), and the TCP pose (m, rotation vector) at which the fingertip just touches"
+            " its middle, the highest point; by default the pose that the arm has now. May be repeated.",
         ),
     ] = None,
     robot: Annotated[str | None, typer.Option(metavar="HOST", help="Address of the UR controller.")] = None,
@@ -88,7 +90,22 @@ def collect(
     repeats: Annotated[int | None, typer.Option(help="Sessions of each speed.")] = None,
     rotations: Annotated[int | None, typer.Option(help="Sessions of rotations.")] = None,
     rounds: Annotated[int | None, typer.Option(help="Of eight strokes in each session.")] = None,
-    depth: Annotated[float | None, typer.Option(help="To press beyond the first touch, m.")] = None,
+    depth: Annotated[
+        float | None, typer.Option(help="To press beyond the first touch, m; by default 0.0015.")
+    ] = None,
+    force: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FORCE",
+            help="To press with instead of to a depth, as 2N: each stroke comes down slowly until the arm"
+            " feels it. A CB3 arm guesses its force from its currents, within 10 N or so; an e-Series arm"
+            " measures it.",
+        ),
+    ] = None,
+    deepest: Annotated[
+        float | None,
+        typer.Option(help="Beyond the first touch, where the force has to be felt at last, m; else 0.004."),
+    ] = None,
     workspace: Annotated[
         str | None,
         typer.Option(
@@ -96,7 +113,9 @@ def collect(
             help="Corners of the box to stay in, m; else the path with 5 mm around it.",
         ),
     ] = None,
-    force: Annotated[float, typer.Option(help="At the TCP, beyond which the arm is stopped, N.")] = 50.0,
+    force_limit: Annotated[
+        str, typer.Option(metavar="FORCE", help="At the TCP, beyond which the arm is stopped.")
+    ] = "50N",
     delay: Annotated[
         str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
     ] = "0s",
@@ -128,7 +147,10 @@ def collect(
         rotations=chosen.rotations if rotations is None else rotations,
         rounds=chosen.rounds if rounds is None else rounds,
         depth=chosen.depth if depth is None else depth,
+        force=None if force is None else newtons(force),
+        deepest=chosen.deepest if deepest is None else deepest,
     )
+    _check_pressing(changed, limit=newtons(force_limit), depth=depth, deepest=deepest)
     surfaces = [_surface(each) for each in surface or ["plane"]]
     box = None if workspace is None else _box(workspace)
     if dry_run:
@@ -144,7 +166,7 @@ def collect(
         tuple(int(row) for row in _numbers("--rows", rows)),
         box,
         0.03 if virtual else live.MARGIN,  # m; a host that is held up stops a virtual arm late
-        force,
+        newtons(force_limit),
         delay=nanoseconds(delay) or 0,
         patience=patience,
         watchdog=watchdog,
@@ -164,7 +186,7 @@ def collect(
 async def _collect(
     plan: "Plan",
     name: str,
-    surfaces: "list[tuple[Curvature, Pose | None]]",
+    surfaces: "list[Spot]",
     rigging: "Rigging",
     seed: int,
     *,
@@ -177,11 +199,11 @@ async def _collect(
         if virtual:
             told("starting the virtual lab; the first time, its physics is compiled for some seconds")
             path = f"/dev/i2c-{rigging.bus}" if isinstance(rigging.bus, int) else rigging.bus
-            surface = scene(surfaces[0][0])
+            surface = scene(surfaces[0].curvature, surfaces[0].radius)
             await lab.enter_async_context(
                 virtual_lab(surface, seed, fingers=rigging.rows, host=rigging.robot, path=path)
             )
-            surfaces = [(curvature, place or _middle()) for curvature, place in surfaces]
+            surfaces = [each._replace(place=each.place or _middle()) for each in surfaces]
         return await live.collect(plan, surfaces, rigging, name=name, seed=seed, told=told)
 
 
@@ -209,15 +231,21 @@ async def _serve(
             told("done")
 
 
-def _dry(
-    plan: "Plan", surfaces: "list[tuple[Curvature, Pose | None]]", box: "Box | None", seed: int
-) -> "dict[str, object]":
+def _check_pressing(plan: "Plan", *, limit: float, depth: float | None, deepest: float | None) -> None:
+    """Say which options do not go together."""
+    if plan.force is None and deepest is not None:
+        raise typer.BadParameter("--deepest is for --force: --depth says how deep to press without")
+    if plan.force is not None and depth is not None:
+        raise typer.BadParameter("give --depth or --force, not both")
+    if plan.force is not None and plan.force >= limit:
+        raise typer.BadParameter(f"--force {plan.force:g}N: must be below the --force-limit, {limit:g}N")
+
+
+def _dry(plan: "Plan", surfaces: "list[Spot]", box: "Box | None", seed: int) -> "dict[str, object]":
     from flows.collection.live import room
-    from flows.collection.plan import Surface
     from flows.collection.report import planned
 
-    places = [Surface(curvature, place or _middle()) for curvature, place in surfaces]
-    sessions = plan.sessions(places, seed)
+    sessions = plan.sessions([each.surface(_middle()) for each in surfaces], seed)
     return planned(sessions, *room(sessions, None, box))
 
 
@@ -238,12 +266,18 @@ def _curvature(name: str) -> "Curvature":
     return cast("Curvature", name)
 
 
-def _surface(text: str) -> "tuple[Curvature, Pose | None]":
-    name, at, place = text.partition("@")
-    if not at:
-        return _curvature(name), None
-    x, y, z, a, b, c = _numbers("--surface", place, 6)
-    return _curvature(name), (x, y, z, a, b, c)
+def _surface(text: str) -> "Spot":
+    from flows.collection.surface import Spot
+
+    body, at, place = text.partition("@")
+    name, colon, radius = body.partition(":")
+    spot = Spot(_curvature(name))
+    if colon:
+        spot = spot._replace(radius=_numbers("--surface", radius, 1)[0])
+    if at:
+        x, y, z, a, b, c = _numbers("--surface", place, 6)
+        spot = spot._replace(place=(x, y, z, a, b, c))
+    return spot
 
 
 def _box(text: str) -> "Box":

@@ -37,6 +37,7 @@ from operators.errors import (
 )
 from operators.health import FaultKind, Health
 from operators.label import Label
+from operators.lifted import Lifted
 from operators.operator import Join, Operator
 from operators.ports import (
     Clock,
@@ -78,6 +79,7 @@ __all__ = [
     "Join",
     "Label",
     "Labelled",
+    "Lifted",
     "Motion",
     "Operator",
     "OperatorError",

@@ -22,8 +22,9 @@ class DeviceClock(Operator[Motion, Motion]):
     Online, so a row is placed by what came before it: by the lower envelope of (arrival - device stamp) over
     a `window`, a line with an offset and a drift (see `operators.envelope`). Time never decreases, and is
     never later than the arrival. For some seconds after an epoch began it is wrong by about the least
-    lateness seen so far, then by some 0.1 ms where rows are up to 20 ms late. When the way gets longer for
-    good, as over another network, the times follow within a `window`.
+    lateness seen so far, then by some 0.1 ms where rows are up to 20 ms late. Where hardly any row comes in
+    time, it stays wrong by about the least lateness of a `window`. When the way gets longer for good, as over
+    another network, the times follow within a `window`; a drift that changes is followed as slowly.
 
     An epoch begins where the device's clock goes back, as a controller's does when it restarts, where it
     disagrees with the host's by more than `jump` about how far two rows lie apart, and after five windows

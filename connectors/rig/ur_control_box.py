@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from math import inf, nan
-from typing import Final, Protocol, cast
+from typing import Final, Protocol, cast, runtime_checkable
 
 import numpy as np
 
@@ -31,6 +31,16 @@ class Arm(Protocol):
 
     def command(self, commands: Commands) -> None:
         """Obey from the commands' own times on."""
+        ...
+
+
+@runtime_checkable
+class Pressed(Protocol):
+    """An arm that knows what pushes it: a `connectors.rig.pressing.PressingArm`."""
+
+    @property
+    def wrench(self) -> Reals:
+        """Force (N) and torque (N m) on the tool at the TCP as of the newest motion, (6,), base frame."""
         ...
 
 
@@ -95,6 +105,7 @@ class ControlBox:
     def __init__(self, arm: Arm, version: Version) -> None:
         self.version, self.rate = version, 125.0 if version.major <= CB3 else 500.0
         self._arm = arm
+        self._pressed = arm if isinstance(arm, Pressed) else None
         self._told: Reals = np.zeros(6)  # velocity that the arm was told of last
         self.restart()
 
@@ -228,6 +239,8 @@ class ControlBox:
             robot_status_bits=powered + 2 * playing,
             safety_status_bits=SAFETY_BITS[self.safety_mode],
         )
+        if self._pressed:
+            self._values["actual_TCP_force"] = tuple(self._pressed.wrench.tolist())
 
     def _value(self, name: str) -> Value:
         kind, _, index = name.rpartition("_register_")

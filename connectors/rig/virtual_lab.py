@@ -2,7 +2,7 @@
 
 A UR controller, a TakkTile bus and a gripper share one `Lab`: the arm that is commanded drags, and presses,
 the fingertip whose counts come back; the gripper's force presses it, too, and the newest one counts. The
-surface lies at z = 0 of the arm's base frame, its middle at x = y = 0.
+surface's middle, its highest point, is the origin of the arm's base frame; its axes are the frame's.
 """
 
 import asyncio
@@ -21,6 +21,7 @@ from connectors.rig.ur_controller import PORTS, Ports, UrController
 from connectors.rtde import Version
 from operators.batch import s
 
+RADIUS: Final = Scene().radius  # m, of a curved surface
 HEIGHT: Final = 0.02  # m above the surface, where the fingertip is at first
 LOOPBACK: Final = "127.0.0.1"
 I2C: Final = "/dev/i2c-1"
@@ -51,9 +52,9 @@ class VirtualLab:
         }
 
 
-def scene(curvature: Curvature = "plane") -> Scene:
-    """A surface, a fingertip above it with the noise of a real one, and an arm that waits for commands."""
-    return Scene(Commanded(), curvature, parameters=Parameters(noise=0.6))
+def scene(curvature: Curvature = "plane", radius: float = RADIUS) -> Scene:
+    """A surface (radius in m), a fingertip above it, noisy as a real one, and an arm that awaits commands."""
+    return Scene(Commanded(), curvature, radius, parameters=Parameters(noise=0.6))
 
 
 @asynccontextmanager
@@ -89,7 +90,8 @@ async def virtual_lab(
 
     lab = await asyncio.to_thread(lambda: Lab(scene, seed, fingers=fingers))
     bus = I2cBus(lab, {finger: finger for finger in fingers}, now=lab.now)
-    controller = UrController(PressingArm(lab, HEIGHT), host=host, ports=ports, version=version, now=lab.now)
+    arm = PressingArm(lab, HEIGHT, curvatures=lab.scene.curvatures)
+    controller = UrController(arm, host=host, ports=ports, version=version, now=lab.now)
     server = None if gripper is None else GripperServer(lab, host=host, port=gripper, now=lab.now)
     async with AsyncExitStack() as running:
         running.enter_context(served(bus, path))

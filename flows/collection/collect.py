@@ -10,12 +10,11 @@ from typing import Final
 
 from connectors.ur_arm import UrArm
 from flows.collection.driver import Driver
-from flows.collection.lifted import Lifted
 from flows.collection.path import Pose
 from flows.collection.plan import Session
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
-from operators import Align, DeviceClock, Label, Motion, Source, Touch, Zero, ms, s
+from operators import Align, DeviceClock, Label, Lifted, Motion, Source, Touch, WatchClock, Zero, ms, s
 from operators.errors import EndpointError, SlipflowError
 from operators.ports import Clock, Json, Run, Sink
 from storage import Dataset
@@ -59,7 +58,7 @@ def declare(
     felt: Felt,
     delay: int = 0,
 ) -> Flow:
-    """The flow of a session: both streams as received, and labelled samples, come into the dataset.
+    """The flow of a session: both streams as received, labelled samples and the arm's clock are recorded.
 
     Args:
         touch: The fingertips.
@@ -75,6 +74,7 @@ def declare(
     labelled = samples | Label(speed=0.003, rotation=0.2, delay=delay) | Lifted(place)  # m/s, rad/s; paper
     felt_stream.to(dataset)
     moved.to(dataset)
+    (moved | WatchClock()).to(dataset)
     labelled.to(dataset)
     felt_stream.to(felt)
     return flow
@@ -221,8 +221,11 @@ def _described(session: Session) -> dict[str, Json]:
     return {
         "recording": session.name,
         "surface": session.surface.curvature,
+        "radius": None if session.surface.curvature == "plane" else session.surface.radius,
         "place": list(session.surface.place),
         "speed": session.speed,
+        "depth": session.depth,
+        "force": session.force,
         "strokes": len(session.strokes),
         "split": session.split,
     }

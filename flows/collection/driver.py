@@ -5,7 +5,19 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from connectors.ur_state import State
-from flows.collection.path import Line, Pose, Slide, Step, Wait, raised
+from flows.collection.path import (
+    Line,
+    Place,
+    Pose,
+    Slide,
+    Step,
+    Tare,
+    Touchdown,
+    Trace,
+    Wait,
+    raised,
+    shifted,
+)
 from flows.collection.plan import Session, Stroke
 from operators.batch import s
 from operators.ports import Clock, Json
@@ -22,6 +34,18 @@ class Arm(Protocol):
 
     async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
         """Go on with a velocity for a time, then come to rest."""
+        ...
+
+    async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
+        """Go along a line of places at one speed, which is planned to take so many seconds."""
+        ...
+
+    async def tare(self, seconds: float) -> None:
+        """Take the force that is told while it stands in the air for none."""
+        ...
+
+    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> None:
+        """Go straight on until a force is felt, by a way at most."""
         ...
 
     async def wait(self, seconds: float) -> None:
@@ -83,21 +107,34 @@ class Driver:
                 await self.follow([Line(up, session.begin.speed, session.begin.acceleration)])
             self.strokes += 1
 
-    async def follow(self, steps: Sequence[Step]) -> None:
+    async def follow(self, steps: Sequence[Step]) -> Place:
         """Go along a path from where the arm is.
+
+        Returns:
+            How far (m) its touchdown ended before the latest end that was planned.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
+        spared = 0.0, 0.0, 0.0
         for step in steps:
-            seconds = step.seconds(_pose(self._arm.state))
+            start = _pose(self._arm.state)
+            seconds = step.seconds(start)
             match step:
                 case Line(pose, speed, acceleration):
                     await self._arm.line(pose, speed, acceleration, seconds)
                 case Slide(velocity, time, acceleration):
                     await self._arm.slide(velocity, time, acceleration)
+                case Trace(places, speed, acceleration):
+                    await self._arm.trace(places, speed, acceleration, seconds)
                 case Wait(time):
                     await self._arm.wait(time)
+                case Tare(time):
+                    await self._arm.tare(time)
+                case Touchdown(way, force, speed, acceleration):
+                    await self._arm.touch(way, force, speed, acceleration)
+                    spared = step.spared(start, _pose(self._arm.state))
+        return spared
 
     async def _unless_paused(self, session: Session, stroke: Stroke, episodes: list[Json]) -> bool:
         """Make a stroke; False: it was paused, and the arm stands."""
@@ -117,8 +154,8 @@ class Driver:
         return False
 
     async def _make(self, session: Session, stroke: Stroke, episodes: list[Json]) -> None:
-        await self.follow(stroke.approach)
-        await self._noted(session, stroke, stroke.contact, episodes)
+        spared = await self.follow(stroke.approach)
+        await self._noted(session, stroke, shifted(stroke.contact, spared), episodes)
         await self.follow(stroke.retreat)
 
     async def _noted(

@@ -10,14 +10,14 @@ from pathlib import Path
 from typing import Final
 
 from connectors import TakkTile, UrMotion
-from connectors.rig.scene import Curvature
 from connectors.ur_arm import UrArm
 from connectors.ur_control import WATCHDOG
 from connectors.ur_state import Bounds, Watch
 from flows.clock import LoopClock
 from flows.collection.collect import PATIENCE, Collection
 from flows.collection.path import Place, Pose
-from flows.collection.plan import Plan, Session, Surface, extent
+from flows.collection.plan import Plan, Session, extent
+from flows.collection.surface import Spot
 from operators import ParameterError, Run
 from operators.errors import EndpointError
 from operators.ports import Clock
@@ -71,7 +71,7 @@ class Collected:
 
 async def collect(
     plan: Plan,
-    surfaces: Sequence[tuple[Curvature, Pose | None]],
+    surfaces: Sequence[Spot],
     rigging: Rigging,
     *,
     name: str,
@@ -82,7 +82,7 @@ async def collect(
 
     Args:
         plan: What to do on each surface.
-        surfaces: Curvature, and the pose at which the fingertip just touches; None: where the arm is now.
+        surfaces: On which.
         rigging: Where everything is.
         name: Of the plan.
         seed: Of what is drawn.
@@ -95,7 +95,7 @@ async def collect(
     """
     clock = LoopClock()
     here = await where(rigging.robot, clock)
-    found = [Surface(curvature, place or here) for curvature, place in surfaces]
+    found = [spot.surface(here) for spot in surfaces]
     sessions = plan.sessions(found, seed)
     low, high = room(sessions, here, rigging.workspace, rigging.margin)
     await asyncio.to_thread(import_module, "storage.writer")  # takes long, and would hold up the run

@@ -1,12 +1,13 @@
-"""The path of an arm as steps whose ends and durations are known before it moves. Pure.
+"""The path of an arm as steps whose ends and durations are known, or bounded, before it moves. Pure.
 
 Poses are those of the TCP in the base frame. The fingertip's frame is the TCP's: x right, y up, z into the
 surface that it touches.
 """
 
 import math
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import TypeAlias
 
 from operators.rotation import onward, quaternion, turn, turned
@@ -86,7 +87,71 @@ class Wait:
         return self.time
 
 
-Step: TypeAlias = Line | Slide | Wait
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """Along a line of places at one speed, turned as it began, and to rest at the last."""
+
+    places: tuple[Place, ...]  # m
+    speed: float  # m/s
+    acceleration: float  # m/s2
+
+    def end(self, start: Pose) -> Pose:
+        """Where it ends."""
+        return *self.places[-1], *start[3:]
+
+    def seconds(self, start: Pose) -> float:
+        """How long it takes."""
+        way = sum(math.dist(a, b) for a, b in pairwise((start[:3], *self.places)))
+        return way / self.speed + self.speed / self.acceleration
+
+
+@dataclass(frozen=True, slots=True)
+class Tare:
+    """Stand still in the air, and take the force that is told there for none."""
+
+    time: float  # s
+
+    def end(self, start: Pose) -> Pose:
+        """Where it began."""
+        return start
+
+    def seconds(self, start: Pose) -> float:
+        """How long it takes."""
+        del start
+        return self.time
+
+
+@dataclass(frozen=True, slots=True)
+class Touchdown:
+    """Straight on until what is touched pushes back with a force; it has to, before the way ends."""
+
+    way: Place  # m, the longest
+    force: float  # N, along the way
+    speed: float  # m/s
+    acceleration: float  # m/s2
+
+    def end(self, start: Pose) -> Pose:
+        """Where it ends at the latest."""
+        return start[0] + self.way[0], start[1] + self.way[1], start[2] + self.way[2], *start[3:]
+
+    def seconds(self, start: Pose) -> float:
+        """How long it takes at most."""
+        del start
+        return math.hypot(*self.way) / self.speed + self.speed / self.acceleration
+
+    def spared(self, start: Pose, here: Pose) -> Place:
+        """How far (m) it ended before its latest end, where it began at a start and is here now.
+
+        >>> Touchdown((0, 0, -0.005), 2.0, 0.002, 0.5).spared((0, 0, 0.001, 0, 0, 0), (0, 0, -0.002, 0, 0, 0))
+        (0.0, 0.0, 0.002)
+        """
+        latest, longest = self.end(start), math.hypot(*self.way)
+        left = sum(d * (end - at) for d, end, at in zip(self.way, latest, here, strict=False)) / longest**2
+        x, y, z = (0.0 - left * each for each in self.way)
+        return x, y, z
+
+
+Step: TypeAlias = Line | Slide | Wait | Trace | Tare | Touchdown
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +165,12 @@ class Extent:
 
     @classmethod
     def of(cls, steps: Iterable[Step], start: Pose) -> "Extent":
-        """That of steps from a pose: all are straight, so their ends tell."""
+        """That of steps from a pose at their latest ends, which tell, but of a trace: all are straight."""
         seconds, places, pose = 0.0, [start[:3]], start
         for step in steps:
             seconds += step.seconds(pose)
             pose = step.end(pose)
-            places.append(pose[:3])
+            places += step.places if isinstance(step, Trace) else [pose[:3]]
         low, high = (tuple(map(each, zip(*places, strict=True))) for each in (min, max))
         return cls(seconds, (low[0], low[1], low[2]), (high[0], high[1], high[2]), pose)
 
@@ -127,6 +192,24 @@ def heading(pose: Pose, linear: Place, spin: float = 0.0) -> Pose:
     """A velocity in a pose's own frame, m/s and about its z rad/s, in the base frame."""
     by = quaternion((pose[3], pose[4], pose[5]))
     return *turn(linear, by), *turn((0.0, 0.0, spin), by)
+
+
+def shifted(steps: Sequence[Step], by: Place) -> list[Step]:
+    """Steps that lead to other places, by so much (m)."""
+    moved = list[Step]()
+    for step in steps:
+        match step:
+            case Line(pose):
+                moved.append(replace(step, pose=(*_sum(pose[:3], by), *pose[3:])))
+            case Trace(places):
+                moved.append(replace(step, places=tuple(_sum(place, by) for place in places)))
+            case _:
+                moved.append(step)
+    return moved
+
+
+def _sum(place: Place, by: Place) -> Place:
+    return place[0] + by[0], place[1] + by[1], place[2] + by[2]
 
 
 def raised(pose: Pose, place: Pose, clearance: float) -> Pose:

@@ -3,40 +3,40 @@
 As in "Under Pressure" (2021): one fingertip over a surface at 0.05, 0.075 and 0.1 m/s in eight directions,
 and turned at 1 rad/s. Each stroke comes down onto the surface, rests, slides through the middle of the place,
 rests, and goes up again; the way to the next leads through the air.
+
+A stroke is pressed by a depth beyond the first touch, or comes down until a force is felt and keeps to the
+depth that it found there. Over a curved surface it follows the arc: the fingertip goes up and down with the
+surface under it. It is not turned: that it lies flat on a slope is up to the finger, which has to give way.
 """
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from types import MappingProxyType
-from typing import Final, get_args
+from typing import Final
 
 import numpy as np
 
-from connectors.rig.scene import Curvature
-from flows.collection.path import Extent, Line, Pose, Slide, Step, Wait, beside, heading
+from flows.collection.path import (
+    Extent,
+    Line,
+    Place,
+    Pose,
+    Slide,
+    Step,
+    Tare,
+    Touchdown,
+    Trace,
+    Wait,
+    beside,
+    heading,
+)
+from flows.collection.surface import Surface
 from operators.errors import ParameterError
 
 _TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 _DIRECTIONS: Final = 8
-
-
-@dataclass(frozen=True, slots=True)
-class Surface:
-    """What is slid over.
-
-    Raises:
-        ParameterError: on a curvature that there is not.
-    """
-
-    curvature: Curvature
-    place: Pose  # where the fingertip just touches it, in the middle
-
-    def __post_init__(self) -> None:
-        if self.curvature not in get_args(Curvature):
-            known = ", ".join(get_args(Curvature))
-            raise ParameterError("Surface", "curvature", self.curvature, f"one of {known}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,15 +74,23 @@ class Session:
     surface: Surface
     speed: float | None  # m/s; None: rotations
     begin: Line  # to where it begins, in the air
-    clearance: float  # m above the surface, in the air
+    clearance: float  # m above the surface's middle, in the air
     air: Wait  # for the baseline
     strokes: tuple[Stroke, ...]
     split: str
+    depth: float | None  # m, by which it presses beyond the first touch; None: with a force
+    force: float | None  # N
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """Its path from anywhere; it ends in the air."""
         return self.begin, self.air, *chain.from_iterable(stroke.steps for stroke in self.strokes)
+
+
+_POSITIVE: Final = (
+    *("time", "turn", "air", "clearance", "travel", "press", "acceleration", "spin"),
+    *("deepest", "near", "touch", "tare"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +111,11 @@ class Plan:
     rotations: int = 5  # sessions of turns at 1 rad/s
     rounds: int = 2  # of eight strokes in a session
     depth: float = 0.0015  # m, by which the fingertip is pressed beyond its first touch
+    force: float | None = None  # N, that it is pressed with instead
+    deepest: float = 0.004  # m beyond the first touch, where the force has to be felt at the latest
+    near: float = 0.001  # m above the surface, from where the force is sought
+    touch: float = 0.002  # m/s, meanwhile; the force goes on growing until the arm stands
+    tare: float = 0.2  # s in the air, to learn what force is told when nothing is touched
     time: float = 0.6  # s at its speed that take as far as a slide
     turn: float = 1.2  # s, of a rotation
     rest: float = 0.4  # s, in contact before and after a slide
@@ -115,12 +128,16 @@ class Plan:
     spin_acceleration: float = 1.0  # rad/s2
 
     def __post_init__(self) -> None:
-        for name in ("time", "turn", "air", "clearance", "travel", "press", "acceleration", "spin"):
+        for name in _POSITIVE:
             if not getattr(self, name) > 0:
                 raise ParameterError("Plan", name, getattr(self, name), "above 0")
         for name in ("repeats", "rotations", "rounds", "depth", "rest"):
             if not getattr(self, name) >= 0:
                 raise ParameterError("Plan", name, getattr(self, name), "0 or above")
+        if self.force is not None and not self.force > 0:
+            raise ParameterError("Plan", "force", self.force, "above 0 N")
+        if self.near > self.clearance:
+            raise ParameterError("Plan", "near", self.near, f"at most the clearance, {self.clearance} m")
         if not all(0 < speed < 0.3 for speed in self.speeds):  # noqa: PLR2004 - the label's limit
             raise ParameterError("Plan", "speeds", self.speeds, "above 0 and below 0.3 m/s")
 
@@ -130,7 +147,7 @@ class Plan:
         Like sessions (of a surface and a speed) are split by turns, so that each split has its share.
 
         Raises:
-            ParameterError: if there is nothing to do.
+            ParameterError: if there is nothing to do, or a stroke goes too far over the side of a surface.
         """
         random = np.random.default_rng(seed)
         speeds = [speed for speed in self.speeds for _ in range(self.repeats)] + [None] * self.rotations
@@ -142,59 +159,87 @@ class Plan:
                 kind = "rotation" if speed is None else f"{1000 * speed:03.0f}"
                 group = f"{surface.curvature}-{kind}"
                 counted[group] = counted.get(group, 0) + 1
-                strokes = tuple(self._strokes(surface.place, speed, random))
+                strokes = tuple(self._strokes(surface, speed, random))
                 sessions.append(
                     Session(
                         f"{group}-{counted[group]:02d}",
                         surface,
                         speed,
-                        self._through_air(surface.place),
+                        self._through_air(surface, 0.0, 0.0),
                         self.clearance,
                         Wait(self.air),
                         strokes,
                         _TURNS[(first + len(sessions)) % len(_TURNS)],
+                        self.depth if self.force is None else None,
+                        self.force,
                     )
                 )
         return sessions
 
-    def _strokes(self, place: Pose, speed: float | None, random: np.random.Generator) -> Iterator[Stroke]:
+    def _strokes(
+        self, surface: Surface, speed: float | None, random: np.random.Generator
+    ) -> Iterator[Stroke]:
         for _ in range(self.rounds):
             for number, direction in enumerate(random.permutation(_DIRECTIONS).tolist()):
                 if speed is None:
-                    spin = self.spin if number % 2 else -self.spin
-                    yield self._stroke(place, 0.0, spin, spins=True)
+                    yield self._rotation(surface, self.spin if number % 2 else -self.spin)
                 else:
-                    yield self._stroke(place, 45.0 * direction, speed, spins=False)
+                    yield self._translation(surface, 45.0 * direction, speed)
 
-    def _stroke(self, place: Pose, direction_deg: float, speed: float, *, spins: bool) -> Stroke:
+    def _rotation(self, surface: Surface, spin: float) -> Stroke:
+        slide = Slide(heading(surface.place, (0.0, 0.0, 0.0), spin), self.turn, self.spin_acceleration)
+        ramp = abs(spin) / self.spin_acceleration
+        angle = spin * (self.turn if ramp <= self.turn else self.turn**2 / ramp)
+        begin = replace(surface, place=beside(surface.place, yaw=-angle / 2))
+        end = replace(surface, place=slide.end(begin.place))
+        return Stroke(
+            0.0,
+            spin,
+            spins=True,
+            approach=self._approach(begin, 0.0, 0.0),
+            contact=(Wait(self.rest), slide, Wait(self.rest)),
+            retreat=(self._retreat(end, 0.0, 0.0),),
+        )
+
+    def _translation(self, surface: Surface, direction_deg: float, speed: float) -> Stroke:
+        along, half = math.radians(direction_deg), speed * self.time / 2
+        x, y = half * math.cos(along), half * math.sin(along)
+        depth = self.depth if self.force is None else self.deepest
+        places = [surface.at(part * x, part * y, depth) for part in surface.bends(x, y)]
         slide: Step
-        if spins:
-            slide = Slide(heading(place, (0.0, 0.0, 0.0), speed), self.turn, self.spin_acceleration)
-            ramp = abs(speed) / self.spin_acceleration
-            angle = speed * (self.turn if ramp <= self.turn else self.turn**2 / ramp)
-            begin = beside(place, yaw=-angle / 2)
+        if len(places) > 1:
+            slide = Trace(tuple(place[:3] for place in places), speed, self.acceleration)
         else:  # by its end: the controller keeps to it, however late we are
-            along, half = math.radians(direction_deg), speed * self.time / 2
-            offset = half * math.cos(along), half * math.sin(along)
-            begin = beside(place, (-offset[0], -offset[1], 0.0))
-            slide = Line(beside(place, (*offset, self.depth)), speed, self.acceleration)
-        down = beside(begin, (0.0, 0.0, self.depth))
-        up = beside(slide.end(down), (0.0, 0.0, -self.depth - self.clearance))
+            slide = Line(places[0], speed, self.acceleration)
         return Stroke(
             direction_deg,
             speed,
-            spins,
-            approach=(
-                self._through_air(begin),
-                Line(down, self.press, self.acceleration),
-            ),
+            spins=False,
+            approach=self._approach(surface, -x, -y),
             contact=(Wait(self.rest), slide, Wait(self.rest)),
-            retreat=(Line(up, self.press, self.acceleration),),
+            retreat=(self._retreat(surface, x, y),),
         )
 
-    def _through_air(self, place: Pose) -> Line:
-        """The way to above a place."""
-        return Line(beside(place, (0.0, 0.0, -self.clearance)), self.travel, self.acceleration)
+    def _approach(self, surface: Surface, x: float, y: float) -> tuple[Step, ...]:
+        """Through the air to above a point beside the middle (m), and down onto it."""
+        above = self._through_air(surface, x, y)
+        if self.force is None:
+            return above, Line(surface.at(x, y, self.depth), self.press, self.acceleration)
+        near, deepest = surface.at(x, y, -self.near), surface.at(x, y, self.deepest)
+        way: Place = deepest[0] - near[0], deepest[1] - near[1], deepest[2] - near[2]
+        return (
+            above,
+            Tare(self.tare),
+            Line(near, self.press, self.acceleration),
+            Touchdown(way, self.force, self.touch, self.acceleration),
+        )
+
+    def _retreat(self, surface: Surface, x: float, y: float) -> Line:
+        return replace(self._through_air(surface, x, y), speed=self.press)
+
+    def _through_air(self, surface: Surface, x: float, y: float) -> Line:
+        """The way to above a point beside the middle (m), all as high: so it leads over the middle, too."""
+        return Line(beside(surface.place, (x, y, -self.clearance)), self.travel, self.acceleration)
 
 
 PLANS: Final[Mapping[str, Plan]] = MappingProxyType(

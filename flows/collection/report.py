@@ -16,6 +16,7 @@ def planned(sessions: Sequence[Session], low: Place, high: Place) -> dict[str, A
             {
                 "session": session.name,
                 "surface": session.surface.curvature,
+                "radius": None if session.surface.curvature == "plane" else session.surface.radius,
                 "speed": session.speed,
                 "split": session.split,
                 "strokes": len(session.strokes),
@@ -30,6 +31,8 @@ def planned(sessions: Sequence[Session], low: Place, high: Place) -> dict[str, A
         "low": list(whole.low),
         "high": list(whole.high),
         "workspace": [*low, *high],
+        "depth": sessions[0].depth,
+        "force": sessions[0].force,
     }
 
 
@@ -37,10 +40,11 @@ def as_table(plan: dict[str, Any]) -> str:
     """The same as text.
 
     >>> print(as_table({"sessions": [], "strokes": 0, "seconds": 75.0, "low": [0, 0, 0], "high": [1, 1, 1],
-    ...     "workspace": [0, 0, 0, 1, 1, 1]}))
+    ...     "workspace": [0, 0, 0, 1, 1, 1], "depth": None, "force": 2.0}))
     session                      strokes      time   x mm            y mm            z mm            split
     in all                             0  1.2 min   0 .. 1000       0 .. 1000       0 .. 1000
     workspace                                       0 .. 1000       0 .. 1000       0 .. 1000
+    pressed with 2 N, each stroke at the depth where it is felt; times and bounds are those of the deepest
     """
     head = f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"
     rows = [
@@ -51,7 +55,8 @@ def as_table(plan: dict[str, Any]) -> str:
     low, high = plan["workspace"][:3], plan["workspace"][3:]
     minutes = f"{plan['seconds'] / 60:.1f} min"
     whole = f"{'in all':28} {plan['strokes']:7} {minutes:>8}   {_spans(plan['low'], plan['high'])}"
-    return "\n".join([head, *rows, whole.rstrip(), f"{'workspace':47} {_spans(low, high)}".rstrip()])
+    room = f"{'workspace':47} {_spans(low, high)}".rstrip()
+    return "\n".join([head, *rows, whole.rstrip(), room, _pressed(plan)])
 
 
 def summary(runs: Sequence[Run], strokes: int) -> dict[str, Any]:
@@ -81,6 +86,13 @@ def as_text(collected: dict[str, Any]) -> str:
         for each in collected["sessions"]
     ]
     return "\n".join([*rows, f"{collected['strokes']} strokes in {len(rows)} sessions"])
+
+
+def _pressed(plan: dict[str, Any]) -> str:
+    if plan["force"] is None:
+        return f"pressed by {1000 * plan['depth']:g} mm beyond the first touch"
+    found = "each stroke at the depth where it is felt; times and bounds are those of the deepest"
+    return f"pressed with {plan['force']:g} N, {found}"
 
 
 def _reach(session: Session) -> Extent:

@@ -4,23 +4,26 @@ import asyncio
 import importlib.util
 import math
 import os
+import re
 import signal
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from connectors.rig.free_arm import FreeArm
-from connectors.rig.ur_control_box import RuntimeState
+from connectors.rig.pressing import PressingArm
+from connectors.rig.ur_control_box import Arm, RuntimeState
 from connectors.rig.ur_controller import UrController
 from connectors.rtde import Version
 from connectors.ur_arm import UrArm
-from connectors.ur_state import Bounds
+from connectors.ur_state import Bounds, State
 from flows.clock import LoopClock
 from operators import EndpointError
+from operators.batch import Reals
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
@@ -29,6 +32,7 @@ pytestmark = pytest.mark.skipif(
 HOST = f"127.0.{os.getpid() % 250 + 1}.2"  # of this process: ur-rtde knows one port only
 BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
+DOWN = Bounds((0.3, -0.1, -0.02), (0.5, 0.1, 0.2), force=20.0)  # to a surface at 0
 CB3 = Version(3, 15, 8, 0)
 
 
@@ -38,9 +42,21 @@ class Lab:
     arm: UrArm
 
 
+class Leaning(PressingArm):
+    """Stands 2 mm above a surface, on an arm that tells a force in the air, too, as real ones do."""
+
+    def __init__(self) -> None:
+        super().__init__(FreeArm(np.array((*BEGIN[:2], 0.0, *BEGIN[3:])), 1.0), 0.002)
+
+    @property
+    def wrench(self) -> Reals:
+        wrench: Reals = super().wrench + np.array([3.0, -2.0, 6.0, 0.0, 0.0, 0.0])
+        return wrench
+
+
 @asynccontextmanager
-async def lab(bounds: Bounds = BOUNDS) -> AsyncGenerator[Lab]:
-    clock, arm = LoopClock(), FreeArm(np.array(BEGIN), 1.0)
+async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator[Lab]:
+    clock, arm = LoopClock(), arm or FreeArm(np.array(BEGIN), 1.0)
     async with (
         UrController(arm, host=HOST, version=CB3, now=clock.now) as controller,
         UrArm(HOST, bounds, clock, watchdog=1.0) as moved,
@@ -88,6 +104,80 @@ def test_it_goes_along_lines_slides_and_turns() -> None:
     np.testing.assert_allclose(first, (0.42, 0.05, 0.12, math.pi, 0, 0), atol=6e-4)
     assert second[0] - first[0] > 0.015
     assert abs(second[4]) > 0.1  # turned about the vertical
+
+
+def test_it_follows_an_arc_at_its_speed_and_height() -> None:
+    radius, centre = 0.06, (0.4, 0.06)  # m
+    angles = np.linspace(0.0, 0.5, 20)
+    places = [(0.4, 0.06 - radius * math.cos(a), 0.1 + radius * math.sin(a)) for a in angles.tolist()]
+
+    async def main() -> list[State]:
+        seen = list[State]()
+
+        async def watch(arm: UrArm) -> None:
+            while True:
+                seen.append(arm.state)
+                await asyncio.sleep(0.008)
+
+        async with lab() as here:
+            watching = asyncio.create_task(watch(here.arm))
+            await here.arm.trace(places[1:], 0.05, 0.5, 0.7)
+            assert here.arm.state.still
+            watching.cancel()
+            await here.arm.line(BEGIN, 0.2, 0.5, 0.5)  # a line after it
+        return seen
+
+    seen = asyncio.run(main())
+    off = [math.dist(state.pose[1:3], (centre[1], 0.1)) - radius for state in seen]
+    assert max(map(abs, off)) < 1e-3
+    assert math.dist(seen[-1].pose[:3], places[-1]) < 5e-3
+    speeds = sorted(math.hypot(*state.velocity[:3]) for state in seen)
+    assert speeds[-len(speeds) // 4 :] == pytest.approx([0.05] * len(speeds[-len(speeds) // 4 :]), rel=0.03)
+    assert all(state.pose[3:] == pytest.approx(BEGIN[3:]) for state in seen)
+
+
+def test_it_comes_down_until_it_feels_a_force_whatever_it_felt_in_the_air() -> None:
+    async def main() -> tuple[State, float]:
+        leaning = Leaning()
+        async with lab(DOWN, leaning) as here:
+            await here.arm.tare(0.1)
+            await here.arm.touch((0.0, 0.0, -0.008), 2.0, 0.002, 0.5)
+            return here.arm.state, leaning.wrench.item(2) - 6.0
+
+    state, force = asyncio.run(main())
+    assert state.still
+    assert 2.0 <= force < 3.0
+    assert state.pose[2] == pytest.approx(-0.001 * force, abs=1e-6)
+
+
+def test_it_is_stopped_where_there_is_nothing_to_touch() -> None:
+    async def main() -> str:
+        async with lab(DOWN, Leaning()) as here:
+            await here.arm.tare(0.1)
+            with pytest.raises(EndpointError, match=r"no contact of 2 N within 2\.5 mm: 0\.\d N there"):
+                await here.arm.touch((0.0, 0.0, -0.0025), 2.0, 0.002, 0.5)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return here.arm.fault
+
+    assert "no contact" in asyncio.run(main())
+
+
+def test_no_contact_is_sought_without_a_force_to_feel() -> None:
+    here = refused(None, lambda arm: arm.tare(0.1))
+    assert "tells no force" in here.arm.fault
+
+
+def test_pressed_too_deep_it_is_stopped() -> None:
+    async def main() -> str:
+        async with lab(replace(DOWN, force=10.0), Leaning()) as here:
+            with pytest.raises(EndpointError):
+                await here.arm.slide((0.0, 0.0, -0.005, 0.0, 0.0, 0.0), 3.0, 0.5)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return here.arm.fault
+
+    assert re.fullmatch(r"a force of 10\.\d N, more than 10 N", asyncio.run(main()))
 
 
 def test_a_protective_stop_ends_its_moves() -> None:

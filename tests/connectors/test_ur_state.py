@@ -12,8 +12,8 @@ REST = (0.0,) * 6
 
 
 def test_an_arm_within_its_bounds_need_not_be_stopped() -> None:
-    assert not BOUNDS.breach(State(POSE, REST, force=19.9))
-    assert not BOUNDS.breach(State(POSE, REST, force=nan))  # unknown
+    assert not BOUNDS.breach(State(POSE, REST, force=(19.0, 0.0, 5.0)))
+    assert not BOUNDS.breach(State(POSE, REST, force=(nan, nan, nan)))  # unknown
     assert not BOUNDS.breach(State(POSE, REST, safety_mode=2))  # reduced mode
 
 
@@ -23,7 +23,7 @@ def test_an_arm_within_its_bounds_need_not_be_stopped() -> None:
         (State((1.001, 0.5, 0.5, 0, 0, 0), REST), "at x 1.0010 m it is outside its workspace"),
         (State((0.5, -0.001, 0.5, 0, 0, 0), REST), "at y -0.0010 m it is outside its workspace"),
         (State((0.5, 0.5, nan, 0, 0, 0), REST), "at z nan m it is outside its workspace"),
-        (State(POSE, REST, force=20.1), "a force of 20.1 N, more than 20 N"),
+        (State(POSE, REST, force=(0.0, 12.0, -16.1)), "a force of 20.1 N, more than 20 N"),
         (State(POSE, REST, safety_mode=3), "protective stop"),
         (State(POSE, REST, safety_mode=7), "emergency stop"),
         (State(POSE, REST, safety_mode=99), "unknown safety mode"),

@@ -26,11 +26,12 @@ def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def test_a_dry_run_prints_the_path_its_duration_and_its_bounds(tmp_path: Path) -> None:
     done = slipflow("collect", "tiny", "--dry-run", "--surface", SPHERE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    head, strokes, rotation, whole, workspace = done.stdout.splitlines()
+    head, strokes, rotation, whole, workspace, pressed = done.stdout.splitlines()
     assert head.split()[:3] == ["session", "strokes", "time"]
     assert strokes.split()[:2] == ["sphere-050-01", "8"]
     assert "385 .. 415" in strokes
-    assert "98 .. 110" in whole
+    assert "97 .. 110" in whole  # 1.9 mm down the side, and 1.5 mm pressed
+    assert pressed == "pressed by 1.5 mm beyond the first touch"
     assert rotation.startswith("sphere-rotation-01")
     assert whole.split()[:5] == ["in", "all", "16", "1.1", "min"]
     assert "380 .. 420" in workspace
@@ -43,8 +44,18 @@ def test_a_dry_run_of_the_papers_plan_tells_a_program_the_same(tmp_path: Path) -
     assert len(found["sessions"]) == 2 * (3 * 9 + 5)
     assert found["strokes"] == 64 * 16
     assert found["seconds"] > sum(each["seconds"] for each in found["sessions"])  # and from one to the next
-    assert found["low"] == pytest.approx([-0.03, -0.03, -0.0015], abs=1e-6)
+    down = 0.06 - (0.06**2 - 0.03**2) ** 0.5  # m, the cylinder's side
+    assert found["low"] == pytest.approx([-0.03, -0.03, -0.0015 - down], abs=1e-6)
     assert found["high"] == pytest.approx([0.53, 0.03, 0.01], abs=1e-6)
+
+
+def test_a_dry_run_with_a_force_says_how_deep_it_may_go(tmp_path: Path) -> None:
+    arguments = ["--dry-run", "--surface", "sphere:0.08", "--force", "2N", "--deepest", "0.003"]
+    done = slipflow("collect", "tiny", *arguments, cwd=tmp_path)
+    assert done.stdout.splitlines()[-1].startswith("pressed with 2 N, each stroke at the depth where it")
+    found = json.loads(slipflow("collect", "tiny", *arguments, "--json", cwd=tmp_path).stdout)
+    assert (found["force"], found["depth"], found["sessions"][0]["radius"]) == (2.0, None, 0.08)
+    assert found["low"][2] == pytest.approx(-0.003 - (0.08 - (0.08**2 - 0.015**2) ** 0.5), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -54,7 +65,15 @@ def test_a_dry_run_of_the_papers_plan_tells_a_program_the_same(tmp_path: Path) -
         (["tiny"], "--robot HOST"),
         (["tiny", "--dry-run", "--surface", "cube"], "one of plane"),
         (["tiny", "--dry-run", "--surface", "plane@1,2,3"], "write 6 numbers"),
+        (["tiny", "--dry-run", "--surface", "sphere:big"], "write 1 numbers"),
+        (["tiny", "--dry-run", "--surface", "sphere:-0.06"], "above 0 m"),
+        (["tiny", "--dry-run", "--surface", "sphere:0.01"], "0.0212 m or more"),
         (["tiny", "--dry-run", "--speeds", "0.5"], "below 0.3 m/s"),
+        (["tiny", "--dry-run", "--force", "2"], "write it as 2N"),
+        (["tiny", "--dry-run", "--force", "0N"], "above 0 N"),
+        (["tiny", "--dry-run", "--force", "2N", "--depth", "0.001"], "--depth or --force, not both"),
+        (["tiny", "--dry-run", "--force", "60N"], "below the --force-limit, 50N"),
+        (["tiny", "--dry-run", "--deepest", "0.01"], "--deepest is for --force"),
         (["tiny", "--dry-run", "--workspace", "0,0,0,1,1,1"], "around the path"),
         (["tiny", "--robot", "127.0.0.1:x"], "rtde://"),
     ],

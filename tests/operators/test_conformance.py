@@ -14,12 +14,17 @@ from hypothesis import strategies as st
 
 import operators
 from operators import (
+    SLIP,
+    STATIC,
+    UNKNOWN,
     Align,
     Batch,
     Debounce,
     DeviceClock,
     Health,
     Label,
+    Labelled,
+    Lifted,
     Motion,
     Sample,
     Score,
@@ -117,6 +122,14 @@ def _sample(rng: np.random.Generator, rows: int) -> Sample:
     return Sample(touch.time, *values, matched, finger=_FINGER)
 
 
+def _labelled(rng: np.random.Generator, rows: int) -> Labelled:
+    """Samples about a plane at z = 0, with any label."""
+    sample = _sample(rng, rows)
+    values = sample.counts, sample.temperature, sample.valid, sample.velocity, sample.pose, sample.matched
+    label = rng.choice([SLIP, STATIC, UNKNOWN], rows).astype(np.int8)
+    return Labelled(sample.time, *values, np.abs(sample.velocity[:, 0]), label, finger=_FINGER)
+
+
 def _scores(rng: np.random.Generator, rows: int) -> Scores:
     level = _held(rng, (0.1, 0.1, 0.5, 0.9, 0.9, np.nan), (rows, 1), 3)[:, 0]
     return Scores(_times(rng, rows, 10 * ms), level - rng.random(rows) / 20, finger=_FINGER)
@@ -180,6 +193,8 @@ CASES: Final = [
     Case(Label(rotation=0.2, normal=(0, 1, 2)), (_sample,)),
     Case(Label(rotation=0.2, delay=37 * ms), (_sample,)),
     Case(Label(delay=-40 * ms, within=5 * ms), (_sample,)),
+    Case(Lifted((0, 0, 0, 0, 0, 0)), (_labelled,)),
+    Case(Lifted((0.1, -0.2, 0.3, 0, 1.5, 0.5), margin=0), (_labelled,)),
     Case(Window(length=7, hop=3), (_touch(Touch),)),
     Case(Window(length=3, hop=10), (_touch(Zeroed),)),
     Case(Score(_Spread(), hop=2), (_touch(Zeroed),)),

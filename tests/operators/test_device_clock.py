@@ -39,6 +39,17 @@ def late(way: Way, rate: float, drift: float, seconds: int = 600, seed: int = 0)
     return motion(device, arrival), START + 5 * ms + np.rint(sent * s).astype(np.int64)
 
 
+def tailed(random: np.random.Generator, sent: Reals) -> Reals:
+    """Each package 20 ms late in the mean, some 200 ms, none overtaking another."""
+    return np.maximum.accumulate(sent + random.exponential(0.02, len(sent)))
+
+
+def kept_away(random: np.random.Generator, sent: Reals) -> Reals:
+    """A reader that is kept away for 20 ms in the mean, now and then for 200 ms."""
+    wakes: Reals = np.cumsum(random.exponential(0.02, 1000 + round(float(sent[-1]) * 60)))
+    return wakes[np.searchsorted(wakes, sent)]
+
+
 def p99(time: Times, true: Times) -> float:
     """Of the error, ms."""
     return float(np.percentile(np.abs(time - true), 99)) / ms
@@ -57,6 +68,19 @@ def test_20_ms_of_jitter_and_50_ppm_leave_half_a_millisecond_live_and_a_tenth_of
     afterwards, _ = fit_clock(stream)
     assert p99(afterwards.time, true) < 0.1
     assert p99(stream.time, true) > 15
+
+
+@pytest.mark.parametrize("drift", [50e-6, -50e-6])
+@pytest.mark.parametrize(("way", "rate"), [(tailed, 125.0), (kept_away, 125.0), (kept_away, 500.0)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_long_tail_of_jitter_leaves_half_a_millisecond_after_a_minute(
+    way: Way, rate: float, drift: float, seed: int
+) -> None:
+    stream, true = late(way, rate, drift, seed=seed)
+    live = DeviceClock().push(stream).time
+    settled = slice(round(60 * rate), None)
+    assert p99(live[settled], true[settled]) < 0.5
+    assert p99(stream.time, true) > 3 * 20  # three times the mean
 
 
 def test_time_runs_smoothly_though_arrivals_do_not() -> None:

@@ -48,3 +48,24 @@ def test_what_goes_along_the_surface_goes_as_it_went() -> None:
     pose, velocity = arm.motion(1 * s)
     np.testing.assert_allclose(pose, [0.1, -0.2, 0.01, 0, 0, 0])
     np.testing.assert_allclose(velocity, [0.1, -0.2, 0, 0, 0, 0])
+
+
+def test_over_a_sphere_it_presses_by_how_far_it_is_below_the_surface_under_it() -> None:
+    radius, plane = 0.06, Plane()
+    arm = PressingArm(plane, 0.0, 1000.0, np.inf, curvatures=(1 / radius, 1 / radius))
+    arm.command(go(0, 0.06, 0.08, -0.04))
+    for time in range(0, 300 * ms + 1, 50 * ms):
+        (x, y, z, *_), _ = arm.motion(time)
+        below = np.sqrt(radius**2 - x * x - y * y) - radius - z
+        np.testing.assert_allclose(arm.wrench[2], 1000 * max(0.0, below), atol=1e-9)
+    assert plane.forces[-1] == arm.wrench[2] > 1.0
+
+
+def test_the_surface_pushes_the_tool_up_and_what_is_in_the_air_is_not_pushed() -> None:
+    arm = PressingArm(Plane(), height=0.001, stiffness=1000.0, acceleration=np.inf)
+    arm.motion(0)
+    assert not arm.wrench.any()
+    arm.command(go(0, 0.0, 0.0, -0.01))
+    arm.motion(0)
+    arm.motion(300 * ms)
+    np.testing.assert_allclose(arm.wrench, [0, 0, 2.0, 0, 0, 0], atol=1e-9)

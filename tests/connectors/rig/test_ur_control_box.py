@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from connectors.rig.free_arm import FreeArm
+from connectors.rig.pressing import PressingArm
 from connectors.rig.ur_control_box import ControlBox, RuntimeState, SafetyMode
 from connectors.rig.ur_dashboard import answer
 from connectors.rig.ur_program import Command
@@ -115,7 +116,17 @@ def test_what_the_scene_does_not_have_is_not_invented() -> None:
     assert isinstance(current, float)
     assert isnan(current)
     assert all(map(isnan, joints))
+    force = cell.value("actual_TCP_force")
+    assert isinstance(force, tuple)
+    assert all(map(isnan, force))
     assert cell.value("joint_mode") == (0,) * 6
+
+
+def test_an_arm_that_knows_what_pushes_it_has_it_shown() -> None:
+    cell = Cell()
+    cell.box = ControlBox(PressingArm(cell.arm, height=-0.003, stiffness=1000.0), Version(3, 15, 0, 0))
+    cell.run(0.1)
+    assert cell.value("actual_TCP_force") == pytest.approx((0.0, 0.0, 3.0, 0.0, 0.0, 0.0))
 
 
 # --- the program -----------------------------------------------------------------------------------------

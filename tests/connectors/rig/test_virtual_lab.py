@@ -10,7 +10,7 @@ from pymodbus.client import AsyncModbusTcpClient
 
 from connectors import TakkTile, UrMotion
 from connectors.rig.ur_controller import Ports
-from connectors.rig.virtual_lab import HEIGHT, virtual_lab
+from connectors.rig.virtual_lab import HEIGHT, scene, virtual_lab
 from flows.clock import LoopClock
 from operators import Touch
 from operators.batch import Counts
@@ -40,11 +40,31 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip() -> None:
                         break
             pressed = await felt()
             assert (in_air - pressed).max() > 20
+            pushed = cast("tuple[float, ...]", lab.controller.box.values(["actual_TCP_force"])[0])
+            assert 1.8 < pushed[2] < 2.1
             truth = lab.lab.truth()
             assert truth.force[0] == 0.0
             assert 1.8 < truth.force[-1] < 2.1
 
     asyncio.run(main())
+
+
+def test_a_sphere_is_touched_lower_at_its_side() -> None:
+    pushed = list[float]()
+
+    async def main() -> None:
+        async with virtual_lab(scene("sphere", 0.03), ports=ANYWHERE, path=BUS) as lab:
+            box = cast("Any", lab.controller.box)
+            async with asyncio.timeout(10):
+                for place in ([0.015, 0.0, 0.0], [0.015, 0.0, -0.006]):  # its surface is at -0.004 there
+                    box._drive.line(np.array([*place, np.pi, 0.0, 0.0]), 0.2, 1.0)
+                    while box._drive.task != "none":  # noqa: ASYNC110 - nothing tells
+                        await asyncio.sleep(0.01)
+                    pushed.append(box.values(["actual_TCP_force"])[0][2])
+
+    asyncio.run(main())
+    assert pushed[0] == 0.0
+    np.testing.assert_allclose(pushed[1], 1000 * (0.006 - (0.03 - np.sqrt(0.03**2 - 0.015**2))), atol=0.2)
 
 
 def test_every_device_is_where_it_says_and_gone_afterwards() -> None:

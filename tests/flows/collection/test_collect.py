@@ -6,20 +6,36 @@ import json
 import math
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pytest
 
+from connectors.rig.scene import Curvature
 from connectors.rig.truth import Truth
-from connectors.rig.virtual_lab import VirtualLab, virtual_lab
+from connectors.rig.virtual_lab import VirtualLab, scene, virtual_lab
 from flows.collection.live import Collected, Rigging, collect, room
 from flows.collection.path import Pose
-from flows.collection.plan import Plan, Surface
-from operators import SLIP, UNKNOWN, EndpointError, Labelled, Motion, ParameterError, Touch, concat, s
-from storage import Session
+from flows.collection.plan import Plan, Session
+from flows.collection.surface import Spot, Surface
+from operators import (
+    EVERY,
+    SLIP,
+    UNKNOWN,
+    Clocks,
+    EndpointError,
+    Labelled,
+    Motion,
+    ParameterError,
+    Touch,
+    WatchClock,
+    concat,
+    s,
+)
+from storage import Session as Recorded
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
@@ -29,7 +45,36 @@ HOST = f"127.0.{os.getpid() % 250 + 1}.3"  # of this process: ur-rtde knows one 
 BUS = f"/dev/i2c-{os.getpid()}"
 PLACE: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
 QUICK = Plan(
-    speeds=(0.1,), repeats=1, rotations=0, rounds=1, time=0.4, rest=0.2, air=1.2, clearance=0.004, press=0.05
+    speeds=(0.1,),
+    repeats=1,
+    rotations=0,
+    rounds=1,
+    time=0.4,
+    rest=0.1,
+    air=1.2,
+    clearance=0.004,
+    travel=0.3,
+    press=0.1,
+    acceleration=1.0,
+)
+FORCE = 1.5  # N
+
+
+@dataclass(frozen=True)
+class Few(Plan):
+    """A plan of which only the first strokes of each session are made."""
+
+    strokes: int = 2
+
+    def sessions(self, surfaces: Sequence[Surface], seed: int) -> list[Session]:
+        """Those of the plan, cut short."""
+        whole = super().sessions(surfaces, seed)
+        return [replace(each, strokes=each.strokes[: self.strokes]) for each in whole]
+
+
+TURNS = replace(Few(**asdict(QUICK)), speeds=(), rotations=1, turn=0.4)
+FELT = replace(
+    Few(**asdict(QUICK)), speeds=(0.05,), force=FORCE, deepest=0.0025, near=0.0005, touch=0.004, tare=0.1
 )
 
 
@@ -39,8 +84,8 @@ class Made(NamedTuple):
     out: Path
 
     @property
-    def session(self) -> Session:
-        return Session.open(self.out / "sessions" / self.collected.runs[0].session)
+    def session(self) -> Recorded:
+        return Recorded.open(self.out / "sessions" / self.collected.runs[0].session)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -49,17 +94,30 @@ class Made(NamedTuple):
 
 
 def made(
-    out: Path, plan: Plan = QUICK, act: Callable[[VirtualLab], None] | None = None, after: float = 5.0
+    out: Path,
+    plan: Plan = QUICK,
+    act: Callable[[VirtualLab], None] | None = None,
+    *,
+    pressed: bool = True,
+    surface: Curvature = "plane",
+    limit: float = 50.0,
 ) -> Made:
-    """What was collected on a virtual lab to which something is done `after` seconds."""
-    rigging = Rigging(HOST, out, BUS, margin=0.05, patience=1.0, watchdog=1.0)  # the host may be busy
+    """What was collected on a virtual lab to which something is done, once it has `pressed` for a while."""
+    rigging = Rigging(HOST, out, BUS, margin=0.05, force=limit, patience=1.0, watchdog=1.0)  # a busy host
+
+    async def do(lab: VirtualLab) -> None:
+        while pressed and not cast("Any", lab.controller.box.values(["actual_TCP_pose"])[0])[2] < 0:  # noqa: ASYNC110
+            await asyncio.sleep(0.02)
+        if act:
+            asyncio.get_running_loop().call_later(pressed * 0.8, act, lab)
 
     async def main() -> Made:
-        async with virtual_lab(host=HOST, path=BUS) as lab:
-            if act:
-                asyncio.get_running_loop().call_later(after, act, lab)
+        async with virtual_lab(scene(surface), host=HOST, path=BUS) as lab:
+            acting = asyncio.create_task(do(lab))
             async with asyncio.timeout(120):
-                collected = await collect(plan, [("plane", PLACE)], rigging, name="quick", seed=1)
+                collected = await collect(plan, [Spot(surface, PLACE)], rigging, name="quick", seed=1)
+            acting.cancel()
+            lab.lab.advance(lab.lab.now())  # to see that the arm stands
             return Made(collected, lab.lab.truth(), out)
 
     return asyncio.run(main())
@@ -79,6 +137,16 @@ def test_all_strokes_are_made_and_recorded_whole(quick: Made) -> None:
     assert touch.valid.all()
     assert (np.rint(np.diff(motion.device_time) / 8e6) == 1).all()  # every package once
     assert not collected.runs[0].sources["touch"].gaps
+
+
+def test_how_the_arms_clock_stood_is_recorded(quick: Made) -> None:
+    clocks = concat(Clocks, list(quick.session.read(Clocks, EVERY)))
+    motion = concat(Motion, list(quick.session.read(Motion, EVERY)))
+    watch = WatchClock()
+    again = concat(Clocks, [watch.push(motion), watch.flush()])
+    assert len(clocks) == np.ptp(motion.device_time) // (5 * s) + 1
+    for name in ("time", "offset", "drift", "residual"):
+        np.testing.assert_array_equal(getattr(clocks, name), getattr(again, name))
 
 
 def test_labels_are_those_of_the_scenes_truth_within_one_sample(quick: Made) -> None:
@@ -119,15 +187,74 @@ def test_session_json_says_the_plan(quick: Made) -> None:
     assert "Lifted" in " ".join(quick.about["declaration"])
 
 
-def test_rotations_slip_too(tmp_path: Path) -> None:
-    done = made(
-        tmp_path / "data",
-        Plan(speeds=(), rotations=1, rounds=1, turn=0.4, rest=0.2, clearance=0.004, press=0.05),
-    )
-    assert (done.collected.strokes, done.collected.error) == (8, "")
-    labelled = concat(Labelled, list(done.session.read(Labelled, 0)))
-    assert (labelled.label == SLIP).sum() > 8 * 20
-    assert {each["motion"] for each in done.session.frame("episodes").to_dicts()} == {"hold", "rotation"}
+@pytest.fixture(scope="module")
+def turns(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Rotations, with a pause between."""
+
+    def pause(_: VirtualLab) -> None:
+        signal.raise_signal(signal.SIGUSR1)
+        asyncio.get_running_loop().call_later(1.5, signal.raise_signal, signal.SIGUSR1)
+
+    return made(tmp_path_factory.mktemp("turns") / "data", TURNS, pause)
+
+
+def test_rotations_slip_too(turns: Made) -> None:
+    assert (turns.collected.strokes, turns.collected.error) == (TURNS.strokes, "")
+    labelled = concat(Labelled, list(turns.session.read(Labelled, 0)))
+    assert (labelled.label == SLIP).sum() > TURNS.strokes * 20
+    assert {each["motion"] for each in turns.session.frame("episodes").to_dicts()} == {"hold", "rotation"}
+
+
+def test_sigusr1_pauses_and_goes_on(turns: Made) -> None:
+    assert (turns.collected.strokes, turns.collected.error) == (TURNS.strokes, "")
+    assert len(turns.session.frame("episodes")) - TURNS.strokes in (
+        1,
+        2,
+    )  # with the interrupted one, if there was one
+    assert turns.about["complete"]
+    motion = concat(Motion, list(turns.session.read(Motion, -1)))
+    standing = np.abs(motion.velocity).max(axis=1) < 1e-3  # (n,)
+    ends = np.flatnonzero(np.diff(np.r_[0, standing, 0].astype(np.int8)))  # where it begins and ends to stand
+    spans = np.diff(motion.time[np.minimum(ends, len(motion) - 1)])[::2]
+    assert (spans > 0.9 * s).sum() >= 2  # in the air at first, and paused
+
+
+@pytest.fixture(scope="module")
+def felt(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Strokes over a sphere, at a set force."""
+    return made(tmp_path_factory.mktemp("felt") / "data", FELT, surface="sphere")
+
+
+def test_with_a_force_every_stroke_finds_its_depth_and_keeps_it_over_a_sphere(felt: Made) -> None:
+    assert (felt.collected.strokes, felt.collected.error) == (FELT.strokes, "")
+    _, *strokes = felt.session.frame("episodes").to_dicts()
+    assert len(strokes) == FELT.strokes
+    for each in strokes:
+        inside = (felt.truth.time >= each["start"]) & (felt.truth.time < each["end"])
+        force = felt.truth.force[inside]
+        assert force[0] >= 0.95 * FORCE
+        assert force.min() > 0.75 * FORCE
+        assert force.max() < 1.5 * FORCE
+
+
+def test_over_a_sphere_strokes_keep_their_speed_along_the_arc(felt: Made) -> None:
+    motion = concat(Motion, list(felt.session.read(Motion, -1)))
+    _, *strokes = felt.session.frame("episodes").to_dicts()
+    for each in strokes:
+        inside = (motion.time >= each["start"]) & (motion.time < each["end"])
+        speed = np.linalg.norm(motion.velocity[inside, :3], axis=1)  # (n,)
+        assert speed.max() < 1.03 * 0.05
+        assert (speed > 0.97 * 0.05).sum() / 125 > 0.7 * FELT.time
+        low, high = (part(motion.pose[inside, 2]) for part in (np.min, np.max))
+        assert high - low > 5e-4  # down the sides: 0.8 mm at 10 mm beside its middle
+
+
+def test_session_json_says_how_it_was_pressed(quick: Made, felt: Made) -> None:
+    pressed = [made.about["sources"]["collection"] for made in (quick, felt)]
+    assert [(each["depth"], each["force"], each["radius"]) for each in pressed] == [
+        (QUICK.depth, None, None),
+        (None, FORCE, 0.06),
+    ]
 
 
 def interrupted(done: Made, why: str) -> None:
@@ -160,21 +287,15 @@ def test_ctrl_c_stops_the_arm_and_commits(tmp_path: Path) -> None:
     assert done.collected.interrupted
 
 
-def test_sigusr1_pauses_and_goes_on(tmp_path: Path) -> None:
-    def pause(_: VirtualLab) -> None:
-        signal.raise_signal(signal.SIGUSR1)
-        asyncio.get_running_loop().call_later(2.0, signal.raise_signal, signal.SIGUSR1)
-
-    done = made(tmp_path / "data", act=pause)
-    assert (done.collected.strokes, done.collected.error) == (8, "")
-    assert len(done.session.frame("episodes")) in (9, 10)  # with the interrupted one, if there was one
-    assert done.about["complete"]
+def test_pressed_too_deep_the_arm_is_stopped_and_what_there_is_committed(tmp_path: Path) -> None:
+    deep = replace(QUICK, depth=0.006, air=1.8)  # 6 N
+    interrupted(made(tmp_path / "data", deep, limit=3.0), "N, more than 3 N")
 
 
 def test_no_sensor_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flows.collection.collect.APPEAR", 1.0)
+    monkeypatch.setattr("flows.collection.collect.APPEAR", 0.5)
     with pytest.raises(EndpointError, match="fingertip 0 gives no reading"):
-        made(tmp_path / "data", act=lambda lab: lab.bus.unplug(), after=0.0)
+        made(tmp_path / "data", act=lambda lab: lab.bus.unplug(), pressed=False)
 
 
 def test_a_path_that_leaves_the_workspace_is_refused_before_anything_moves() -> None:

@@ -1,5 +1,6 @@
 import asyncio
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
@@ -9,8 +10,9 @@ import pytest
 from connectors.ur_state import State
 from flows.clock import LoopClock
 from flows.collection.driver import Driver
-from flows.collection.path import Extent, Pose, Slide
-from flows.collection.plan import Plan, Session, Surface
+from flows.collection.path import Extent, Place, Pose, Slide, Trace
+from flows.collection.plan import Plan, Session
+from flows.collection.surface import Surface
 from flows.testing import run_virtually
 from operators import EndpointError, s
 from operators.ports import Json
@@ -28,6 +30,8 @@ class TestArm:
     ways: list[Pose] = field(default_factory=list[Pose])
     stops: int = 0
     fault: str = ""
+    surface: float = 0.002  # m below where it is sought
+    tared: list[float] = field(default_factory=list[float])  # m, heights
 
     async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
         await self.wait(seconds)
@@ -41,6 +45,21 @@ class TestArm:
         self.state = State(slide.end(here), REST)
         self.ways.append(slide.end(here))
 
+    async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
+        await self.wait(seconds)
+        self.state = State((*places[-1], *self.state.pose[3:]), REST)
+        self.ways += [cast("Pose", (*place, *self.state.pose[3:])) for place in places]
+
+    async def tare(self, seconds: float) -> None:
+        await self.wait(seconds)
+        self.tared.append(self.state.pose[2])
+
+    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> None:
+        part = self.surface / math.hypot(*way)  # of the way, until it is felt
+        await self.wait(part * math.hypot(*way) / speed)
+        x, y, z, *turned = self.state.pose
+        self.state = State((x + part * way[0], y + part * way[1], z + part * way[2], *turned), REST)
+
     async def wait(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
         if self.fault:
@@ -50,8 +69,10 @@ class TestArm:
         self.stops += 1
 
 
-def session(strokes: int = 2, *, rotations: bool = False) -> Session:
-    plan = Plan(speeds=() if rotations else (0.1,), repeats=1, rotations=int(rotations), rounds=1)
+def session(strokes: int = 2, *, rotations: bool = False, force: float | None = None) -> Session:
+    plan = Plan(
+        speeds=() if rotations else (0.1,), repeats=1, rotations=int(rotations), rounds=1, force=force
+    )
     (whole,) = plan.sessions([Surface("sphere", PLACE)], seed=0)
     return replace(whole, strokes=whole.strokes[:strokes])
 
@@ -108,8 +129,9 @@ def test_each_contact_is_an_episode_as_datasets_have_them() -> None:
             "curvature": "sphere",
             "split": planned.split,
         }
-        seconds = 2 * 0.4 + 0.6 + 0.1 / 0.5
-        assert (episode["end"] - episode["start"]) / s == pytest.approx(seconds, abs=1e-6)
+        arc = 2 * 0.06 * math.asin(0.03 / 0.06)  # m, but for the chords
+        seconds = 2 * 0.4 + arc / 0.1 + 0.1 / 0.5
+        assert (episode["end"] - episode["start"]) / s == pytest.approx(seconds, abs=1e-3)
     assert all(a["end"] <= b["start"] for a, b in zip([air, *strokes], strokes, strict=False))
 
 
@@ -137,3 +159,18 @@ def test_an_arm_that_had_to_be_stopped_ends_the_session_and_its_episode() -> Non
     driven = drive(session(2), (3.5, ""), fault="emergency stop")
     assert driven.driver.strokes == 0
     assert driven.episodes[-1]["end"] <= driven.seconds * s + 1.5 * s
+
+
+def test_a_stroke_with_a_force_keeps_to_the_depth_at_which_it_was_felt() -> None:
+    planned = session(2, force=2.0)
+    driven = drive(planned)
+    assert driven.driver.strokes == 2
+    traces = [step for stroke in planned.strokes for step in stroke.contact if isinstance(step, Trace)]
+    ways = np.array([way[:3] for way in driven.arm.ways])  # (n, 3)
+    first = 3  # of the stroke's ways, after those to begin, over it and near it
+    for trace in traces:  # felt 2 of 5 mm down
+        gone = ways[first : first + len(trace.places)]
+        np.testing.assert_allclose(gone, np.add(trace.places, (0, 0, 0.003)), atol=1e-9)
+        first += len(trace.places) + 3  # up, over the next, near it
+    assert driven.arm.tared == pytest.approx([0.11] * 2)  # in the air
+    assert driven.arm.state.pose[2] == pytest.approx(0.11)

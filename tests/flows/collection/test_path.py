@@ -3,7 +3,21 @@ import math
 import numpy as np
 import pytest
 
-from flows.collection.path import Extent, Line, Pose, Slide, Wait, beside, heading, raised
+from flows.collection.path import (
+    Extent,
+    Line,
+    Pose,
+    Slide,
+    Step,
+    Tare,
+    Touchdown,
+    Trace,
+    Wait,
+    beside,
+    heading,
+    raised,
+    shifted,
+)
 from operators.rotation import onward
 
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
@@ -65,3 +79,35 @@ def test_the_fingertip_that_looks_down_sees_up_as_away_from_it() -> None:
 def test_what_is_in_the_air_is_not_raised() -> None:
     assert raised((0.4, 0.1, 0.25, math.pi, 0, 0), START, 0.01) == (0.4, 0.1, 0.25, math.pi, 0, 0)
     np.testing.assert_allclose(raised((0.5, 0.1, 0.19, math.pi, 0, 0), START, 0.01)[:3], (0.5, 0.1, 0.21))
+
+
+def test_a_trace_reaches_as_far_and_lasts_as_long_as_its_places_say() -> None:
+    places = ((0.4, 0.1, 0.25), (0.43, 0.14, 0.25), (0.43, 0.14, 0.2))
+    trace = Trace(places, 0.1, 0.5)
+    assert trace.end(START) == (*places[-1], *START[3:])
+    assert trace.seconds(START) == pytest.approx((0.05 + 0.05 + 0.05) / 0.1 + 0.2)
+    reach = Extent.of([trace], START)
+    assert (reach.low, reach.high) == ((0.4, 0.1, 0.2), (0.43, 0.14, 0.25))
+
+
+def test_a_touchdown_is_bounded_by_its_way() -> None:
+    down = Touchdown((0.0, 0.003, -0.004), 2.0, 0.002, 0.5)
+    reach = Extent.of([Tare(0.3), down], START)
+    assert reach.low == pytest.approx((0.4, 0.1, 0.196))
+    assert reach.seconds == pytest.approx(0.3 + 0.005 / 0.002 + 0.002 / 0.5)
+
+
+def test_what_a_touchdown_spared_of_its_way_is_told_along_it() -> None:
+    down = Touchdown((0.0, 0.003, -0.004), 2.0, 0.002, 0.5)
+    there = beside(down.end(START), (0.0002, 0.0, 0.0))  # it drifted aside
+    assert down.spared(START, there) == pytest.approx((0.0, 0.0, 0.0))
+    assert down.spared(START, START) == pytest.approx((0.0, -0.003, 0.004))
+
+
+def test_steps_that_lead_elsewhere_are_shifted_and_the_others_left() -> None:
+    slide = Slide((0.1, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0, 0.5)
+    steps: list[Step] = [Wait(0.3), Line(START, 0.1, 0.5), Trace((START[:3],), 0.1, 0.5), slide]
+    wait, line, trace, slid = shifted(steps, (0.1, 0.0, -0.2))
+    assert (wait, slid) == (steps[0], slide)
+    np.testing.assert_allclose(line.end(START), (0.5, 0.1, 0.0, math.pi, 0, 0), atol=1e-12)
+    np.testing.assert_allclose(trace.end(START), (0.5, 0.1, 0.0, math.pi, 0, 0), atol=1e-12)

@@ -1,13 +1,14 @@
 import math
 from collections import Counter
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 
-from flows.collection.path import Extent, Line, Pose, Slide, beside
-from flows.collection.plan import PLANS, Plan, Session, Surface, extent, named
+from flows.collection.path import Extent, Line, Pose, Slide, Tare, Touchdown, Trace, beside
+from flows.collection.plan import PLANS, Plan, Session, extent, named
+from flows.collection.surface import Surface
 from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
@@ -99,7 +100,16 @@ def test_the_tiny_plan_has_strokes_and_rotations() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"speeds": (0.3,)}, {"speeds": (0.0,)}, {"depth": -0.001}, {"clearance": 0.0}, {"rounds": -1}],
+    [
+        {"speeds": (0.3,)},
+        {"speeds": (0.0,)},
+        {"depth": -0.001},
+        {"clearance": 0.0},
+        {"rounds": -1},
+        {"force": 0.0},
+        {"deepest": 0.0},
+        {"near": 0.02},
+    ],
 )
 def test_a_plan_that_cannot_be_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
@@ -109,7 +119,48 @@ def test_a_plan_that_cannot_be_is_refused(change: dict[str, Any]) -> None:
 def test_what_there_is_not_is_named() -> None:
     with pytest.raises(ParameterError, match="paper, tiny"):
         named("grand")
-    with pytest.raises(ParameterError, match="cylinder_x"):
-        Surface(cast("Any", "cube"), PLACE)
     with pytest.raises(ParameterError, match="1 or more"):
         STROKES.sessions([], seed=0)
+
+
+def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
+    for stroke in STROKES.sessions([Surface("sphere", PLACE, 0.06)], seed=0)[0].strokes:
+        down = stroke.approach[-1].end(PLACE)
+        (trace,) = [step for step in stroke.contact if isinstance(step, Trace)]
+        centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.depth)
+        for place in (down[:3], *trace.places):
+            assert math.dist(place, centre) == pytest.approx(0.06)
+        assert trace.speed == 0.1
+        assert math.dist(down[:2], trace.places[-1][:2]) == pytest.approx(0.06)
+
+
+def test_through_the_air_the_arm_is_above_the_highest_point() -> None:
+    for stroke in STROKES.sessions([Surface("sphere", PLACE, 0.06)], seed=0)[0].strokes:
+        for step in (stroke.approach[0], *stroke.retreat):
+            assert step.end(PLACE)[2] == pytest.approx(0.11)
+
+
+def test_along_a_cylinder_strokes_are_straight() -> None:
+    strokes = STROKES.sessions([Surface("cylinder_x", PLACE)], seed=0)[0].strokes
+    straight = {
+        each.direction_deg for each in strokes if any(isinstance(step, Line) for step in each.contact)
+    }
+    assert straight == {0.0, 180.0}
+
+
+def test_with_a_force_a_stroke_weighs_the_air_and_then_seeks_it_from_just_above_the_surface() -> None:
+    plan = replace(STROKES, force=2.0, deepest=0.003)
+    for surface in (PLANE, Surface("sphere", PLACE)):
+        (session,) = plan.sessions([surface], seed=0)
+        assert (session.force, session.depth) == (2.0, None)
+        for stroke in session.strokes:
+            above, tare, near, down = stroke.approach
+            assert isinstance(tare, Tare)
+            assert isinstance(down, Touchdown)
+            assert down.force == 2.0
+            start = near.end(above.end(PLACE))
+            assert down.way == pytest.approx((0.0, 0.0, -plan.near - plan.deepest))
+            (slide,) = [step for step in stroke.contact if isinstance(step, Line | Trace)]
+            touching, end = down.end(start), slide.end(start)
+            assert touching[2] == pytest.approx(end[2])  # as deep at both ends
+        assert extent([session]).low[2] <= 0.1 - plan.deepest + 1e-12

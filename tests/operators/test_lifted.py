@@ -1,11 +1,9 @@
 import math
-import pickle
 
 import numpy as np
 import pytest
 
-from flows.collection.lifted import Lifted
-from operators import SLIP, STATIC, UNKNOWN, Labelled, ParameterError, concat
+from operators import SLIP, STATIC, UNKNOWN, Labelled, Lifted, ParameterError
 
 PLACE = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)  # looks down
 
@@ -38,16 +36,6 @@ def test_only_slip_in_the_air_becomes_unknown() -> None:
     assert given.label.tolist() == [SLIP, SLIP, SLIP, UNKNOWN, UNKNOWN, STATIC, SLIP]
     assert given.finger == 1
     np.testing.assert_array_equal(given.pose, labelled(HEIGHTS, LABELS).pose)
-
-
-def test_cutting_the_input_anywhere_changes_nothing() -> None:
-    batch = labelled(HEIGHTS, LABELS)
-    whole = Lifted(PLACE).push(batch)
-    for cut in range(len(batch) + 1):
-        lifted = Lifted(PLACE)
-        first = lifted.push(batch[:cut])
-        parts = [first, pickle.loads(pickle.dumps(lifted)).push(batch[cut:]), lifted.flush()]  # noqa: S301 - ours
-        assert concat(Labelled, parts).label.tolist() == whole.label.tolist()
 
 
 def test_a_surface_may_lie_any_way() -> None:

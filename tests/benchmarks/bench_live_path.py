@@ -1,0 +1,326 @@
+"""CPU of the whole live path: three fingertips at 100 Hz and an arm at 500 Hz, scored and recorded.
+
+Run by `make bench`. `TakkTile` reads an emulated bus through smbus2, `UrMotion` an emulated controller over
+loopback; `DeviceClock`, `Zero`, `Align`, `Label`, the trained `Score` and `Debounce` follow. What was
+received and the samples go to a `Dataset`, the events to a sink that keeps them. The controller has a process
+of its own. The bus cannot: its fingertips feel counts from a table, made before, and what the emulation costs
+is timed in a second run, at smbus2's calls into the operating system, and subtracted. The operators are timed
+there, too. The first seconds of a run do not count. CPU is that of the process, in % of one core.
+"""
+
+import argparse
+import asyncio
+import multiprocessing
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import defaultdict
+from collections.abc import AsyncIterator, Callable
+from contextlib import aclosing
+from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.synchronize import Event
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
+
+import numpy as np
+import smbus2.smbus2
+
+from connectors import Rig, TakkTile, UrMotion
+from connectors.rig.free_arm import FreeArm
+from connectors.rig.i2c_bus import I2cBus
+from connectors.rig.i2c_device import served
+from connectors.rig.ur_controller import E_SERIES, Ports, UrController
+from flows.clock import LoopClock
+from flows.graph import Flow
+from flows.live_runner import LiveRunner
+from operators import (
+    Align,
+    Clock,
+    Debounce,
+    DeviceClock,
+    Label,
+    Run,
+    Score,
+    Sink,
+    Slips,
+    Touch,
+    Zero,
+    concat,
+    ms,
+    s,
+)
+from operators.batch import Counts
+from storage import Dataset, load_debounce, load_detector
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+HOST = "127.0.0.6"
+BUS = "/dev/i2c-99"
+FINGERS = (0, 1, 2)
+WARM = 3.0  # s of a run that do not count: `Zero` learns its baseline
+BATCH = 500  # rows of a fingertip that the rig gives at once
+
+
+class Table:
+    """What the fingertips feel, made before; it begins again when it ends."""
+
+    def __init__(self, touch: dict[int, Touch], now: Callable[[], int]) -> None:
+        self._touch, self._began = touch, now()
+
+    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
+        """Counts of pressure and temperature at an instant (ns), (6,) each."""
+        touch = self._touch[finger]
+        row = max(0, time - self._began) // (10 * ms) % len(touch)
+        return touch.counts[row], touch.temperature[row]
+
+
+async def felt(seconds: float, seed: int) -> dict[int, Touch]:
+    """What the simulated rig's fingertips feel: presses and strokes."""
+    read, source = list[Touch](), Rig(seed=seed, pace=None, fingers=FINGERS).touch
+    async with aclosing(cast("Any", source.batches(LoopClock()))) as batches:
+        async for batch in batches:
+            read.append(batch)
+            if len(read) >= len(FINGERS) * (seconds * 100 / BATCH + 1):
+                break
+    return {finger: concat(Touch, [each for each in read if each.finger == finger]) for finger in FINGERS}
+
+
+class Noting(TakkTile):
+    """Writes down when each sample comes into the event loop."""
+
+    def __init__(self) -> None:
+        super().__init__(BUS, FINGERS)
+        self.arrivals = dict[tuple[int, int], int]()  # ns, by finger and stamp
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
+        """Hand on."""
+        async with aclosing(cast("Any", super().batches(clock))) as batches:
+            async for batch in batches:
+                self.arrivals[batch.finger, batch.time.item()] = clock.now()
+                yield batch
+
+
+class Told(Sink[Slips]):
+    """Writes down when each event comes."""
+
+    def __init__(self) -> None:
+        self.events = list[tuple[int, int, int]]()  # finger, stamp of the deciding sample, now; ns
+
+    @property
+    def place(self) -> str:
+        """Memory."""
+        return "told"
+
+    async def open(self, run: Run) -> None:
+        """Know the clock."""
+        self._clock = run.clock
+
+    async def write(self, batch: Slips) -> None:
+        """Write down."""
+        now = self._clock.now()
+        self.events += [(batch.finger, time, now) for time in batch.time.tolist()]
+
+
+class Spent:
+    """CPU time of what is called, by name; what reading the clock adds is taken out."""
+
+    def __init__(self) -> None:
+        self._total, self._calls = defaultdict[str, int](int), defaultdict[str, int](int)
+        nothing = self.timed("", lambda: None)
+        for _ in range(10_000):
+            nothing()
+        self._clock = self._total.pop("") / self._calls.pop("")  # ns a call
+
+    def timed(self, name: str, call: Callable[P, T]) -> Callable[P, T]:
+        """The same, timed; calls of one name may not overlap."""
+
+        def timing(*args: P.args, **kwargs: P.kwargs) -> T:
+            began = time.thread_time_ns()
+            try:
+                return call(*args, **kwargs)
+            finally:
+                self._total[name] += time.thread_time_ns() - began
+                self._calls[name] += 1
+
+        return timing
+
+    def seconds(self) -> dict[str, float]:
+        """So far, s by name."""
+        return {name: (total - self._calls[name] * self._clock) / s for name, total in self._total.items()}
+
+
+class Used(NamedTuple):
+    """What the process had used at an instant, s."""
+
+    wall: float
+    process: float
+    threads: dict[str, float]  # those that are alive, CPU by name
+    parts: dict[str, float]  # CPU by name
+
+    @classmethod
+    def now(cls, spent: Spent) -> "Used":
+        """At present."""
+        threads = {
+            each.name: time.clock_gettime(time.pthread_getcpuclockid(each.ident))
+            for each in threading.enumerate()
+            if each.ident is not None
+        }
+        return cls(time.monotonic(), time.process_time(), threads, spent.seconds())
+
+
+class Seen(NamedTuple):
+    """What came of a run."""
+
+    process: float  # CPU, of one core
+    loop: float
+    scanning: float
+    parts: dict[str, float]
+    rows: dict[str, int]  # in, by source and sink
+    lost: dict[str, int]
+    late: int  # scans
+    delays: list[tuple[float, float]]  # ms, of each event: since its sample arrived, and was converted
+
+
+def serve(seed: int, port: Connection, over: Event) -> None:
+    """Be the controller."""
+
+    async def main() -> None:
+        arm = FreeArm(np.random.default_rng(seed).normal(size=6))
+        async with UrController(arm, host=HOST, ports=Ports(0, 0, 0), version=E_SERIES) as controller:
+            port.send(controller.ports.rtde)
+            while not over.is_set():  # noqa: ASYNC110 - set by another process
+                await asyncio.sleep(0.1)
+
+    asyncio.run(main())
+
+
+def declared(touch: TakkTile, motion: UrMotion, told: Told, out: str) -> Flow:
+    """The flow that is measured."""
+    flow, dataset = Flow("path"), Dataset(out)
+    pressed, moved = flow.source(touch, "touch"), flow.source(motion, "motion")
+    zeroed = pressed | Zero()
+    samples = zeroed & (moved | DeviceClock()) | Align(within=20 * ms) | Label(speed=0.003)
+    pressed.to(dataset)
+    moved.to(dataset)
+    samples.to(dataset)
+    (zeroed | Score(load_detector("tcn")) | (load_debounce("tcn") or Debounce())).to(told)
+    return flow
+
+
+async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
+    """One run; `apart`: what it is made of is timed."""
+    spent, touch, told = Spent(), Noting(), Told()
+    motion = UrMotion(HOST, 500.0, port=port)
+    bus = I2cBus(Table(await felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS})
+    with tempfile.TemporaryDirectory() as out, served(bus, BUS):
+        runner = LiveRunner(declared(touch, motion, told, out), "path")
+        if apart:
+            names = smbus2.smbus2.__dict__
+            names["ioctl"] = spent.timed("bus", names["ioctl"])
+            for stage in runner.plan._stages:  # pyright: ignore[reportPrivateUsage]
+                if stage.operator is not None:
+                    name = type(stage.operator).__name__
+                    vars(stage.operator)["push"] = spent.timed(name, cast("Any", stage.operator).push)
+        running = asyncio.create_task(runner.execute())
+        await asyncio.sleep(WARM)
+        first = Used.now(spent)
+        await asyncio.sleep(seconds)
+        last = Used.now(spent)
+        runner.stop()
+        result = await running
+    wall = last.wall - first.wall
+    parts = {name: (value - first.parts[name]) / wall for name, value in last.parts.items()}
+    used = {name: (last.threads[name] - first.threads[name]) / wall for name in first.threads}
+    scans, dataset = cast("dict[str, int]", touch.describe()["scans"]), result.sinks["dataset"]
+    return Seen(
+        (last.process - first.process) / wall,
+        used["MainThread"],
+        used[f"takktile {BUS}"],
+        parts,
+        {name: each.rows for name, each in result.sources.items()} | {"dataset": dataset.rows},
+        {
+            "touch": len(FINGERS) * (scans["missed"] + scans["silent"]),
+            "motion": cast("int", motion.describe()["missed"]),
+            "dataset": dataset.dropped,
+        },
+        scans["late"],
+        [
+            ((now - touch.arrivals[finger, stamp]) / ms, (now - stamp) / ms)
+            for finger, stamp, now in told.events
+        ],
+    )
+
+
+def measure(port: int, seconds: float, seed: int, result: Connection, *, apart: bool) -> None:
+    """One run, for a process of its own."""
+    result.send(asyncio.run(run(port, seconds, seed, apart=apart)))
+
+
+def report(whole: Seen, apart: Seen) -> str:
+    """The tables."""
+    bus = apart.parts.pop("bus")
+    others = whole.process - whole.loop - whole.scanning
+    lines = [
+        f"{'CPU, % of one core':40}",
+        f"{'whole process':40}{whole.process:8.1%}",
+        f"{'the emulated bus in it':40}{bus:8.1%}",
+        f"{'without it':40}{whole.process - bus:8.1%}",
+        f"{'  scanning: smbus2, TakkTile':40}{whole.scanning - bus:8.1%}",
+        f"{'  writing':40}{others:8.1%}",
+        f"{'  event loop':40}{whole.loop:8.1%}",
+        *(f"{'    ' + name:40}{value:8.1%}" for name, value in apart.parts.items()),
+        f"{'    the rest: RTDE, queues, recording':40}{whole.loop - sum(apart.parts.values()):8.1%}",
+        f"{'rows':20}{'in':>10}{'lost':>10}",
+        *(f"{name:20}{whole.rows[name]:10}{lost:10}" for name, lost in whole.lost.items()),
+        f"{whole.late} scans began more than 1 ms late",
+        f"{'ms to the event':20}{'events':>10}{'p50':>10}{'p99':>10}",
+    ]
+    for column, name in enumerate(("from the arrival", "from the touch")):
+        delays = [each[column] for each in whole.delays]
+        p50, p99 = np.percentile(delays, (50, 99)) if delays else (np.nan, np.nan)
+        lines.append(f"{name:20}{len(delays):10}{p50:10.2f}{p99:10.2f}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=20.0, help="that each of the two runs is measured")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    commit = subprocess.run(
+        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    )
+    print(f"seed {options.seed}, {options.seconds:.0f} s, commit {commit.stdout.strip()}")
+    machine = platform.processor() or platform.machine()
+    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"load {os.getloadavg()[0]:.1f} at the beginning")
+    context = multiprocessing.get_context("spawn")
+    over, seen = context.Event(), list[Seen]()
+    taken, given = context.Pipe(duplex=False)
+    controller = context.Process(target=serve, args=(options.seed, given, over))
+    controller.start()
+    try:
+        port = taken.recv()
+        for apart in (False, True):
+            work = partial(measure, port, options.seconds, options.seed, given, apart=apart)
+            process = context.Process(target=work)
+            process.start()
+            while not taken.poll(1):
+                if not process.is_alive():
+                    sys.exit("the run failed")
+            seen.append(taken.recv())
+            process.join()
+    finally:
+        over.set()
+        controller.join()
+    print(report(*seen))
+
+
+if __name__ == "__main__":
+    main()
