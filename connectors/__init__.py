@@ -1,6 +1,7 @@
 """Connectors carry batches between flows and the world; what they import heavily is imported on first use."""
 
 from connectors.console import Console
+from connectors.consumer import Consumer
 from connectors.csv_trace import CsvTrace
 from connectors.events import Event
 from connectors.gripper import Gripper
@@ -13,6 +14,7 @@ from connectors.ur_motion import UrMotion
 
 __all__ = [
     "Console",
+    "Consumer",
     "CsvTrace",
     "Event",
     "Gripper",

@@ -2,6 +2,7 @@
 
 import os
 import re
+import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from operators.errors import InputError, ParameterError
 USER = "SLIPFLOW_MQTT_USER"
 PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
 PASSWORD_FILE = "SLIPFLOW_MQTT_PASSWORD_FILE"  # noqa: S105 - the variable's name
+CA = "SLIPFLOW_MQTT_CA"
 _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _URL = re.compile(r"(mqtts?)://(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+))(?::([0-9]{1,5}))?")
 
@@ -19,8 +21,8 @@ class Broker:
     """Address of an MQTT broker.
 
     User and password come from the environment variables SLIPFLOW_MQTT_USER and SLIPFLOW_MQTT_PASSWORD, or
-    the file that SLIPFLOW_MQTT_PASSWORD_FILE names. ``mqtts`` trusts the system's certificate authorities,
-    or the file that SSL_CERT_FILE names.
+    the file that SLIPFLOW_MQTT_PASSWORD_FILE names. ``mqtts`` trusts the system's certificate authorities (or
+    those in the file that SSL_CERT_FILE names), or only those in the file that SLIPFLOW_MQTT_CA names.
     """
 
     scheme: str  # mqtt or mqtts (TLS)
@@ -64,3 +66,15 @@ class Broker:
             except (OSError, UnicodeError) as error:
                 raise InputError(path, f"cannot read the password ({PASSWORD_FILE}): {error}") from None
         return os.environ.get(USER), password
+
+    def tls(self) -> ssl.SSLContext:
+        """Whom to trust.
+
+        Raises:
+            InputError: if the file of authorities cannot be read.
+        """
+        path = os.environ.get(CA) or None
+        try:
+            return ssl.create_default_context(cafile=path)
+        except OSError as error:  # ssl.SSLError too
+            raise InputError(str(path), f"cannot read the authorities ({CA}): {error}") from None

@@ -4,22 +4,18 @@ Pure: nothing here reads a clock or talks to anybody. Source: https://github.com
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from math import isfinite
-from typing import NoReturn, TypeVar
 from urllib.parse import quote, unquote
 
 import numpy as np
 
+from connectors.fields import INT64, Fields
 from operators.batch import BAROMETERS, EVERY, Faults
-from operators.errors import InputError, ParameterError
+from operators.errors import ParameterError
 from operators.health import FaultKind
 from operators.ports import Json
-
-T = TypeVar("T")
-
-_INT64 = 2**63 - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +44,8 @@ class Event:
     site: str
     rig: str
     finger: str
-    epoch: str  # the run that raised it
-    seq: int  # counts from 1 in each epoch; a gap is an event that was lost
+    epoch: str  # the outbox that numbered it
+    seq: int  # counts from 1 in each epoch, over all runs; a gap is an event that is yet to come, or lost
     onset: bool = field(kw_only=True)  # False: the end of a slip
     time: int = field(kw_only=True)  # ns since 1970-01-01 UTC, the sample that decided
     probability: float | None = field(kw_only=True)  # of slip, 0..1; None: not known
@@ -59,6 +55,7 @@ class Event:
     model: str = field(default="unknown", kw_only=True)  # identifier of the detector
     sha256: str | None = field(default=None, kw_only=True)  # of the detector's weights; None: not known
     degraded: tuple[Fault, ...] = field(default=(), kw_only=True)
+    session: str | None = field(default=None, kw_only=True)  # the run that raised it; None: not known
 
     @property
     def state(self) -> str:
@@ -93,6 +90,7 @@ class Event:
                     "model": {"id": self.model, "sha256": self.sha256},
                     "quality": "degraded" if self.degraded else "good",
                     "degraded": [asdict(fault) for fault in self.degraded],
+                    "session": self.session,
                 },
             }
         )
@@ -102,13 +100,17 @@ class Event:
         """Read what `encode` writes; fields that it does not know are ignored.
 
         Raises:
-            InputError: naming `where`, and the field that is missing or wrong.
+            InputError: naming `where`, and the field that is missing or wrong; or if it is over 64 KiB.
         """
-        try:
-            document: Json = json.loads(payload, parse_constant=_refuse)
-        except (ValueError, RecursionError) as error:
-            raise InputError(where, f"is not JSON: {error}") from None
-        event = _Fields({"": document}, where).object("")
+        return cls.read(Fields.parse(payload, where))
+
+    @classmethod
+    def read(cls, event: Fields) -> "Event":
+        """Read a document that is JSON already.
+
+        Raises:
+            InputError: naming the field that is missing or wrong.
+        """
         data = event.object("data")
         model = data.object("model")
         degraded = [
@@ -118,7 +120,7 @@ class Event:
         epoch, seq, state = data.text("epoch"), data.whole("seq"), data.text("state")
         if state not in ("onset", "end"):
             data.fail("state", "'onset' or 'end'")
-        site, rig, finger = event.source()
+        site, rig, finger = _source(event)
         data.expect("finger", finger)
         event.expect("specversion", "1.0")
         event.expect("type", f"slip.{state}.v1")
@@ -130,7 +132,7 @@ class Event:
             epoch,
             seq,
             onset=state == "onset",
-            time=data.whole("sample_time_ns", -_INT64),
+            time=data.whole("sample_time_ns", -INT64),
             probability=data.maybe(data.share, "p"),
             latency=data.number("latency_ms"),
             threshold=data.maybe(data.share, "threshold"),
@@ -138,72 +140,8 @@ class Event:
             model=model.text("id"),
             sha256=model.maybe(model.text, "sha256"),
             degraded=tuple(degraded),
+            session=data.optional(data.text, "session"),
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _Fields:
-    """A JSON object whose fields are read by name and type."""
-
-    values: Mapping[str, Json]
-    where: str  # the message that it belongs to
-    path: str = ""  # to it, in that message
-
-    def fail(self, name: str, must_be: str) -> NoReturn:
-        found = f"is {self.values[name]!r:.60}" if name in self.values else "is missing"
-        raise InputError(self.where, f"{self.path}{name} {found}, must be {must_be}".lstrip())
-
-    def expect(self, name: str, value: str) -> None:
-        if self.values.get(name) != value:
-            self.fail(name, repr(value))
-
-    def text(self, name: str) -> str:
-        value = self.values.get(name)
-        if not isinstance(value, str) or not value.isprintable():
-            self.fail(name, "printable text")
-        return value
-
-    def number(self, name: str) -> float:
-        value = self.values.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _INT64:
-            self.fail(name, "a number")
-        return float(value)
-
-    def share(self, name: str) -> float:
-        value = self.number(name)
-        if not 0 <= value <= 1:
-            self.fail(name, "from 0 to 1")
-        return value
-
-    def whole(self, name: str, least: int = 1, greatest: int = _INT64) -> int:
-        value = self.values.get(name)
-        if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= greatest:
-            self.fail(name, f"a whole number from {least} to {greatest}")
-        return value
-
-    def source(self) -> tuple[str, str, str]:
-        parts = [unquote(part) for part in self.text("source").split("/")]
-        if parts[0] or not all(parts[1:]) or len(parts) != len(("", "site", "rig", "finger")):
-            self.fail("source", "'/<site>/<rig>/<finger>'")
-        if not "".join(parts).isprintable():
-            self.fail("source", "printable text")
-        return parts[1], parts[2], parts[3]
-
-    def maybe(self, read: Callable[[str], T], name: str) -> T | None:
-        return None if self.values.get(name, 0) is None else read(name)
-
-    def object(self, name: str) -> "_Fields":
-        value = self.values.get(name)
-        if not isinstance(value, dict):
-            self.fail(name, "an object")
-        return _Fields(value, self.where, f"{self.path}{name}.".lstrip("."))
-
-    def objects(self, name: str) -> list["_Fields"]:
-        value = self.values.get(name)
-        if not isinstance(value, list):
-            self.fail(name, "a list")
-        items = {f"{name}[{i}]": each for i, each in enumerate(value)}
-        return [_Fields(items, self.where, self.path).object(item) for item in items]
 
 
 def encode(document: Json) -> bytes:
@@ -255,6 +193,15 @@ def topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -> st
     return f"slip/v1/{site}/{rig}"
 
 
+def _source(event: Fields) -> tuple[str, str, str]:
+    parts = [unquote(part) for part in event.text("source").split("/")]
+    if parts[0] or not all(parts[1:]) or len(parts) != len(("", "site", "rig", "finger")):
+        event.fail("source", "'/<site>/<rig>/<finger>'")
+    if not "".join(parts).isprintable():
+        event.fail("source", "printable text")
+    return parts[1], parts[2], parts[3]
+
+
 def _finite(value: Json) -> Json:
     if isinstance(value, float):
         return value if isfinite(value) else None
@@ -263,7 +210,3 @@ def _finite(value: Json) -> Json:
     if isinstance(value, list):
         return [_finite(each) for each in value]
     return value
-
-
-def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number of JSON")

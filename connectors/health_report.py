@@ -1,7 +1,12 @@
 """How a run is doing, as it is reported while it lasts."""
 
+from dataclasses import asdict
+from typing import Final
+
 from operators.batch import Clocks, ms, s
 from operators.ports import Json, Run
+
+_STEPS: Final = 10  # of the host's clock, the newest, that a report tells of
 
 
 class HealthReports:
@@ -31,7 +36,7 @@ class HealthReports:
             }
         self._time, self._rows = now, {name: source.rows for name, source in run.sources.items()}
         return {
-            "epoch": run.session,
+            "session": run.session,
             "time_ns": now,
             "sources": sources,
             "sinks": {
@@ -44,6 +49,7 @@ class HealthReports:
                 }
                 for name, sink in run.sinks.items()
             },
+            "clock_steps": [asdict(step) for step in run.clock_steps[-_STEPS:]],
         }
 
 

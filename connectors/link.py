@@ -5,7 +5,7 @@ import logging
 import re
 import socket
 import ssl
-from collections.abc import AsyncGenerator, Awaitable
+from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from typing import TypeVar
 
@@ -14,11 +14,14 @@ from aiomqtt.exceptions import MqttConnectError
 from aiomqtt.types import PahoSocket
 from paho.mqtt.client import Client as Paho
 from paho.mqtt.client import DisconnectFlags
+from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
+from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from connectors.broker import PASSWORD, USER, Broker
+from connectors.message import Message
 from operators.errors import EndpointError
 
 T = TypeVar("T")
@@ -27,6 +30,7 @@ TIMEOUT = 3.0  # s, for each answer of the broker
 KEEPALIVE = 5  # s
 WILL_DELAY = 2  # s; a connection that is back by then was never away
 SESSION_EXPIRY = 10  # s; the broker sends the will no later than this
+PACKET = 128 * 1024  # bytes; the broker delivers no larger one
 INCOMING = 1000  # messages that may wait to be read; then the oldest are dropped
 
 _paho_log = logging.getLogger("slipflow.paho")  # it repeats what our errors say
@@ -37,6 +41,7 @@ class Newest(asyncio.Queue[aiomqtt.Message]):
     """A queue that drops its oldest message when it is full, and counts."""
 
     dropped = 0
+    on_news: Callable[[], object] = staticmethod(lambda: None)  # called when there is a message
 
     def put_nowait(self, item: aiomqtt.Message) -> None:
         """Add a message."""
@@ -44,6 +49,7 @@ class Newest(asyncio.Queue[aiomqtt.Message]):
             self.get_nowait()
             self.dropped += 1
         super().put_nowait(item)
+        self.on_news()
 
 
 class Link(aiomqtt.Client):
@@ -54,9 +60,14 @@ class Link(aiomqtt.Client):
     """
 
     def __init__(self, broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> None:
-        """Get ready to connect as `identifier`, by which the broker knows us again when we are back."""
+        """Get ready to connect as `identifier`, by which the broker knows us again when we are back.
+
+        Raises:
+            InputError: if the file with the password or the trusted authorities cannot be read.
+        """
         session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         session.SessionExpiryInterval = SESSION_EXPIRY
+        session.MaximumPacketSize = PACKET
         delay = Properties(PacketTypes.WILLMESSAGE)  # type: ignore[no-untyped-call]
         delay.WillDelayInterval = WILL_DELAY
         user, password = broker.login()
@@ -70,7 +81,7 @@ class Link(aiomqtt.Client):
             will=aiomqtt.Will(*will, qos=1, retain=True, properties=delay) if will else None,
             clean_start=False,  # a clean start would set off the will of the connection before
             properties=session,
-            tls_context=_tls() if broker.scheme == "mqtts" else None,
+            tls_context=_tls(broker) if broker.scheme == "mqtts" else None,
             timeout=TIMEOUT,
             keepalive=KEEPALIVE,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
@@ -80,7 +91,11 @@ class Link(aiomqtt.Client):
         )
         self._client.connect_timeout = TIMEOUT
         self._place = str(broker)
-        self._answers: list[ReasonCode] = []  # to the newest publish
+        self._answers: dict[int, asyncio.Future[ReasonCode]] = {}  # to what was published, by number
+        self._deadline = 0.0  # of the loop's clock, for connecting
+        self._stirred = asyncio.Event()  # a message came, or the connection was lost
+        if isinstance(self._queue, Newest):
+            self._queue.on_news = self._stirred.set
 
     @property
     def alive(self) -> bool:
@@ -98,6 +113,7 @@ class Link(aiomqtt.Client):
         Raises:
             EndpointError: if the broker is unreachable, silent or refuses us.
         """
+        self._deadline = asyncio.get_running_loop().time() + TIMEOUT
         entering = asyncio.ensure_future(self.__aenter__())
         try:
             await asyncio.shield(entering)
@@ -110,51 +126,73 @@ class Link(aiomqtt.Client):
             self.drop()
             hint = f"; check {USER} and {PASSWORD}" if isinstance(error, MqttConnectError) else ""
             raise EndpointError(self._place, f"cannot connect: {_reason(error)}{hint}") from None
+        self.on_lost(self._stirred.set)
+
+    def on_lost(self, call: Callable[[], object]) -> None:
+        """Have `call` called when the connection is lost."""
+        self._disconnected.add_done_callback(lambda _: call())
 
     async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
-        """Publish, one message at a time; with `qos` 1 the broker has it once this returns.
+        """Publish; with `qos` 1 the broker has it once this returns.
 
         Raises:
             EndpointError: if the connection is lost, or the broker refuses the message.
         """
-        self._answers.clear()
+        [refusal] = await self.send_all([Message(topic, payload, qos, retain)])
+        if refusal:
+            raise EndpointError(self._place, refusal)
+
+    async def send_all(self, messages: Sequence[Message]) -> list[str]:
+        """Publish messages in order, and wait for the answers only then.
+
+        Gives for each why the broker refuses it, empty where it does not.
+
+        Raises:
+            EndpointError: if the connection is lost; then nobody knows what the broker has.
+        """
+        answers = [self._publish(message) for message in messages]
         try:
-            await self.publish(topic, payload, qos, retain)
+            await self._wait_for(asyncio.gather(*answers), None)
         except aiomqtt.MqttError as error:
             self.drop()
             raise EndpointError(self._place, f"connection lost ({_reason(error)})") from None
-        if not self._answers:
-            self.drop()
-            raise EndpointError(self._place, f"connection lost ({_reason(self._disconnected.exception())})")
-        if self._answers[-1].is_failure:
-            raise EndpointError(self._place, f"refuses to publish {topic}: {self._answers[-1]}")
+        finally:
+            for answer in answers:
+                answer.cancel()
+        refused = zip(messages, (answer.result() for answer in answers), strict=True)
+        return [
+            f"refuses to publish {message.topic}: {code}" if code.is_failure else ""
+            for message, code in refused
+        ]
 
-    async def listen(self, topics: str) -> None:
-        """Subscribe to a topic filter, with QoS 1; see `incoming`.
+    async def listen(self, *topics: str) -> None:
+        """Subscribe to topic filters, with QoS 1; see `incoming`.
 
         Raises:
             EndpointError: if the connection is lost, or the broker refuses.
         """
         try:
-            answers = await self.subscribe(topics, qos=1)
+            answers = await self.subscribe([(topic, SubscribeOptions(qos=1)) for topic in topics])
         except aiomqtt.MqttError as error:
             raise EndpointError(self._place, f"connection lost ({_reason(error)})") from None
-        for answer in answers:
+        for topic, answer in zip(topics, answers, strict=True):
             if isinstance(answer, ReasonCode) and answer.is_failure:
-                raise EndpointError(self._place, f"refuses to subscribe to {topics}: {answer}")
+                raise EndpointError(self._place, f"refuses to subscribe to {topic}: {answer}")
 
-    async def incoming(self) -> AsyncGenerator[tuple[str, bytes]]:
-        """Topic and payload of each message that comes, to the last that came before the connection was lost.
+    async def receive(self) -> tuple[str, bytes]:
+        """Topic and payload of the next message; being cancelled loses none.
 
         Raises:
-            EndpointError: once the connection is lost.
+            EndpointError: once the connection is lost, and all that came before was given.
         """
-        while True:
-            try:
-                message = await anext(self.messages)
-            except aiomqtt.MqttError as error:
-                raise EndpointError(self._place, f"connection lost ({_reason(error.__cause__)})") from None
-            yield message.topic.value, message.payload
+        while self._queue.empty():
+            if not self.alive:
+                reason = _reason(self._disconnected.exception())
+                raise EndpointError(self._place, f"connection lost ({reason})")
+            self._stirred.clear()
+            await self._stirred.wait()
+        message = self._queue.get_nowait()
+        return message.topic.value, message.payload
 
     async def leave(self) -> None:
         """Say farewell and close: the broker forgets the will."""
@@ -171,16 +209,32 @@ class Link(aiomqtt.Client):
 
     async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - as the base has it
         try:
-            async with asyncio.timeout(self.timeout if timeout is None else timeout):
+            limit = self.timeout if timeout is None else timeout
+            if fut is self._connected:  # what connecting has left of it
+                limit = max(0.0, self._deadline - asyncio.get_running_loop().time())
+            async with asyncio.timeout(limit):
                 return await fut  # not asyncio.wait_for: before Python 3.12 that may lose a cancellation
         except TimeoutError:
             raise aiomqtt.MqttError("timed out") from None
 
+    def _publish(self, message: Message) -> "asyncio.Future[ReasonCode]":
+        answer = asyncio.get_running_loop().create_future()
+        info = self._client.publish(message.topic, message.payload, message.qos, message.retain)
+        if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or not self.alive:
+            answer.set_exception(aiomqtt.MqttCodeError(info.rc))
+        elif info.is_published():  # with QoS 0, handed to the system
+            answer.set_result(ReasonCode(PacketTypes.PUBACK))
+        else:
+            self._answers[info.mid] = answer
+        return answer
+
     def _on_publish(
         self, client: Paho, userdata: object, mid: int, reason_code: ReasonCode, properties: Properties
     ) -> None:
-        self._answers.append(reason_code)
         super()._on_publish(client, userdata, mid, reason_code, properties)
+        answer = self._answers.pop(mid, None)
+        if answer and not answer.done():
+            answer.set_result(reason_code)
 
     def _on_disconnect(
         self,
@@ -196,8 +250,10 @@ class Link(aiomqtt.Client):
         for future in (self._connected, self._disconnected):
             if future.done() and not future.cancelled():
                 future.exception()  # nobody may ever ask: asyncio need not complain
-        for confirmation in self._pending_publishes.values():
-            confirmation.set()  # no answer will come
+        for answer in self._answers.values():  # none will come
+            if not answer.done():
+                answer.set_exception(aiomqtt.MqttCodeError(reason_code))
+        self._answers.clear()
 
     def _on_socket_register_write(self, client: Paho, userdata: object, sock: PahoSocket) -> None:  # noqa: ARG002
         def register() -> None:
@@ -209,6 +265,7 @@ class Link(aiomqtt.Client):
 
 class _Socket(ssl.SSLSocket):
     def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - as the base has it
+        self.settimeout(TIMEOUT)
         try:
             super().do_handshake(block)
         except BaseException:
@@ -216,21 +273,20 @@ class _Socket(ssl.SSLSocket):
             raise
 
 
-def _tls() -> ssl.SSLContext:
-    context = ssl.create_default_context()
+def _tls(broker: Broker) -> ssl.SSLContext:
+    context = broker.tls()
     context.sslsocket_class = _Socket
     return context
 
 
 def _reason(error: BaseException | None) -> str:
     """What happened, in the broker's words, or the system's."""
-    if isinstance(error, aiomqtt.MqttCodeError) and isinstance(error.rc, ReasonCode):
-        return str(error.rc)
-    if error is None or str(error) == "Unspecified error":
+    text = str(error.rc if isinstance(error, aiomqtt.MqttCodeError) else error)
+    if error is None or text in ("Unspecified error", str(MQTTErrorCode.MQTT_ERR_NO_CONN)):
         return "closed unexpectedly"
-    if str(error) == "timed out":
+    if text == "timed out":
         return f"no answer within {TIMEOUT:g} s"
-    return re.sub(r"^\[Errno -?\d+\] ", "", str(error))
+    return re.sub(r"^\[Errno -?\d+\] ", "", text)
 
 
 async def connect(broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> Link:
@@ -238,6 +294,7 @@ async def connect(broker: Broker, identifier: str, will: tuple[str, bytes] | Non
 
     Raises:
         EndpointError: if the broker is unreachable, silent or refuses us.
+        InputError: if the file with the password or the trusted authorities cannot be read.
     """
     link = Link(broker, identifier, will)
     await link.connect()

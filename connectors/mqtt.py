@@ -3,17 +3,21 @@
 import asyncio
 import logging
 import re
-from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
+from pathlib import Path
 
 from connectors.broker import Broker
 from connectors.events import Event, Fault, encode, faults, finger_name, timestamp, topic
 from connectors.health_report import HealthReports, clock_report
-from connectors.publisher import Message, Publisher
-from operators.batch import SLIP, Batch, Clocks, Faults, Slips, ms
-from operators.errors import ParameterError, SlipflowError
+from connectors.message import Message
+from connectors.outbox import Outbox
+from connectors.outbox_file import Entry
+from connectors.outbox_place import default_path
+from connectors.sender import Sender
+from operators.batch import SLIP, Clocks, Faults, Slips, ms
+from operators.errors import ParameterError
 from operators.ports import Json, Run, Sink
 
 log = logging.getLogger("slipflow")
@@ -23,18 +27,23 @@ HEALTH_EVERY = 5.0  # s
 
 @dataclass(eq=False)
 class Mqtt(Sink[Slips | Faults | Clocks]):
-    """Publishes each slip event once it is decided, and keeps the state of every fingertip on the broker.
+    """Publishes each slip event once it is decided, losing none, and keeps the state of every fingertip.
+
+    An event is numbered and durable in the outbox, a file that outlives the run, before it is sent, and it is
+    sent until the broker has it: in a later run, if need be. Whoever missed it can ask for it, see
+    `connectors.consumer.Consumer`.
 
     Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all but the events retained:
 
     - ``<finger>/event``: one CloudEvent per onset and end, see `connectors.events.Event`
     - ``<finger>/state``: whether it slips
-    - ``head``: the number of the newest event
+    - ``head``: the number of the newest event, in the present epoch and in those ``before``
     - ``status``: online or offline, the latter as last will too
     - ``info``: what runs; ``health``: how it does
 
-    An event that is published again, because the broker's answer to the first was lost, has the same id.
-    Faults mark the events that come after them, and show in the health; so does how a device's clock stands.
+    An event that is published again has the same id. While the disk is full or fails, events are sent from
+    memory, in an epoch of their own, and written down when it works; killed meanwhile, they may be lost.
+    Faults mark the events that come after them, and show in the health; so do outbox and device clocks.
 
     Raises:
         ParameterError: on a value that cannot be used.
@@ -46,6 +55,9 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     model: Mapping[str, str] = field(default_factory=dict[str, str])  # id and sha256 of the detector
     threshold: float | None = None  # of the probability, for the events to tell
     consecutive: int | None = None  # samples that decide an onset, for the events to tell
+    outbox: str | Path | None = None  # None: a file per site and rig below $XDG_STATE_HOME/slipflow
+    keep: int = 100_000  # events, for those who missed them
+    keep_for: float = 7 * 86400  # s
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url)
@@ -59,6 +71,10 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             raise ParameterError("Mqtt", "threshold", self.threshold, "from 0 to 1")
         if self.consecutive is not None and self.consecutive < 1:
             raise ParameterError("Mqtt", "consecutive", self.consecutive, "at least 1")
+        if self.keep < 1:
+            raise ParameterError("Mqtt", "keep", self.keep, "at least 1")
+        if not self.keep_for > 0:
+            raise ParameterError("Mqtt", "keep_for", self.keep_for, "more than 0 s")
 
     @property
     def place(self) -> str:
@@ -66,65 +82,70 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         return f"{self._broker}/{self._topic}"
 
     async def open(self, run: Run) -> None:
-        """Connect, and say that we are online.
+        """Open the outbox, connect, and say that we are online.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses us.
+            EndpointError: if the broker is unreachable or refuses us, or another run uses the outbox.
+            InputError: if the outbox is no outbox, or a file with the password cannot be read.
         """
-        self._run, self._seq = run, 0
+        self._run = run
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # how a device's clock stood last
-        self._batch: Batch | None = None  # that is being written
-        self._left = deque[Message]()  # of it, to be published
+        self._told: dict[str, int] = {}  # ids of the events whose state was published last, by finger
+        path = default_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
+        self._outbox = Outbox(path, keep=self.keep, keep_for=self.keep_for)
+        await self._outbox.open()
         identifier = f"slipflow/{self.site}/{self.rig}"  # the same in each run: a new one disarms an old will
-        self._publisher = Publisher(self._broker, self._topic, identifier, self._status("offline", None))
+        self._sender = Sender(self._broker, self._topic, self._outbox, self._follow)
         online = self._status("online", run.clock.now())
         try:
-            await self._publisher.send(deque([online, self._info(), self._head(), self._report()]))
+            documents = online, self._info(), self._head(), self._report()
+            await self._sender.start(identifier, self._status("offline", None), *documents)
         except BaseException:
-            await self._publisher.close()
+            await self._outbox.close()
             raise
         self._reporting = asyncio.create_task(self._keep_reporting())
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
-        """Publish the events of a batch; called again with the same batch, go on where it failed.
+        """Put the events of a batch into the outbox, from which they are sent as soon as may be.
 
         Raises:
-            EndpointError: if the broker is lost or refuses.
+            EndpointError: if neither the disk nor memory takes them.
         """
         if isinstance(batch, Faults):
             known = self._faults.setdefault(finger_name(batch.finger), set())
             for _, fault, begins in faults(batch):
                 (known.add if begins else known.discard)(fault)
-            return
-        if isinstance(batch, Clocks):
+        elif isinstance(batch, Clocks):
             self._clock = clock_report(batch)
-            return
-        if batch is not self._batch:
-            self._batch, self._left = batch, deque(self._messages(batch))
-        await self._publisher.send(self._left)
+        else:
+            await self._outbox.append(list(self._events(batch)))
 
     async def close(self) -> None:
-        """Say that we are offline, and leave."""
+        """Send what still can be, say that we are offline, and leave; the rest waits for the next run."""
         self._reporting.cancel()
         await asyncio.wait([self._reporting])
-        await self._publisher.close(self._status("offline", self._run.clock.now()))
+        await self._sender.close(self._status("offline", self._run.clock.now()))
+        if self._outbox.waiting:
+            text = "%s: %d events wait in %s for the next run"
+            log.warning(text, self._broker, self._outbox.waiting, self._outbox.path)
+        await self._outbox.close()
 
     def _degraded(self, finger: str) -> tuple[Fault, ...]:
         return tuple(sorted(self._faults.get(finger, ()), key=lambda fault: (fault.barometer, fault.kind)))
 
-    def _messages(self, batch: Slips) -> Iterator[Message]:
+    def _events(self, batch: Slips) -> Iterator[Event]:
+        """The events of a batch, whose epoch and number the outbox gives."""
         finger = finger_name(batch.finger)
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
-            self._seq += 1
-            event = Event(
+            yield Event(
                 self.site,
                 self.rig,
                 finger,
-                self._run.session,
-                self._seq,
+                "",
+                0,
                 onset=state == SLIP,
                 time=time,
                 probability=probability,
@@ -134,62 +155,64 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
                 model=self._model,
                 sha256=self._sha256,
                 degraded=self._degraded(finger),
+                session=self._run.session,
             )
-            yield Message(f"{finger}/event", event.encode(), retain=False)
-            yield _message(
-                f"{finger}/state",
-                {"slip": event.onset, "p": probability, "since": timestamp(time), "seq": event.seq},
-            )
-            yield self._head()
+
+    def _follow(self, sent: Iterable[Entry]) -> Iterator[Message]:
+        """What is to be retained once events were sent: the state of their fingertips, and the head."""
+        newest = {entry.finger: entry for entry in sent}
+        for finger, entry in newest.items():
+            if entry.id > self._told.get(finger, 0):  # it may have waited for long
+                self._told[finger] = entry.id
+                yield self._state(Event.decode(entry.payload))
+        yield self._head()
+
+    def _message(self, name: str, document: dict[str, Json]) -> Message:
+        return Message(f"{self._topic}/{name}", encode(document))
+
+    def _state(self, event: Event) -> Message:
+        state: dict[str, Json] = {"slip": event.onset, "p": event.probability}
+        since: dict[str, Json] = {"since": timestamp(event.time), "epoch": event.epoch, "seq": event.seq}
+        return self._message(f"{event.finger}/state", {**state, **since})
+
+    def _identity(self) -> dict[str, Json]:
+        return {"epoch": self._outbox.epoch, "session": self._run.session}
 
     def _status(self, state: str, since: int | None) -> Message:
-        return _message(
-            "status",
-            {
-                "state": state,
-                "epoch": self._run.session,
-                "version": version("slipflow"),
-                "since": None if since is None else timestamp(since),  # a will cannot know
-            },
-        )
+        document: dict[str, Json] = {
+            "version": version("slipflow"),
+            "since": None if since is None else timestamp(since),  # a will cannot know
+        }
+        return self._message("status", {"state": state, **self._identity(), **document})
 
     def _info(self) -> Message:
-        return _message(
-            "info",
-            {
-                "flow": self._run.flow,
-                "epoch": self._run.session,
-                "sources": {name: dict(description) for name, description in self._run.describe.items()},
-                "model": {"id": self._model, "sha256": self._sha256},
-                "threshold": self.threshold,
-                "consecutive": self.consecutive,
-                "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
-            },
-        )
+        document: dict[str, Json] = {
+            "flow": self._run.flow,
+            "sources": {name: dict(description) for name, description in self._run.describe.items()},
+            "model": {"id": self._model, "sha256": self._sha256},
+            "threshold": self.threshold,
+            "consecutive": self.consecutive,
+            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
+        }
+        return self._message("info", {**self._identity(), **document})
 
     def _head(self) -> Message:
-        return _message("head", {"epoch": self._run.session, "last_seq": self._seq})
+        *before, (epoch, last) = self._outbox.heads()
+        document: dict[str, Json] = {"epoch": epoch, "last_seq": last}
+        if before:
+            document["before"] = [{"epoch": epoch, "last_seq": last} for epoch, last in before]
+        return self._message("head", document)
 
     def _report(self) -> Message:
         degraded: dict[str, Json] = {
             finger: [asdict(fault) for fault in self._degraded(finger)] for finger in self._faults
         }
-        return _message("health", {**self._health.next(), "degraded": degraded, "clock": self._clock})
+        refused: list[Json] = [*self._sender.refused]
+        outbox: dict[str, Json] = {"error": self._outbox.error or None, "waiting": self._outbox.waiting}
+        report = {**self._identity(), **self._health.next(), "degraded": degraded, "clock": self._clock}
+        return self._message("health", {**report, "outbox": {**outbox, "refused": refused}})
 
     async def _keep_reporting(self) -> None:
-        """Publish the health for ever; it is this, too, that connects again while there is no event."""
-        failed = False
         while True:
             await asyncio.sleep(HEALTH_EVERY)
-            try:
-                await self._publisher.send(deque([self._report()]))
-            except SlipflowError as error:
-                if not failed:
-                    log.warning("%s, trying again", error)
-                failed = True
-            else:
-                failed = False
-
-
-def _message(topic: str, document: dict[str, Json]) -> Message:
-    return Message(topic, encode(document))
+            self._sender.retain(self._report())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows import detector_commands, rig_commands
+from flows import dataset_commands, detector_commands, exchange_commands, rig_commands
 from flows.options import AsJson, nanoseconds, progress_bar, told
 
 if TYPE_CHECKING:
@@ -221,10 +221,14 @@ for each in (
     detector_commands.chart,
     detector_commands.stress,
     detector_commands.onnx,
+    dataset_commands.verify,
+    dataset_commands.recover,
     rig_commands.collect,
     rig_commands.rig,
+    exchange_commands.export,
 ):
     app.command()(each)
+app.command("import")(exchange_commands.import_)
 
 
 @app.command()
@@ -233,15 +237,30 @@ def watch(
     *,
     site: Annotated[str, typer.Option(help="Only this site.")] = "+",
     rig: Annotated[str, typer.Option(help="Only this rig.")] = "+",
+    since: Annotated[
+        str, typer.Option(help="now: only what happens; start: first all that the rigs still keep.")
+    ] = "now",
+    remember: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Go on where the watch before with this file was stopped."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print each event as one JSON object.")] = False,
 ) -> None:
-    """Print slip events as a broker delivers them."""
-    from contextlib import aclosing, suppress
+    """Print slip events as a broker delivers them, each once, and ask the rigs for those that were missed.
 
-    from connectors.watch import watch as follow
+    Stops at Ctrl-C. What is lost for good is reported, never passed over in silence.
+    """
+    from contextlib import suppress
+
+    from connectors import Consumer
+
+    if since not in ("now", "start"):
+        raise typer.BadParameter("--since: now or start")
 
     async def show() -> None:
-        async with aclosing(follow(url, site, rig)) as events:
+        async with Consumer(
+            url, site, rig, remember=remember, since="start" if since == "start" else "now", report=told
+        ) as events:
             async for event in events:
                 typer.echo(event.encode() if as_json else _line(event))
 

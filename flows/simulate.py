@@ -12,13 +12,12 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import asdict, astuple, dataclass
 from functools import partial
 from multiprocessing import get_context, parent_process
 from operator import add
 from pathlib import Path
-from shutil import rmtree
 from threading import Thread
 from time import perf_counter
 from typing import Any, Final, TypeVar, cast
@@ -36,11 +35,12 @@ from flows.replay_runner import ReplayRunner
 from flows.trials import TURNS
 from operators import Label, Source
 from operators.batch import SLIP, STATIC, Batch, Labelled, Motion, Touch, concat, s
-from operators.errors import EndpointError, ParameterError, SlipflowError
+from operators.errors import ParameterError, SlipflowError
 from operators.ports import Description, Json, SomeBatch
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.layout import session_folder
+from storage.partial import partial_folder
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -205,40 +205,15 @@ def simulate(
         raise ParameterError("simulate", "jobs", jobs, "1 or above")
     tallies = {split: Tally() for split in SPLITS}
     with (
-        _whole(out.resolve()) as root,
+        partial_folder(out.resolve()) as root,
         closing(results(partial(_record, root, delay), planned, jobs)) as each,
     ):
+        describe_dataset(root)
         progress(0, len(planned))
         for done, (split, tally) in enumerate(each, 1):
             tallies[split] += tally
             progress(done, len(planned))
     return Collected(out, plan, seed, tallies, perf_counter() - began)
-
-
-@contextmanager
-def _whole(out: Path) -> Generator[Path]:
-    """A new dataset that gets its name when it is done, and goes when it fails."""
-    scratch = out.with_name(out.name + ".partial")
-    try:
-        if out.exists():
-            out.rmdir()
-    except OSError as error:
-        raise EndpointError(str(out), f"must be a new or empty folder: {error.strerror}") from error
-    try:
-        scratch.mkdir(parents=True)
-    except FileExistsError:
-        reason = "is being written, or what is left of a run that was killed; then remove it"
-        raise EndpointError(str(scratch), reason) from None
-    except OSError as error:
-        raise EndpointError(str(scratch), f"cannot be made: {error.strerror}") from error
-    try:
-        describe_dataset(scratch)
-        yield scratch
-        scratch.rename(out)
-    except OSError as error:
-        raise EndpointError(str(scratch), f"cannot be written: {error.strerror}") from error
-    finally:
-        rmtree(scratch, ignore_errors=True)  # renamed, it is not there
 
 
 def results(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Generator[R]:

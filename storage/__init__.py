@@ -2,6 +2,19 @@
 
 from storage.dataset import Dataset
 from storage.models import load_debounce, load_detector, load_weights, save_weights
+from storage.recovery import Recovery, recover
 from storage.session import Session
+from storage.verification import Verified, verify
 
-__all__ = ["Dataset", "Session", "load_debounce", "load_detector", "load_weights", "save_weights"]
+__all__ = [
+    "Dataset",
+    "Recovery",
+    "Session",
+    "Verified",
+    "load_debounce",
+    "load_detector",
+    "load_weights",
+    "recover",
+    "save_weights",
+    "verify",
+]

@@ -17,10 +17,13 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
 
     Every row that `write` took is committed, whole parts at a time, in the order of arrival; a reader sees
     only whole parts. A batch goes to the table of its type: Touch as received, or Zeroed (not both in one
-    session), to touch; Labelled to samples; Motion, Slips, Faults and Clocks to their own. A crash loses what
-    has gathered since the last commit, and the last three, which are one file each, written at the end.
+    session), to touch; Labelled to samples; Motion, Slips, Faults and Clocks to their own.
 
-    Disk work runs in a thread. After a failed write (a full disk, say) the same batch may be written again.
+    The rows of a live run go to a journal at once, and parts are committed behind its back: what is killed
+    loses at most the last 10 rows of a table, a power cut about a second; `storage.recover` puts the journal
+    into parts. Rows of a replay, which can be made again, have no journal: a kill loses what had gathered.
+
+    Disk work runs in threads. After a failed write (a full disk, say) the same batch may be written again.
 
     Args:
         path: The dataset's folder; made if absent.
@@ -33,7 +36,7 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
     """
 
     def __init__(
-        self, path: str | Path, *, part_span: int = 10 * s, part_rows: int = 100_000, host: str | None = None
+        self, path: str | Path, *, part_span: int = 60 * s, part_rows: int = 100_000, host: str | None = None
     ) -> None:
         for name, value in (("part_span", part_span), ("part_rows", part_rows)):
             if value < 1:
@@ -41,6 +44,7 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
         self._root = Path(path).resolve()
         self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None
+        self._committing: asyncio.Task[None] | None = None
 
     @property
     def place(self) -> str:
@@ -58,17 +62,18 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
         self._writer = await asyncio.to_thread(self._begin, run)
 
     async def write(self, batch: Touch | Motion | Labelled | Slips | Faults | Clocks) -> None:
-        """Take one batch.
+        """Take one batch; while the disk is slow, wait until all but 10 rows of its table are in the journal.
 
         Raises:
-            EndpointError: if what had gathered could not be committed; `batch` was not taken.
+            EndpointError: if what had gathered could not be written; `batch` was not taken.
             ParameterError: if no table takes it.
             BatchError: if it is broken.
         """
         assert self._writer, "open comes first"
-        if self._writer.full(batch):
-            await asyncio.to_thread(self._writer.commit)
-        self._writer.add(batch)
+        while self._writer.full(batch):
+            await self._commit(self._writer)
+        if not self._writer.add(batch):
+            await asyncio.to_thread(self._writer.append, batch)
 
     async def close(self) -> None:
         """Commit everything and declare the session ended: complete, if the run did not fail.
@@ -77,10 +82,31 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
             EndpointError: if that fails; it may be tried again.
         """
         if self._writer:
+            if self._committing and not self._committing.done():
+                await asyncio.wait([self._committing])
             await asyncio.to_thread(self._writer.close)
-            self._writer = None
+            self._writer = self._committing = None
+
+    async def _commit(self, writer: "SessionWriter") -> None:
+        """Commit what has gathered: behind our back where the journal has it, unless it failed before."""
+        if self._committing and not self._committing.done():
+            await asyncio.wait([self._committing])
+            return
+        awaited = writer.behind or not writer.journalled
+        writer.take()
+        self._committing = asyncio.create_task(asyncio.to_thread(writer.commit))
+        self._committing.add_done_callback(_heard)
+        if awaited:
+            await asyncio.wait([self._committing])
+            self._committing.result()
 
     def _begin(self, run: Run) -> "SessionWriter":
         from storage.writer import SessionWriter  # noqa: PLC0415 - pyarrow takes its time to import
 
         return SessionWriter(self._root, run, self._part_span, self._part_rows, self._host)
+
+
+def _heard(task: asyncio.Task[None]) -> None:
+    """A failure is not lost: `writer.behind` tells the next write of it, which tries again."""
+    if not task.cancelled():
+        task.exception()

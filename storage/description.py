@@ -1,6 +1,7 @@
 """What a dataset and a session say of themselves: dataset.json and session.json."""
 
 import platform
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -28,6 +29,17 @@ def describe_dataset(root: Path) -> None:
         _check_version(path, files.read_json(path))
     else:
         files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
+
+
+def read_dataset(root: Path) -> Description:
+    """What dataset.json says.
+
+    Raises:
+        InputError: if it cannot be read, or is of another version.
+    """
+    about = files.read_json(root / DATASET)
+    _check_version(root / DATASET, about)
+    return about
 
 
 def describe_session(
@@ -76,11 +88,37 @@ def describe_session(
                 name: {"rows": each.rows, "dropped": each.dropped, "failures": each.failures}
                 for name, each in run.sinks.items()
             },
+            "clock_steps": [asdict(step) for step in run.clock_steps],
         }
     try:
         files.put_json(folder / SESSION, about)
     except (TypeError, ValueError) as error:
         raise InputError("description of the sources", f"cannot be JSON: {error}") from error
+
+
+def describe_recovery(
+    folder: Path, about: Description, recovered: Mapping[str, Any], *, newest: int | None, zeroed: bool
+) -> None:
+    """Say in session.json what a recovery did.
+
+    Args:
+        folder: The session's.
+        about: What session.json says.
+        recovered: What was done.
+        newest: Of all its rows, ns: where a session ends that was not closed; None: it has no rows.
+        zeroed: Whether its touch was recorded zeroed.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    content: dict[str, Any] = dict(about)
+    content["complete"] = about.get("complete") is True and not recovered["lost"]
+    content["recovered"] = recovered
+    if "end_ns" not in about:
+        content |= {"error": "was not closed", "zeroed": zeroed}
+        if newest is not None:
+            content |= {"end": _rfc3339(newest), "end_ns": newest}
+    files.put_json(folder / SESSION, content)
 
 
 def read_session(folder: Path) -> Description:

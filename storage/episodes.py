@@ -28,6 +28,7 @@ _FIELDS: "list[pa.Field[Any]]" = [
     pa.field("split", pa.string()),
 ]
 SCHEMA: Final = pa.schema(_FIELDS)
+TIMES: Final = ("start", "end")  # columns
 
 
 @dataclass(frozen=True)

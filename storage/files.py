@@ -8,8 +8,12 @@ from pathlib import Path
 from typing import Any, Final, NoReturn, cast
 
 from operators.errors import InputError
+from storage import steps
 
 MiB: Final = 1 << 20  # bytes
+SCRATCH: Final = ".tmp"  # ends the name of a file that is not whole yet
+
+_KINDS: Final = {".parquet": "part", ".wal": "segment"}  # what a step is said to be about; else its name
 
 
 def put(path: Path, data: bytes) -> None:
@@ -18,18 +22,23 @@ def put(path: Path, data: bytes) -> None:
     Raises:
         OSError: the old file is still there, or the new one already is.
     """
-    scratch = path.with_name(path.name + ".tmp")
+    scratch, what = path.with_name(path.name + SCRATCH), _KINDS.get(path.suffix, path.stem.lower())
     try:
-        with scratch.open("wb") as file:
+        steps.reach(f"write {what}")
+        scratch.unlink(missing_ok=True)  # of one that was killed; or a link, which would be followed
+        with scratch.open("xb") as file:
             file.write(data)
             file.flush()
+            steps.reach(f"sync {what}")
             os.fsync(file.fileno())
+        steps.reach(f"rename {what}")
         scratch.replace(path)
     except OSError:
         with suppress(OSError):
             scratch.unlink(missing_ok=True)
         raise
-    _sync(path.parent)
+    steps.reach(f"settle {what}")
+    sync(path.parent)
 
 
 def put_json(path: Path, content: Mapping[str, Any]) -> None:
@@ -46,7 +55,7 @@ def make_folder(path: Path, *, new: bool = False) -> None:
     """
     path.mkdir(exist_ok=not new)
     try:
-        _sync(path.parent)
+        sync(path.parent)
     except OSError:
         if new:
             path.rmdir()
@@ -85,14 +94,14 @@ def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
     return cast("dict[str, Any]", content)
 
 
-def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no JSON number")
-
-
-def _sync(folder: Path) -> None:
-    """Make the names in a folder durable."""
-    number = os.open(folder, os.O_RDONLY)
+def sync(path: Path) -> None:
+    """Make a file's content, or the names in a folder, durable."""
+    number = os.open(path, os.O_RDONLY)
     try:
         os.fsync(number)
     finally:
         os.close(number)
+
+
+def _no_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is no JSON number")

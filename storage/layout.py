@@ -10,6 +10,9 @@
     sessions/<session>/slips.parquet                the events that were raised; faults.parquet alike
     sessions/<session>/clocks.parquet               how a device's clock stood to the host's
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
+    sessions/<session>/journal/000000.wal           rows that no file above has yet: while recording, or after
+                                                    the recorder was killed; see storage.frames
+    sessions/<session>/damaged/                     what a recovery could not read
 """
 
 import re
@@ -27,7 +30,10 @@ SESSIONS: Final = "sessions"
 SESSION: Final = "session.json"
 MANIFEST: Final = "MANIFEST.json"
 EPISODES: Final = "episodes.parquet"
+JOURNAL: Final = "journal"
+DAMAGED: Final = "damaged"
 
+_SEGMENT: Final = re.compile(r"[0-9]{6,12}\.wal")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 
@@ -95,6 +101,25 @@ def session_folder(root: Path, session: str) -> Path:
 def session_names(root: Path) -> list[str]:
     """The sessions of a dataset, sorted."""
     return sorted(path.parent.name for path in (root / SESSIONS).glob(f"*/{SESSION}"))
+
+
+def segments(folder: Path) -> dict[int, Path]:
+    """The segments of a session's journal by their numbers, in order; none where it has no journal.
+
+    Raises:
+        InputError: if one leads out of the session.
+    """
+    found = (path for path in (folder / JOURNAL).glob("*.wal") if _SEGMENT.fullmatch(path.name))
+    return dict(sorted((int(path.stem), inside(folder, path)) for path in found))
+
+
+def segment_file(number: int) -> str:
+    """The path of a segment within the session's folder.
+
+    >>> segment_file(7)
+    'journal/000007.wal'
+    """
+    return f"{JOURNAL}/{number:06d}.wal"
 
 
 def inside(folder: Path, path: Path) -> Path:

@@ -1,5 +1,6 @@
-"""The manifest of a session: its Parquet files with rows, time range and sha256."""
+"""The manifest of a session: its Parquet files with rows, time range and sha256, and a sha256 of all that."""
 
+import hashlib
 import json
 import re
 from collections.abc import Iterable
@@ -11,6 +12,8 @@ from typing import Any, Final, cast
 from operators.errors import InputError
 from storage import files
 from storage.layout import EPISODES, MANIFEST, TABLES
+
+VERSION: Final = 2  # 1 had no sha256 of its own
 
 _FILE: Final = re.compile(
     "|".join(rf"{t.name}/part-\d{{6,}}\.parquet" if t.parted else re.escape(t.file(0)) for t in TABLES)
@@ -44,7 +47,8 @@ def write_manifest(folder: Path, parts: Iterable[Part]) -> None:
         OSError: the old one is still there, or the new one already is.
     """
     lines = ",\n".join(part.line for part in parts)
-    files.put(folder / MANIFEST, f'{{"version": 1, "parts": [\n{lines}\n]}}\n'.encode())
+    text = f'{{"version": {VERSION}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
+    files.put(folder / MANIFEST, text.encode())
 
 
 def read_manifest(folder: Path) -> dict[str, Part]:
@@ -57,13 +61,22 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     if not path.exists():
         return {}
     content = files.read_json(path)
-    if content.get("version") != 1 or not isinstance(content.get("parts"), list):
-        raise InputError(str(path), 'must hold "version": 1 and a list "parts"')
+    version = content.get("version")
+    if version not in {1, VERSION} or not isinstance(content.get("parts"), list):
+        raise InputError(str(path), f'must hold "version": {VERSION}, or 1, and a list "parts"')
     parts = [_part(f"{path}, part {number}", each) for number, each in enumerate(content["parts"])]
     listed = {part.path: part for part in parts}
     if len(listed) < len(parts):
         raise InputError(str(path), "lists a part twice")
+    if version == VERSION and content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
+        raise InputError(
+            str(path), "is damaged: its sha256 is not that of the parts; slipflow recover mends it"
+        )
     return listed
+
+
+def _digest(lines: str) -> str:
+    return hashlib.sha256(lines.encode()).hexdigest()
 
 
 def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - whatever the file holds

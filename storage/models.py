@@ -1,5 +1,6 @@
 """Models on disk: named arrays with some text about them, never code."""
 
+import hashlib
 import json
 import zipfile
 from collections.abc import Mapping
@@ -17,6 +18,8 @@ from operators.errors import InputError, ParameterError
 from storage import files
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
+_DIGEST: Final = "slipflow.sha256"  # of all else that a .safetensors file says; itself knows no checksum
+_CHECK: Final = "check"  # of a card, which its own sha256 is
 _UNNAMED: Final = "paper_tcn"  # what weights are of that do not say so, as those in .npz
 LIMIT: Final = 256 * files.MiB  # of a file, and of what is packed in it
 
@@ -57,20 +60,39 @@ def save_weights(
     native = {
         name: np.asarray(array, array.dtype.newbyteorder("="), order="C") for name, array in weights.items()
     }
-    files.put(path, safetensors.save(native, dict(about or {})))
+    header, data = _split(safetensors.save(native))
+    header["__metadata__"] = dict(sorted((about or {}).items()))
+    header["__metadata__"] = {**header["__metadata__"], _DIGEST: _digest(header, data)}
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)  # the arrays are aligned
+    files.put(path, len(text).to_bytes(8, "little") + text + data)
+
+
+def save_card(path: Path, card: Mapping[str, Any]) -> None:
+    """Write a model's card, the .json beside it, so that damage to it shows.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
+    rest = {key: value for key, value in card.items() if key != _CHECK}
+    files.put_json(path.with_suffix(".json"), {**rest, _CHECK: _sha256(rest)})
 
 
 def load_detector(name: str | Path) -> Detector:
     """A detector by its name, such as tcn or psd, or the one whose weights are in a file.
 
     Raises:
-        InputError: if there is no such detector, or the file does not hold its weights.
+        InputError: if there is no such detector, the file does not hold its weights, or they are not those
+            that its card tells of.
     """
     if make := DETECTORS.get(str(name)):
         return make()
     path = shipped(str(name)) or Path(name)
     if path.suffix in _READERS:
         weights, about = load_weights(path)
+        told = load_card(path).get("sha256")
+        if told not in {None, hashlib.sha256(files.read(path, LIMIT)).hexdigest()}:
+            raise InputError(str(path), f"is damaged, or not the model of {path.with_suffix('.json').name}")
         kind = about.get("detector", _UNNAMED)
         if kind not in TRAINED:
             raise InputError(str(name), f"is of a detector {kind!r}; known are {', '.join(sorted(TRAINED))}")
@@ -94,8 +116,15 @@ def load_card(path: Path) -> dict[str, Any]:
     Raises:
         InputError: if it is damaged.
     """
-    card = path.with_suffix(".json")
-    return files.read_json(card) if card.exists() else {}
+    place = path.with_suffix(".json")
+    if not place.exists():
+        return {}
+    card = files.read_json(place)
+    check = card.pop(_CHECK, None)
+    if check not in {None, _sha256(card)}:
+        reason = f"is damaged; or was changed by hand: then remove its last entry, {_CHECK!r}"
+        raise InputError(str(place), reason)
+    return card
 
 
 def load_debounce(name: str | Path) -> Debounce | None:
@@ -116,9 +145,27 @@ def load_debounce(name: str | Path) -> Debounce | None:
 
 def _read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
     weights = safetensors.load(data)
+    header, arrays = _split(data)
+    about = header.get("__metadata__", {})
+    if (digest := about.pop(_DIGEST, None)) and digest != _digest(header, arrays):
+        raise ValueError("its sha256 is not the one that it names")
+    return weights, about
+
+
+def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """The header of a .safetensors file, and its arrays, end to end."""
     start = 8  # bytes, which hold the length of the header
-    header = json.loads(data[start : start + int.from_bytes(data[:start], "little")])
-    return weights, header.get("__metadata__", {})
+    end = start + int.from_bytes(data[:start], "little")
+    return json.loads(data[start:end]), data[end:]
+
+
+def _digest(header: Mapping[str, Any], arrays: bytes) -> str:
+    return _sha256({**header, "": hashlib.sha256(arrays).hexdigest()})
+
+
+def _sha256(content: Mapping[str, Any]) -> str:
+    """That of what a JSON object says, however it is laid out."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _read_npz(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

@@ -9,6 +9,8 @@ import pyarrow.parquet as pq
 
 from operators.errors import InputError
 from storage import files
+from storage.layout import inside
+from storage.manifest import Part
 
 
 def write_part(path: Path, table: pa.Table) -> str:
@@ -29,6 +31,37 @@ def write_part(path: Path, table: pa.Table) -> str:
     data = sink.getvalue().to_pybytes()
     files.put(path, data)
     return hashlib.sha256(data).hexdigest()
+
+
+def commit_part(folder: Path, path: str, table: pa.Table, times: tuple[str, str] = ("time", "time")) -> Part:
+    """Write a table as a file of the session in `folder`; give what the manifest is to say of it.
+
+    Args:
+        folder: The session's.
+        path: Within it.
+        table: The rows.
+        times: The columns whose least and greatest value are its time range.
+
+    Raises:
+        OSError: the file is not there, or is whole.
+        InputError: if a link leads out of the session.
+    """
+    return described(path, table, write_part(inside(folder, folder / path), table), times)
+
+
+def described(path: str, table: pa.Table, sha256: str, times: tuple[str, str] = ("time", "time")) -> Part:
+    """What the manifest says of a file that holds these rows."""
+    first, last = (table[name].to_numpy() for name in times)
+    return Part(path, len(table), int(first.min()), int(last.max()), sha256)
+
+
+def hash_part(path: Path) -> str:
+    """The sha256 of a file, hex.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    return hashlib.sha256(files.read(path)).hexdigest()
 
 
 def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:

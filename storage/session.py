@@ -1,16 +1,19 @@
 """A session as a recording to read."""
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, cast
 
 from operators.batch import Batch
-from operators.errors import InputError, ParameterError
+from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Description, SomeBatch
 from storage.description import read_session
 from storage.layout import (
     EPISODES,
+    JOURNAL,
     SESSION,
     SESSIONS,
     TABLE_OF,
@@ -20,11 +23,15 @@ from storage.layout import (
     session_folder,
     session_names,
 )
+from storage.lock import locked
 from storage.manifest import Part, read_manifest
+from storage.recovery import recover
 
 if TYPE_CHECKING:
     import polars as pl
     import pyarrow as pa
+
+log = logging.getLogger("slipflow")
 
 
 @dataclass(frozen=True)
@@ -43,12 +50,16 @@ class Session:
     def open(cls, path: str | Path) -> Self:
         """Open a session's folder, or a dataset's that holds one session.
 
+        One whose recorder was killed is put right first; see `storage.recover`.
+
         Raises:
             InputError: if there is none there or several, or what it says of itself is damaged.
         """
         folder = Path(path)
         if not (folder / SESSION).exists():
             folder = _only_session(folder)
+        if (folder / JOURNAL).exists():
+            _recover(folder)
         return cls(folder, read_session(folder), read_manifest(folder))
 
     @property
@@ -143,15 +154,39 @@ class Session:
 
     def _paths(self, table: Table) -> list[str]:
         """The files of a table, those that are missing included."""
+        listed = {path for path in self.listed if path.startswith((f"{table.name}/", f"{table.name}."))}
+        if (self.folder / JOURNAL).exists():  # what is not listed yet may come again, out of the journal
+            return sorted(listed, key=_numbered)
         there = {path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)}
-        listed = {path for path in self.listed if path.startswith(table.name)}
-        return [table.file(number) for number in range(len(there | listed))]
+        if self.listed:
+            return sorted(there | listed, key=_numbered)
+        return [table.file(number) for number in range(len(there))]
 
     def _rows(self, path: str, schema: "pa.Schema") -> "pa.Table":
         from storage.parts import read_part  # noqa: PLC0415 - it imports pyarrow
 
         part = self.listed.get(path)
         return read_part(inside(self.folder, self.folder / path), schema, part.sha256 if part else None)
+
+
+def _recover(folder: Path) -> None:
+    """Put right what can be; else what is committed can still be read."""
+    try:
+        recover(folder)
+    except EndpointError as error:
+        if not locked(folder):  # else it is being recorded
+            _warn(folder, str(error))
+
+
+def _numbered(path: str) -> tuple[int, str]:
+    """Sorts parts by their numbers, which may be of more digits."""
+    return len(path), path
+
+
+@cache
+def _warn(folder: Path, reason: str) -> None:
+    """Say it once."""
+    log.warning("%s: rows that only its journal has are not read: %s", folder, reason)
 
 
 def _only_session(dataset: Path) -> Path:

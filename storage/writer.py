@@ -1,23 +1,30 @@
 """A session while it is recorded: rows gather in memory and are committed as Parquet parts."""
 
-from collections.abc import Generator
+import os
+import weakref
+from collections import Counter
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import groupby
 from pathlib import Path
 from shutil import rmtree
 from threading import Lock
 
-import pyarrow as pa
-
-from operators.batch import EVERY, Batch, Zeroed
-from operators.errors import EndpointError, ParameterError
-from operators.ports import Run
+from operators.batch import EVERY, Batch, Zeroed, concat
+from operators.errors import EndpointError, InputError, ParameterError
+from operators.ports import Description, Run
+from storage import frames
 from storage.description import describe_dataset, describe_session
-from storage.episodes import Episodes
+from storage.episodes import TIMES, Episodes
 from storage.files import make_folder
+from storage.frames import Rows
+from storage.journal import Journal
 from storage.layout import EPISODES, SESSIONS, TABLE_OF, TABLES, TOUCH, Table, session_folder
+from storage.lock import lock
 from storage.manifest import Part, write_manifest
-from storage.parts import write_part
+from storage.parts import commit_part
 from storage.schema import to_arrow
 
 
@@ -26,7 +33,7 @@ class _Buffer:
     """The rows of one table that are not committed yet."""
 
     kind: type[Batch]  # of all batches of this session
-    parts: int = 0  # written before
+    start: int = 0  # number of its first row within the table
     batches: list[Batch] = field(default_factory=list[Batch])
     rows: int = 0
     first: int = 0  # ns, earliest event time
@@ -39,11 +46,22 @@ class _Buffer:
             return len(batch), first, last
         return self.rows + len(batch), min(self.first, first), max(self.last, last)
 
+    def merge(self) -> list[Rows]:
+        """Its rows in as few batches as there can be, of one fingertip each."""
+        runs = groupby(self.batches, key=lambda batch: batch.finger)
+        self.batches = [concat(self.kind, list(run)) for _, run in runs]
+        numbered, first = list[Rows](), self.start
+        for batch in self.batches:
+            numbered.append(Rows(first, batch))
+            first += len(batch)
+        return numbered
+
 
 class SessionWriter:
-    """One session being written. Apart from `full` and `add`, its methods wait for the disk.
+    """One session being written. Apart from `full`, `add` and `take`, its methods wait for the disk.
 
-    All tables are committed together, so that their parts cover the same time.
+    All tables are committed together, so that their parts cover the same time. A live run's rows are in a
+    journal until then, so that a crash does not cost them; a replay can be made again.
     """
 
     def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
@@ -60,8 +78,13 @@ class SessionWriter:
         self._episodes = Episodes.described(run.describe)
         self._committed = Episodes.described({}).table
         self._buffers: dict[str, _Buffer] = {}
+        self._taken: dict[str, _Buffer] | None = None  # what the commit that is due is about
+        self._rotated = self._behind = False  # of that commit: the journal has gone on; it failed
         self._parts: list[Part] = []
-        self._lock = Lock()  # a commit goes on in its thread when the task that awaited it is cancelled
+        self._numbers = Counter[str]()  # of parts, by table
+        self._gathering = Lock()  # guards the buffers; never held while the disk works
+        self._writing = Lock()  # a commit goes on in its thread when the task that awaited it is cancelled
+        self._journal: Journal | None = None
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder")
         with self._reporting():
@@ -73,13 +96,30 @@ class SessionWriter:
             except FileExistsError:
                 reason = f"has a session {run.session!r} already; give this one another name"
                 raise EndpointError(str(root), reason) from None
+            held = None
             try:
+                held = lock(self.folder)
                 describe_session(self.folder, run, host=host)
                 self._commit_episodes()
                 write_manifest(self.folder, self._parts)
+                if run.live:
+                    self._journal = Journal(self.folder, run.session, partial(_told, run.describe))
             except BaseException:
                 rmtree(self.folder, ignore_errors=True)
+                if held is not None:
+                    os.close(held)
                 raise
+        self._leave = weakref.finalize(self, _leave, self._journal, held)
+
+    @property
+    def journalled(self) -> bool:
+        """Whether what gathers survives a crash: a commit then need not be waited for."""
+        return self._journal is not None
+
+    @property
+    def behind(self) -> bool:
+        """Whether a commit has failed, which has to be made good before more is taken."""
+        return self._behind
 
     def full(self, batch: Batch) -> bool:
         """Whether to commit before `batch` is added.
@@ -98,44 +138,110 @@ class SessionWriter:
         if buffer and buffer.kind is not kind:
             reason = f"{buffer.kind.__name__}: a session keeps either raw or zeroed counts"
             raise ParameterError("Dataset", "batch", kind.__name__, reason)
-        if not len(batch.check()) or not table.parted or not buffer or not buffer.rows:
+        rows = len(batch.check())
+        if self._behind or (self._journal and self._journal.suspect):
+            return True
+        if not rows or not table.parted or not buffer or not buffer.rows:
             return False
         rows, first, last = buffer.plus(batch)
         return rows > self._part_rows or last - first >= self._part_span
 
-    def add(self, batch: Batch) -> None:
-        """Keep a batch, which `full` has seen, until the next commit."""
-        if len(batch):
-            with self._lock:
-                buffer = self._buffers.setdefault(TABLE_OF[type(batch)].name, _Buffer(type(batch)))
-                buffer.rows, buffer.first, buffer.last = buffer.plus(batch)
-                buffer.batches.append(batch)
+    def add(self, batch: Batch) -> bool:
+        """Keep a batch, which `full` has seen, until the next commit.
+
+        False: not taken, since the journal is behind; `append` waits for it.
+        """
+        if not len(batch):
+            return True
+        with self._gathering:
+            buffer = self._buffer(batch)
+            if self._journal and not self._journal.add(Rows(buffer.start + buffer.rows, batch)):
+                return False
+            _gather(buffer, batch)
+        return True
+
+    def append(self, batch: Batch) -> None:
+        """Keep a batch as `add` does once it is in the journal.
+
+        Raises:
+            EndpointError: if it cannot be written; it was not taken.
+        """
+        assert self._journal, "without one, add takes all"
+        with self._reporting(), self._journal.held():
+            buffer = self._buffer(batch)
+            self._journal.append(Rows(buffer.start + buffer.rows, batch))
+            with self._gathering:
+                _gather(self._buffer(batch), batch)
+
+    def take(self, *, final: bool = False) -> None:
+        """What has gathered is what the next commit is about; `final`: the tables of one file, too."""
+        if self._taken is None:
+            tables = [table for table in TABLES if table.parted or final]
+            with self._gathering:
+                found = {table.name: self._buffers.get(table.name) for table in tables}
+                self._taken = {name: buffer for name, buffer in found.items() if buffer and buffer.rows}
+                for name, buffer in self._taken.items():
+                    self._buffers[name] = _Buffer(buffer.kind, buffer.start + buffer.rows)
+            self._rotated = final  # nothing stays behind
 
     def commit(self, *, final: bool = False) -> None:
-        """Write what has gathered as parts and then the manifest; `final`: the tables of one file, too.
+        """Write what was taken, or else what has gathered, as parts and then the manifest.
 
         Raises:
             EndpointError: what could not be committed is kept for the next try.
+            InputError: if a source's episodes are not as they must be; the same.
         """
-        with self._lock, self._reporting():
-            self._commit_episodes()
-            for table in TABLES:
-                buffer = self._buffers.get(table.name)
-                if buffer and buffer.rows and (table.parted or final):
-                    self._commit_rows(table, buffer)
-            write_manifest(self.folder, self._parts)
+        with self._writing, self._reporting():
+            try:
+                self.take(final=final)
+                self._commit_taken()
+            except BaseException:
+                self._behind = True
+                raise
+            self._behind = False
 
     def close(self) -> None:
-        """Commit everything and declare the session ended.
+        """Commit everything, declare the session ended and let go of it.
 
         Raises:
             EndpointError: it may be called again.
         """
+        if self._journal:
+            self._journal.stop()
+        if self._taken is not None:
+            self.commit()
         self.commit(final=True)
         touch = self._buffers.get(TOUCH.name)
         with self._reporting():
             zeroed = touch is not None and touch.kind is Zeroed
             describe_session(self.folder, self._run, host=self._host, zeroed=zeroed, ended=True)
+            if self._journal:
+                self._journal.remove()
+        self._leave()
+
+    def _buffer(self, batch: Batch) -> _Buffer:
+        return self._buffers.setdefault(TABLE_OF[type(batch)].name, _Buffer(type(batch)))
+
+    def _kept(self) -> list[Rows]:
+        """The rows that are not taken."""
+        with self._gathering:
+            return [rows for buffer in self._buffers.values() for rows in buffer.merge()]
+
+    def _commit_taken(self) -> None:
+        """In this order, so that at each step all rows are in a listed part or in the journal."""
+        assert self._taken is not None, "take comes first"
+        if self._journal and not self._rotated:
+            self._journal.rotate(self._kept)
+            self._rotated = True
+        self._commit_episodes()
+        for table in TABLES:
+            if buffer := self._taken.get(table.name):
+                self._commit_rows(table, buffer)
+                del self._taken[table.name]
+        write_manifest(self.folder, self._parts)
+        if self._journal:
+            self._journal.drop()
+        self._taken = None
 
     def _commit_rows(self, table: Table, buffer: _Buffer) -> None:
         rows, parts = to_arrow(table, buffer.batches, self._episodes), list[Part]()
@@ -143,23 +249,18 @@ class SessionWriter:
         if table.parted:
             make_folder(self.folder / table.name)
         for start in range(0, len(rows), size):  # more than one part only where one batch is larger
-            path = table.file(buffer.parts + len(parts))
-            parts.append(self._commit_part(path, rows.slice(start, size), "time", "time"))
+            path = table.file(self._numbers[table.name] + len(parts))
+            parts.append(commit_part(self.folder, path, rows.slice(start, size)))
         self._parts += parts
-        self._buffers[table.name] = _Buffer(buffer.kind, buffer.parts + len(parts))
+        self._numbers[table.name] += len(parts)
 
     def _commit_episodes(self) -> None:
         episodes = Episodes.described(self._run.describe)  # a source may tell of them as they begin
         if not episodes.table.equals(self._committed):
-            part = self._commit_part(EPISODES, episodes.table, "start", "end")
+            part = commit_part(self.folder, EPISODES, episodes.table, TIMES)
             self._parts = [*(each for each in self._parts if each.path != EPISODES), part]
             self._committed = episodes.table
         self._episodes = episodes
-
-    def _commit_part(self, path: str, rows: pa.Table, first: str, last: str) -> Part:
-        sha256 = write_part(self.folder / path, rows)
-        times = int(rows[first].to_numpy().min()), int(rows[last].to_numpy().max())
-        return Part(path, len(rows), *times, sha256)
 
     @contextmanager
     def _reporting(self) -> Generator[None]:
@@ -167,3 +268,24 @@ class SessionWriter:
             yield
         except OSError as error:
             raise EndpointError(str(self._root), f"cannot be written: {error.strerror or error}") from error
+
+
+def _gather(buffer: _Buffer, batch: Batch) -> None:
+    buffer.rows, buffer.first, buffer.last = buffer.plus(batch)
+    buffer.batches.append(batch)
+
+
+def _told(describe: Mapping[str, Description]) -> bytes | None:
+    """The episodes so far, for the journal."""
+    try:
+        return frames.episodes(Episodes.described(describe).table.to_pylist())
+    except (InputError, RuntimeError):  # the next commit says what is wrong; or it changed while it was read
+        return None
+
+
+def _leave(journal: Journal | None, held: int | None) -> None:
+    """Let go of a session, also one that was never closed."""
+    if journal:
+        journal.leave()
+    if held is not None:
+        os.close(held)

@@ -28,6 +28,13 @@ class SetClock:
         self.time = max(self.time, time)
 
 
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of what outlives a run: not the user's."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path / "state"
+
+
 @pytest.fixture
 def run() -> Run:
     """A run that began 90 s after the start of 1970, 10 s ago."""

@@ -27,8 +27,8 @@ from operators.batch import SLIP, UNKNOWN
 from operators.detectors import TRAINED, Detector
 from operators.errors import InputError, ParameterError
 from storage import load_weights, save_weights
-from storage.files import put_json
 from storage.layout import MANIFEST, SESSIONS
+from storage.models import save_card
 
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 Progress: TypeAlias = Callable[[str, int, int, "Check | None"], object]  # what, done, in all, check if made
@@ -138,11 +138,11 @@ def train(
             "debounce": _debounce(detector, parts["validation"]),
             "curve": [asdict(check) for check in curve],
         }
-        models.append(_write(path, arrays, card, curve))
+        models.append(write(path, arrays, card, curve))
     models.sort(key=lambda model: -model.card["scores"]["validation"]["balanced"])
     if seeds > 1:
         first = models[0]
-        _write(out, load_weights(first.path)[0], first.card, first.curve)
+        write(out, load_weights(first.path)[0], first.card, first.curve)
     return Outcome(models)
 
 
@@ -220,11 +220,11 @@ def provenance(dataset: Path, trials: Sequence[Trial]) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, arrays: Arrays, card: Mapping[str, Any], curve: Sequence[Check]) -> Model:
+def write(path: Path, arrays: Arrays, card: Mapping[str, Any], curve: Sequence[Check]) -> Model:
     """Write the model, and beside it its card."""
     save_weights(path, arrays, {"detector": str(card["detector"])})  # several keys would come in any order
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     size = sum(int(array.size) for array in arrays.values())
     card = {**card, "file": path.name, "sha256": digest, "numbers": size}
-    put_json(path.with_suffix(".json"), card)
+    save_card(path, card)
     return Model(path, card, curve)

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from connectors.broker import PASSWORD, PASSWORD_FILE, USER, Broker
+from connectors.broker import CA, PASSWORD, PASSWORD_FILE, USER, Broker
 from operators.errors import InputError, ParameterError
 
 
@@ -72,3 +72,14 @@ def test_the_password_comes_from_the_environment_or_a_file(
     monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "absent"))
     with pytest.raises(InputError, match=r"absent: .*SLIPFLOW_MQTT_PASSWORD_FILE"):
         broker.login()
+
+
+@pytest.mark.parametrize("content", [None, "no certificate"])
+def test_authorities_that_cannot_be_read_are_an_error_that_names_the_variable(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: str | None
+) -> None:
+    if content:
+        (tmp_path / "ca.pem").write_text(content)
+    monkeypatch.setenv(CA, str(tmp_path / "ca.pem"))
+    with pytest.raises(InputError, match=r"ca\.pem: cannot read the authorities \(SLIPFLOW_MQTT_CA\)"):
+        Broker.parse("mqtts://localhost").tls()

@@ -1,3 +1,4 @@
+import hashlib
 from collections.abc import Callable
 from decimal import ROUND_HALF_EVEN, Decimal
 from pathlib import Path
@@ -8,7 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from connectors import CsvTrace
-from operators.batch import Motion, Touch, Zeroed, concat
+from connectors.csv_columns import ColumnMap
+from operators.batch import EVERY, Motion, Touch, Zeroed, concat
 from operators.errors import InputError, ParameterError
 
 Write = Callable[..., Path]
@@ -42,7 +44,14 @@ def test_a_trace_is_read_as_it_is_written(write: Write) -> None:
     assert not touch.temperature.any()
     assert trace.labels.tolist() == [0, 1, -1]
     assert trace.labels.dtype == np.int8
-    assert trace.describe() == {"trace": trace.name, "rows": 3, "zeroed": True}
+    assert trace.describe() == {
+        "trace": "trace.csv",
+        "sha256": hashlib.sha256(Path(trace.name).read_bytes()).hexdigest(),
+        "rows": 3,
+        "zeroed": True,
+        "columns": {"time": ["t"], "counts": ["s1", "s2", "s3", "s4", "s5", "s6"], "label": ["label"]},
+        "units": {"time": "s"},
+    }
 
 
 @pytest.mark.parametrize(
@@ -63,7 +72,8 @@ def test_columns_have_their_usual_names(write: Write, header: str) -> None:
 def test_columns_may_have_other_names_and_another_order(write: Write) -> None:
     names = [f"cell {i}" for i in range(6)]
     path = write(",".join(["truth", *reversed(names), "stamp_ns"]), "1,6,5,4,3,2,1,1700000000123456789")
-    trace = CsvTrace(path, time="stamp_ns", counts=names, label="truth", finger=3)
+    columns = ColumnMap({"time": ("stamp_ns",), "counts": tuple(names), "label": ("truth",)})
+    trace = CsvTrace(path, columns, finger=3)
     assert trace.touch.time.tolist() == [1700000000123456789]
     assert trace.touch.counts.tolist() == [[1, 2, 3, 4, 5, 6]]
     assert trace.labels.tolist() == [1]
@@ -178,13 +188,19 @@ def test_a_negative_count_is_not_raw(write: Write) -> None:
     [
         (
             "t,s1,s2,s3,s4,s5",
-            "has the columns 't s1 s2 s3 s4 s5', must have s1 s2 s3 s4 s5 s6 or c0 c1 c2 c3 c4 c5",
+            "has the columns 't s1 s2 s3 s4 s5', none known as counts; say which, as counts=p0..p5",
         ),
-        ("s1,s2,s3,s4,s5,s6", "has the columns 's1 s2 s3 s4 s5 s6', must have t or time or time_ns"),
-        ("t;s1;s2;s3;s4;s5;s6", "has the columns 't;s1;s2;s3;s4;s5;s6', must have t or time or time_ns"),
+        (
+            "s1,s2,s3,s4,s5,s6",
+            "has the columns 's1 s2 s3 s4 s5 s6', none known as time; say which, as time=t",
+        ),
+        (
+            "t;s1;s2;s3;s4;s5;s6",
+            "has the columns 't;s1;s2;s3;s4;s5;s6', none known as time; say which, as time=t",
+        ),
         ("t,s1,s2,s3,s4,s5,s6,s1", "has two columns s1"),
         ("t,s1,s2,s3,s4,s5,s6, s1", "has two columns s1"),
-        ("0,1,2,3,4,5,6", "has the columns '0 1 2 3 4 5 6', must have t or time or time_ns"),
+        ("0,1,2,3,4,5,6", "has the columns '0 1 2 3 4 5 6', none known as time; say which, as time=t"),
     ],
 )
 def test_missing_columns_are_named(write: Write, header: str, complaint: str) -> None:
@@ -197,9 +213,9 @@ def test_missing_columns_are_named(write: Write, header: str, complaint: str) ->
 def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
     path = write(HEADER, "0,1,2,3,4,5,6")
     with pytest.raises(InputError, match=r"line 1: has the columns .*, must have stamp$"):
-        CsvTrace(path, time="stamp")
+        CsvTrace(path, ColumnMap({"time": ("stamp",)}))
     with pytest.raises(InputError, match=r"line 1: has the columns .*, must have truth$"):
-        CsvTrace(path, label="truth")
+        CsvTrace(path, ColumnMap({"label": ("truth",)}))
 
 
 def test_a_file_that_is_missing_empty_or_no_text_is_told_so(tmp_path: Path, write: Write) -> None:
@@ -250,9 +266,66 @@ def test_a_stream_that_it_does_not_hold_is_refused(write: Write) -> None:
         trace.read(Touch, 1)
 
 
-def test_counts_must_name_six_columns(write: Write) -> None:
-    with pytest.raises(ParameterError, match="CsvTrace: counts is "):
-        CsvTrace(write(HEADER, "0,1,2,3,4,5,6"), counts=["s1"])
+def test_a_speed_becomes_a_motion_along_x_where_it_is_told(write: Write) -> None:
+    path = write(
+        f"{HEADER},speed", "0,1,2,3,4,5,6,12.5", "1,1,2,3,4,5,6,", '2,1,2,3,4,5,6,""', "3,1,2,3,4,5,6,-4"
+    )
+    trace = CsvTrace(path, ColumnMap(units={"speed": "mm/s"}))
+    assert trace.fingers(Motion) == (EVERY,)
+    motion = concat(Motion, list(trace.read(Motion, EVERY, 1))).check()
+    assert motion.time.tolist() == motion.device_time.tolist() == [0, 3_000_000_000]
+    assert motion.velocity.tolist() == [[0.0125, 0, 0, 0, 0, 0], [-0.004, 0, 0, 0, 0, 0]]
+    assert np.isnan(motion.pose).all()
+    assert len(trace.touch) == 4
+
+
+def test_a_velocity_has_three_or_six_columns_and_goes_before_a_speed(write: Write) -> None:
+    linear = CsvTrace(write(f"{HEADER},VX,vy,vz,speed", "0,1,2,3,4,5,6,1,2,3,9"))
+    assert linear.motion.velocity.tolist() == [[1, 2, 3, 0, 0, 0]]
+    assert "speed" not in linear.columns.columns
+    columns = ColumnMap.parse("velocity=a1..a6", "velocity=cm/s")
+    whole = CsvTrace(write(f"{HEADER},a1,a2,a3,a4,a5,a6", "0,1,2,3,4,5,6,1,2,3,4,5,6"), columns)
+    assert whole.motion.velocity.tolist() == [[0.01, 0.02, 0.03, 4, 5, 6]]  # rad/s as it is
+
+
+@pytest.mark.parametrize("speed", ["fast", "nan", "inf", "1e999"])
+def test_a_speed_that_is_no_number_is_named_by_line_and_column(write: Write, speed: str) -> None:
+    path = write(f"{HEADER},v", "0,1,2,3,4,5,6,1", f"1,1,2,3,4,5,6,{speed}")
+    with pytest.raises(InputError, match=rf"line 3, column v: is '{speed}', must be a number, or nothing$"):
+        CsvTrace(path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "time", "expected"),
+    [
+        ("s", "1.0000000015", 1_000_000_002),
+        ("ms", "1700000000123.456789", 1700000000123456789),
+        ("us", "1.5", 1500),
+        ("ns", "7", 7),
+    ],
+)
+def test_a_time_has_the_unit_that_is_told_or_that_ends_its_name(
+    write: Write, unit: str, time: str, expected: int
+) -> None:
+    told = CsvTrace(write(HEADER, f"{time},1,2,3,4,5,6"), ColumnMap(units={"time": unit}))
+    named = CsvTrace(write(HEADER.replace("t,", f"Timestamp_{unit},"), f"{time},1,2,3,4,5,6"))
+    assert told.touch.time.tolist() == named.touch.time.tolist() == [expected]
+
+
+def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
+    path = write(HEADER.removeprefix("t,"), *["1,2,3,4,5,6"] * 4)
+    trace = CsvTrace(path, rate=30)
+    assert trace.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
+    assert trace.rate == pytest.approx(30)
+    with pytest.raises(ParameterError, match="rate is 0"):
+        CsvTrace(path, rate=0)
+
+
+def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.csv_table.LIMIT", 1 << 20)
+    path = write(HEADER, "0,1,2,3,4,5,6", "\n" * (1 << 20))
+    with pytest.raises(InputError, match=r"is larger than 1 MiB; cut it into several traces$"):
+        CsvTrace(path)
 
 
 def test_the_real_trace_is_read_whole() -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from connectors.health_report import HealthReports
 from operators.batch import ms, s
-from operators.ports import Gap, Json, Run, SinkStatus, SourceStatus
+from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 
 
 class Present:
@@ -81,3 +81,9 @@ def test_a_report_tells_lag_gaps_and_what_the_sinks_dropped(run: Run) -> None:
         "error": "disk full",
     }
     assert report["sinks"]["mqtt"]["error"] is None
+
+
+def test_the_newest_steps_of_the_hosts_clock_are_told(run: Run) -> None:
+    run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
+    steps = HealthReports(run).next()["clock_steps"]
+    assert steps == [{"time": k * s, "offset": k * ms} for k in range(10, 20)]

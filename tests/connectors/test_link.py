@@ -10,8 +10,9 @@ import pytest
 from aiomqtt import Client
 
 from connectors import link as module
-from connectors.broker import PASSWORD, USER, Broker
+from connectors.broker import CA, PASSWORD, USER, Broker
 from connectors.link import Link, connect
+from connectors.message import Message
 from connectors.testing import PATIENCE, TestBroker
 from operators.errors import EndpointError
 
@@ -195,23 +196,79 @@ def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
     asyncio.run(main())
 
 
-@pytest.mark.parametrize("trusted", [True, False])
-def test_mqtts_talks_to_a_broker_whose_certificate_it_trusts(
-    *, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, trusted: bool
-) -> None:
+@pytest.fixture
+def secure(tmp_path: Path) -> Iterator[TestBroker]:
+    """A broker that speaks TLS, with a certificate that it signed itself."""
     certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
     kind = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=test"]
     files = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
     subprocess.run(["openssl", "req", *kind, *files], check=True, capture_output=True)
-    if trusted:
-        monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
     broker = TestBroker(tmp_path, "allow_anonymous true", f"certfile {certificate}", f"keyfile {key}")
-    url = broker.url.replace("mqtt:", "mqtts:")
+    yield broker
+    broker.close()
+
+
+@pytest.mark.parametrize("name", ["SSL_CERT_FILE", CA])
+def test_mqtts_talks_to_a_broker_whose_certificate_it_trusts(
+    secure: TestBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv(name, str(tmp_path / "certificate.pem"))
+    asyncio.run(use(secure.url.replace("mqtt:", "mqtts:"), "a"))
+
+
+def test_mqtts_talks_to_no_broker_whose_certificate_it_does_not_trust(secure: TestBroker) -> None:
+    with pytest.raises(EndpointError, match="certificate verify failed"):
+        asyncio.run(use(secure.url.replace("mqtt:", "mqtts:")))
+
+
+def test_plain_mqtt_on_a_port_for_tls_and_tls_on_a_plain_port_are_errors_before_patience_ends(
+    secure: TestBroker, tmp_path: Path
+) -> None:
+    (tmp_path / "plain").mkdir()
+    plain = TestBroker(tmp_path / "plain")
     try:
-        if trusted:
-            asyncio.run(use(url, "a"))
-        else:
-            with pytest.raises(EndpointError, match="certificate verify failed"):
+        for url in (secure.url, plain.url.replace("mqtt:", "mqtts:")):
+            with pytest.raises(EndpointError, match=r"cannot connect: (?!no answer)"):
                 asyncio.run(use(url))
     finally:
-        broker.close()
+        plain.close()
+
+
+def test_a_silent_server_is_given_up_while_shaking_hands_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "TIMEOUT", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"mqtts://127.0.0.1:{listening.getsockname()[1]}"
+        with pytest.raises(EndpointError, match=r"cannot connect: .*timed out|no answer within 0\.1 s$"):
+            asyncio.run(use(url))
+
+
+def test_messages_sent_together_arrive_in_order_and_each_refusal_is_told(guarded: TestBroker) -> None:
+    async def main() -> list[str]:
+        link = await connect(Broker.parse(guarded.url), "test")
+        topics = [f"mine/{number}" for number in range(40)]
+        topics[7] = "yours/7"
+        try:
+            refusals = await link.send_all([Message(topic, b"x", retain=False) for topic in topics])
+            await link.listen("mine/#")
+            for number in range(3):
+                await link.send(f"mine/{number}", b"y")
+            assert [(await link.receive())[0] for _ in range(3)] == topics[:3]
+        finally:
+            await link.leave()
+        return refusals
+
+    refusals = asyncio.run(main())
+    assert refusals[7] == "refuses to publish yours/7: Not authorized"
+    assert [number for number, refusal in enumerate(refusals) if refusal] == [7]
+
+
+def test_a_message_larger_than_anything_of_ours_is_not_delivered(broker: TestBroker) -> None:
+    async def main() -> None:
+        link = await connect(Broker.parse(broker.url), "test")
+        await link.listen("a/#")
+        await link.send("a/large", b"x" * (module.PACKET + 1))
+        await link.send("a/small", b"x")
+        assert (await link.receive())[0] == "a/small"
+        await link.leave()
+
+    asyncio.run(main())

@@ -15,7 +15,9 @@ from jsonschema import Draft202012Validator, validate
 
 from connectors import Event, Mqtt, link, mqtt
 from connectors.events import Fault
+from connectors.gap_request import GapRequest
 from connectors.link import Link
+from connectors.outbox_file import OutboxFile
 from connectors.testing import Received, TestBroker, TestListener
 from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.errors import EndpointError, ParameterError
@@ -27,6 +29,13 @@ pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
 RIG = "slip/v1/lab/rig"
 NOW = 100 * s  # what the clock of the run shows
+
+
+def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - whatever it is
+    """A part of an object that is nobody else's business."""
+    for name in names:
+        owner = vars(owner)[name]
+    return owner
 
 
 def slips(*states: int, finger: int = 0, probability: float = 0.9) -> Slips:
@@ -65,6 +74,19 @@ def read(received: Received) -> Any:  # noqa: ANN401 - JSON
     return json.loads(received.payload)
 
 
+async def until(condition: Callable[[], bool]) -> None:
+    for _ in range(1000):
+        if condition():
+            return
+        await asyncio.sleep(0.01)
+    pytest.fail("it did not happen within 10 s")
+
+
+async def sent(sink: Mqtt) -> None:
+    """Wait until the broker has all events."""
+    await until(lambda: not inside(sink, "_outbox").waiting)
+
+
 def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url, model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.5, consecutive=2)
@@ -74,11 +96,12 @@ def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: 
         await sink.write(slips(1, finger=2, probability=float("nan")))
 
     use(sink, run, body)
+    found = [event(listener), event(listener), event(listener, "2")]
     first = Event(
         "lab",
         "rig",
         "0",
-        "run1",
+        found[0].epoch,
         1,
         onset=True,
         time=NOW - 30 * ms,
@@ -88,10 +111,11 @@ def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: 
         consecutive=2,
         model="tcn",
         sha256="0f" * 32,
+        session="run1",
     )
     second = replace(first, seq=2, onset=False, time=NOW - 20 * ms, latency=20)
     third = replace(first, seq=3, finger="2", probability=None)
-    assert [event(listener), event(listener), event(listener, "2")] == [first, second, third]
+    assert found == [first, second, third]
 
 
 def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: Run) -> None:
@@ -100,6 +124,8 @@ def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: R
 
     async def body() -> None:
         await sink.write(slips(1, 0, 1))
+        await sent(sink)
+        await inside(sink, "_sender", "_idle").wait()
         listener = broker.listen("slip/#")
         for _ in range(5):
             received = listener.next()
@@ -108,23 +134,32 @@ def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: R
 
     sink = Mqtt(broker.url)
     use(sink, run, body)
+    epoch = found["head"]["epoch"]
     health = found.pop("health")
-    assert health["epoch"] == "run1"
+    assert (health["epoch"], health["session"]) == (epoch, "run1")
+    assert health["outbox"] == {"error": None, "waiting": 0, "refused": []}
     version = found["status"].pop("version")
     assert version[0].isdigit()
+    who = {"epoch": epoch, "session": "run1"}
     assert found == {
-        "status": {"state": "online", "epoch": "run1", "since": "1970-01-01T00:01:40.000000000Z"},
+        "status": {"state": "online", **who, "since": "1970-01-01T00:01:40.000000000Z"},
         "info": {
+            **who,
             "flow": "live",
-            "epoch": "run1",
             "sources": {"touch": {"sensor": "TakkTile", "rate_hz": 100.0, "noise": None}},
             "model": {"id": "unknown", "sha256": None},
             "threshold": None,
             "consecutive": None,
             "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
         },
-        "head": {"epoch": "run1", "last_seq": 3},
-        "0/state": {"slip": True, "p": 0.9, "since": "1970-01-01T00:01:39.990000000Z", "seq": 3},
+        "head": {"epoch": epoch, "last_seq": 3},
+        "0/state": {
+            "slip": True,
+            "p": 0.9,
+            "since": "1970-01-01T00:01:39.990000000Z",
+            "epoch": epoch,
+            "seq": 3,
+        },
     }
 
 
@@ -159,82 +194,165 @@ def test_faults_mark_the_events_while_they_last(broker: TestBroker, run: Run) ->
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_broker_that_comes_back_gets_the_event_and_all_that_it_should_retain(
+def test_a_broker_that_comes_back_gets_the_events_and_all_that_it_should_retain(
     broker: TestBroker, run: Run, number: signal.Signals
 ) -> None:
     sink = Mqtt(broker.url)
 
     async def body() -> None:
         await sink.write(slips(1))
-        batch = slips(0)
+        await sent(sink)
         broker.stop(number)
-        for _ in range(2):
-            with pytest.raises(EndpointError):
-                await sink.write(batch)
-        broker.start()
-        listener = broker.listen("slip/#")
-        await sink.write(batch)
-        assert event(listener).seq == 2
+        for state in (0, 1, 0):
+            await sink.write(slips(state))  # nobody waits for a broker
+        await asyncio.to_thread(broker.start)
+        await sent(sink)
+        await inside(sink, "_sender", "_idle").wait()
         listener = broker.listen("slip/#")
         found = {received.topic: read(received) for received in (listener.next() for _ in range(5))}
         assert found[f"{RIG}/status"]["state"] == "online"
         assert found[f"{RIG}/0/state"]["slip"] is False
-        assert found[f"{RIG}/head"] == {"epoch": "run1", "last_seq": 2}
+        assert found[f"{RIG}/head"] == {"epoch": inside(sink, "_outbox").epoch, "last_seq": 4}
         assert {f"{RIG}/info", f"{RIG}/health"} < set(found)
 
     use(sink, run, body)
 
 
-def test_a_batch_is_continued_where_it_failed(
+def test_events_that_waited_arrive_in_order_however_many_they_are(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sink, send, failed = Mqtt(broker.url), Link.send, list[str]()
+    sink, gate, connect = Mqtt(broker.url), asyncio.Event(), Link.connect
 
-    async def fail_once(self: Link, topic: str, payload: bytes, **options: Any) -> None:  # noqa: ANN401
-        if b'"seq":2,"epoch"' in payload and not failed:
-            failed.append(topic)
-            raise EndpointError("broker", "refuses")
-        await send(self, topic, payload, **options)
-
-    monkeypatch.setattr(Link, "send", fail_once)
+    async def late(self: Link) -> None:
+        await gate.wait()
+        await connect(self)
 
     async def body() -> None:
-        batch = slips(1, 0, 1)
-        with pytest.raises(EndpointError):
-            await sink.write(batch)
-        await sink.write(batch)
-
-    listener = broker.listen(f"{RIG}/+/event")
-    use(sink, run, body)
-    assert failed
-    assert [event(listener).seq for _ in range(3)] == [1, 2, 3]
-
-
-def test_a_batch_that_is_given_up_leaves_a_gap_in_the_numbers(broker: TestBroker, run: Run) -> None:
-    sink = Mqtt(broker.url)
-
-    async def body() -> None:
+        monkeypatch.setattr(Link, "connect", late)
         broker.stop()
-        with pytest.raises(EndpointError):
-            await sink.write(slips(1, 0))
-        broker.start()
+        for _ in range(20):
+            await sink.write(slips(*[1, 0] * 20))
+        await asyncio.to_thread(broker.start)
         listener = broker.listen(f"{RIG}/+/event")
-        await sink.write(slips(1))
-        assert event(listener).seq == 3
+        gate.set()
+        received = await asyncio.to_thread(lambda: [listener.next(f"{RIG}/0/event") for _ in range(800)])
+        found = [Event.decode(each.payload.encode()).seq for each in received]
+        assert found == list(range(1, 801))
 
     use(sink, run, body)
 
 
-def test_the_numbers_begin_again_with_each_run(broker: TestBroker, run: Run) -> None:
-    listener = broker.listen(f"{RIG}/+/event")
+def test_what_the_broker_did_not_get_is_sent_by_the_next_run_and_the_numbers_go_on(
+    broker: TestBroker, run: Run, caplog: pytest.LogCaptureFixture
+) -> None:
     sink = Mqtt(broker.url)
+
+    async def offline() -> None:
+        await sink.write(slips(1))
+        await sent(sink)
+        broker.stop()
+        await sink.write(slips(0, 1))
+
+    async def online() -> None:
+        await sink.write(slips(0))
+        await sent(sink)
+
+    use(sink, run, offline)
+    assert f"2 events wait in {inside(sink, '_outbox').path} for the next run" in caplog.messages[-1]
+    broker.start()
+    listener = broker.listen(f"{RIG}/+/event", f"{RIG}/0/state")
+    use(sink, Run("run2", "live", run.clock, 0), online)
+    found = [event(listener) for _ in range(3)]
+    assert [(each.seq, each.session) for each in found] == [(2, "run1"), (3, "run1"), (4, "run2")]
+    assert len({each.epoch for each in found}) == 1
+
+
+def test_a_writer_that_is_cancelled_loses_nothing_that_it_wrote(broker: TestBroker, run: Run) -> None:
+    listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
+
+    async def body() -> None:
+        async def keep_writing() -> None:
+            for state in range(10_000):
+                await sink.write(slips(state % 2))
+
+        writing = asyncio.create_task(keep_writing())
+        await asyncio.to_thread(lambda: [event(listener) for _ in range(10)])
+        writing.cancel()
+        await asyncio.wait([writing])
+
+    use(sink, run, body)
+    last = inside(sink, "_outbox").heads()[-1][1]
+    again = Mqtt(broker.url)
+    use(again, run, lambda: again.write(slips(1)))
+    assert [event(listener).seq for _ in range(last - 9)] == list(range(11, last + 2))
+
+
+def test_two_runs_cannot_publish_as_one_rig(broker: TestBroker, run: Run) -> None:
+    first, second = Mqtt(broker.url), Mqtt(broker.url)
+
+    async def body() -> None:
+        with pytest.raises(EndpointError, match="two runs may not publish as one rig"):
+            await second.open(run)
+        await first.write(slips(1))
+        await sent(first)
+
+    use(first, run, body)
+
+
+def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_says_so(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
+    append, full = OutboxFile.append, [True]
+
+    def fail(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
+        if full:
+            raise OSError(28, "No space left on device")
+        append(file, *args)
+
+    listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
+
+    async def health(*, failing: bool) -> Any:  # noqa: ANN401 - JSON
+        reports = broker.listen(f"{RIG}/health")
+        while True:
+            report = read(await asyncio.to_thread(reports.next))
+            if bool(report["outbox"]["error"]) is failing:
+                return report["outbox"]
 
     async def body() -> None:
         await sink.write(slips(1))
+        monkeypatch.setattr(OutboxFile, "append", fail)
+        await sink.write(slips(0, 1))
+        await sent(sink)
+        assert "No space left on device" in (await health(failing=True))["error"]
+        full.clear()
+        assert (await health(failing=False))["waiting"] == 0
+        await sink.write(slips(0))
+        await sent(sink)
 
     use(sink, run, body)
-    use(sink, Run("run2", "live", run.clock, 0), body)
-    assert [event(listener).identifier for _ in range(2)] == ["run1-1", "run2-1"]
+    found = [event(listener) for _ in range(4)]
+    assert [each.seq for each in found] == [1, 1, 2, 3]
+    assert [each.epoch == found[0].epoch for each in found] == [True, False, False, False]
+    caplog.clear()  # that was an error, and meant
+
+
+def test_who_asks_for_events_gets_them_and_no_other_topic_does(broker: TestBroker, run: Run) -> None:
+    sink = Mqtt(broker.url)
+
+    async def body() -> None:
+        await sink.write(slips(1, 0, 1))
+        await sent(sink)
+        listener = broker.listen(f"{RIG}/replay/me", "elsewhere")
+        for topic in ("elsewhere", f"{RIG}/replay/me"):
+            request = GapRequest(inside(sink, "_outbox").epoch, 2, 3, topic)
+            broker.publish(f"{RIG}/replay/request", request.encode().decode())
+        found = [await asyncio.to_thread(listener.next) for _ in range(3)]
+        assert {(each.topic, each.retained) for each in found} == {(f"{RIG}/replay/me", False)}
+        assert [Event.decode(each.payload.encode()).seq for each in found[:2]] == [2, 3]
+        assert read(found[2])["missing"] == []
+
+    use(sink, run, body)
 
 
 def test_health_is_published_again_and_again(
@@ -284,8 +402,9 @@ def test_without_any_event_the_connection_is_made_again_and_its_loss_logged_once
         assert read(await asyncio.to_thread(listener.next))["state"] == "online"
 
     use(Mqtt(broker.url), run, body)
-    assert len(caplog.messages) == 1
-    assert caplog.messages[0].startswith(f"{broker.url}: ")
+    assert len(caplog.messages) == 2
+    assert caplog.messages[0].startswith(f"{broker.url}: connection lost")
+    assert caplog.messages[1] == f"{broker.url}: connected again, 0 events wait"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -337,7 +456,7 @@ def test_a_killed_run_is_offline_soon_but_not_if_another_has_taken_its_place(
             pass
         status = broker.listen(f"{RIG}/status").next()
         assert read(status)["state"] == "online"
-        assert read(status)["epoch"] == "run1"
+        assert read(status)["session"] == "run1"
 
     use(Mqtt(broker.url), run, body)
 
@@ -350,6 +469,7 @@ def test_a_connection_that_is_back_soon_was_never_offline(
 
     async def body() -> None:
         await lost.open(run)
+        inside(lost, "_sender", "_sending").cancel()  # so that it does not come back
         for each in list(links):
             each.drop()
         await sink.write(slips(1))
@@ -381,26 +501,47 @@ def test_a_run_that_may_not_publish_does_not_begin(tmp_path: Path, run: Run, lin
         broker.close()
 
 
-def test_an_event_that_the_broker_refuses_is_an_error_and_the_connection_stays(
-    tmp_path: Path, run: Run, links: list[Link]
+def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_come_when_it_is_allowed(
+    tmp_path: Path,
+    run: Run,
+    links: list[Link],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
-    rights = tmp_path / "rights"
-    rights.write_text(
-        "".join(f"topic readwrite {RIG}/{name}\n" for name in ("status", "info", "head", "health"))
-    )
+    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.05)
+    rights, refused = tmp_path / "rights", f"{RIG}/1/event"
+    allowed = ("status", "info", "head", "health", "0/event", "0/state", "1/state")
+    some = "".join(f"topic readwrite {RIG}/{name}\n" for name in allowed)
+    rights.write_text(f"{some}topic read #\ntopic write test/#\n")
     broker = TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}")
     sink = Mqtt(broker.url)
 
     async def body() -> None:
-        with pytest.raises(EndpointError, match=f"refuses to publish {RIG}/0/event: Not authorized$"):
-            await sink.write(slips(1))
+        listener = broker.listen(f"{RIG}/+/event", f"{RIG}/health")
+        for state in (1, 0):
+            await sink.write(slips(state, finger=1))
+            await sink.write(slips(state))
+        found = [(await asyncio.to_thread(event, listener)).seq for _ in range(2)]
+        assert found == [2, 4]
+        health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
+        while health["outbox"] != {"error": None, "waiting": 2, "refused": [refused]}:
+            health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
         assert len(links) == 1
         assert links[0].alive
+        rights.write_text("topic readwrite #\n")
+        assert broker.process
+        broker.process.send_signal(signal.SIGHUP)  # reads the rights again
+        assert [(await asyncio.to_thread(event, listener, "1")).seq for _ in range(2)] == [1, 3]
+        await sent(sink)
 
     try:
         use(sink, run, body)
     finally:
         broker.close()
+    assert [message.partition("; ")[0] for message in caplog.messages] == [
+        f"{broker.url}: refuses to publish {refused}: Not authorized",
+        f"{broker.url}: lets us publish {refused} again",
+    ]
 
 
 def test_two_sinks_of_one_rig_share_a_place() -> None:
@@ -425,6 +566,8 @@ def test_two_sinks_of_one_rig_share_a_place() -> None:
         ("threshold", 1.5),
         ("threshold", float("nan")),
         ("consecutive", 0),
+        ("keep", 0),
+        ("keep_for", 0.0),
     ],
 )
 def test_a_parameter_that_no_event_could_carry_is_refused(name: str, value: Any) -> None:  # noqa: ANN401

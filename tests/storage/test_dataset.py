@@ -27,7 +27,7 @@ from operators.batch import (
     s,
 )
 from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
-from operators.ports import Gap, Json, Run, SinkStatus, SourceStatus
+from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 from storage import Dataset, Session
 from storage.layout import session_names
 
@@ -119,6 +119,7 @@ def test_what_the_session_says_of_itself_is_written_first_and_completed_last(
         run.describe["rig"] = {**rig, "baseline": baseline}
         run.sources["rig"] = SourceStatus(rows=5, late=2, gaps=[Gap(1, 2, "unplugged")])
         run.sinks["mqtt"] = SinkStatus(rows=5, dropped=1, failures=3)
+        run.clock_steps.append(ClockStep(7, -3_600_000_000_000))
         await dataset.close()
 
     asyncio.run(main())
@@ -133,6 +134,7 @@ def test_what_the_session_says_of_itself_is_written_first_and_completed_last(
     gap = {"start": 1, "end": 2, "reason": "unplugged"}
     assert about["streams"]["rig"] == {"rows": 5, "late": 2, "gaps": [gap]}
     assert about["sinks"]["mqtt"] == {"rows": 5, "dropped": 1, "failures": 3}
+    assert about["clock_steps"] == [{"time": 7, "offset": -3_600_000_000_000}]
     assert session.frame("samples")["episode"].to_list() == [0, 0, -1, -1, -1]
 
 
@@ -296,7 +298,7 @@ def test_the_disk_is_never_touched_in_the_thread_of_the_event_loop(
     assert threading.get_ident() not in threads
 
 
-def test_a_write_that_is_cancelled_takes_nothing_and_spoils_nothing(
+def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
     tmp_path: Path,
     new_run: Callable[..., Run],
     new_batch: Callable[..., Any],
@@ -311,7 +313,7 @@ def test_a_write_that_is_cancelled_takes_nothing_and_spoils_nothing(
 
     async def main() -> None:
         dataset = Dataset(tmp_path, part_span=s)
-        await dataset.open(new_run())
+        await dataset.open(new_run(live=False))
         await dataset.write(new_batch(Touch))
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", wait)
@@ -326,6 +328,130 @@ def test_a_write_that_is_cancelled_takes_nothing_and_spoils_nothing(
 
     asyncio.run(main())
     assert Session.open(tmp_path).frame("touch")["time"].to_list() == [n * 10 * ms for n in range(5)]
+
+
+def test_what_is_recorded_live_goes_on_while_a_commit_waits_for_the_disk(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    writing, go_on = threading.Event(), threading.Event()
+
+    def wait(step: str) -> None:
+        if step == "sync part":
+            writing.set()
+            assert go_on.wait(60)
+
+    async def main() -> None:
+        dataset = Dataset(tmp_path, part_span=100 * ms)
+        await dataset.open(new_run())
+        monkeypatch.setattr("storage.steps.reach", wait)
+        for number in range(19):
+            await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
+        assert await asyncio.to_thread(writing.wait, 60)
+        await dataset.write(new_batch(Touch, 1, start=190 * ms))
+        full = asyncio.create_task(dataset.write(new_batch(Touch, 1, start=200 * ms)))
+        await asyncio.to_thread(lambda: None)
+        assert not full.done()  # as much as a part holds waits already
+        go_on.set()
+        await full
+        await dataset.close()
+
+    asyncio.run(main())
+    session = Session.open(tmp_path)
+    assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(21)]
+    assert [part.rows for part in session.listed.values()] == [10, 10, 1]
+
+
+def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    go_on, took = threading.Event(), list[int]()
+
+    def wait(step: str) -> None:
+        if step == "append frames":
+            assert go_on.wait(60)
+
+    async def write(dataset: Dataset, ten: asyncio.Event) -> None:
+        for number in range(30):
+            await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
+            took.append(number)
+            if len(took) == 10:
+                ten.set()
+
+    async def main() -> None:
+        dataset = Dataset(tmp_path)
+        await dataset.open(new_run())
+        monkeypatch.setattr("storage.steps.reach", wait)
+        ten = asyncio.Event()
+        writing = asyncio.create_task(write(dataset, ten))
+        await ten.wait()
+        for _ in range(100):
+            await asyncio.sleep(0)
+        assert len(took) == 10  # what a kill could cost
+        go_on.set()
+        await writing
+        await dataset.close()
+
+    asyncio.run(main())
+    assert len(Session.open(tmp_path).frame("touch")) == 30
+
+
+def test_a_full_disk_is_told_at_each_write_until_there_is_room_and_costs_no_row(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    full = False
+
+    def reach(step: str) -> None:
+        if full and not step.startswith("drop"):
+            raise OSError(28, "No space left on device")
+
+    async def main() -> None:
+        nonlocal full
+        dataset, reasons = Dataset(tmp_path, part_span=100 * ms), list[str]()
+        await dataset.open(new_run())
+        monkeypatch.setattr("storage.steps.reach", reach)
+        for number in range(60):
+            batch = new_batch(Touch, 3, start=number * 30 * ms, seed=number)
+            full = number % 20 in range(5, 15)
+            try:
+                await dataset.write(batch)
+            except EndpointError as error:
+                reasons.append(error.reason)
+                full = False
+                await dataset.write(batch)
+        full = True
+        with pytest.raises(EndpointError, match="No space left on device"):
+            await dataset.close()
+        full = False
+        await dataset.close()
+        assert set(reasons) == {"cannot be written: No space left on device"}
+        assert len(reasons) > 5
+
+    asyncio.run(main())
+    session = Session.open(tmp_path)
+    assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(180)]
+    assert session.about["complete"] is True
+
+
+def test_a_replay_keeps_no_journal(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    async def main() -> None:
+        dataset = Dataset(tmp_path)
+        await dataset.open(new_run(live=False))
+        await dataset.write(new_batch(Touch, 100))
+        assert not (tmp_path / "sessions/one/journal").exists()
+        await dataset.close()
+
+    asyncio.run(main())
 
 
 @pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}])

@@ -71,7 +71,7 @@ def test_a_part_that_cannot_be_is_refused_by_its_number(tmp_path: Path, part: ob
         read_manifest(tmp_path)
 
 
-@pytest.mark.parametrize("content", [{}, {"version": 2, "parts": []}, {"version": 1, "parts": {}}])
+@pytest.mark.parametrize("content", [{}, {"version": 3, "parts": []}, {"version": 1, "parts": {}}])
 def test_another_version_or_no_list_is_refused(tmp_path: Path, content: object) -> None:
     (tmp_path / "MANIFEST.json").write_text(json.dumps(content))
     with pytest.raises(InputError, match=r"MANIFEST\.json: must hold"):
@@ -82,3 +82,25 @@ def test_a_part_listed_twice_is_refused(tmp_path: Path) -> None:
     (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 1, "parts": [GOOD, GOOD]}))
     with pytest.raises(InputError, match="twice"):
         read_manifest(tmp_path)
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_a_flipped_bit_anywhere_is_reported_or_changes_nothing(tmp_path: Path, bit: int) -> None:
+    listed = [Part(f"touch/part-{n:06d}.parquet", n + 1, n, 10 + n, f"{n:064x}") for n in range(2)]
+    write_manifest(tmp_path, listed)
+    data = (tmp_path / "MANIFEST.json").read_bytes()
+    reported = 0
+    for place in range(len(data)):
+        flipped = bytearray(data)
+        flipped[place] ^= 1 << bit
+        (tmp_path / "MANIFEST.json").write_bytes(flipped)
+        try:
+            assert list(read_manifest(tmp_path).values()) == listed
+        except InputError:
+            reported += 1
+    assert reported > 0.9 * len(data)
+
+
+def test_a_manifest_of_before_it_had_a_checksum_is_read(tmp_path: Path) -> None:
+    (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 1, "parts": [GOOD]}))
+    assert [part.rows for part in read_manifest(tmp_path).values()] == [3]

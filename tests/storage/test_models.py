@@ -1,5 +1,6 @@
 import hashlib
 import io
+import json
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,12 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as st_numpy
 from numpy.typing import NDArray
+from safetensors.numpy import save
 
 from operators import Debounce
 from operators.detectors import TRAINED
 from operators.errors import InputError, ParameterError
 from storage import load_debounce, load_detector, load_weights, save_weights
-from storage.models import load_card, shipped
+from storage.models import load_card, save_card, shipped
 
 SHARED = Path(__file__).parents[2].parent / "shared/real"
 
@@ -176,3 +178,77 @@ def test_weights_of_an_unknown_detector_are_refused(tmp_path: Path) -> None:
     save_weights(tmp_path / "model.safetensors", {"x": np.zeros(1)}, {"detector": "oracle"})
     with pytest.raises(InputError, match="is of a detector 'oracle'"):
         load_detector(tmp_path / "model.safetensors")
+
+
+@pytest.mark.parametrize("seed", range(300))
+def test_a_flipped_bit_in_a_shipped_model_or_its_card_is_never_used(tmp_path: Path, seed: int) -> None:
+    path = shipped("tcn")
+    assert path is not None
+    for suffix in (".safetensors", ".json"):
+        (tmp_path / f"model{suffix}").write_bytes(path.with_suffix(suffix).read_bytes())
+    flipped = tmp_path / f"model{('.safetensors', '.json')[seed % 2]}"
+    _flip(flipped, seed / 300, seed % 8)
+    model = tmp_path / "model.safetensors"
+    try:
+        load_detector(model)
+        assert (load_debounce(model), load_card(model)) == (load_debounce("tcn"), load_card(path))
+    except InputError:
+        return
+    assert flipped.suffix == ".json"  # in the space between its words
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_a_flipped_bit_in_a_model_without_a_card_is_never_used(tmp_path: Path, seed: int) -> None:
+    weights = {"a": np.arange(20.0), "b": np.ones((2, 3), np.float32)}
+    path = tmp_path / "model.safetensors"
+    save_weights(path, weights, {"detector": "tcn"})
+    _flip(path, seed / 200, seed % 8)
+    try:
+        found, about = load_weights(path)
+    except InputError:
+        return
+    assert found.keys() == weights.keys()  # it was in the name of the checksum
+    assert about["detector"] == "tcn"
+    assert all((found[name] == array).all() for name, array in weights.items())
+
+
+def test_the_same_model_gives_the_same_bytes_whatever_it_says_of_itself(tmp_path: Path) -> None:
+    about, data = {str(number): "x" for number in range(9)}, list[bytes]()
+    for turn in (about, dict(reversed(about.items()))):
+        save_weights(tmp_path / "model.safetensors", {"x": np.zeros(3)}, turn)
+        data.append((tmp_path / "model.safetensors").read_bytes())
+    assert data[0] == data[1]
+
+
+def test_a_model_that_others_wrote_is_read_without_a_checksum(tmp_path: Path) -> None:
+    (tmp_path / "model.safetensors").write_bytes(save({"x": np.ones(3)}, {"by": "others"}))
+    found, about = load_weights(tmp_path / "model.safetensors")
+    assert (found["x"].tolist(), about) == ([1, 1, 1], {"by": "others"})
+
+
+def test_a_card_that_was_changed_by_hand_says_how_to_keep_it(tmp_path: Path) -> None:
+    path = tmp_path / "model.safetensors"
+    save_card(path, {"detector": "tcn", "debounce": {"threshold": 0.5}})
+    card = path.with_suffix(".json")
+    card.write_text(card.read_text().replace("0.5", "0.6"))
+    with pytest.raises(InputError, match=r"model\.json: is damaged; or was changed by hand: .* 'check'"):
+        load_card(path)
+    content = json.loads(card.read_text())
+    del content["check"]
+    card.write_text(json.dumps(content))
+    assert load_card(path)["debounce"] == {"threshold": 0.6}
+
+
+def test_a_model_with_the_card_of_another_is_refused(tmp_path: Path) -> None:
+    path = shipped("tcn")
+    assert path is not None
+    (tmp_path / "model.safetensors").write_bytes(path.read_bytes())
+    save_card(tmp_path / "model.safetensors", {**load_card(path), "sha256": "0" * 64})
+    with pytest.raises(InputError, match=r"is damaged, or not the model of model\.json"):
+        load_detector(tmp_path / "model.safetensors")
+
+
+def _flip(path: Path, place: float, bit: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[int(place * len(data))] ^= 1 << bit
+    path.write_bytes(data)

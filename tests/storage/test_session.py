@@ -1,5 +1,5 @@
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +8,14 @@ import pytest
 from operators.batch import Batch, Faults, Labelled, Motion, Sample, Scores, Slips, Touch, Zeroed, concat, ms
 from operators.errors import InputError, ParameterError
 from operators.ports import Recording, Run
-from storage import Dataset, Session
+from storage import Dataset, Session, files
+from storage.episodes import Episodes
 from storage.layout import TOUCH
 from storage.parts import read_part, write_part
-from storage.schema import schema
+from storage.schema import schema, to_arrow
+from storage.writer import SessionWriter
+
+NONE = Episodes.described({})
 
 
 @pytest.fixture
@@ -168,16 +172,72 @@ def test_a_part_that_leads_out_of_the_session_is_refused(folder: Path, tmp_path:
         Session.open(folder).frame("touch")
 
 
-def test_a_session_that_was_never_closed_is_read_as_far_as_it_went(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
-    async def main() -> None:
-        sink = Dataset(tmp_path, part_span=100 * ms)
-        await sink.open(new_run())
-        for turn in range(3):
-            await sink.write(new_batch(Touch, 10, start=turn * 100 * ms))
+def record(root: Path, run: Run, batches: Sequence[Batch]) -> SessionWriter:
+    """As a sink does, but for the end: who forgets the writer leaves the session as a crash does."""
+    writer = SessionWriter(root, run, part_span=100 * ms, part_rows=1000)
+    for batch in batches:
+        if writer.full(batch):
+            writer.commit()
+        assert writer.add(batch)
+    return writer
 
-    asyncio.run(main())
+
+@pytest.fixture
+def thirty(new_batch: Callable[..., Any]) -> list[Batch]:
+    return [new_batch(Touch, 5, start=turn * 50 * ms, seed=turn) for turn in range(6)]
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_session_that_is_being_recorded_is_read_as_far_as_it_is_committed(
+    tmp_path: Path, new_run: Callable[..., Run], thirty: list[Batch], *, live: bool
+) -> None:
+    writer = record(tmp_path, new_run(live=live), thirty)
     session = Session.open(tmp_path)
     assert session.about["complete"] is False
     assert len(session.frame("touch")) == 20
+    assert (tmp_path / "sessions/one/journal").exists() is live
+    writer.close()
+    assert len(Session.open(tmp_path).frame("touch")) == 30
+    assert not (tmp_path / "sessions/one/journal").exists()
+
+
+def test_a_part_that_is_not_listed_yet_is_not_read_beside_the_journal(
+    tmp_path: Path, new_run: Callable[..., Run], thirty: list[Batch]
+) -> None:
+    writer = record(tmp_path, new_run(), thirty[:2])
+    folder = tmp_path / "sessions/one"
+    (folder / "touch").mkdir()
+    write_part(folder / "touch/part-000000.parquet", to_arrow(TOUCH, thirty[:2], NONE))
+    assert Session.open(folder).tables == ()
+    writer.close()
+    assert len(Session.open(folder).frame("touch")) == 10
+
+
+def test_a_session_whose_recorder_is_gone_is_put_right_when_it_is_opened(
+    tmp_path: Path, new_run: Callable[..., Run], thirty: list[Batch]
+) -> None:
+    record(tmp_path, new_run(), thirty)
+    session = Session.open(tmp_path)
+    assert len(session.frame("touch")) == 30
+    assert session.about["recovered"] == {"rows": {"touch": 10}, "adopted": [], "lost": []}
+    assert not (tmp_path / "sessions/one/journal").exists()
+
+
+def test_on_a_disk_that_cannot_be_written_what_is_committed_is_read_and_the_rest_told_of_once(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    thirty: list[Batch],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def fail(*_: object) -> None:
+        raise OSError(30, "Read-only file system")
+
+    record(tmp_path, new_run(), thirty)
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "put", fail)
+        patch.setattr(files, "make_folder", fail)
+        assert [len(Session.open(tmp_path).frame("touch")) for _ in range(2)] == [20, 20]
+    [said] = [each for each in caplog.records if "only its journal has" in each.getMessage()]
+    assert "Read-only file system" in said.getMessage()
+    assert len(Session.open(tmp_path).frame("touch")) == 30

@@ -3,6 +3,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import polars as pl
@@ -73,10 +74,12 @@ def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
         try:
             if writer.full(todo[0]):
                 writer.commit()
+            if not writer.add(todo[0]):
+                writer.append(todo[0])
         except EndpointError:
             failures += 1
         else:
-            writer.add(todo.pop(0))
+            todo.pop(0)
     try:
         writer.close()
     except EndpointError:
@@ -112,11 +115,37 @@ def test_a_failure_at_any_step_costs_nothing_but_a_second_try(
         root = tmp_path / str(last)
         with monkeypatch.context() as patch:
             Disk(fail).watch(patch)
-            failures = record(root, new_run(), batches)
+            failures = record(root, new_run(live=False), batches)
         assert rows_found(root, batches) == sum(map(len, batches))
         assert Session.open(root).about["complete"] is True
         assert list(root.rglob("*.tmp")) == []
     assert last > 30
+
+
+def test_with_a_journal_too_a_failure_at_any_step_costs_nothing_but_a_second_try(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counting, reached, last = Lock(), list[str](), 0
+
+    def fail(step: str) -> None:
+        with counting:
+            reached.append(step)
+            failing = len(reached) == last
+        if failing:
+            raise OSError(28, "No space left on device")
+
+    while len(reached) >= last:
+        last += 1
+        reached.clear()
+        root = tmp_path / str(last)
+        with monkeypatch.context() as patch:
+            patch.setattr("storage.steps.reach", fail)
+            record(root, new_run(), batches)
+        assert rows_found(root, batches) == sum(map(len, batches)), last
+        assert Session.open(root).about["complete"] is True
+        assert list(root.rglob("*.tmp")) == []
+        assert not (root / "sessions/one/journal").exists()
+    assert last > 60
 
 
 def test_a_kill_at_any_step_leaves_whole_parts_and_a_dataset_that_goes_on(
@@ -132,11 +161,11 @@ def test_a_kill_at_any_step_leaves_whole_parts_and_a_dataset_that_goes_on(
         root = tmp_path / str(last)
         with monkeypatch.context() as patch, suppress(Killed):
             Disk(kill).watch(patch)
-            record(root, new_run(), batches)
+            record(root, new_run(live=False), batches)
             done = True
         if (root / "sessions/one/session.json").exists():
             found.append(rows_found(root / "sessions/one", batches))
-        record(root, new_run("two"), batches[:6])
+        record(root, new_run("two", live=False), batches[:6])
         assert rows_found(root / "sessions/two", batches[:6]) == 30
     assert found == sorted(found)
     assert found[-1] == sum(map(len, batches))
@@ -152,7 +181,7 @@ def test_a_reader_sees_only_whole_parts_at_any_step_of_the_writer(
             found.append(rows_found(tmp_path, batches))
 
     Disk(look).watch(monkeypatch)
-    record(tmp_path, new_run(), batches)
+    record(tmp_path, new_run(live=False), batches)
     assert found == sorted(found)
     assert len(set(found)) > 6
 
@@ -163,7 +192,7 @@ def test_a_disk_that_stays_full_keeps_no_more_in_memory_and_loses_nothing_that_w
     def fail(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    writer, taken = _open(tmp_path, new_run()), list[Batch]()
+    writer, taken = _open(tmp_path, new_run(live=False)), list[Batch]()
     with monkeypatch.context() as patch:
         Disk(fail).watch(patch)
         for batch in batches:

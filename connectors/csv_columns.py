@@ -1,0 +1,205 @@
+"""Which columns of a CSV trace hold what: said in a map, or guessed where their names are usual."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Final
+
+from operators.batch import BAROMETERS
+from operators.errors import InputError, ParameterError
+
+TIME, COUNTS, VELOCITY, SPEED, LABEL = "time", "counts", "velocity", "speed", "label"
+
+_SPEEDS: Final = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}
+UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
+    {
+        TIME: {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},  # ns
+        VELOCITY: _SPEEDS,  # m/s; of its last three always rad/s
+        SPEED: _SPEEDS,
+    }
+)
+SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
+    {TIME: (1,), COUNTS: (BAROMETERS,), VELOCITY: (3, 6), SPEED: (1,), LABEL: (1,)}
+)
+
+_EXAMPLES: Final = {TIME: "time=t", COUNTS: "counts=p0..p5"}
+_USUAL: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+    {
+        TIME: ("t", "time", "timestamp", "stamp"),  # each also with _s, _ms, _us or _ns
+        SPEED: ("speed", "v", "tcp_speed"),
+        LABEL: ("label", "labels", "slip", "is_slip"),
+    }
+)
+_CELL: Final = re.compile(
+    r"(s|c|p|b|counts?|cell|taxel|baro|barometer|pressure|sensor)([ _.]?)(\d)", re.IGNORECASE
+)
+_AXES: Final = (("vx", "vy", "vz", "wx", "wy", "wz"), ("vx", "vy", "vz"))
+_RANGE: Final = re.compile(r"(.*?)(\d+)\.\.(.*?)(\d+)")
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """Which columns hold the time, the counts, the arm's velocity or its speed, and the labels.
+
+    What it does not say is guessed by `completed`; an empty tuple says that a file has none of it.
+
+    >>> ColumnMap.parse("time=stamp,counts=p0..p5,speed=v", "time=ms,speed=mm/s").columns["counts"]
+    ('p0', 'p1', 'p2', 'p3', 'p4', 'p5')
+
+    Args:
+        columns: names of columns by what they hold: ``time``, ``counts`` (of the barometers 0..5),
+            ``velocity`` (3 or 6, linear and angular, of the TCP in the base frame), ``speed`` or ``label``.
+        units: of ``time`` (s, ms, us, ns), ``velocity`` and ``speed`` (m/s, cm/s, mm/s); by default the one
+            that the name of the time's column ends with, as in ``t_ms``, else s and m/s.
+
+    Raises:
+        ParameterError: naming what cannot be.
+    """
+
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
+    units: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def __post_init__(self) -> None:
+        for name, columns in self.columns.items():
+            if name not in SIZES:
+                raise ParameterError("column map", "what a column holds", name, f"one of {', '.join(SIZES)}")
+            if len(columns) not in (0, *SIZES[name]):
+                many = " or ".join(map(str, SIZES[name]))
+                raise ParameterError("column map", name, ",".join(columns), f"{many} names of columns")
+        if self.columns.get(VELOCITY) and self.columns.get(SPEED):
+            raise ParameterError("column map", SPEED, ",".join(self.columns[SPEED]), "left out with velocity")
+        for name, unit in self.units.items():
+            if name not in UNITS:
+                raise ParameterError("column map", "what has a unit", name, f"one of {', '.join(UNITS)}")
+            if unit not in UNITS[name]:
+                raise ParameterError(
+                    "column map", f"unit of {name}", unit, f"one of {', '.join(UNITS[name])}"
+                )
+
+    @classmethod
+    def parse(cls, columns: str = "", units: str = "") -> "ColumnMap":
+        """A map as a person writes it: ``time=t,counts=p0..p5,label=`` and ``time=ms``.
+
+        Names are listed with commas, ``p0..p5`` stands for a row of them, nothing says that there is none.
+
+        Raises:
+            ParameterError: as the class, or if there is an item without ``=``.
+        """
+        found = {
+            name: tuple(column for item in items for column in _expanded(item))
+            for name, items in _items("columns", columns)
+        }
+        return cls(found, {name: ",".join(items) for name, items in _items("units", units)})
+
+    def completed(self, names: Sequence[str], where: str, *, timed: bool = True) -> "ColumnMap":
+        """This map with what it leaves out guessed from the names of a file's columns.
+
+        Args:
+            names: the names.
+            where: what to call the file's first line in messages.
+            timed: whether there has to be a time.
+
+        Raises:
+            InputError: if a column is not there, or twice; if there are no counts or no time; if several
+                columns could be one thing.
+        """
+        found = dict(self.columns)
+        for name in SIZES:
+            if name not in found:
+                redundant = found.get({VELOCITY: SPEED, SPEED: VELOCITY}.get(name, ""))
+                candidates = [] if redundant else list(_usual(name, names))
+                if len(candidates) > 1:
+                    several = " or ".join(repr(" ".join(each)) for each in candidates)
+                    reason = f"could have its {name} in {several}; say in which, as {name}={candidates[0][0]}"
+                    raise InputError(where, reason)
+                found[name] = candidates[0] if candidates else ()
+        for name in (TIME, COUNTS) if timed else (COUNTS,):
+            if not found[name]:
+                listed = f"has the columns {' '.join(names)!r:.200}"
+                raise InputError(where, f"{listed}, none known as {name}; say which, as {_EXAMPLES[name]}")
+        for column in (column for columns in found.values() for column in columns):
+            if column not in names:
+                raise InputError(where, f"has the columns {' '.join(names)!r:.200}, must have {column}")
+            if names.count(column) > 1 or f"{column}_duplicated_0" in names:  # as polars calls the second
+                raise InputError(where, f"has two columns {column}")
+        units = {name: self.units.get(name, _unit(name, found[name])) for name in UNITS if found.get(name)}
+        return ColumnMap({name: found[name] for name in SIZES if found[name]}, units)
+
+    def scale(self, name: str) -> float:
+        """What a value has to be multiplied with to be in ns or m/s."""
+        return UNITS[name][self.units[name]]
+
+    def __str__(self) -> str:
+        return ",".join(f"{name}={','.join(columns)}" for name, columns in self.columns.items())
+
+
+def _items(what: str, text: str) -> Iterator[tuple[str, list[str]]]:
+    """The names left of ``=`` and what is listed right of it."""
+    found: dict[str, list[str]] = {}
+    name = ""
+    for item in text.split(",") if text.strip() else ():
+        left, equals, right = item.partition("=")
+        if equals:
+            name = left.strip()
+            found[name] = []
+        elif not name:
+            raise ParameterError("column map", what, text, "written as time=t,counts=p0..p5")
+        value = (right if equals else left).strip()
+        found[name] += [value] if value else []
+    yield from found.items()
+
+
+def _expanded(text: str) -> list[str]:
+    """The columns that ``p0..p5`` stands for.
+
+    >>> _expanded("cell 6..cell 4")
+    ['cell 6', 'cell 5', 'cell 4']
+    """
+    match = _RANGE.fullmatch(text)
+    if match is None:
+        return [text]
+    prefix, first, again, last = match.groups()
+    if again not in (prefix, ""):
+        raise ParameterError("column map", "a row of columns", text, "of one name, as p0..p5")
+    begin, end = int(first), int(last)
+    if abs(end - begin) >= BAROMETERS:
+        raise ParameterError("column map", "a row of columns", text, f"of {BAROMETERS} columns at most")
+    step = 1 if end >= begin else -1
+    return [f"{prefix}{number}" for number in range(begin, end + step, step)]
+
+
+def _usual(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Columns that are usually called so."""
+    called = {each.casefold(): each for each in names}
+    if name == COUNTS:
+        yield from _cells(names)
+    elif name == VELOCITY:
+        for axes in _AXES:
+            if set(axes) <= set(called):
+                yield tuple(called[axis] for axis in axes)
+                return
+    else:
+        suffixes = ("", *(f"_{unit}" for unit in UNITS[TIME])) if name == TIME else ("",)
+        usual = {f"{each}{suffix}" for each in _USUAL[name] for suffix in suffixes}
+        yield from ((each,) for each in dict.fromkeys(names) if each.casefold() in usual)
+
+
+def _cells(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Rows of six columns that are numbered from 0 or from 1."""
+    rows: dict[tuple[str, str], dict[int, str]] = {}
+    for name in names:
+        if match := _CELL.fullmatch(name):
+            rows.setdefault((match[1], match[2]), {})[int(match[3])] = name
+    for row in rows.values():
+        for first in (0, 1):
+            numbers = range(first, first + BAROMETERS)
+            if set(row) == set(numbers):
+                yield tuple(row[number] for number in numbers)
+
+
+def _unit(name: str, columns: tuple[str, ...]) -> str:
+    if name != TIME:
+        return "m/s"
+    ending = columns[0].casefold().rpartition("_")[2]
+    return ending if "_" in columns[0] and ending in UNITS[TIME] else "s"

@@ -1,0 +1,233 @@
+"""The frames of a journal: rows, as bytes that cannot be taken for anything else.
+
+.. code-block:: text
+
+    segment   "SLIPWAL1", 8 random bytes; then frames, the first of which describes the segment as JSON
+    frame     "SLIP", length of the body (4 bytes), CRC-32 (4 bytes); body
+    body      code (1), finger (2), rows (4), number of the first in its table (8); the columns, end to end
+
+All numbers are little-endian. The CRC is over length and body. It starts from the segment's random bytes and
+the frame's own place in the file: a frame that the disk gives back from elsewhere, such as from an older file
+whose blocks were used again, is never valid, nor is a tail of zeros or a repeated one.
+"""
+
+import json
+import os
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from struct import Struct
+from typing import Any, Final, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.batch import Batch, columns
+from operators.errors import InputError
+from storage import files
+from storage.layout import TABLE_OF
+
+VERSION: Final = 1
+LIMIT: Final = 64 * files.MiB  # bytes of a body, looked at before any are read
+WHOLE: Final = 8192 * files.MiB  # bytes of a segment, the same
+
+_PREAMBLE: Final = b"SLIPWAL1"
+_MAGIC: Final = b"SLIP"
+_PREFIX: Final = Struct("<4sII")
+_HEAD: Final = Struct("<BhIQ")
+_KINDS: Final = tuple(TABLE_OF)  # a frame's code is a batch type's place here
+_DESCRIPTION: Final = 255  # code; JSON follows
+_EPISODES: Final = 254  # code; JSON follows
+_SEARCHED: Final = 256 * files.MiB  # bytes, which a search for a frame may hash
+SALT: Final = len(_PREAMBLE) + 8  # bytes, with which a segment begins
+
+
+class Rows(NamedTuple):
+    """Rows of one batch, and the number of the first within all that its table ever got."""
+
+    first: int
+    batch: Batch
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Where a segment cannot be read on."""
+
+    offset: int  # bytes, of the first frame that is not whole
+    size: int  # bytes from there to the end
+    more: bool  # whole frames stand behind it: it is not just where the recorder was cut off
+
+
+@dataclass(frozen=True)
+class Segment:
+    """What a segment holds, up to where it is damaged."""
+
+    rows: list[Rows]
+    episodes: list[Any] | None  # the newest that it tells of, as described by the sources
+    damage: Damage | None
+
+
+def new_salt() -> bytes:
+    """How a new segment begins."""
+    return _PREAMBLE + os.urandom(SALT - len(_PREAMBLE))
+
+
+def describe(session: str, number: int) -> bytes:
+    """The body of a segment's first frame."""
+    kinds = [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
+    return _note(_DESCRIPTION, {"version": VERSION, "session": session, "segment": number, "kinds": kinds})
+
+
+def episodes(rows: list[Any]) -> bytes:
+    """The body of a frame that tells of all episodes so far."""
+    return _note(_EPISODES, rows)
+
+
+def bodies(rows: Rows) -> Iterator[bytes]:
+    """The bodies of the frames that hold these rows: one, unless they are more than it may hold."""
+    kind = type(rows.batch)
+    most = (LIMIT - _HEAD.size) // _row_size(kind)
+    for start in range(0, len(rows.batch), most):
+        batch = rows.batch if len(rows.batch) <= most else rows.batch[start : start + most]
+        head = _HEAD.pack(_KINDS.index(kind), batch.finger, len(batch), rows.first + start)
+        yield head + b"".join([getattr(batch, name).tobytes() for name in columns(kind)])
+
+
+def seal(body: bytes, salt: bytes, offset: int) -> bytes:
+    """The frame of a body, valid at `offset` in the segment that begins with `salt` and nowhere else."""
+    return _PREFIX.pack(_MAGIC, len(body), _checksum(body, salt, offset)) + body
+
+
+def read_segment(data: bytes, where: str, session: str, number: int) -> Segment:
+    """What the bytes of a segment hold, up to the first frame that is not whole.
+
+    Args:
+        data: All of them.
+        where: What to call them in an error.
+        session: That they must belong to.
+        number: Of the segment.
+
+    Raises:
+        InputError: if they are whole but of a slipflow that keeps other rows, or of another session.
+    """
+    salt, offset = data[:SALT], SALT
+    body = _body(data, salt, offset) if salt.startswith(_PREAMBLE) else None
+    if body is None:
+        return Segment([], None, Damage(0, len(data), more=len(data) > SALT))
+    kinds = _described(body, where, session, number)
+    rows, told = list[Rows](), None
+    while offset < len(data):
+        body = _body(data, salt, offset)
+        if body is None:
+            return Segment(rows, told, Damage(offset, len(data) - offset, _more(data, salt, offset + 1)))
+        if body[0] == _EPISODES:
+            told = _list(body, where)
+        elif body[0] != _DESCRIPTION:
+            rows.append(_rows(body, kinds, where))
+        offset += _PREFIX.size + len(body)
+    return Segment(rows, told, None)
+
+
+def _checksum(body: bytes, salt: bytes, offset: int) -> int:
+    place = zlib.crc32(offset.to_bytes(8, "little"), zlib.crc32(salt))
+    return zlib.crc32(body, zlib.crc32(len(body).to_bytes(4, "little"), place))
+
+
+def _body(data: bytes, salt: bytes, offset: int) -> bytes | None:
+    """The body of the frame at `offset`; None if there is no whole one."""
+    if len(data) - offset < _PREFIX.size + _HEAD.size:
+        return None
+    magic, length, checksum = _PREFIX.unpack_from(data, offset)
+    start = offset + _PREFIX.size
+    if magic != _MAGIC or not _HEAD.size <= length <= min(LIMIT, len(data) - start):
+        return None
+    body = data[start : start + length]
+    return body if _checksum(body, salt, offset) == checksum else None
+
+
+def _more(data: bytes, salt: bytes, offset: int) -> bool:
+    """Whether a whole frame begins anywhere from `offset` on."""
+    hashed = 0
+    while (offset := data.find(_MAGIC, offset)) >= 0 and hashed < _SEARCHED:
+        if _body(data, salt, offset) is not None:
+            return True
+        hashed += min(int.from_bytes(data[offset + 4 : offset + 8], "little"), LIMIT)
+        offset += 1
+    return False
+
+
+def _rows(body: bytes, kinds: Mapping[int, type[Batch]], where: str) -> Rows:
+    code, finger, count, first = _HEAD.unpack_from(body)
+    kind = kinds.get(code)
+    if kind is None or len(body) != _HEAD.size + count * _row_size(kind):
+        raise InputError(where, "holds a frame that no slipflow writes")
+    values, offset = list[NDArray[Any]](), _HEAD.size
+    for column in columns(kind).values():
+        size = int(np.prod(column.shape, dtype=np.int64))
+        values.append(
+            np.frombuffer(body, column.dtype, count * size, offset).reshape(count, *column.shape).copy()
+        )
+        offset += count * size * column.dtype.itemsize
+    return Rows(first, kind(*values, finger=finger))
+
+
+def _described(body: bytes, where: str, session: str, number: int) -> dict[int, type[Batch]]:
+    """The batch types by their codes."""
+    about = _json(body, where)
+    if body[0] != _DESCRIPTION or not isinstance(about, dict):
+        raise InputError(where, "does not begin with a description")
+    said = cast("dict[str, Any]", about)
+    if said.get("version") != VERSION:
+        reason = f"is of version {said.get('version')!r}, this slipflow knows {VERSION}: recover it with"
+        raise InputError(where, f"{reason} the slipflow that session.json names")
+    if (said.get("session"), said.get("segment")) != (session, number):
+        reason = f"is segment {said.get('segment')!r} of session {said.get('session')!r}; put it back there"
+        raise InputError(where, reason)
+    known = {kind.__name__: kind for kind in _KINDS}
+    kinds = dict[int, type[Batch]]()
+    try:
+        for code, each in enumerate(said["kinds"]):
+            kind = known.get(each["batch"])
+            if kind is None or _layout(kind) != each["columns"]:
+                reason = f"has {each['batch']} rows of other columns than this slipflow keeps: recover it"
+                raise InputError(where, f"{reason} with the slipflow that session.json names")
+            kinds[code] = kind
+    except (LookupError, TypeError) as error:
+        raise InputError(where, f"is described as no slipflow does: {error!r}") from error
+    return kinds
+
+
+def _layout(kind: type[Batch]) -> list[list[Any]]:
+    """Name, element type with its byte order, and shape of each column."""
+    return [[name, each.dtype.str, list(each.shape)] for name, each in columns(kind).items()]
+
+
+def _row_size(kind: type[Batch]) -> int:
+    size = _sizes.get(kind)
+    if size is None:
+        each = columns(kind).values()
+        size = sum(column.dtype.itemsize * int(np.prod(column.shape, dtype=np.int64)) for column in each)
+        _sizes[kind] = size
+    return size
+
+
+_sizes: Final[dict[type[Batch], int]] = {}  # bytes of a row
+
+
+def _note(code: int, content: object) -> bytes:
+    return _HEAD.pack(code, 0, 0, 0) + json.dumps(content).encode()
+
+
+def _list(body: bytes, where: str) -> list[Any]:
+    found = _json(body, where)
+    if not isinstance(found, list):
+        raise InputError(where, "holds episodes that are no list")
+    return [*found]
+
+
+def _json(body: bytes, where: str) -> object:
+    try:
+        found: object = json.loads(body[_HEAD.size :])
+    except (ValueError, RecursionError) as error:
+        raise InputError(where, f"holds JSON that is not valid: {error}") from error
+    return found

@@ -1,0 +1,172 @@
+"""Rows of a session as MCAP messages: their topics, their JSON schemas, their JSON.
+
+The columns keep their names, so that one vocabulary serves Parquet and MCAP. Stamps and spans in ns become
+``{"sec", "nsec"}``, which Foxglove shows as times and which no reader rounds. JSON has no NaN: a value that
+is not finite is null, a column without any finite value is left out of its message.
+"""
+
+import json
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.batch import EVERY, Batch, Column, s
+from operators.errors import InputError
+from storage.layout import CLOCKS, FAULTS, MOTION, SAMPLES, SLIPS, TOUCH, Table
+
+TOPICS: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        TOUCH.name: "/touch/{finger}",
+        MOTION.name: "/motion",
+        SAMPLES.name: "/samples/{finger}",
+        SLIPS.name: "/slip/{finger}",
+        FAULTS.name: "/faults",
+        CLOCKS.name: "/clocks",
+    }
+)
+EPISODES: Final = "/episodes"
+
+_JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # made once: that takes its time
+_INT64: Final = np.dtype(np.int64)
+_STAMP: Final[Mapping[str, Any]] = MappingProxyType(
+    {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+)
+_EPISODE: Final[Mapping[str, str]] = MappingProxyType(
+    {
+        "motion": "translation, rotation, hold, tap or lift",
+        "axis": "primary or oblique",
+        "direction_deg": "deg",
+        "speed": "m/s",
+        "curvature": "plane, sphere, cylinder_x or cylinder_y",
+        "split": "train, validation or test",
+    }
+)
+
+
+def topic(table: Table, finger: int) -> str:
+    """The topic of a table's rows.
+
+    >>> topic(SLIPS, 2), topic(MOTION, EVERY)
+    ('/slip/2', '/motion')
+    """
+    return TOPICS[table.name].format(finger=finger)
+
+
+def schema(table: Table, kind: type[Batch]) -> dict[str, Any]:
+    """The JSON schema of a table's messages, units in the descriptions.
+
+    >>> schema(TOUCH, TOUCH.kind)["properties"]["counts"]["description"]
+    'count'
+    """
+    properties = {"timestamp": {**_STAMP, "title": "time", "description": "event time, since 1970 UTC"}}
+    if table.finger:
+        properties["finger"] = {"type": "integer", "description": "fingertip"}
+    for name, column in table.columns.items():
+        if name != "time":
+            properties[name] = _property(name, column)
+    return _object(kind.__name__, (kind.__doc__ or "").partition("\n")[0], properties)
+
+
+def episode_schema() -> dict[str, Any]:
+    """The JSON schema of what was done when."""
+    properties: dict[str, Any] = {
+        "timestamp": {**_STAMP, "title": "time", "description": "its first instant"},
+        "end": {**_STAMP, "title": "time", "description": "the first instant after it"},
+        "episode": {"type": "integer", "description": "number, in the order of time"},
+    }
+    for name, unit in _EPISODE.items():
+        kind = "number" if name in ("direction_deg", "speed") else "string"
+        properties[name] = {"type": kind, "description": unit}
+    return _object("Episode", "What the arm did for a while.", properties)
+
+
+def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
+    """Each row's event time, ns, and its message.
+
+    Raises:
+        InputError: if a row is of before 1970, which MCAP cannot tell.
+    """
+    columns = [
+        (name, _values(getattr(batch, name), column))
+        for name, column in table.columns.items()
+        if name != "time"
+    ]
+    for row, time in enumerate(batch.time.tolist()):
+        message: dict[str, Any] = {"timestamp": _stamp(_logged(table.name, time))}
+        if batch.finger != EVERY:
+            message["finger"] = batch.finger
+        message |= {name: values[row] for name, values in columns if values[row] is not None}
+        yield time, encode(message)
+
+
+def episode_message(episode: Mapping[str, Any]) -> tuple[int, bytes]:
+    """The start of an episode, ns, and its message.
+
+    Raises:
+        InputError: as `messages`.
+    """
+    start = _logged("episodes", int(episode["start"]))
+    told = {name: episode[name] for name in ("episode", *_EPISODE) if episode.get(name) is not None}
+    return start, encode({"timestamp": _stamp(start), "end": _stamp(int(episode["end"])), **told})
+
+
+def encode(content: Any) -> bytes:  # noqa: ANN401 - whatever JSON can tell
+    """Compact JSON."""
+    return _JSON.encode(content).encode()
+
+
+def _logged(table: str, time: int) -> int:
+    if time < 0:
+        raise InputError(f"{table}, a row at {time} ns", "is of before 1970, which MCAP cannot tell")
+    return time
+
+
+def _property(name: str, column: Column) -> dict[str, Any]:
+    if _is_span(column):
+        title = "duration" if name == "offset" else "time"
+        return {**_STAMP, "title": title, "description": column.unit}
+    types = {"b": "boolean", "i": "integer", "f": "number"}
+    unknown = "; null or left out: unknown" if column.dtype.kind == "f" else ""
+    description = f"{column.unit}{unknown}".removeprefix("; ")
+    value: dict[str, Any] = {"type": types[column.dtype.kind]}
+    if column.shape:
+        value = {"type": "array", "items": value, "minItems": column.shape[0], "maxItems": column.shape[0]}
+    return {**value, "description": description} if description else value
+
+
+def _object(title: str, description: str, properties: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": f"slipflow.{title}",
+        "description": description,
+        "type": "object",
+        "properties": dict(properties),
+    }
+
+
+def _values(values: NDArray[Any], column: Column) -> list[Any]:
+    """What each row has of a column; None where it has nothing finite."""
+    if _is_span(column):
+        return [_stamp(value) for value in values.tolist()]
+    listed: list[Any] = values.tolist()
+    if column.dtype.kind != "f" or (finite := np.isfinite(values)).all():
+        return listed
+    if not column.shape:
+        return [value if there else None for value, there in zip(listed, finite.tolist(), strict=True)]
+    rows = zip(listed, finite.tolist(), strict=True)
+    return [
+        [value if known else None for value, known in zip(row, there, strict=True)] if any(there) else None
+        for row, there in rows
+    ]
+
+
+def _is_span(column: Column) -> bool:
+    return column.dtype == _INT64 and column.unit == "ns"
+
+
+def _stamp(time: int) -> dict[str, int]:
+    sec, nsec = divmod(time, s)
+    return {"sec": sec, "nsec": nsec}

@@ -1,0 +1,34 @@
+import pytest
+
+from connectors.fields import LARGEST, Fields
+from operators.errors import InputError
+
+
+def test_what_is_too_large_is_refused_unread() -> None:
+    payload = b'{"a": "' + b"x" * LARGEST + b'"}'
+    with pytest.raises(InputError, match=rf"^here: is {len(payload)} bytes, at most {LARGEST} are read$"):
+        Fields.parse(payload, "here")
+    assert Fields.parse(payload, "here", largest=len(payload)).text("a")
+
+
+@pytest.mark.parametrize("payload", [b"", b"\xff", b"[1]", b"NaN", b"[" * 60_000])
+def test_what_is_no_object_is_refused(payload: bytes) -> None:
+    with pytest.raises(InputError, match=r"^here: "):
+        Fields.parse(payload, "here")
+
+
+def test_ranges_are_pairs_in_order() -> None:
+    assert Fields({"missing": [[1, 2], [4, 4]]}, "here").ranges("missing") == [(1, 2), (4, 4)]
+
+
+@pytest.mark.parametrize("ranges", [1, [1], [[1]], [[2, 1]], [[0, 1]], [[1, 2.5]], [[1, True]], [[1, 2, 3]]])
+def test_what_are_no_ranges_is_refused_by_name(ranges: list[object]) -> None:
+    with pytest.raises(InputError, match=r"^here: missing.* must be"):
+        Fields({"missing": ranges}, "here").ranges("missing")  # type: ignore[dict-item]
+
+
+def test_an_optional_field_may_be_missing_or_null() -> None:
+    fields = Fields({"a": None, "b": "x"}, "here")
+    assert [fields.optional(fields.text, name) for name in "abc"] == [None, "x", None]
+    with pytest.raises(InputError, match="c is missing"):
+        fields.maybe(fields.text, "c")

@@ -1,0 +1,99 @@
+"""`slipflow verify` and `slipflow recover` as a user meets them."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.clock import EventClock
+from operators.batch import BAROMETERS, Touch, ms
+from operators.ports import Run
+from storage import Session
+from storage.lock import lock
+from storage.writer import SessionWriter
+
+SLIPFLOW = [sys.executable, "-c", "from flows.command import main; main()"]
+
+
+def slipflow(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=300, check=False)
+
+
+def record(root: Path, session: str, *, close: bool) -> Path:
+    writer = SessionWriter(root, Run(session, "slip", EventClock(0), 0), 10**12, 1000)
+    six = np.zeros((5, BAROMETERS), np.int16)
+    assert writer.add(Touch(np.arange(5) * 10 * ms, six, six, six == 0, finger=0))
+    if close:
+        writer.close()
+    return writer.folder
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    """One session that was closed and one whose recorder is gone."""
+    record(tmp_path, "closed", close=True)
+    record(tmp_path, "crashed", close=False)
+    return tmp_path
+
+
+def test_a_crash_is_told_recovered_and_remembered(dataset: Path) -> None:
+    done = slipflow("verify", dataset)
+    assert done.returncode == 3, done.stderr
+    assert "lossy  crashed: has a journal that waits: slipflow recover" in done.stdout
+    done = slipflow("recover", dataset)
+    assert done.returncode == 3, done.stderr
+    assert done.stdout == "crashed: back are 5 rows of touch\n"
+    assert len(Session.open(dataset / "sessions/crashed").frame("touch")) == 5
+    done = slipflow("recover", dataset)
+    assert (done.returncode, done.stdout) == (0, "2 sessions, nothing to recover\n")
+    done = slipflow("verify", dataset)
+    assert done.returncode == 3
+    assert "2 sessions, 2 files, 10 rows" in done.stdout
+    assert slipflow("verify", dataset / "sessions/closed").returncode == 0
+
+
+def test_a_lost_part_is_told_for_people_and_programs(dataset: Path) -> None:
+    (dataset / "sessions/closed/touch/part-000000.parquet").unlink()
+    done = slipflow("verify", dataset / "sessions/closed", "--json")
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert (done.returncode, found["code"], found["findings"][0]["weight"]) == (1, 1, "lost")
+    done = slipflow("verify", dataset)
+    assert done.returncode == 1
+    assert "something is lost" in done.stdout.splitlines()[-1]
+
+
+def test_recover_tells_programs_what_it_did(dataset: Path) -> None:
+    done = slipflow("recover", dataset, "--json")
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert (done.returncode, found["errors"]) == (3, [])
+    assert [each["rows"] for each in found["sessions"]] == [{}, {"touch": 5}]
+
+
+def test_what_is_being_recorded_is_left_alone_and_no_error(dataset: Path) -> None:
+    held = lock(dataset / "sessions/crashed")
+    assert held is not None
+    done = slipflow("recover", dataset)
+    assert (done.returncode, "crashed: is being recorded just now" in done.stderr) == (0, True)
+    done = slipflow("verify", dataset)
+    assert (done.returncode, "is being recorded just now" in done.stdout) == (0, True)
+    os.close(held)
+
+
+def test_a_session_that_cannot_be_recovered_does_not_keep_the_others_from_it(dataset: Path) -> None:
+    (dataset / "sessions/closed/session.json").write_text("{")
+    done = slipflow("recover", dataset)
+    assert done.returncode == 1
+    assert "crashed: back are 5 rows of touch" in done.stdout
+    assert "session.json: is not valid JSON" in done.stderr
+
+
+def test_mistakes_are_one_line_each(tmp_path: Path) -> None:
+    for command in ("verify", "recover"):
+        done = slipflow(command, tmp_path / "nowhere")
+        assert done.returncode == 2
+        assert "Traceback" not in done.stderr
+        assert "nowhere" in done.stderr

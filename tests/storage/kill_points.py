@@ -1,0 +1,109 @@
+"""Records, or recovers, once for each step at which that can be cut off, and is killed there.
+
+    kill_points.py record ROOT          ROOT/<step>-<turn>/ holds what each kill left
+    kill_points.py recover LEFT ROOT    the same for recoveries of copies of the session LEFT
+
+Prints a JSON object: by step, how often one was killed there.
+"""
+
+import json
+import os
+import signal
+import sys
+from collections.abc import Callable
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from shutil import copytree
+from traceback import print_exc
+
+import numpy as np
+
+from operators.batch import BAROMETERS, Motion, Slips, Touch, ms
+from operators.ports import Run
+from storage import journal, recovery, steps
+from storage.writer import SessionWriter
+
+ROWS = 45  # of each stream
+TURNS = (1, 3)  # which time a step is reached
+
+
+class Clock:
+    def now(self) -> int:
+        return 0
+
+    async def sleep_until(self, time: int) -> None:
+        raise AssertionError(time)
+
+
+def row(kind: type[Touch | Motion | Slips], number: int) -> Touch | Motion | Slips:
+    time = np.array([number * 10 * ms])
+    six = np.full((1, BAROMETERS), number)
+    if kind is Touch:
+        return Touch(time, six.astype(np.int16), six.astype(np.int16), six > 0, finger=0)
+    if kind is Motion:
+        return Motion(time, time, six.astype(float), six.astype(float))
+    return Slips(time, np.array([number % 2], np.int8), time, np.array([number / 100]), finger=0)
+
+
+def record(root: Path) -> None:
+    """As a sink does; `taken` says how many rows of each stream were."""
+    root.mkdir()
+    (root / "taken").write_bytes(b"")
+    journal.SYNC = 0.001  # type: ignore[misc] # s
+    writer = SessionWriter(root, Run("one", "slip", Clock(), 0), part_span=100 * ms, part_rows=8)
+    with (root / "taken").open("ab", buffering=0) as taken:
+        for number in range(ROWS):
+            for kind in (Touch, Motion, Slips):
+                batch = row(kind, number)
+                while writer.full(batch):
+                    writer.commit()
+                if not writer.add(batch):
+                    writer.append(batch)
+            taken.write(b".")
+    writer.close()
+
+
+def killed(turn: int, step: str, work: Callable[[], object]) -> bool:
+    """Whether `work` reached the step so many times and was killed there."""
+    child = os.fork()
+    if child:
+        _, status = os.waitpid(child, 0)
+        if not os.WIFSIGNALED(status) and os.waitstatus_to_exitcode(status):
+            raise SystemExit(f"{step}: {status}")
+        return os.WIFSIGNALED(status)
+    left = turn
+
+    def reach(name: str) -> None:
+        nonlocal left
+        left -= name == step
+        if not left:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    steps.reach = reach
+    try:
+        work()
+    except BaseException:  # noqa: BLE001 - the parent has to hear of it
+        print_exc()
+        os._exit(1)
+    os._exit(0)
+
+
+def main() -> None:
+    """Kill at each step."""
+    import_module("storage.salvage")  # once, not after each fork
+    left, root = Path(sys.argv[2]), Path(sys.argv[-1])
+    counts = dict.fromkeys(steps.STEPS, 0)
+    for step in steps.STEPS:
+        for turn in TURNS:
+            place = root / f"{step}-{turn}"
+            if sys.argv[1] == "record":
+                counts[step] += killed(turn, step, partial(record, place))
+            else:
+                copytree(left, place)
+                counts[step] += killed(turn, step, partial(recovery.recover, place))
+    sys.stdout.write(json.dumps(counts))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+import json
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any, cast
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns, concat
+from operators.errors import InputError
+from storage import frames
+from storage.frames import Damage, Rows, read_segment
+
+KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
+
+
+def segment(bodies: Sequence[bytes], salt: bytes | None = None) -> bytes:
+    data = salt or frames.new_salt()
+    for body in (frames.describe("one", 3), *bodies):
+        data += frames.seal(body, data[: frames.SALT], len(data))
+    return data
+
+
+def read(data: bytes) -> frames.Segment:
+    return read_segment(data, "000003.wal", "one", 3)
+
+
+def bits(batch: Batch) -> list[bytes]:
+    return [getattr(batch, name).tobytes() for name in columns(type(batch))]
+
+
+@pytest.fixture(scope="module")
+def written(new_batch: Callable[..., Any]) -> list[Rows]:
+    return [Rows(10 * n, new_batch(kind, n + 1, finger=n, seed=n)) for n, kind in enumerate(KINDS)]
+
+
+@pytest.fixture(scope="module")
+def data(written: list[Rows]) -> bytes:
+    return segment([body for rows in written for body in frames.bodies(rows)])
+
+
+def is_prefix(found: frames.Segment, written: list[Rows]) -> bool:
+    return [(rows.first, bits(rows.batch)) for rows in found.rows] == [
+        (rows.first, bits(rows.batch)) for rows in written[: len(found.rows)]
+    ]
+
+
+@given(drawn=st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 9), st.integers(0, 2**40))))
+def test_rows_come_back_bit_for_bit(
+    new_batch: Callable[..., Any],
+    alike: Callable[[Batch, Batch], None],
+    drawn: list[tuple[type[Batch], int, int]],
+) -> None:
+    written = [Rows(first, new_batch(kind, rows, finger=rows % 3, seed=rows)) for kind, rows, first in drawn]
+    found = read(segment([body for rows in written for body in frames.bodies(rows)]))
+    assert found.damage is None
+    full = [rows for rows in written if len(rows.batch)]
+    assert [rows.first for rows in found.rows] == [rows.first for rows in full]
+    for one, other in zip(found.rows, full, strict=True):
+        alike(one.batch, other.batch)
+
+
+def test_a_large_batch_becomes_several_frames(
+    new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(frames, "LIMIT", 1500)
+    batch = new_batch(Motion, 100)
+    found = read(segment(list(frames.bodies(Rows(7, batch)))))
+    assert len(found.rows) > 5
+    assert [rows.first for rows in found.rows] == [7 + 13 * n for n in range(len(found.rows))]
+    assert concat(Motion, [cast("Motion", rows.batch) for rows in found.rows]).velocity.tobytes() == (
+        batch.velocity.tobytes()
+    )
+
+
+def test_the_newest_episodes_are_told_and_an_unknown_time_is_kept() -> None:
+    told: list[Any] = [{"start": 1, "end": 2, "direction_deg": None}]
+    assert read(segment([frames.episodes([]), frames.episodes(told)])).episodes == told
+    assert read(segment([])).episodes is None
+
+
+def test_wherever_it_is_cut_a_prefix_is_left(data: bytes, written: list[Rows]) -> None:
+    counts: list[int] = []
+    for end in range(len(data)):
+        found = read(data[:end])
+        assert is_prefix(found, written)
+        counts.append(len(found.rows))
+        if found.damage:
+            assert found.damage.offset + found.damage.size == end
+            assert found.damage.more == (found.damage.offset == 0 and end > frames.SALT)
+    assert counts == sorted(counts)
+    assert set(counts) == set(range(len(KINDS)))
+
+
+@pytest.mark.parametrize("filling", ["zeros", "garbage", "repeated"])
+def test_whatever_fills_the_tail_no_row_is_made_up(data: bytes, written: list[Rows], filling: str) -> None:
+    for end in range(0, len(data), 7):
+        left = len(data) - end
+        tail = {
+            "zeros": bytes(left),
+            "garbage": bytes(37 * n % 251 for n in range(left)),
+            "repeated": (data[frames.SALT : end] * left)[:left],
+        }[filling]
+        found = read(data[:end] + tail)
+        assert is_prefix(found, written)
+        assert len(found.rows) < len(written)
+        assert found.damage is not None
+
+
+@pytest.mark.parametrize("bit", range(8))
+def test_a_flipped_bit_anywhere_is_noticed_and_leaves_a_prefix(
+    data: bytes, written: list[Rows], bit: int
+) -> None:
+    for place in range(len(data)):
+        flipped = bytearray(data)
+        flipped[place] ^= 1 << bit
+        found = read(bytes(flipped))
+        assert found.damage is not None
+        assert found.damage.offset <= place
+        assert is_prefix(found, written)
+
+
+def test_damage_with_whole_frames_behind_it_is_told_from_a_cut_off_end(data: bytes) -> None:
+    middle, end = bytearray(data), bytearray(data)
+    middle[len(data) // 2] ^= 1
+    end[-1] ^= 1
+    for flipped, more in ((middle, True), (end, False)):
+        damage = read(bytes(flipped)).damage
+        assert isinstance(damage, Damage)
+        assert damage.more is more
+
+
+def test_a_frame_from_elsewhere_is_never_valid(new_batch: Callable[..., Any]) -> None:
+    body = next(frames.bodies(Rows(0, new_batch(Touch, 3))))
+    one, other = segment([body, body, body]), segment([body, body, body])
+    size = (len(one) - len(segment([]))) // 3
+    start = len(one) - 2 * size
+    recycled = one[:start] + other[start:]  # the same place in an older file
+    moved = one[:start] + one[start + size :] + one[start : start + size]
+    for forged in (recycled, moved):
+        assert len(read(forged).rows) == 1
+    assert len(read(one).rows) == 3
+    assert one[start:] != one[start - size : start + size]
+
+
+def test_a_body_that_says_it_is_too_long_is_not_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    data = segment([bytes(1000)])
+    monkeypatch.setattr(frames, "LIMIT", 900)
+    assert read(data).damage is not None
+
+
+def said(**changes: object) -> bytes:
+    """The segment of another slipflow."""
+    body = frames.describe("one", 3)
+    about: dict[str, Any] = json.loads(body[15:]) | changes
+    salt = frames.new_salt()
+    return salt + frames.seal(body[:15] + json.dumps(about).encode(), salt, len(salt))
+
+
+CHANGES: list[tuple[dict[str, Any], str]] = [
+    ({"version": 2}, "is of version 2, this slipflow knows 1"),
+    ({"session": "two"}, "is segment 3 of session 'two'; put it back there"),
+    ({"segment": 4}, "is segment 4 of session 'one'"),
+    ({"kinds": [{"batch": "Touch", "columns": []}]}, "has Touch rows of other columns"),
+    ({"kinds": [{"batch": "Taste", "columns": []}]}, "has Taste rows of other columns"),
+    ({"kinds": 3}, "is described as no slipflow does"),
+    ({"kinds": [[]]}, "is described as no slipflow does"),
+]
+
+
+@pytest.mark.parametrize(("changes", "complaint"), CHANGES)
+def test_what_another_slipflow_wrote_is_refused_not_misread(
+    changes: dict[str, object], complaint: str
+) -> None:
+    with pytest.raises(InputError, match=rf"^000003\.wal: {complaint}"):
+        read(said(**changes))
+
+
+@given(bodies=st.lists(st.binary(min_size=15, max_size=80)), raw=st.binary())
+def test_any_bytes_are_a_segment_or_an_input_error(bodies: list[bytes], raw: bytes) -> None:
+    for data in (raw, segment(bodies), segment([])[:16] + raw):
+        with suppress(InputError):
+            assert isinstance(read(data), frames.Segment)

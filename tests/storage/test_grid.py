@@ -1,0 +1,133 @@
+"""Sessions on a regular grid of time."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators.batch import EVERY, Labelled, Motion, Touch, ms
+from operators.errors import InputError
+from storage import Session
+from storage.grid import Holdings, frames, holdings
+
+Record = Callable[..., Session]
+NewSamples = Callable[..., Labelled]
+MOVED = Holdings((0,), velocity=True, pose=False)
+
+
+def poses(time: list[int]) -> Motion:
+    known = np.arange(len(time))[:, None] + np.zeros(6)
+    return Motion(np.array(time), np.array(time), np.zeros((len(time), 6)), known, finger=EVERY)
+
+
+def test_each_sample_is_a_frame_where_they_are_regular(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    samples = new_samples(np.arange(50) * 10 * ms + 7)
+    cut = frames(record(tmp_path, [samples]), 100, MOVED)
+    (found,) = cut.stretches
+    assert cut.samples == 50
+    assert found.time.tolist() == samples.time.tolist()
+    assert found.counts.tolist() == samples.counts.tolist()
+    assert found.label[:, 0].tolist() == samples.label.tolist()
+    assert found.velocity.tolist() == samples.velocity.tolist()
+    assert found.valid.all()
+
+
+@given(
+    steps=st.lists(st.integers(0, 40 * ms), min_size=1, max_size=60),
+    rate=st.sampled_from([1, 30, 50, 99, 100, 1000]),
+)
+def test_a_frame_is_a_sample_near_its_instant_and_no_sample_is_two_frames(
+    tmp_path_factory: pytest.TempPathFactory,
+    record: Record,
+    new_samples: NewSamples,
+    steps: list[int],
+    rate: int,
+) -> None:
+    samples = new_samples(np.cumsum(steps))
+    cut = frames(record(tmp_path_factory.mktemp("any"), [samples]), rate, MOVED)
+    used = list[int]()
+    for stretch in cut.stretches:
+        assert len(stretch) > 1
+        place = [int(row) // 10 for row in stretch.counts[:, 0]]  # of the sample, as its counts tell
+        assert stretch.time.tolist() == samples.time[place].tolist()
+        used += place
+        since = (stretch.time - samples.time[0]) * rate / 1e9  # periods
+        ticks = np.floor(since + 0.5)
+        assert np.abs(since - ticks).max() <= 0.5 + 1e-6
+        assert (np.diff(ticks) == 1).all()
+    assert len(set(used)) == len(used)
+
+
+def test_a_gap_cuts_and_of_two_samples_for_one_instant_the_nearer_is_kept(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    times = np.array([0, 10, 13, 18, 50, 60, 90]) * ms
+    cut = frames(record(tmp_path, [new_samples(times)]), 100, MOVED)
+    assert [each.time.tolist() for each in cut.stretches] == [
+        [0, 10 * ms, 18 * ms],
+        [50 * ms, 60 * ms],
+    ]  # the last stands alone
+
+
+def test_an_instant_needs_every_fingertip(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+    time = np.arange(10) * 10 * ms
+    missing = new_samples(np.delete(time, 5) + 4 * ms, finger=2)
+    session = record(tmp_path, [new_samples(time), missing])
+    held = holdings(session)
+    assert held == Holdings((0, 2), velocity=True, pose=False)
+    one, other = frames(session, 100, held).stretches
+    assert one.time.tolist() == time[:5].tolist()
+    assert other.time.tolist() == time[6:].tolist()
+    assert one.counts.shape == (5, 12)
+    assert one.counts[1].tolist() == [10, 11, 12, 13, 14, 15, 2010, 2011, 2012, 2013, 2014, 2015]
+
+
+def test_what_is_asked_for_of_the_arm_has_to_be_known(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    samples = new_samples(np.arange(6) * 10 * ms)
+    samples.velocity[2, 4] = np.nan
+    session = record(tmp_path, [samples, poses([0, 8 * ms, 40 * ms])])
+    assert holdings(session) == Holdings((0,), velocity=True, pose=True)
+    assert [len(each) for each in frames(session, 100, MOVED).stretches] == [2, 3]
+    (still,) = frames(session, 100, Holdings((0,), velocity=False, pose=True)).stretches
+    assert still.pose[:, 0].tolist() == [0, 1, 1, 2, 2, 2]  # of the nearest row; at a tie, the later
+    assert np.isnan(still.velocity[2]).any()
+
+
+def test_a_pose_that_lies_far_off_is_unknown(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+    session = record(tmp_path, [new_samples(np.arange(9) * 10 * ms), poses([20 * ms])])
+    (found,) = frames(session, 100, Holdings((0,), velocity=True, pose=True)).stretches
+    assert found.time.tolist() == [0, 10 * ms, 20 * ms, 30 * ms, 40 * ms]
+
+
+def test_a_barometer_that_did_not_answer_reads_what_it_read_last_and_is_marked(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    samples = new_samples(np.arange(3) * 10 * ms)
+    valid = samples.valid.copy()
+    valid[1, 3] = False
+    session = record(tmp_path, [replace(samples, valid=valid)])
+    (found,) = frames(session, 100, MOVED).stretches
+    assert found.counts[:, 3].tolist() == [3, 3, 23]
+    assert found.valid[:, 3].tolist() == [True, False, True]
+
+
+def test_late_rows_are_put_in_their_place(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+    session = record(tmp_path, [new_samples(np.array([0, 20, 10, 30]) * ms)])
+    (found,) = frames(session, 100, MOVED).stretches
+    assert found.counts[:, 0].tolist() == [0, 20, 10, 30]
+
+
+def test_a_session_without_samples_is_refused(
+    tmp_path: Path, record: Record, new_batch: Callable[..., Any]
+) -> None:
+    with pytest.raises(InputError, match="holds no samples, which frames are made of"):
+        holdings(record(tmp_path, [new_batch(Touch)]))

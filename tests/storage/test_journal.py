@@ -1,0 +1,248 @@
+import os
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from operators.batch import Batch, Motion, Slips, Touch
+from storage import frames, steps
+from storage.frames import Rows, read_segment
+from storage.journal import MOST, SOON, Journal
+from storage.layout import segments
+
+
+class Steps:
+    """Tells when the journal has done something, and can hold or fail what it does."""
+
+    def __init__(self) -> None:
+        self.reached = threading.Semaphore(0)
+        self.go_on = threading.Event()
+        self.go_on.set()
+        self.failing = False
+
+    def __call__(self, step: str) -> None:
+        if step == "append frames":
+            self.reached.release()
+            assert self.go_on.wait(60)
+            if self.failing:
+                raise OSError(28, "No space left on device")
+
+    def wait(self) -> None:
+        """Until it appends next."""
+        assert self.reached.acquire(timeout=60)
+
+
+@pytest.fixture
+def step(monkeypatch: pytest.MonkeyPatch) -> Steps:
+    found = Steps()
+    monkeypatch.setattr(steps, "reach", found)
+    return found
+
+
+@pytest.fixture
+def journal(tmp_path: Path, step: Steps) -> Iterator[Journal]:
+    made = Journal(tmp_path, "one", lambda: None)
+    yield made
+    step.go_on.set()
+    step.failing = False
+    made.leave()
+
+
+def found(folder: Path) -> list[tuple[str, int, int]]:
+    """Type, first row and rows of each frame."""
+    return [
+        (type(rows.batch).__name__, rows.first, len(rows.batch))
+        for number, path in segments(folder).items()
+        for rows in read_segment(path.read_bytes(), str(path), "one", number).rows
+    ]
+
+
+def test_what_is_added_is_appended_by_itself(
+    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
+) -> None:
+    assert journal.add(Rows(0, new_batch(Touch, 1)))
+    step.wait()
+    with journal.held():
+        assert found(tmp_path) == [("Touch", 0, 1)]
+
+
+def test_rows_that_wait_are_appended_at_once_when_there_are_some(
+    tmp_path: Path, step: Steps, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
+    journal = Journal(tmp_path, "one", lambda: None)
+    for number in range(SOON):
+        assert journal.add(Rows(number, new_batch(Touch, 1)))
+    step.wait()
+    with journal.held():
+        assert found(tmp_path) == [("Touch", number, 1) for number in range(SOON)]
+    journal.leave()
+
+
+def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(
+    journal: Journal, step: Steps, new_batch: Callable[..., Any]
+) -> None:
+    step.go_on.clear()
+    took = [journal.add(Rows(number, new_batch(Touch, 1))) for number in range(2 * MOST)]
+    assert took == [True] * MOST + [False] * MOST
+    assert journal.add(Rows(0, new_batch(Motion, MOST)))
+    assert not journal.add(Rows(0, new_batch(Slips, MOST + 1)))
+
+
+def test_what_does_not_fit_waits_for_what_came_before(
+    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
+) -> None:
+    step.go_on.clear()
+    assert journal.add(Rows(0, new_batch(Touch, MOST)))
+    step.wait()
+    waiter = threading.Thread(target=journal.append, args=[Rows(MOST, new_batch(Touch, 100))])
+    waiter.start()
+    assert found(tmp_path) == []
+    step.go_on.set()
+    waiter.join(60)
+    assert found(tmp_path) == [("Touch", 0, MOST), ("Touch", MOST, 100)]
+    assert journal.add(Rows(110, new_batch(Touch, MOST)))
+
+
+def test_a_full_disk_refuses_rows_until_there_is_room_and_loses_and_repeats_none(
+    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
+) -> None:
+    step.failing = True
+    assert journal.add(Rows(0, new_batch(Touch, SOON)))
+    step.wait()
+    for _ in range(3):
+        with pytest.raises(OSError, match="No space left"):
+            journal.append(Rows(SOON, new_batch(Touch, 1)))
+        assert not journal.add(Rows(SOON, new_batch(Touch, 1)))
+    step.failing = False
+    journal.append(Rows(SOON, new_batch(Touch, 2)))
+    assert found(tmp_path) == [("Touch", 0, SOON), ("Touch", SOON, 2)]
+    assert journal.add(Rows(SOON + 2, new_batch(Touch, 1)))
+
+
+def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_may(
+    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any]
+) -> None:
+    kept = [Rows(3, new_batch(Slips, 2))]
+    journal.append(Rows(0, new_batch(Touch, 4)), *kept)
+    journal.rotate(lambda: kept)
+    assert list(segments(tmp_path)) == [0, 1]
+    journal.append(Rows(4, new_batch(Touch, 1)))
+    journal.drop()
+    assert list(segments(tmp_path)) == [1]
+    assert found(tmp_path) == [("Slips", 3, 2), ("Touch", 4, 1)]
+
+
+def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
+    tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
+    journal, touch = Journal(tmp_path, "one", lambda: None), [new_batch(Touch, 1) for _ in range(3)]
+    for number in range(3):
+        assert journal.add(Rows(number, touch[number]))
+    journal.rotate(lambda: [Rows(2, touch[2])])  # the others are to be committed, and may not be yet
+    assert found(tmp_path) == [("Touch", number, 1) for number in (0, 1, 2, 2)]
+    assert journal.add(Rows(3, touch[0]))
+    journal.rotate(lambda: [Rows(2, new_batch(Touch, 2))])  # one of them is in the segment before
+    journal.drop()
+    assert found(tmp_path) == [("Touch", 2, 2), ("Touch", 3, 1)]
+    journal.leave()
+
+
+def test_a_segment_that_cannot_be_begun_leaves_the_old_one_in_use(
+    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
+) -> None:
+    journal.append(Rows(0, new_batch(Touch, 1)))
+    step.failing = True
+    with pytest.raises(OSError, match="No space left"):
+        journal.rotate(lambda: [Rows(0, new_batch(Touch, 1))])
+    step.failing = False
+    journal.append(Rows(1, new_batch(Touch, 1)))
+    assert found(tmp_path) == [("Touch", 0, 1), ("Touch", 1, 1)]
+    journal.rotate(list)
+    journal.drop()
+    assert found(tmp_path) == []
+
+
+def test_a_slow_fsync_does_not_hold_up_what_is_appended(
+    tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    syncing, go_on, fsync = threading.Event(), threading.Event(), os.fsync
+
+    def slow(file: int) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            syncing.set()
+            assert go_on.wait(60)
+        fsync(file)
+
+    monkeypatch.setattr("storage.journal.SYNC", 0.001)
+    monkeypatch.setattr(os, "fsync", slow)
+    journal = Journal(tmp_path, "one", lambda: None)
+    journal.append(Rows(0, new_batch(Touch, 1)))
+    assert syncing.wait(60)
+    for number in range(1, 50):
+        journal.append(Rows(number, new_batch(Touch, 1)))
+    assert len(found(tmp_path)) == 50
+    go_on.set()
+    journal.leave()
+
+
+def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
+    tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failed = threading.Event()
+
+    def fail(_: int) -> None:
+        failed.set()
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr("storage.journal.SYNC", 0.001)
+    journal = Journal(tmp_path, "one", lambda: None)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fail)
+        journal.append(Rows(0, new_batch(Touch, 1)))
+        assert failed.wait(60)
+        journal.stop()
+    suspect = [journal.suspect]
+    journal.rotate(list)
+    assert [*suspect, journal.suspect] == [True, False]
+    journal.leave()
+
+
+def test_episodes_are_told_when_they_change_and_only_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told, asked = list[Any](), threading.Semaphore(0)
+
+    def tell() -> bytes:
+        asked.release()
+        return frames.episodes(told)
+
+    monkeypatch.setattr("storage.journal.SYNC", 0.001)
+    journal = Journal(tmp_path, "one", tell)
+    sizes: list[int] = []
+    for episode in (1, 2):
+        told.append(episode)
+        for _ in range(10):
+            assert asked.acquire(timeout=60)
+        sizes.append(segments(tmp_path)[0].stat().st_size)
+    journal.leave()
+    data = segments(tmp_path)[0].read_bytes()
+    assert read_segment(data, "", "one", 0).episodes == [1, 2]
+    assert data.count(b"SLIP") < 6  # of the segment, its description, and at most three lists
+
+
+def test_its_threads_end_with_it_and_what_waited_is_there(
+    tmp_path: Path, new_batch: Callable[..., Any]
+) -> None:
+    before = threading.active_count()
+    journal, batch = Journal(tmp_path, "one", lambda: None), list[Batch]([new_batch(Touch, 1)])
+    assert threading.active_count() == before + 2
+    assert journal.add(Rows(0, batch[0]))
+    journal.leave()
+    assert threading.active_count() == before
+    assert found(tmp_path) == [("Touch", 0, 1)]
+    journal.remove()
+    assert list(tmp_path.iterdir()) == []

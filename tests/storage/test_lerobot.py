@@ -1,0 +1,238 @@
+"""Sessions as a LeRobot dataset, read back by its documented layout alone."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from operators.batch import EVERY, Labelled, Motion, ms
+from operators.errors import EndpointError, InputError, ParameterError
+from storage import Session
+from storage.lerobot import export
+
+Record = Callable[..., Session]
+NewSamples = Callable[..., Labelled]
+
+
+@dataclass
+class Read:
+    """A LeRobot v3.0 dataset as somebody reads it who knows its documentation only."""
+
+    info: dict[str, Any]
+    stats: dict[str, Any]
+    tasks: dict[int, str]
+    episodes: list[dict[str, Any]]
+    frames: list[pl.DataFrame]  # of each episode
+
+    @classmethod
+    def open(cls, root: Path) -> "Read":
+        """Follow info.json to the episodes and from them to the frames."""
+        info = json.loads((root / "meta/info.json").read_text())
+        assert info["codebase_version"] == "v3.0"
+        tasks = pl.read_parquet(root / "meta/tasks.parquet")
+        episodes = pl.read_parquet(root / "meta/episodes/*/*.parquet").sort("episode_index").to_dicts()
+        frames = list[pl.DataFrame]()
+        for episode in episodes:
+            place = {name: episode[f"data/{name}"] for name in ("chunk_index", "file_index")}
+            path = root / info["data_path"].format(**place)
+            file = pl.read_parquet(path)
+            frames.append(file.filter(pl.col("episode_index") == episode["episode_index"]))
+        stats = json.loads((root / "meta/stats.json").read_text())
+        return cls(info, stats, dict(zip(tasks["task_index"], tasks["task"], strict=True)), episodes, frames)
+
+    def values(self, number: int, feature: str) -> Any:  # noqa: ANN401 - an array of any type
+        """The values of an episode's feature, in the shape that info.json declares."""
+        column = self.frames[number][feature]
+        declared = self.info["features"][feature]
+        assert column.dtype == self.dtype(feature)
+        return column.to_numpy().reshape(-1, *declared["shape"])
+
+    def dtype(self, feature: str) -> pl.DataType:
+        """What the column of a feature must be."""
+        kinds = {"float32": pl.Float32(), "int64": pl.Int64(), "bool": pl.Boolean()}
+        declared = self.info["features"][feature]
+        (size,) = declared["shape"]
+        element = kinds[declared["dtype"]]
+        return element if size == 1 else pl.Array(element, size)
+
+    def check(self) -> None:
+        """All that the documentation promises."""
+        info, index = self.info, 0
+        assert set(self.frames[0].columns) == set(info["features"])
+        for number, (episode, frames) in enumerate(zip(self.episodes, self.frames, strict=True)):
+            assert episode["episode_index"] == number
+            assert (
+                episode["length"]
+                == len(frames)
+                == episode["dataset_to_index"] - episode["dataset_from_index"]
+            )
+            assert episode["dataset_from_index"] == index
+            assert frames["index"].to_list() == list(range(index, index + len(frames)))
+            assert frames["frame_index"].to_list() == list(range(len(frames)))
+            stamps = np.arange(len(frames)) / info["fps"]
+            assert np.abs(frames["timestamp"].to_numpy() - stamps).max() < 1e-4  # LeRobot's own tolerance, s
+            assert {self.tasks[each] for each in frames["task_index"]} == set(episode["tasks"])
+            assert frames["next.done"].to_list() == [False] * (len(frames) - 1) + [True]
+            for feature in info["features"]:
+                self.check_stats(
+                    {key.rpartition("/")[2]: value for key, value in episode.items()
+                     if key.startswith(f"stats/{feature}/")},
+                    self.values(number, feature),
+                )  # fmt: skip
+            index += len(frames)
+        assert (info["total_episodes"], info["total_frames"]) == (len(self.episodes), index)
+        assert info["total_tasks"] == len(self.tasks)
+        assert sorted(self.tasks) == list(range(len(self.tasks)))
+        for feature in info["features"]:
+            whole = np.concatenate([self.values(number, feature) for number in range(len(self.episodes))])
+            self.check_stats(self.stats[feature], whole)
+        ends = [tuple(map(int, span.split(":"))) for span in info["splits"].values()]
+        assert [begin for begin, _ in ends] == [0, *(end for _, end in ends[:-1])]
+        assert ends[-1][1] == len(self.episodes)
+
+    @staticmethod
+    def check_stats(stats: dict[str, list[float]], values: Any) -> None:  # noqa: ANN401 - as above
+        """Statistics are those of the values."""
+        values = values.astype(np.float64)
+        assert stats["count"] == [len(values)]
+        for name, expected in (
+            ("min", values.min(axis=0)),
+            ("max", values.max(axis=0)),
+            ("mean", values.mean(axis=0)),
+            ("std", values.std(axis=0)),
+            ("q50", np.median(values, axis=0)),
+        ):
+            assert stats[name] == pytest.approx(expected.tolist(), rel=1e-9, abs=1e-12), name
+
+
+def poses(time: Any) -> Motion:  # noqa: ANN401 - whole numbers
+    stamps = np.asarray(time, np.int64)
+    known = stamps[:, None] / 1e9 + np.arange(6)
+    return Motion(stamps, stamps, np.zeros((len(stamps), 6)), known, finger=EVERY)
+
+
+def test_values_are_those_of_the_sessions(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+    time = np.arange(60) * 10 * ms + 1_700_000_000_000_000_000
+    samples = [new_samples(time), new_samples(time + 2 * ms, finger=3)]
+    session = record(tmp_path, [*samples, poses(time)])
+    done = export([session], tmp_path / "out")
+    found = Read.open(tmp_path / "out")
+    found.check()
+    assert found.values(0, "observation.state").tolist() == np.hstack([s.counts for s in samples]).tolist()
+    assert found.values(0, "action").tolist() == samples[0].velocity.astype(np.float32).tolist()
+    assert found.values(0, "observation.pose").tolist() == poses(time).pose.astype(np.float32).tolist()
+    assert found.values(0, "label").tolist() == np.stack([s.label for s in samples], axis=1).tolist()
+    assert found.values(0, "valid").all()
+    assert found.episodes[0]["slipflow/session"] == "one"
+    assert found.episodes[0]["slipflow/start_ns"] == time[0]
+    assert (done.episodes, done.frames, done.samples, done.gaps) == (1, 60, 60, 0)
+
+
+def test_a_gap_makes_two_episodes_that_say_when_they_began(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    time = np.delete(np.arange(60) * 10 * ms, [20, 21, 22])
+    done = export([record(tmp_path, [new_samples(time)])], tmp_path / "out")
+    found = Read.open(tmp_path / "out")
+    found.check()
+    assert [each["slipflow/start_ns"] for each in found.episodes] == [0, 230 * ms]
+    assert [each["length"] for each in found.episodes] == [20, 37]
+    assert (done.episodes, done.frames, done.samples, done.gaps) == (2, 57, 57, 1)
+
+
+def test_splits_are_kept_and_their_episodes_stand_together(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    sessions = list[Session]()
+    for name, split in (("a", "test"), ("b", "train"), ("c", None), ("d", "validation"), ("e", "test")):
+        episode = {"start": 0, "end": 100 * ms, "motion": "hold", "split": split}
+        samples = new_samples(np.arange(10) * 10 * ms)
+        sessions.append(record(tmp_path, [samples], name, [episode]))
+    export(sessions, tmp_path / "out")
+    found = Read.open(tmp_path / "out")
+    found.check()
+    assert found.info["splits"] == {"train": "0:2", "validation": "2:3", "test": "3:5"}
+    assert [each["slipflow/session"] for each in found.episodes] == ["b", "c", "d", "a", "e"]
+
+
+def test_tasks_are_what_the_arm_did_or_what_is_told(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    episodes = [
+        {"start": 0, "end": 50 * ms, "motion": "hold"},
+        {"start": 50 * ms, "end": 90 * ms, "motion": "translation"},
+    ]
+    session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)], "one", episodes)
+    export([session], tmp_path / "done")
+    found = Read.open(tmp_path / "done")
+    found.check()
+    holds, slides, otherwise = (
+        "hold the fingertip still",
+        "slide the fingertip over the surface",
+        "feel slip",
+    )
+    tasks = [found.tasks[number] for number in found.frames[0]["task_index"]]
+    assert tasks == [holds] * 5 + [slides] * 4 + [otherwise]
+    assert found.episodes[0]["tasks"] == [holds, slides, otherwise]
+    export([session], tmp_path / "told", task="wipe the table")
+    told = Read.open(tmp_path / "told")
+    told.check()
+    assert told.tasks == {0: "wipe the table"}
+
+
+def test_the_arm_is_left_out_unless_every_session_has_it(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    time = np.arange(10) * 10 * ms
+    moving, still = new_samples(time), new_samples(time)
+    still.velocity[:] = np.nan
+    sessions = [record(tmp_path, [moving, poses(time)], "a"), record(tmp_path, [still], "b")]
+    assert {"action", "observation.pose"} <= set(export(sessions[:1], tmp_path / "one").features)
+    done = export(sessions, tmp_path / "both")
+    assert not {"action", "observation.pose"} & set(done.features)
+    assert done.frames == 20
+    Read.open(tmp_path / "both").check()
+
+
+def test_a_lower_rate_takes_fewer_samples(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+    samples = new_samples(np.arange(58) * 10 * ms)
+    export([record(tmp_path, [samples])], tmp_path / "out", rate=20)
+    found = Read.open(tmp_path / "out")
+    found.check()
+    assert found.info["fps"] == 20
+    assert found.values(0, "observation.state").tolist() == samples.counts[::5].tolist()
+
+
+def test_what_cannot_be_exported_leaves_nothing(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    time = np.arange(10) * 10 * ms
+    one = record(tmp_path / "data", [new_samples(time)], "a")
+    other = record(tmp_path / "data", [new_samples(time, finger=1)], "b")
+    out = tmp_path / "out"
+    with pytest.raises(ParameterError, match="rate is 0, must be at least 1 Hz"):
+        export([one], out, rate=0)
+    with pytest.raises(ParameterError, match="sessions is"):
+        export([], out)
+    with pytest.raises(InputError, match=r"is of fingertips \(1,\), a of \(0,\); export them apart"):
+        export([one, other], out)
+    with pytest.raises(InputError, match="would hold no frames: no two samples follow each other at 1000 Hz"):
+        export([one], out, rate=1000)
+    part = next(one.folder.glob("samples/*.parquet"))
+    part.write_bytes(part.read_bytes()[:-1])
+    with pytest.raises(InputError, match="is damaged"):
+        export([one], out)
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_a_folder_that_is_there_is_not_replaced(
+    tmp_path: Path, record: Record, new_samples: NewSamples
+) -> None:
+    session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)])
+    with pytest.raises(EndpointError, match="must be a new or empty folder"):
+        export([session], tmp_path)

@@ -1,0 +1,58 @@
+"""What a frame of a LeRobot dataset holds."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from operators.batch import s
+from storage.grid import Frames, Holdings
+from storage.lerobot_features import doing, features, values
+
+
+def some(count: int, fingers: int = 1) -> Frames:
+    wide = np.arange(count * 6, dtype=np.float32).reshape(count, 6)
+    counts = np.arange(count * 6 * fingers, dtype=np.int16).reshape(count, -1)
+    label = np.full((count, fingers), -1, np.int8)
+    return Frames(np.arange(count) * s, counts, counts > 0, label, wide, -wide)
+
+
+@pytest.mark.parametrize("velocity", [False, True])
+@pytest.mark.parametrize("pose", [False, True])
+@pytest.mark.parametrize("fingers", [(0,), (0, 2)])
+def test_values_have_the_features_that_are_declared(
+    *, velocity: bool, pose: bool, fingers: tuple[int, ...]
+) -> None:
+    held, frames = Holdings(fingers, velocity=velocity, pose=pose), some(5, len(fingers))
+    declared = features(held)
+    found = values(frames, held, 50, episode=3, index=100, tasks=np.zeros(5, np.int64))
+    assert list(found) == list(declared)
+    for name, feature in declared.items():
+        assert found[name].dtype == feature["dtype"], name
+        assert found[name].size == 5 * feature["shape"][0], name
+        assert feature["names"] is None or len(feature["names"]) == feature["shape"][0]
+    assert ("action" in found, "observation.pose" in found) == (velocity, pose)
+    assert found["timestamp"].tolist() == np.array([0, 0.02, 0.04, 0.06, 0.08], np.float32).tolist()
+    assert found["index"].tolist() == [100, 101, 102, 103, 104]
+    assert found["next.done"].tolist() == [False] * 4 + [True]
+
+
+def test_elements_are_named_by_fingertip_and_barometer() -> None:
+    names: Any = features(Holdings((0, 2), velocity=True, pose=False))["observation.state"]["names"]
+    assert names[:2] == ["finger0.barometer0", "finger0.barometer1"]
+    assert names[-1] == "finger2.barometer5"
+
+
+def test_the_task_is_what_the_arm_does_at_the_instant() -> None:
+    episodes: Any = [
+        {"start": s, "end": 2 * s, "motion": "translation"},
+        {"start": 2 * s, "end": 3 * s, "motion": "rotation"},
+        {"start": 4 * s, "end": 5 * s, "motion": None},
+    ]
+    slides, turns, otherwise = (
+        "slide the fingertip over the surface",
+        "turn the fingertip on the surface",
+        "feel slip",
+    )
+    assert doing(some(5), {"episodes": episodes}) == [otherwise, slides, turns, otherwise, otherwise]
+    assert doing(some(2), {}) == [otherwise] * 2

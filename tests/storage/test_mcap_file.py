@@ -1,0 +1,220 @@
+"""A session as an MCAP file, read back by the library's reader."""
+
+import json
+import math
+from collections.abc import Callable
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, ms, s
+from operators.errors import EndpointError, InputError
+from storage import Session, mcap_file
+from storage.layout import TABLE_OF
+from storage.mcap_file import export
+from storage.mcap_messages import topic
+
+pytest.importorskip("mcap", reason="needs the extra `mcap`")
+
+Record = Callable[..., Session]
+NewBatch = Callable[..., Any]
+Message = tuple[str, int, dict[str, Any]]
+
+
+def read(path: Path) -> list[Message]:
+    """Topic, log time and content of each message, as a viewer gets them."""
+    from mcap.reader import make_reader  # noqa: PLC0415 - an extra
+
+    with path.open("rb") as file:
+        found: list[Message] = []
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            assert message.publish_time == message.log_time
+            found.append((channel.topic, message.log_time, json.loads(message.data)))
+        return found
+
+
+def summary(path: Path) -> tuple[Any, list[Any], list[Any]]:
+    """Its statistics, its metadata, its chunks."""
+    from mcap.reader import make_reader  # noqa: PLC0415 - an extra
+
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        found = reader.get_summary()
+        assert found is not None
+        return found.statistics, list(reader.iter_metadata()), found.chunk_indexes
+
+
+def rows(batch: Batch) -> list[Message]:
+    """The messages that a batch must have become, made here by a rule of one's own."""
+    table = TABLE_OF[type(batch)]
+    found: list[Message] = []
+    for row, time in enumerate(batch.time.tolist()):
+        message: dict[str, Any] = {"timestamp": stamp(time)}
+        if table.finger:
+            message["finger"] = batch.finger
+        for name, column in table.columns.items():
+            value = getattr(batch, name)[row].tolist()
+            if name == "time":
+                continue
+            if column.unit == "ns":
+                message[name] = stamp(value)
+            elif column.shape:
+                listed = [known(each) for each in value]
+                if any(each is not None for each in listed):
+                    message[name] = listed
+            elif known(value) is not None:
+                message[name] = value
+        found.append((topic(table, batch.finger), time, message))
+    return found
+
+
+def stamp(time: int) -> dict[str, int]:
+    return {"sec": time // s, "nsec": time % s}
+
+
+def known(value: Any) -> Any:  # noqa: ANN401 - an element of any column
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def alike(messages: list[Message]) -> list[str]:
+    """Messages so that they can be sorted and compared, bit for bit."""
+    return sorted(json.dumps(each, sort_keys=True) for each in messages)
+
+
+def test_every_row_of_every_table_is_a_message_in_the_order_of_time(
+    tmp_path: Path, record: Record, new_batch: NewBatch
+) -> None:
+    batches = [
+        *(new_batch(Touch, 50, start=s + 3 * finger, finger=finger, seed=finger) for finger in (0, 2)),
+        new_batch(Motion, 70, start=s + 5 * ms, seed=3),
+        new_batch(Labelled, 45, start=s, finger=2, seed=4),
+        new_batch(Slips, 4, start=s, finger=2, seed=5),
+        new_batch(Faults, 3, start=s, finger=0, seed=6),
+        new_batch(Faults, 3, start=s + 1, finger=2, seed=7),
+        new_batch(Clocks, 5, start=s, seed=8),
+    ]
+    path = tmp_path / "one.mcap"
+    told = list[int]()
+    counted = export(record(tmp_path, batches), path, told.append)
+    found = read(path)
+    assert [time for _, time, _ in found] == sorted(time for _, time, _ in found)
+    expected = [message for batch in batches for message in rows(batch)]
+    assert alike(found) == alike(expected)
+    assert dict(counted) == {name: sum(each[0] == name for each in expected) for name in counted}
+    assert told[-1] == len(expected) == sum(counted.values())
+
+
+def test_late_rows_come_in_their_place(tmp_path: Path, record: Record, new_batch: NewBatch) -> None:
+    batch = new_batch(Zeroed, 40, start=s)
+    late = batch[[*range(0, 40, 2), *range(39, 0, -2)]]
+    path = tmp_path / "late.mcap"
+    export(record(tmp_path, [late, new_batch(Motion, 40, start=s)]), path)
+    times = [time for _, time, _ in read(path)]
+    assert times == sorted(times)
+    assert alike([each for each in read(path) if each[0] == "/touch/0"]) == alike(rows(late))
+
+
+def test_episodes_are_messages_at_their_begin(tmp_path: Path, record: Record, new_batch: NewBatch) -> None:
+    episode = {"start": s + 1, "end": 2 * s, "motion": "translation", "split": "test"}
+    path = tmp_path / "one.mcap"
+    export(record(tmp_path, [new_batch(Touch, 5, start=s)], episodes=[episode]), path)
+    ((time, found),) = [(time, found) for name, time, found in read(path) if name == "/episodes"]
+    assert time == s + 1
+    assert (found["episode"], found["motion"], found["end"]) == (0, "translation", {"sec": 2, "nsec": 0})
+
+
+def test_the_file_says_what_the_session_says_and_counts_what_is_in_it(
+    tmp_path: Path, record: Record, new_batch: NewBatch
+) -> None:
+    session = record(tmp_path, [new_batch(Touch, 30, start=s), new_batch(Motion, 20, start=2 * s)])
+    path = tmp_path / "one.mcap"
+    export(session, path)
+    statistics, (metadata,), chunks = summary(path)
+    assert (statistics.message_count, statistics.channel_count, statistics.schema_count) == (50, 2, 2)
+    assert (statistics.message_start_time, statistics.message_end_time) == (s, 2 * s + 190 * ms)
+    assert metadata.name == "session"
+    assert set(metadata.metadata) == set(session.about)
+    assert metadata.metadata["session"] == "one"
+    assert json.loads(metadata.metadata["units"]) == session.about["units"]
+    assert {chunk.compression for chunk in chunks} == {"zstd"}
+
+
+@pytest.mark.parametrize(
+    ("missing", "compression"), [(["zstandard"], "lz4"), (["zstandard", "lz4"], "")], ids=["lz4", "none"]
+)
+def test_chunks_are_compressed_by_what_is_there(
+    *,
+    tmp_path: Path,
+    record: Record,
+    new_batch: NewBatch,
+    monkeypatch: pytest.MonkeyPatch,
+    missing: list[str],
+    compression: str,
+) -> None:
+    def found(name: str) -> ModuleSpec | None:
+        return None if name in missing else find_spec(name)
+
+    monkeypatch.setattr(mcap_file, "find_spec", found)
+    path = tmp_path / "one.mcap"
+    batch = new_batch(Touch, 30, start=s)
+    export(record(tmp_path, [batch]), path)
+    assert {chunk.compression for chunk in summary(path)[2]} == {compression}
+    assert alike(read(path)) == alike(rows(batch))
+
+
+def test_without_the_library_it_says_how_to_get_it(
+    tmp_path: Path, record: Record, new_batch: NewBatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(_: str) -> None:
+        return None
+
+    monkeypatch.setattr(mcap_file, "find_spec", nothing)
+    session = record(tmp_path, [new_batch(Touch)])
+    with pytest.raises(InputError, match=r"needs mcap: pip install 'slipflow\[mcap\]'$"):
+        export(session, tmp_path / "one.mcap")
+
+
+def test_a_long_session_is_never_read_whole(
+    tmp_path: Path, record: Record, new_batch: NewBatch, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batches = [new_batch(Touch, 20, start=s + k * 200 * ms, seed=k) for k in range(30)]
+    session = record(tmp_path, batches)  # 30 parts
+    held, written, most = 0, 0, 0
+    original = Session.read
+
+    def counted(self: Session, kind: Any, finger: int, rows: int = 1000) -> Any:  # noqa: ANN401 - as Session
+        nonlocal held, most
+        for batch in original(self, kind, finger, rows):
+            held += len(batch)
+            most = max(most, held - written)
+            yield batch
+
+    def progress(rows: int) -> None:
+        nonlocal written
+        written = rows
+
+    monkeypatch.setattr(Session, "read", counted)
+    monkeypatch.setattr(mcap_file, "_OFTEN", 10)
+    export(session, tmp_path / "one.mcap", progress)
+    assert written == 600
+    assert most <= 40  # a part and what was not told yet
+
+
+def test_what_fails_leaves_nothing_and_what_is_there_stays(
+    tmp_path: Path, record: Record, new_batch: NewBatch
+) -> None:
+    session = record(tmp_path / "data", [new_batch(Touch, 50, start=s), new_batch(Motion, 50, start=s)])
+    last = max(session.folder.glob("touch/*.parquet"))
+    last.write_bytes(last.read_bytes()[:-1])
+    with pytest.raises(InputError, match="is damaged"):
+        export(session, tmp_path / "one.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+    (tmp_path / "one.mcap").write_text("mine")
+    with pytest.raises(EndpointError, match="is there already"):
+        export(session, tmp_path / "one.mcap")
+    assert (tmp_path / "one.mcap").read_text() == "mine"

@@ -1,0 +1,66 @@
+"""What is written under another name until it is whole."""
+
+from pathlib import Path
+
+import pytest
+
+from operators.errors import EndpointError
+from storage.partial import SUFFIX, partial_file, partial_folder
+
+
+def test_a_file_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "a.mcap"
+    with partial_file(path) as file:
+        file.write(b"whole")
+        assert not path.exists()
+    assert path.read_bytes() == b"whole"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_folder_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
+    path = tmp_path / "out"
+    with partial_folder(path) as folder:
+        (folder / "meta").mkdir()
+        (folder / "meta" / "info.json").write_text("{}")
+        assert not path.exists()
+    assert (path / "meta" / "info.json").read_text() == "{}"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_nothing_is_left_of_what_failed(tmp_path: Path, error: type[BaseException]) -> None:
+    def half_a_file() -> None:
+        with partial_file(tmp_path / "a") as file:
+            file.write(b"half")
+            raise error
+
+    def half_a_folder() -> None:
+        with partial_folder(tmp_path / "b") as folder:
+            (folder / "half").touch()
+            raise error
+
+    for half in (half_a_file, half_a_folder):
+        with pytest.raises(error):
+            half()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_there_is_neither_replaced_nor_removed(tmp_path: Path) -> None:
+    for name, is_there in (("a", "a"), ("b", "b" + SUFFIX)):
+        (tmp_path / is_there).write_text("mine")
+        for partial in (partial_file, partial_folder):
+            with (
+                pytest.raises(EndpointError, match=r"there already|must be a new|being written"),
+                partial(tmp_path / name),
+            ):
+                raise AssertionError
+        assert (tmp_path / is_there).read_text() == "mine"
+
+
+def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(EndpointError, match=r"file/a: cannot be written: "),
+        partial_file(tmp_path / "file/a"),
+    ):
+        raise AssertionError

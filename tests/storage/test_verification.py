@@ -1,0 +1,186 @@
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from shutil import copytree
+from typing import Any
+
+import pytest
+
+from operators.batch import Batch, Labelled, Motion, Slips, Touch, ms
+from operators.errors import InputError
+from operators.ports import Gap, Run, SinkStatus, SourceStatus
+from storage import Session, recover, verify
+from storage.manifest import read_manifest, write_manifest
+from storage.writer import SessionWriter
+
+
+def record(root: Path, run: Run, batches: list[Batch], *, close: bool = True) -> SessionWriter:
+    writer = SessionWriter(root, run, part_span=100 * ms, part_rows=1000)
+    for batch in batches:
+        if writer.full(batch):
+            writer.commit()
+        assert writer.add(batch)
+    if close:
+        writer.close()
+    return writer
+
+
+@pytest.fixture(scope="module")
+def batches(new_batch: Callable[..., Any]) -> list[Batch]:
+    return [
+        new_batch(kind, 5, start=turn * 50 * ms, seed=turn)
+        for turn in range(5)
+        for kind in (Touch, Motion, Labelled, Slips)
+    ]
+
+
+@pytest.fixture(scope="module")
+def whole(
+    tmp_path_factory: pytest.TempPathFactory, new_run: Callable[..., Run], batches: list[Batch]
+) -> Path:
+    root = tmp_path_factory.mktemp("whole")
+    record(root, new_run(describe={"rig": {"episodes": [{"start": 0, "end": 9}]}}), batches)
+    record(root, new_run("two"), batches[:4])
+    return root
+
+
+@pytest.fixture
+def dataset(whole: Path, tmp_path: Path) -> Path:
+    copytree(whole, tmp_path / "data")
+    return tmp_path / "data"
+
+
+def test_a_dataset_that_is_all_there_is_good_and_its_rows_are_counted(dataset: Path) -> None:
+    told: list[tuple[int, int, str]] = []
+
+    def tell(done: int, of: int, session: str) -> None:
+        told.append((done, of, session))
+
+    found = verify(dataset, tell)
+    assert (found.code, found.findings, found.sessions) == (0, (), 2)
+    assert (found.files, found.rows) == (11 + 4, 101 + 20)
+    assert told[-1] == (15, 15, "two")
+    assert verify(dataset / "sessions/two").rows == 20
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_a_flipped_bit_in_any_listed_file_or_the_manifest_is_found(
+    whole: Path, tmp_path: Path, seed: int
+) -> None:
+    folder = tmp_path / "one"
+    copytree(whole / "sessions/one", folder)
+    paths = [folder / "MANIFEST.json", *sorted(folder.rglob("*.parquet"))]
+    path = paths[seed % len(paths)]
+    data = bytearray(path.read_bytes())
+    data[seed * 7919 % len(data)] ^= 1 << seed % 8
+    path.write_bytes(data)
+    found = verify(folder)
+    assert found.code == 1 or read_manifest(folder) == read_manifest(whole / "sessions/one")
+    if found.code:
+        assert path.name in found.findings[0].text
+
+
+def test_a_missing_part_is_lost(dataset: Path) -> None:
+    (dataset / "sessions/one/touch/part-000001.parquet").unlink()
+    found = verify(dataset)
+    assert found.code == 1
+    [finding] = found.findings
+    assert finding.session == "one"
+    assert "part-000001.parquet: cannot be read: No such file" in finding.text
+
+
+def test_rows_that_the_manifest_counts_otherwise_are_lost(dataset: Path) -> None:
+    folder = dataset / "sessions/two"
+    parts = [*read_manifest(folder).values()]
+    write_manifest(folder, [*parts[1:], replace(parts[0], rows=6)])
+    assert verify(folder).code == 1
+
+
+def test_samples_out_of_the_order_of_time_are_found(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    record(tmp_path, new_run(), [new_batch(Labelled, 3, start=50 * ms), new_batch(Labelled, 3)])
+    found = verify(tmp_path)
+    assert (found.code, len(found.findings)) == (3, 1)
+    assert "are not in the order of time" in found.findings[0].text
+
+
+def test_a_journal_waits_to_be_recovered_and_what_was_recovered_stays_known(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
+) -> None:
+    record(tmp_path, new_run(), batches, close=False)
+    before = verify(tmp_path)
+    assert before.code == 3
+    assert "slipflow recover" in before.findings[0].text
+    recover(tmp_path / "sessions/one")
+    after = verify(tmp_path)
+    assert (after.code, after.rows) == (3, 100)
+    assert "was recovered: 5 rows of touch" in after.findings[0].text
+
+
+def test_a_journal_that_is_damaged_in_the_middle_is_lost(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
+) -> None:
+    record(tmp_path, new_run(), batches, close=False)
+    [path] = tmp_path.rglob("*.wal")
+    data = bytearray(path.read_bytes())
+    data[data.rindex(b"SLIP", 0, -300) + 15] ^= 1
+    path.write_bytes(data)
+    assert [each.weight for each in verify(tmp_path).findings] == ["lossy", "lost"]
+
+
+def test_a_session_that_is_being_recorded_is_good_as_far_as_it_is_committed(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
+) -> None:
+    writer = record(tmp_path, new_run(), batches, close=False)
+    found = verify(tmp_path)
+    assert (found.code, [each.weight for each in found.findings]) == (0, ["note"])
+    assert found.rows == 60
+    writer.close()
+
+
+def test_what_session_json_says_is_weighed(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
+) -> None:
+    run = new_run()
+    run.sources["touch"] = SourceStatus(gaps=[Gap(0, 2_500_000_000, "unplugged")])
+    run.sinks |= {"dataset": SinkStatus(dropped=7), "mqtt": SinkStatus(dropped=3)}
+    record(tmp_path, run, batches)
+    found = {each.text: each.weight for each in verify(tmp_path).findings}
+    assert found == {
+        "7 rows for dataset were dropped": "lossy",
+        "3 rows for mqtt were dropped": "note",
+        "touch was down for 2.5 s: unplugged": "note",
+    }
+
+
+def test_files_that_nobody_lists_are_told_of(dataset: Path) -> None:
+    folder = dataset / "sessions/two"
+    (folder / "touch/part-000001.parquet").write_bytes((folder / "touch/part-000000.parquet").read_bytes())
+    (folder / "motion/part-000001.parquet.tmp").write_bytes(b"half")
+    assert [each.weight for each in verify(folder).findings] == ["lossy", "note"]
+
+
+@pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
+@pytest.mark.parametrize("content", ["{", '{"version": 9}', '{"version": 1, "session": "one", "sinks": [3]}'])
+def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
+    if name == "dataset.json" and "sinks" in content:
+        content = "[]"
+    (dataset / name).write_text(content)
+    assert verify(dataset).code == 1
+
+
+def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "nowhere"):
+        with pytest.raises(InputError, match=r"no such folder|is no session"):
+            verify(path)
+
+
+def test_verifying_changes_nothing(tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]) -> None:
+    record(tmp_path, new_run(), batches, close=False)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    verify(tmp_path)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+    assert json.loads((tmp_path / "sessions/one/session.json").read_text())["complete"] is False
+    assert len(Session.open(tmp_path).frame("touch")) == 25
