@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow check bench models clean
+.PHONY: demo test test-slow chaos check bench models clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -11,6 +11,10 @@ test: check  ## everything that must hold: static checks, then the tests
 test-slow:  ## the tests that take longer than a minute
 	@deploy/prepare test
 	.venv/bin/python -m pytest -m slow
+
+chaos:  ## break what can be broken while it records and publishes; prints each promise: about an hour
+	@deploy/prepare test
+	.venv/bin/python -m tests.chaos.run
 
 check:  ## format, lint, types, import contracts
 	@deploy/prepare test
@@ -33,7 +37,7 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_training.py
 
 models: export PATH := $(CURDIR)/.venv/bin:$(PATH)
-models:  ## train again what ships in storage/trained: an hour and a half on two cores
+models:  ## train again what ships in storage/trained: two hours on two cores
 	@deploy/prepare test
 	mkdir -p models
 	slipflow simulate models/paper-0 --plan paper --seed 0
@@ -44,7 +48,8 @@ models:  ## train again what ships in storage/trained: an hour and a half on two
 	slipflow train models/paper-0 --method frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors
 	slipflow train models/paper-0 --method frequency_cnn_interleaved --epochs 30 \
 	    -o models/frequency_cnn_interleaved.safetensors
-	for name in tcn paper_tcn frequency_cnn frequency_cnn_interleaved; do \
+	slipflow experiment learn -o models/tcn_grasp.safetensors
+	for name in tcn paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 
 clean:  ## forget everything that was set up or built

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows import dataset_commands, detector_commands, exchange_commands, rig_commands
+from flows import (
+    dataset_commands,
+    detector_commands,
+    exchange_commands,
+    experiment_commands,
+    rig_commands,
+)
 from flows.options import AsJson, nanoseconds, progress_bar, told
 
 if TYPE_CHECKING:
@@ -34,7 +40,7 @@ Target = Annotated[
     str,
     typer.Argument(
         metavar="FILE[:FLOW]",
-        help="A Python file that declares a flow (it is run as code), or a ready-made one: live, record.",
+        help="A Python file that declares a flow (run as code), or a ready-made one: live, record, lift.",
     ),
 ]
 Settings = Annotated[
@@ -229,6 +235,7 @@ for each in (
 ):
     app.command()(each)
 app.command("import")(exchange_commands.import_)
+app.add_typer(experiment_commands.app, name="experiment")
 
 
 @app.command()

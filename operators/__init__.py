@@ -35,6 +35,7 @@ from operators.errors import (
     ParameterError,
     SlipflowError,
 )
+from operators.grip import Grip, Gripping, StepGrip
 from operators.health import FaultKind, Health
 from operators.label import Label
 from operators.lifted import Lifted
@@ -74,6 +75,8 @@ __all__ = [
     "Faults",
     "FlowError",
     "Gap",
+    "Grip",
+    "Gripping",
     "Health",
     "InputError",
     "Join",
@@ -95,6 +98,7 @@ __all__ = [
     "Slips",
     "Source",
     "SourceStatus",
+    "StepGrip",
     "Touch",
     "WatchClock",
     "Window",

@@ -6,7 +6,7 @@ from operators.detectors.detector import Detector, Stream, Streaming
 from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
 from operators.detectors.paper_tcn import PaperTcn
 from operators.detectors.psd import Psd
-from operators.detectors.tcn import Tcn
+from operators.detectors.tcn import GraspTcn, Tcn
 from operators.detectors.weights import Weights
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "TRAINED",
     "Detector",
     "FrequencyCnn",
+    "GraspTcn",
     "InterleavedFrequencyCnn",
     "PaperTcn",
     "Psd",
@@ -25,6 +26,7 @@ __all__ = [
 DETECTORS: dict[str, Callable[[], Detector]] = {"psd": Psd}  # by name, those that need no weights
 TRAINED: dict[str, Callable[[Weights], Detector]] = {  # those that do; the default first
     "tcn": Tcn,
+    "tcn_grasp": GraspTcn,
     "paper_tcn": PaperTcn,
     "frequency_cnn_interleaved": InterleavedFrequencyCnn,
     "frequency_cnn": FrequencyCnn,

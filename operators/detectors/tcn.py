@@ -89,6 +89,12 @@ class Tcn:
         return np.concatenate(parts, axis=2)  # (n, steps, 12)
 
 
+class GraspTcn(Tcn):
+    """The same network, trained on grasps as well as on strokes: slip is what slides in the hand."""
+
+    name = "tcn_grasp"
+
+
 def _layers(weights: Weights) -> list[Layer]:
     def array(name: str) -> Floats:
         return weights[name].astype(np.float32)

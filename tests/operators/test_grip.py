@@ -1,0 +1,135 @@
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from operators import Commands, Grip, Gripping, ParameterError, Scores, StepGrip, ms
+
+
+def _pushed(grip: Gripping, probability: Sequence[float], since: int = 0) -> Commands:
+    times = (np.arange(len(probability)) + since) * 10 * ms
+    return grip.push(Scores(times, np.array(probability), finger=2))
+
+
+def _soon(**settings: float) -> Grip:
+    values: dict[str, Any] = {"force": 1.0, "settle": 0, **settings}
+    return Grip(**values)
+
+
+def test_the_first_decision_commands_the_weak_force_whatever_it_says() -> None:
+    for first in (0.0, 1.0, np.nan):
+        commands = _pushed(Grip(force=0.7), [first, 0.0, 0.0])
+        assert commands.force.tolist() == [0.7]
+        assert commands.finger == 2
+        assert np.isnan(commands.velocity).all()
+
+
+def test_what_is_felt_while_the_hand_closes_is_not_slip() -> None:
+    assert len(_pushed(Grip(settle=200 * ms), [1.0] * 20)) == 1
+    assert len(_pushed(Grip(settle=200 * ms), [1.0] * 24)) > 1
+
+
+def test_one_decision_alone_is_no_slip() -> None:
+    assert len(_pushed(_soon(), [0.0, 1.0, 0.0, 1.0, np.nan, 1.0, 0.0])) == 1
+
+
+def test_the_surer_it_is_the_faster_the_force_grows() -> None:
+    sure, doubtful = (_pushed(_soon(), [0.0] + [p] * 8).force[-1] for p in (1.0, 0.8))
+    assert sure > doubtful > 1.0
+
+
+def test_the_longer_it_slips_the_faster_the_force_grows() -> None:
+    force = _pushed(_soon(gain=5.0, reach=99.0), [0.0] + [1.0] * 20).force
+    assert (np.diff(force, 2)[1:] > 0).all()
+
+
+def test_the_force_grows_in_shares_of_what_the_slip_began_with() -> None:
+    weak, strong = (_pushed(_soon(force=force), [0.0] + [0.9] * 9).force for force in (0.5, 2.0))
+    assert strong == pytest.approx(4 * weak)
+
+
+def test_what_a_command_does_is_awaited_before_the_force_grows_on() -> None:
+    grip = _soon(gain=40.0, reach=1.5, latency=100 * ms, resolution=1e-9)
+    commands = _pushed(grip, [0.0] + [1.0] * 40)
+    time, force = commands.time / 1e9, commands.force
+    before = force[np.searchsorted(time, time - 0.1 - 1e-9, "left").clip(0) - (time > 0.1)]
+    assert (force <= 1.5 * before.clip(1.0) + 1e-9).all()
+    assert force[-1] > 1.5**2
+
+
+def test_commands_rise_no_faster_than_the_rate() -> None:
+    commands = _pushed(_soon(gain=1000.0, rate=5.0, reach=99.0), [0.0] + [1.0] * 20)
+    assert (np.diff(commands.force) <= 5.0 * np.diff(commands.time) / 1e9 + 1e-12).all()
+    assert commands.force[-1] > 1.5
+
+
+def test_once_nothing_slips_the_force_falls_to_the_margin_above_what_slipped_and_no_further() -> None:
+    grip = _soon(latency=30 * ms, margin=0.2, calm=50 * ms, ease=2.0, reach=99.0, keep=0.0, resolution=1e-9)
+    rising = _pushed(grip, [0.0] + [1.0] * 10).force
+    after = _pushed(grip, [0.0] * 200, since=11).force
+    assert (np.diff(after) < 0).all()
+    assert after[-1] == pytest.approx(1.2 * rising[-5])  # in force when the newest decision but three came
+
+
+def test_it_keeps_a_share_of_what_it_was_when_the_slip_ended() -> None:
+    grip = _soon(margin=0.0, keep=0.8, calm=50 * ms, ease=2.0, resolution=1e-9)
+    rising = _pushed(grip, [0.0] + [1.0] * 10).force
+    assert _pushed(grip, [0.0] * 200, since=11).force[-1] == pytest.approx(0.8 * rising[-1])
+
+
+def test_it_stays_while_nothing_has_ever_slipped() -> None:
+    assert len(_pushed(_soon(), [0.0] * 500)) == 1
+
+
+def test_the_force_stays_within_its_limits() -> None:
+    force = _pushed(_soon(most=1.3, patience=10_000 * ms), [0.0] + [1.0] * 50).force
+    assert force.max() == force[-1] == 1.3
+
+
+def test_what_slips_with_all_force_is_given_up_once_and_let_go() -> None:
+    grip = _soon(most=1.3, least=0.1, patience=200 * ms)
+    force = _pushed(grip, [0.0] + [1.0] * 60).force
+    assert force[-2:].tolist() == [1.3, 0.1]
+    assert grip.given_up
+    assert not len(_pushed(grip, [1.0] * 50, since=61))
+    assert not grip.fresh().given_up
+
+
+def test_a_pause_in_the_slip_begins_its_patience_anew() -> None:
+    grip = _soon(most=1.1, patience=200 * ms)
+    _pushed(grip, [0.0] + ([1.0] * 15 + [0.0]) * 20)
+    assert not grip.given_up
+
+
+def test_a_gap_in_the_scores_is_no_time_of_slip() -> None:
+    grip = _soon()
+    before = _pushed(grip, [0.0, 1.0, 1.0, 1.0]).force[-1]
+    after = _pushed(grip, [1.0], since=500)
+    assert not len(after) or after.force[0] == before
+
+
+def test_the_papers_rule_adds_a_step_for_each_registered_slip_and_never_takes_one_back() -> None:
+    grip = StepGrip(force=1.0, step=0.5, settle=0, rate=1e3)
+    force = _pushed(grip, [0.0, 1.0, 1.0, 1.0, 0.0, 1.0, 1.0, *[0.0] * 300]).force
+    assert force.tolist() == [1.0, 1.5, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "settings"),
+    [
+        (Grip, {"force": 11.0}),
+        (Grip, {"least": -1.0}),
+        (Grip, {"threshold": 0.0}),
+        (Grip, {"rate": 0.0}),
+        (Grip, {"consecutive": 0}),
+        (Grip, {"gain": -1.0}),
+        (Grip, {"reach": 1.0}),
+        (Grip, {"keep": 1.5}),
+        (Grip, {"soon": 0}),
+        (StepGrip, {"step": 0.0}),
+    ],
+)
+def test_a_setting_that_cannot_be_is_refused(kind: type[Gripping], settings: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=next(iter(settings))):
+        kind(**settings)
