@@ -73,9 +73,11 @@ class Gripper(Sink[Commands]):
     lossless = False  # the newest command is what counts
 
     def __post_init__(self) -> None:
+        if not self.host:
+            raise ParameterError("Gripper", "host", self.host, "the address of a gripper")
         for name, highest in (("port", 65535), ("unit", FULL), ("position", FULL), ("speed", FULL)):
-            if not 0 <= (value := getattr(self, name)) <= highest:
-                raise ParameterError("Gripper", name, value, f"from 0 to {highest}")
+            if not (isinstance(value := getattr(self, name), int) and 0 <= value <= highest):
+                raise ParameterError("Gripper", name, value, f"a whole number from 0 to {highest}")
         for name in ("patience", "activation", "poll"):
             if not (value := getattr(self, name)) > 0:
                 raise ParameterError("Gripper", name, value, "above 0 s")

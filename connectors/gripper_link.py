@@ -67,7 +67,7 @@ class GripperLink:
             EndpointError: if the gripper cannot be reached.
         """
         if not await self._client.connect():
-            raise EndpointError(self.place, "cannot be reached")
+            raise EndpointError(self.place, "cannot be reached: is it on, is this its address and port?")
 
     async def turn(self) -> None:
         """Wait until a request may go out."""
@@ -141,7 +141,7 @@ def need_pymodbus(owner: str) -> None:
         InputError: if it is not.
     """
     if find_spec("pymodbus") is None:
-        raise InputError(owner, "needs pymodbus: pip install 'slipflow[gripper]'")
+        raise InputError(owner, "needs pymodbus: in the clone, pip install -e '.[gripper]'")
     log = logging.getLogger("pymodbus.logging")
     if log.level == logging.NOTSET:
         log.setLevel(logging.CRITICAL)

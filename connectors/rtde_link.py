@@ -81,7 +81,8 @@ class RtdeLink(asyncio.Protocol):
             for payload in self._subscription.feed(data):
                 self._waiting.append((arrival, payload))
         except RtdeError as error:
-            self._fail(error)
+            stranger = self._subscription.controller is None
+            self._fail(RtdeError(f"it does not speak RTDE: {error}") if stranger else error)
         self._send()
         if self._waiting:
             self._more.set()
@@ -101,3 +102,13 @@ class RtdeLink(asyncio.Protocol):
     def _fail(self, error: Exception) -> None:
         self._error = self._error or error
         self._more.set()
+
+
+def reason(error: Exception) -> str:
+    """Why a connection failed, and what to look at."""
+    if isinstance(error, ConnectionRefusedError):
+        return (
+            "refuses the connection: is this its address, is it on, is RTDE enabled there"
+            " (e-Series: Settings, Security, Services)?"
+        )
+    return str(error)

@@ -16,6 +16,7 @@ from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Json, Source
 
 LOOK_AGAIN: Final = 0.25  # s, between attempts to find a sensor that is lost
+FASTEST: Final = ms // 10  # ns, of a conversion, far below any; what is shorter was not meant in ns
 ADAPTERS: Final = Path("/sys/class/i2c-dev")
 
 
@@ -58,6 +59,10 @@ class TakkTile(Source[Touch]):
         rate: float = 100.0,
         conversion: int = 3 * ms,
     ) -> None:
+        if not isinstance(cast("object", rows), tuple):  # the caller may not be type-checked
+            raise ParameterError("TakkTile", "rows", rows, "a tuple, such as (0,)")
+        if bus == "" or (isinstance(bus, int) and bus < 0):
+            raise ParameterError("TakkTile", "bus", bus, "the number of a bus, 0 or above, or its path")
         fingers = tuple(range(len(rows))) if fingers is None else fingers
         if not rows or len(set(rows)) != len(rows) or not set(rows) <= set(range(ROWS)):
             raise ParameterError("TakkTile", "rows", rows, f"different ones, from 0 to {ROWS - 1}")
@@ -65,8 +70,9 @@ class TakkTile(Source[Touch]):
             raise ParameterError("TakkTile", "fingers", fingers, "different numbers, one for each row")
         if not rate > 0:
             raise ParameterError("TakkTile", "rate", rate, "above 0 Hz")
-        if not 0 < conversion < s / rate:
-            raise ParameterError("TakkTile", "conversion", conversion, f"above 0 and below {s / rate:.0f} ns")
+        if not FASTEST <= conversion < s / rate:
+            must_be = f"from {FASTEST} ns to less than {s / rate:.0f} ns, such as 3 * ms"
+            raise ParameterError("TakkTile", "conversion", conversion, must_be)
         self.path = f"/dev/i2c-{bus}" if isinstance(bus, int) else bus
         self.rate = rate
         self.coefficients = {finger: list[Coefficients | None]([None] * BAROMETERS) for finger in fingers}

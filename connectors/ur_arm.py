@@ -33,6 +33,7 @@ STAND: Final = 1.0  # s, for the arm to come to rest
 HUNG: Final = 2.0  # s without a word from the process
 _TALK: Final = 0.1  # s from word to word to the process
 _STEER: Final = 0.02  # s from order to order along a bent way
+STRAY: Final = 0.005  # m
 
 
 class UrArm:
@@ -43,6 +44,7 @@ class UrArm:
         bounds: Where it may be, and how hard it may press.
         clock: Of the run.
         watchdog: Least rate at which the controller has to hear of us, Hz: it stops the arm otherwise.
+        stray: How far it may get off a line of places, or beyond its end, before it is stopped, m.
 
     Attributes:
         state: The newest that the controller told.
@@ -50,9 +52,11 @@ class UrArm:
         process: That commands it, while it is open.
     """
 
-    def __init__(self, host: str, bounds: Bounds, clock: Clock, *, watchdog: float = WATCHDOG) -> None:
+    def __init__(
+        self, host: str, bounds: Bounds, clock: Clock, *, watchdog: float = WATCHDOG, stray: float = STRAY
+    ) -> None:
         self.host, self.bounds, self.fault = host, bounds, ""
-        self._place, self._watchdog = f"ur://{host}", watchdog
+        self._place, self._watchdog, self._stray = f"ur://{host}", watchdog, stray
         self._watch = Watch(clock, host)
         self.state = State((0.0,) * 6, (0.0,) * 6)
         self._pipe: Connection | None = None
@@ -60,6 +64,7 @@ class UrArm:
         self._news, self._ready, self._gone = asyncio.Event(), False, asyncio.Event()
         self._closing = self._asked = False
         self._air: Place = (0.0, 0.0, 0.0)  # N, that is told though nothing is touched
+        self._guard: Callable[[State], str] | None = None  # of the move at hand: why to stop
         self._told = True  # the controller still tells the state
         self._heard = 0.0  # s, of the loop, when the process last said something
         self._moved = 0.0  # s, of the loop, when it moved last
@@ -73,7 +78,7 @@ class UrArm:
         """
         try:
             self.state = await self._watch.open()
-            self.fault = self.bounds.breach(self.state)
+            self.fault = self.fault or self.bounds.breach(self.state)
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
                 log.warning("%s: the controller tells no force: its bound is not watched", self._place)
@@ -125,7 +130,12 @@ class UrArm:
         self._check()
         loop = asyncio.get_running_loop()
         course, end = Course([self._here, *places], speed, acceleration), loop.time() + 2 * seconds + 2
-        async with self._gliding(speed, acceleration):
+
+        def strays(state: State) -> str:
+            off = course.off((state.pose[0], state.pose[1], state.pose[2]))
+            return f"it is {1000 * off:.1f} mm off its way" if off > self._stray else ""
+
+        async with self._gliding(speed, acceleration, strays):
             while (velocity := course.steer(self._here)) is not None:
                 if loop.time() > end:
                     self.fail(f"takes more than {2 * seconds + 2:.1f} s to get there")
@@ -149,10 +159,13 @@ class UrArm:
         else:
             self._air = air
 
-    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> None:
+    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> float:
         """Go straight on, by a way (m) at most, until what is touched pushes back with a force (N).
 
         The force is what the controller tells beyond that of the last `tare`.
+
+        Returns:
+            The force where it stands.
 
         Raises:
             EndpointError: if the arm had to be stopped, as it is when the way ends without that force.
@@ -160,7 +173,7 @@ class UrArm:
         self._check()
         probe = Probe(self.state, way, force, self._air)
         x, y, z = (speed * each for each in probe.direction)
-        async with self._gliding(speed, acceleration):
+        async with self._gliding(speed, acceleration, probe.overruns):
             self._send(Go((x, y, z, 0.0, 0.0, 0.0), acceleration))
             longest = 2 * probe.longest / speed + 2
             await self._until(lambda: probe.look(self.state), longest, "to touch anything")
@@ -168,6 +181,7 @@ class UrArm:
             far, push = 1000 * probe.longest, probe.push
             self.fail(f"no contact of {force:g} N within {far:.1f} mm: {push:.1f} N there")
             self._check()
+        return probe.pushed(self.state)
 
     async def wait(self, seconds: float) -> None:
         """Go on as it is for a time.
@@ -235,12 +249,17 @@ class UrArm:
         return x, y, z
 
     @asynccontextmanager
-    async def _gliding(self, speed: float, acceleration: float) -> AsyncGenerator[None]:
+    async def _gliding(
+        self, speed: float, acceleration: float, guard: Callable[[State], str] | None = None
+    ) -> AsyncGenerator[None]:
         """A block that moves by velocities (m/s or rad/s at most); it ends at rest.
+
+        A guard looks at every state until then, and says why the arm has to be stopped.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
+        self._guard = guard
         try:
             yield
             self._send(Go((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), acceleration))
@@ -248,6 +267,8 @@ class UrArm:
         except asyncio.CancelledError:
             self._send(Stop())
             raise
+        finally:
+            self._guard = None
         self._send(Rest())
 
     def _start(self) -> None:
@@ -273,7 +294,7 @@ class UrArm:
             while True:
                 for state in await self._watch.next():
                     self.state = state
-                    if why := self.bounds.breach(state):
+                    if why := self.bounds.breach(state) or (self._guard(state) if self._guard else ""):
                         self.fail(why)
                 self._news.set()
         except EndpointError as error:

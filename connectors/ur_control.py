@@ -3,6 +3,10 @@
 It stops the arm when nobody has talked to it for `SILENCE`. If it dies itself, the controller misses the
 watchdog's kicks, ends the control script and so stops the arm by itself.
 
+A velocity and a kick are written to the same register of the controller, which looks at it once a cycle: of
+two that come within a cycle the first is lost. So nothing is kicked while the arm goes by velocities. The
+velocity itself is sent again instead, 0 until `Rest`: any command counts as a kick, and no order stays lost.
+
 A controller has one client of this kind at a time. ur-rtde knows one RTDE port only, 30004.
 """
 
@@ -17,7 +21,8 @@ from typing import Final, Literal, NamedTuple, Protocol, TypeAlias, cast
 
 from operators.errors import EndpointError
 
-SILENCE: Final = 0.5  # s without an order after which the arm is stopped
+SILENCE: Final = 0.5  # s without an order after which the arm is stopped; longer if the watchdog is
+REMIND: Final = 0.05  # s at most from reminder to reminder of the controller
 WATCHDOG: Final = 5.0  # Hz at which the controller must hear of us at least
 HARD: Final = 2.0  # m/s2 and rad/s2 of a stop
 _TURN: Final = 0.01  # s, for an order to come
@@ -50,7 +55,7 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """The arm stands: no velocity is to be kept up any more."""
+    """The arm is seen to stand: no velocity, not even that of 0, is to be kept up any more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +67,8 @@ class Alive:
 class End:
     """Stop and end the process."""
 
+
+_STOP: Final = Go((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), HARD)
 
 Order: TypeAlias = Line | Go | Stop | Rest | Alive | End
 
@@ -95,12 +102,15 @@ def connect(host: str) -> Control:
     try:
         library = import_module("rtde_control")
     except ImportError as error:
-        reason = f"commanding it needs ur-rtde: pip install 'slipflow[ur]' ({error})"
+        reason = f"commanding it needs ur-rtde: in the clone, pip install -e '.[ur]' ({error})"
         raise EndpointError(f"ur://{host}", reason) from error
     try:
         return cast("Callable[[str], Control]", library.RTDEControlInterface)(host)
     except RuntimeError as error:
-        raise EndpointError(f"ur://{host}", f"cannot be commanded: {error}") from error
+        reason = (
+            f"cannot be commanded: {error}; is another program in control, or the arm not in remote control?"
+        )
+        raise EndpointError(f"ur://{host}", reason) from error
 
 
 def serve(
@@ -117,7 +127,7 @@ def serve(
     try:
         control.setWatchdog(watchdog)
         pipe.send(Word("ready"))
-        operator.follow(pipe, 1 / watchdog / 3)
+        operator.follow(pipe, watchdog)
     except (EOFError, OSError):  # who orders is gone
         pass
     except RuntimeError as error:
@@ -134,15 +144,17 @@ class _Operator:
     def __init__(self, control: Control) -> None:
         self._control = control
         self._doing: Literal["rest", "line", "go"] = "rest"
+        self._going = _STOP  # the newest velocity, while it goes
 
-    def follow(self, pipe: Connection, kick: float) -> None:
-        """Take orders until the end, kicking the controller's watchdog every `kick` s.
+    def follow(self, pipe: Connection, watchdog: float) -> None:
+        """Take orders until the end, reminding the controller three times as often as it has to be, or more.
 
         Raises:
             RuntimeError: if the controller does not obey, or nobody orders.
         """
+        silence, every = max(SILENCE, 1 / watchdog), min(REMIND, 1 / watchdog / 3)  # s
         heard = monotonic()
-        kicked = told = heard - 1.0
+        reminded, told = heard, heard - _TELL
         while True:
             if pipe.poll(_TURN):
                 order: Order = pipe.recv()
@@ -151,12 +163,15 @@ class _Operator:
                     return
                 self._obey(order)
             now = monotonic()
-            if now - heard > SILENCE:
-                raise RuntimeError(f"nobody has talked to the arm for {SILENCE} s: it was stopped")
-            if now - kicked > kick:
-                kicked = now
-                if not self._control.kickWatchdog():
-                    raise RuntimeError("the controller does not listen any more")
+            if now - heard > silence:
+                raise RuntimeError(f"nobody has talked to the arm for {silence:g} s: it was stopped")
+            if now - reminded > every:
+                reminded = now
+                if not self._remind():
+                    raise RuntimeError(
+                        "the controller ended our program: stopped there, or by its watchdog, as when it"
+                        f" hears nothing of us for {1 / watchdog:g} s (--watchdog {watchdog:g})"
+                    )
             if now - told > _TELL:
                 told = now
                 pipe.send(Word("alive"))
@@ -165,10 +180,9 @@ class _Operator:
         """Come to rest, without waiting for it."""
         if self._doing == "line":
             self._control.stopL(HARD, True)  # noqa: FBT003 - positional in ur-rtde
+            self._doing = "rest"
         elif self._doing == "go":
-            self._control.speedL([0.0] * 6, HARD, 0.0)
-            return  # the velocity, which is none, is kept up until `Rest`
-        self._doing = "rest"
+            self._go(_STOP)  # kept up until `Rest`
 
     def _obey(self, order: Order) -> None:
         done = True
@@ -179,8 +193,7 @@ class _Operator:
                 done = self._control.moveL([*pose], speed, acceleration, True)  # noqa: FBT003
             case Go(velocity, acceleration):
                 gentle = acceleration if hypot(*velocity) else max(acceleration, 0.1)
-                self._doing = "go"
-                done = self._control.speedL([*velocity], gentle, 0.0)
+                done = self._go(Go(velocity, gentle))
             case Stop():
                 self.stop()
             case Rest():
@@ -190,6 +203,14 @@ class _Operator:
                 pass
         if not done:
             raise RuntimeError(f"the controller does not carry out {type(order).__name__}")
+
+    def _go(self, order: Go) -> bool:
+        self._doing, self._going = "go", order
+        return self._control.speedL([*order.velocity], order.acceleration, 0.0)
+
+    def _remind(self) -> bool:
+        """Let the controller hear of us; a velocity that it may have missed once more."""
+        return self._go(self._going) if self._doing == "go" else self._control.kickWatchdog()
 
     def _end_velocity(self) -> None:
         if self._doing == "go":

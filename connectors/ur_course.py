@@ -63,6 +63,11 @@ class Course:
         )
         return x, y, z
 
+    def off(self, here: Place) -> float:
+        """How far an arm that is here is off the line, m; beyond its end, how far from that."""
+        self._proceed(here)
+        return dist(here, self._at(self.way))
+
     def _proceed(self, here: Place) -> None:
         """Go on to the place of the line that is next to here; never back."""
         while True:

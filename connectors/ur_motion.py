@@ -4,12 +4,13 @@ import asyncio
 import logging
 from collections.abc import AsyncIterator, Awaitable
 from dataclasses import dataclass, field
+from math import isclose
 from typing import Final, TypeVar, cast
 
 import numpy as np
 
 from connectors.rtde import PORT, RtdeError
-from connectors.rtde_link import RtdeLink
+from connectors.rtde_link import RtdeLink, reason
 from operators.batch import Flags, Motion, Times, s
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Json, Source
@@ -56,8 +57,11 @@ class UrMotion(Source[Motion]):
     _stamps: "Stamps" = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if not 0 < self.rate <= HIGHEST:
-            raise ParameterError("UrMotion", "rate", self.rate, f"above 0 Hz, at most {HIGHEST}")
+        if not self.host:
+            raise ParameterError("UrMotion", "host", self.host, "the address of a controller")
+        if not 0 < self.rate <= HIGHEST or _uneven(HIGHEST, self.rate):
+            must_be = f"one of {HIGHEST:g} Hz, {HIGHEST / 2:g}, {HIGHEST / 3:.6g}, {HIGHEST / 4:g} and so on"
+            raise ParameterError("UrMotion", "rate", self.rate, must_be)
         if not self.patience * self.rate > 1:
             raise ParameterError("UrMotion", "patience", self.patience, "longer than from package to package")
         self._stamps = Stamps(self.rate)
@@ -104,9 +108,10 @@ class UrMotion(Source[Motion]):
         version, types = link.controller, link.types
         if types != TYPES:
             raise EndpointError(self._place, f"its {', '.join(OUTPUTS)} are {', '.join(types)}")
-        if version.major <= CB3 and self.rate > CB3_HIGHEST:
-            reason = f"a controller of version {version} gives {CB3_HIGHEST} Hz at most, not {self.rate}"
-            raise EndpointError(self._place, reason)
+        if version.major <= CB3 and (self.rate > CB3_HIGHEST or _uneven(CB3_HIGHEST, self.rate)):
+            most = f"gives {CB3_HIGHEST} Hz at most, or a whole part of it"
+            why = f"a controller of version {version} {most}, not {self.rate}"
+            raise EndpointError(self._place, why)
         self._about["controller"] = str(version)
         self._about["connections"] = cast("int", self._about["connections"]) + 1
 
@@ -143,7 +148,12 @@ class UrMotion(Source[Motion]):
         except TimeoutError as error:
             raise EndpointError(self._place, f"{otherwise} for {self.patience} s") from error
         except (OSError, RtdeError) as error:
-            raise EndpointError(self._place, str(error)) from error
+            raise EndpointError(self._place, reason(error)) from error
+
+
+def _uneven(highest: float, rate: float) -> bool:
+    """Whether a rate is no whole part of the highest: then packages would not come evenly."""
+    return not isclose(highest / rate, round(highest / rate), abs_tol=1e-9)
 
 
 @dataclass

@@ -10,6 +10,7 @@ from connectors.ur_state import State
 from operators.errors import ParameterError
 
 MEAN: Final = 4  # states, over which a force is averaged: 32 ms of a CB3 controller
+OVERRUN: Final = 0.001  # m, beyond the longest way, that it may take to come to rest
 
 
 def mean_force(told: Sequence[State]) -> Place | None:
@@ -64,8 +65,23 @@ class Probe:
 
     def look(self, state: State) -> bool:
         """Whether it has to stop: the force is there, or the way has ended."""
+        self._pushes.append(self.pushed(state))
+        return self.felt or self._gone(state) >= self.longest
+
+    def pushed(self, state: State) -> float:
+        """How hard it is pushed back in a state, N."""
         told = zip(self.direction, state.force, self._air, strict=True)
-        self._pushes.append(-sum(part * (push - air) for part, push, air in told))
+        return -sum(part * (push - air) for part, push, air in told)
+
+    def overruns(self, state: State) -> str:
+        """Why it has to be stopped for good: it went on where it should stand; empty: it did not."""
+        over = self._gone(state) - self.longest
+        if over <= OVERRUN:
+            return ""
+        return (
+            f"it went {1000 * over:.1f} mm beyond the {1000 * self.longest:.1f} mm that it might seek contact"
+        )
+
+    def _gone(self, state: State) -> float:
         steps = zip(self.direction, state.pose, self._begin.pose, strict=False)
-        gone = sum(part * (here - begin) for part, here, begin in steps)  # m
-        return self.felt or gone >= self.longest
+        return sum(part * (here - begin) for part, here, begin in steps)  # m

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from connectors.rtde import PORT, RtdeError
-from connectors.rtde_link import RtdeLink
+from connectors.rtde_link import RtdeLink, reason
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock
 from operators.rotation import onward
@@ -135,7 +135,7 @@ class Watch:
         except TimeoutError as error:
             raise EndpointError(self._place, f"does not answer for {self._patience} s") from error
         except OSError as error:
-            raise EndpointError(self._place, str(error)) from error
+            raise EndpointError(self._place, reason(error)) from error
         return (await self.next())[-1]
 
     async def next(self) -> list[State]:
@@ -150,7 +150,7 @@ class Watch:
         except TimeoutError as error:
             raise EndpointError(self._place, f"sends nothing for {self._patience} s") from error
         except (OSError, RtdeError) as error:
-            raise EndpointError(self._place, str(error)) from error
+            raise EndpointError(self._place, reason(error)) from error
         if self._link.types != TYPES:
             raise EndpointError(self._place, f"its {', '.join(OUTPUTS)} are {', '.join(self._link.types)}")
         rows = np.frombuffer(packages, _ROW)

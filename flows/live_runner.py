@@ -14,7 +14,7 @@ from flows.drawing import streams
 from flows.graph import Flow
 from flows.node import Node
 from flows.plan import Delivery, Plan
-from operators.batch import Batch, s
+from operators.batch import Batch, ms, s
 from operators.errors import EndpointError, SlipflowError
 from operators.operator import Order
 from operators.ports import Clock, ClockStep, Gap, Run, Sink, SinkStatus, Source, SourceStatus
@@ -27,6 +27,8 @@ FAREWELL = 5.0  # s, how long a failing sink is retried once the run is over
 STUCK = 10.0  # s, that one write may take while others wait; then the sink counts as failing
 LOOK = 1.0  # s, between two looks at the host's clock
 TURN = 16  # rows
+BEHIND = 50 * ms  # ns; a source whose newest row is older catches up, as all do after a stall of the host
+PASSES = 8  # of the event loop, that a source catching up waits for older rows of another
 
 
 class LiveRunner:
@@ -158,8 +160,18 @@ class LiveRunner:
                     self._delivered.set()
                 if self._ending:
                     return
+                if self.clock.now() - status.newest > BEHIND:
+                    await self._let_older_pass(status)
                 if status.rows % TURN < len(batch):
                     await asyncio.sleep(0)  # a source that never waits must let the sinks have their turn
+
+    async def _let_older_pass(self, status: SourceStatus) -> None:
+        """Let the others give what is older: a join waits for what belongs together only so long."""
+        others = [other for other in self.run.sources.values() if other is not status]
+        for _ in range(PASSES):
+            if not any(other.up and 0 < other.newest < status.newest for other in others):
+                return
+            await asyncio.sleep(0)
 
     async def _batches(self, node: Node, status: SourceStatus) -> AsyncGenerator[Batch]:
         """What a source gives, over all its failures."""

@@ -45,6 +45,18 @@ def newtons(force: str) -> float:
     return float(match[1])
 
 
+def metres(length: str) -> float:
+    """A length as a person writes it.
+
+    >>> metres("1.5mm")
+    0.0015
+    """
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(mm|m)", length.strip())
+    if match is None:
+        raise typer.BadParameter(f"{length!r} is no length: write it as 1.5mm or 0.0015m")
+    return float(match[1]) / {"mm": 1000, "m": 1}[match[2]]
+
+
 def told(text: str) -> None:
     """Say what is being done, beside the result."""
     typer.echo(text, err=True)

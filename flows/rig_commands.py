@@ -4,15 +4,16 @@ import asyncio
 import json
 import logging
 import os
+import signal
 import sys
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
-from flows.options import AsJson, nanoseconds, newtons, told
+from flows.options import AsJson, metres, nanoseconds, newtons, told
 
 if TYPE_CHECKING:
     from connectors.rig.scene import Curvature
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
 
+PORTS = 65535  # the highest
 GRIPPER = 5020  # port; that of real ones, 502, is for root only
 
 Curvatures = Annotated[str, typer.Option(help="plane, sphere, cylinder_x or cylinder_y.")]
@@ -35,11 +37,16 @@ def rig(
     listen: Annotated[
         str, typer.Option(metavar="ADDRESS", help="Where the servers listen: whoever gets there may move it.")
     ] = "127.0.0.1",
-    rtde: Annotated[int, typer.Option(help="Port of RTDE; ur-rtde knows 30004 only.")] = 30004,
-    script: Annotated[int, typer.Option(help="Port of scripts; ur-rtde knows 30003 only.")] = 30003,
-    dashboard: Annotated[int, typer.Option(help="Port; ur-rtde knows 29999 only.")] = 29999,
+    rtde: Annotated[
+        int, typer.Option(min=0, max=PORTS, help="Port of RTDE; ur-rtde knows 30004 only.")
+    ] = 30004,
+    script: Annotated[
+        int, typer.Option(min=0, max=PORTS, help="Port of scripts; ur-rtde knows 30003 only.")
+    ] = 30003,
+    dashboard: Annotated[int, typer.Option(min=0, max=PORTS, help="Port; ur-rtde knows 29999 only.")] = 29999,
     gripper: Annotated[
-        int, typer.Option(help="Port of Modbus TCP (real grippers have 502); -1: no gripper.")
+        int,
+        typer.Option(min=-1, max=PORTS, help="Port of Modbus TCP (real grippers have 502); -1: no gripper."),
     ] = GRIPPER,
     surface: Curvatures = "plane",
     seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
@@ -72,8 +79,9 @@ def collect(
         typer.Option(
             metavar="NAME[:RADIUS][@X,Y,Z,RX,RY,RZ]",
             help="plane, sphere, cylinder_x or cylinder_y (its axis along that of the fingertip), radius of a"
-            " curved one (m; 0.06), and the TCP pose (m, rotation vector) at which the fingertip just touches"
-            " its middle, the highest point; by default the pose that the arm has now. May be repeated.",
+            " curved one (as 60mm), and the TCP pose (m, rotation vector) at which the fingertip just touches"
+            " its middle, the highest point; by default the pose that the arm has now, where it has to just"
+            " touch then. May be repeated, each at a place of its own.",
         ),
     ] = None,
     robot: Annotated[str | None, typer.Option(metavar="HOST", help="Address of the UR controller.")] = None,
@@ -91,7 +99,8 @@ def collect(
     rotations: Annotated[int | None, typer.Option(help="Sessions of rotations.")] = None,
     rounds: Annotated[int | None, typer.Option(help="Of eight strokes in each session.")] = None,
     depth: Annotated[
-        float | None, typer.Option(help="To press beyond the first touch, m; by default 0.0015.")
+        str | None,
+        typer.Option(metavar="LENGTH", help="To press beyond the first touch, 6mm at most; else 1.5mm."),
     ] = None,
     force: Annotated[
         str | None,
@@ -103,9 +112,14 @@ def collect(
         ),
     ] = None,
     deepest: Annotated[
-        float | None,
-        typer.Option(help="Beyond the first touch, where the force has to be felt at last, m; else 0.004."),
+        str | None,
+        typer.Option(
+            metavar="LENGTH", help="Beyond the first touch, where the force has to be felt at last; else 4mm."
+        ),
     ] = None,
+    unfelt: Annotated[
+        bool, typer.Option("--unfelt", help="Go on though a fingertip feels nothing of a stroke.")
+    ] = False,
     workspace: Annotated[
         str | None,
         typer.Option(
@@ -120,24 +134,39 @@ def collect(
         str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
     ] = "0s",
     patience: Annotated[
-        float, typer.Option(help="Seconds without a reading, after which the arm is stopped.")
-    ] = 0.3,
+        float | None,
+        typer.Option(
+            min=0.05,
+            help="Seconds without a reading, after which the arm is stopped; else 0.3, with --virtual 2.",
+        ),
+    ] = None,
     watchdog: Annotated[
-        float, typer.Option(help="Hz at which the controller must hear of us, else it stops the arm.")
-    ] = 5.0,
+        float | None,
+        typer.Option(
+            min=0.1,
+            help="Hz at which the controller must hear of us, else it stops the arm; else 5, with --virtual"
+            " 0.5: a busy host holds a simulation up, and that is no danger.",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of the order of directions, and of a virtual lab.")] = 0,
     as_json: AsJson = False,
 ) -> None:
     """Drive the arm through a collection plan and record it, labelled and split, as a dataset.
 
-    The fingertip has to be in the air, or just touch, when it begins. Each stroke comes down, rests, slides,
-    rests and goes up. Ctrl-C stops the arm first and then commits; SIGUSR1 pauses, and a second one goes on.
-    The arm is stopped for good on a stop of the controller, at the workspace's bounds, by too much force, and
-    when a fingertip is not felt any more.
+    The fingertip has to just touch the surface when it begins, unless --surface says where that is. Each
+    stroke comes down, rests, slides, rests and goes up. Ctrl-C stops the arm first and then commits; SIGUSR1
+    pauses, and a second one goes on. The arm is stopped for good on a stop of the controller, at the
+    workspace's bounds, by too much force, and when a fingertip is not felt any more, or feels nothing of a
+    stroke.
     """
+    from connectors.ur_control import WATCHDOG
     from flows.collection import live, report
+    from flows.collection.collect import PATIENCE
     from flows.collection.plan import named
+    from flows.collection.surface import apart
 
+    with suppress(ValueError):  # not in the main thread
+        signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # deadly before and after the drive, else
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
     chosen = named(plan)
     changed = replace(
@@ -146,19 +175,17 @@ def collect(
         repeats=chosen.repeats if repeats is None else repeats,
         rotations=chosen.rotations if rotations is None else rotations,
         rounds=chosen.rounds if rounds is None else rounds,
-        depth=chosen.depth if depth is None else depth,
+        depth=chosen.depth if depth is None else metres(depth),
         force=None if force is None else newtons(force),
-        deepest=chosen.deepest if deepest is None else deepest,
+        deepest=chosen.deepest if deepest is None else metres(deepest),
     )
     _check_pressing(changed, limit=newtons(force_limit), depth=depth, deepest=deepest)
-    surfaces = [_surface(each) for each in surface or ["plane"]]
-    box = None if workspace is None else _box(workspace)
-    if dry_run:
-        found = _dry(changed, surfaces, box, seed)
-        typer.echo(json.dumps(found) if as_json else report.as_table(found))
-        return
-    if robot is None and not virtual:
+    surfaces = apart([_surface(each) for each in surface or ["plane"]])
+    if virtual and len(surfaces) > 1:
+        raise typer.BadParameter("--virtual: a virtual lab has one surface; record one after the other")
+    if robot is None and not virtual and not dry_run:
         raise typer.BadParameter("give --robot HOST, or --virtual for a virtual lab, or --dry-run")
+    box = None if workspace is None else _box(workspace)
     rigging = live.Rigging(
         robot or "127.0.0.1",
         out,
@@ -168,17 +195,25 @@ def collect(
         0.03 if virtual else live.MARGIN,  # m; a host that is held up stops a virtual arm late
         newtons(force_limit),
         delay=nanoseconds(delay) or 0,
-        patience=patience,
-        watchdog=watchdog,
+        patience=patience or (2.0 if virtual else PATIENCE),
+        watchdog=watchdog or (0.5 if virtual else WATCHDOG),
+        blind=unfelt,
     )
+    if dry_run:
+        found = _dry(changed, surfaces, rigging, robot, seed, virtual=virtual)
+        typer.echo(json.dumps(found) if as_json else report.as_table(found))
+        return
     told(f"pause, and go on: kill -USR1 {os.getpid()}")
     done = asyncio.run(_collect(changed, plan, surfaces, rigging, seed, virtual=virtual))
     collected = report.summary(done.runs, done.strokes)
     collected["error"] = done.error or None
     typer.echo(json.dumps(collected) if as_json else report.as_text(collected))
+    if done.interrupted:
+        typer.echo("interrupted; the arm stands where it is", err=True)
+        raise typer.Exit(130)
     if done.error:
         typer.echo(f"error: {done.error}; the arm stands where it is", err=True)
-        raise typer.Exit(130 if done.interrupted else 2)
+        raise typer.Exit(2)
     if any(each["dropped"] or each["gaps"] for each in collected["sessions"]):
         raise typer.Exit(1)
 
@@ -231,7 +266,7 @@ async def _serve(
             told("done")
 
 
-def _check_pressing(plan: "Plan", *, limit: float, depth: float | None, deepest: float | None) -> None:
+def _check_pressing(plan: "Plan", *, limit: float, depth: str | None, deepest: str | None) -> None:
     """Say which options do not go together."""
     if plan.force is None and deepest is not None:
         raise typer.BadParameter("--deepest is for --force: --depth says how deep to press without")
@@ -241,12 +276,35 @@ def _check_pressing(plan: "Plan", *, limit: float, depth: float | None, deepest:
         raise typer.BadParameter(f"--force {plan.force:g}N: must be below the --force-limit, {limit:g}N")
 
 
-def _dry(plan: "Plan", surfaces: "list[Spot]", box: "Box | None", seed: int) -> "dict[str, object]":
-    from flows.collection.live import room
+def _dry(
+    plan: "Plan",
+    surfaces: "list[Spot]",
+    rigging: "Rigging",
+    robot: str | None,
+    seed: int,
+    *,
+    virtual: bool,
+) -> "dict[str, object]":
+    """The plan from where the arm is, if there is one to ask, and within the bounds that it would have."""
+    from connectors.rig.virtual_lab import HEIGHT
+    from flows.clock import LoopClock
+    from flows.collection.live import room, where
     from flows.collection.report import planned
 
-    sessions = plan.sessions([each.surface(_middle()) for each in surfaces], seed)
-    return planned(sessions, *room(sessions, None, box))
+    async def ask(robot: str) -> "Pose":
+        return await where(robot, LoopClock())
+
+    middle, here = _middle(), None
+    if virtual:
+        here = (*middle[:2], HEIGHT, *middle[3:])
+    elif robot is not None:
+        middle = here = asyncio.run(ask(robot))
+    else:
+        told("without --robot or --virtual, where the arm is now is unknown: the way from there is left out")
+        if any(each.place is None for each in surfaces):
+            told("and the plan is laid around the origin of its base frame")
+    sessions = plan.sessions([each.surface(middle) for each in surfaces], seed)
+    return planned(sessions, *room(sessions, here, rigging.workspace, rigging.margin), here)
 
 
 def _middle() -> "Pose":
@@ -272,8 +330,11 @@ def _surface(text: str) -> "Spot":
     body, at, place = text.partition("@")
     name, colon, radius = body.partition(":")
     spot = Spot(_curvature(name))
+    if colon and name == "plane":
+        raise typer.BadParameter(f"--surface {text}: a plane has no radius; where it is comes after @")
     if colon:
-        spot = spot._replace(radius=_numbers("--surface", radius, 1)[0])
+        bare = radius.replace(".", "").isdigit()  # in m
+        spot = spot._replace(radius=metres(f"{radius}m" if bare else radius))
     if at:
         x, y, z, a, b, c = _numbers("--surface", place, 6)
         spot = spot._replace(place=(x, y, z, a, b, c))

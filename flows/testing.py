@@ -142,6 +142,10 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         """Virtual seconds since the loop was made."""
         return self._virtual.time
 
+    def stall(self, seconds: float) -> None:
+        """Let time pass in which nothing runs, as a busy host does."""
+        self._virtual.time += seconds
+
 
 def run_virtually(main: Coroutine[Any, Any, T]) -> T:
     """Run a coroutine to its end in virtual time.

@@ -1,52 +1,27 @@
 """Collecting a plan: each session is recorded through a flow while the arm carries it out."""
 
 import asyncio
-import signal
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Final
 
 from connectors.ur_arm import UrArm
 from flows.collection.driver import Driver
+from flows.collection.felt import Felt
 from flows.collection.path import Pose
 from flows.collection.plan import Session
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
 from operators import Align, DeviceClock, Label, Lifted, Motion, Source, Touch, WatchClock, Zero, ms, s
 from operators.errors import EndpointError, SlipflowError
-from operators.ports import Clock, Json, Run, Sink
+from operators.ports import Clock, Json, Run
 from storage import Dataset
 
 APPEAR: Final = 10.0  # s, for a sensor to give its first reading
 PATIENCE: Final = 0.3  # s without a valid reading after which a sensor is lost
 _LOOK: Final = 0.05  # s, from look to look
-_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
-
-
-class Felt(Sink[Touch]):
-    """When each fingertip gave its newest valid reading."""
-
-    lossless = False
-
-    def __init__(self) -> None:
-        self.newest = dict[int, int]()  # ns, by finger
-
-    @property
-    def place(self) -> str:
-        """Nowhere."""
-        return "what was felt"
-
-    async def open(self, run: Run) -> None:
-        """Begin anew."""
-        del run
-        self.newest.clear()
-
-    async def write(self, batch: Touch) -> None:
-        """Take note."""
-        if batch.valid[-1].any():
-            self.newest[batch.finger] = int(batch.time[-1])
 
 
 def declare(
@@ -81,20 +56,11 @@ def declare(
 
 
 class CollectionRunner(LiveRunner):
-    """A live run that stops the arm first when it is told to stop, as by Ctrl-C."""
+    """A live run that leaves signals to the collection, which stops the arm first."""
 
-    def __init__(self, flow: Flow, session: str, clock: Clock, interrupt: Callable[[], None]) -> None:
-        super().__init__(flow, session, clock=clock)
-        self._interrupt = interrupt
-
-    def stop(self) -> None:
-        """Stop the arm, then end the run."""
-        self._interrupt()
-        super().stop()
-
-    def finish(self) -> None:
-        """End the run: the session is complete."""
-        super().stop()
+    @contextmanager
+    def _signals(self) -> Generator[None]:
+        yield
 
 
 @dataclass
@@ -110,9 +76,11 @@ class Collection:
         about: What every session says of the plan.
         delay: See `declare`, ns.
         patience: Without a valid reading of a fingertip, after which the arm is stopped, s.
+        blind: Go on though a fingertip feels nothing of a stroke.
         told: Told what is being done.
         driver: Can be paused.
         runs: One for each session so far.
+        interrupted: It was told to end.
     """
 
     arm: UrArm
@@ -123,13 +91,15 @@ class Collection:
     about: dict[str, Json]
     delay: int = 0
     patience: float = PATIENCE
+    blind: bool = False
     told: Callable[[str], None] = lambda _: None
     driver: Driver = field(init=False)
     runs: list[Run] = field(default_factory=list[Run], init=False)
     interrupted: bool = field(default=False, init=False)
+    _runner: CollectionRunner | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self.driver = Driver(self.arm, self.clock)
+        self.driver = Driver(self.arm, self.clock, blind=self.blind)
 
     async def collect(self, sessions: Sequence[Session]) -> None:
         """Record all sessions; what a session had until the arm had to be stopped is committed.
@@ -138,13 +108,9 @@ class Collection:
             EndpointError: if the arm had to be stopped.
             SlipflowError: if a session cannot be recorded.
         """
-        loop = asyncio.get_running_loop()
         stamp = f"{datetime.fromtimestamp(self.clock.now() // s, UTC):%Y%m%dT%H%M%S}Z"
         for number, session in enumerate(sessions, 1):
             self.told(f"{number}/{len(sessions)} {session.name}: {len(session.strokes)} strokes")
-            with suppress(RuntimeError, ValueError):  # not in the main thread; a run takes them over
-                for each in _SIGNALS:
-                    loop.add_signal_handler(each, self.interrupt)
             await self.driver.follow([session.begin])
             await self._record(session, f"{session.name}-{stamp}")
 
@@ -158,7 +124,9 @@ class Collection:
             self.driver.pause()
 
     def interrupt(self) -> None:
-        """Stop the arm, and so the collection."""
+        """Stop the arm, and so the collection; again: give up what is still being written, as a run does."""
+        if self.interrupted and self._runner:
+            self._runner.stop()
         self.interrupted = True
         self.arm.fail("interrupted")
 
@@ -166,8 +134,9 @@ class Collection:
         felt, episodes = Felt(), list[Json]()
         place, dataset = session.surface.place, self.dataset()
         flow = declare(self.touch, self.motion, place, dataset=dataset, felt=felt, delay=self.delay)
-        runner = CollectionRunner(flow, name, self.clock, self.interrupt)
-        runner.run.describe["collection"] = {**self.about, **_described(session), "episodes": episodes}
+        runner = self._runner = CollectionRunner(flow, name, clock=self.clock)
+        about: dict[str, Json] = {**self.about, **_described(session), "episodes": episodes}
+        runner.run.describe["collection"] = about
         self.runs.append(runner.run)
         running = asyncio.create_task(runner.execute())
         driving = asyncio.create_task(self._drive(session, felt, episodes))
@@ -177,11 +146,13 @@ class Collection:
                 self.arm.fail("the recording ended")
             await asyncio.wait({driving})
             if error := driving.exception():
-                runner.run.error = str(error)
+                runner.run.error = error.reason if isinstance(error, EndpointError) else str(error)
         finally:
             driving.cancel()
-            runner.finish()
+            about["pressed"] = [_pressed(each) for each in episodes[1:]]
+            runner.stop()
             recorded = await asyncio.gather(running, return_exceptions=True)
+            self._runner = None
         if isinstance(recorded[0], SlipflowError):
             raise recorded[0]
         await driving
@@ -190,7 +161,7 @@ class Collection:
         watching = asyncio.create_task(self._watch(felt))
         try:
             await self._appear(felt)
-            await self.driver.carry_out(session, episodes)
+            await self.driver.carry_out(session, episodes, felt)
         finally:
             watching.cancel()
             await asyncio.gather(watching, return_exceptions=True)
@@ -213,8 +184,15 @@ class Collection:
             now = self.clock.now()
             for finger, newest in felt.newest.items():
                 if now - newest > self.patience * s:
-                    self.arm.fail(f"fingertip {finger} has given no reading for {self.patience} s")
+                    why = f"fingertip {finger} has given no reading for {self.patience:g} s (--patience)"
+                    self.arm.fail(why)
             await self.clock.sleep_until(now + round(_LOOK * s))
+
+
+def _pressed(episode: Json) -> Json:
+    """How deep (m beyond the first touch), and with what force (N) if one was sought, a stroke began."""
+    assert isinstance(episode, dict)
+    return {key: episode[key] for key in ("start", "depth", "force")}
 
 
 def _described(session: Session) -> dict[str, Json]:

@@ -1,10 +1,12 @@
 """Carrying out a session's strokes with an arm, and writing down when each was made."""
 
 import asyncio
+import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Final, NamedTuple, Protocol
 
 from connectors.ur_state import State
+from flows.collection.felt import Felt
 from flows.collection.path import (
     Line,
     Place,
@@ -21,6 +23,8 @@ from flows.collection.path import (
 from flows.collection.plan import Session, Stroke
 from operators.batch import s
 from operators.ports import Clock, Json
+
+_LOOK: Final = 0.05  # s, from look to look whether to go on
 
 
 class Arm(Protocol):
@@ -44,8 +48,8 @@ class Arm(Protocol):
         """Take the force that is told while it stands in the air for none."""
         ...
 
-    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> None:
-        """Go straight on until a force is felt, by a way at most."""
+    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> float:
+        """Go straight on until a force is felt, by a way at most; the force (N) where it stands."""
         ...
 
     async def wait(self, seconds: float) -> None:
@@ -55,6 +59,17 @@ class Arm(Protocol):
     async def stop(self) -> None:
         """Come to rest."""
         ...
+
+    def fail(self, why: str) -> None:
+        """Stop for good; its moves raise from now on."""
+        ...
+
+
+class Found(NamedTuple):
+    """What a touchdown found."""
+
+    spared: Place = (0.0, 0.0, 0.0)  # m, by which it ended before the latest end that was planned
+    force: float | None = None  # N
 
 
 class Driver:
@@ -66,16 +81,16 @@ class Driver:
     Args:
         arm: The arm.
         clock: Of the run.
+        blind: Go on though a fingertip feels nothing of a stroke.
 
     Attributes:
         strokes: That have been made.
     """
 
-    def __init__(self, arm: Arm, clock: Clock) -> None:
+    def __init__(self, arm: Arm, clock: Clock, *, blind: bool = False) -> None:
         self.strokes = 0
-        self._arm, self._clock = arm, clock
-        self._pause, self._resume = asyncio.Event(), asyncio.Event()
-        self._resume.set()
+        self._arm, self._clock, self._blind = arm, clock, blind
+        self._pause = asyncio.Event()
 
     @property
     def paused(self) -> bool:
@@ -84,39 +99,44 @@ class Driver:
 
     def pause(self) -> None:
         """Stand still until `resume`."""
-        self._resume.clear()
         self._pause.set()
 
     def resume(self) -> None:
         """Go on."""
         self._pause.clear()
-        self._resume.set()
 
-    async def carry_out(self, session: Session, episodes: list[Json]) -> None:
+    async def carry_out(self, session: Session, episodes: list[Json], felt: Felt) -> None:
         """Stay in the air for a baseline, then make each stroke; episodes are added as they begin.
 
+        Args:
+            session: Its strokes.
+            episodes: What was done when.
+            felt: What the fingertips feel meanwhile.
+
         Raises:
-            EndpointError: if the arm had to be stopped.
+            EndpointError: if the arm had to be stopped, or a stroke was not felt.
         """
+        felt.begin()
         await self._noted(session, None, [session.air], episodes)
+        felt.air()
         for stroke in session.strokes:
-            await self._resume.wait()
-            while not await self._unless_paused(session, stroke, episodes):
-                await self._resume.wait()
+            await self._resumed()
+            while not await self._unless_paused(session, stroke, episodes, felt):
+                await self._resumed()
                 up = raised(_pose(self._arm.state), session.surface.place, session.clearance)
                 await self.follow([Line(up, session.begin.speed, session.begin.acceleration)])
             self.strokes += 1
 
-    async def follow(self, steps: Sequence[Step]) -> Place:
+    async def follow(self, steps: Sequence[Step]) -> Found:
         """Go along a path from where the arm is.
 
         Returns:
-            How far (m) its touchdown ended before the latest end that was planned.
+            What its touchdown found.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
-        spared = 0.0, 0.0, 0.0
+        found = Found()
         for step in steps:
             start = _pose(self._arm.state)
             seconds = step.seconds(start)
@@ -132,13 +152,20 @@ class Driver:
                 case Tare(time):
                     await self._arm.tare(time)
                 case Touchdown(way, force, speed, acceleration):
-                    await self._arm.touch(way, force, speed, acceleration)
-                    spared = step.spared(start, _pose(self._arm.state))
-        return spared
+                    felt = await self._arm.touch(way, force, speed, acceleration)
+                    found = Found(step.spared(start, _pose(self._arm.state)), felt)
+        return found
 
-    async def _unless_paused(self, session: Session, stroke: Stroke, episodes: list[Json]) -> bool:
+    async def _resumed(self) -> None:
+        """Wait until it may go on; the arm may have to be stopped meanwhile, too."""
+        while self.paused:
+            await self._arm.wait(_LOOK)
+
+    async def _unless_paused(
+        self, session: Session, stroke: Stroke, episodes: list[Json], felt: Felt
+    ) -> bool:
         """Make a stroke; False: it was paused, and the arm stands."""
-        work = asyncio.create_task(self._make(session, stroke, episodes))
+        work = asyncio.create_task(self._make(session, stroke, episodes, felt))
         pause = asyncio.create_task(self._pause.wait())
         try:
             await asyncio.wait({work, pause}, return_when=asyncio.FIRST_COMPLETED)
@@ -153,13 +180,26 @@ class Driver:
                 await self._arm.stop()
         return False
 
-    async def _make(self, session: Session, stroke: Stroke, episodes: list[Json]) -> None:
-        spared = await self.follow(stroke.approach)
-        await self._noted(session, stroke, shifted(stroke.contact, spared), episodes)
+    async def _make(self, session: Session, stroke: Stroke, episodes: list[Json], felt: Felt) -> None:
+        found = await self.follow(stroke.approach)
+        felt.begin()
+        await self._noted(session, stroke, shifted(stroke.contact, found.spared), episodes, found)
+        untouched = felt.untouched()
         await self.follow(stroke.retreat)
+        if untouched and not self._blind:
+            self._arm.fail(
+                f"fingertip {untouched[0]} felt nothing of a stroke: it has to just touch the surface"
+                " at the place that was given, or else at the beginning; --unfelt goes on all the same"
+            )
+            await self._arm.wait(_LOOK)  # raises
 
     async def _noted(
-        self, session: Session, stroke: Stroke | None, steps: Sequence[Step], episodes: list[Json]
+        self,
+        session: Session,
+        stroke: Stroke | None,
+        steps: Sequence[Step],
+        episodes: list[Json],
+        found: Found = Found(),  # noqa: B008 - it never changes
     ) -> None:
         """Follow steps as an episode; None is staying in the air."""
         start, place = self._clock.now(), session.surface.place
@@ -173,6 +213,8 @@ class Driver:
             "speed": stroke.speed if stroke else 0.0,
             "curvature": session.surface.curvature,
             "split": session.split,
+            "depth": stroke.depth - math.hypot(*found.spared) if stroke else None,  # m beyond the first touch
+            "force": found.force,  # N at its beginning, where it was sought
         }
         episodes.append(episode)
         try:

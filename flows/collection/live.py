@@ -3,25 +3,31 @@
 import asyncio
 import signal
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import aclosing
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final, cast
 
 from connectors import TakkTile, UrMotion
 from connectors.ur_arm import UrArm
 from connectors.ur_control import WATCHDOG
 from connectors.ur_state import Bounds, Watch
 from flows.clock import LoopClock
-from flows.collection.collect import PATIENCE, Collection
+from flows.collection.collect import APPEAR, PATIENCE, Collection
 from flows.collection.path import Place, Pose
 from flows.collection.plan import Plan, Session, extent
+from flows.collection.signals import answered
 from flows.collection.surface import Spot
 from operators import ParameterError, Run
 from operators.errors import EndpointError
 from operators.ports import Clock
 from storage import Dataset
+
+if TYPE_CHECKING:
+    from collections.abc import AsyncGenerator
+
+    from operators import Touch
 
 MARGIN: Final = 0.005  # m
 
@@ -38,12 +44,13 @@ class Rigging:
         rows: Of the fingertips.
         out: The dataset.
         workspace: That the arm is kept in; None: its planned path, with a margin.
-        margin: Around the path, where no workspace is given, m.
+        margin: Around the path, where no workspace is given, and aside of it, m.
         force: At the TCP, beyond which the arm is stopped, N.
         rate: Hz of the arm's motion, as recorded.
         delay: See `flows.collection.collect.declare`, ns.
         patience: Without a reading of a fingertip, after which the arm is stopped, s.
         watchdog: See `UrArm`, Hz.
+        blind: Go on though a fingertip feels nothing of a stroke.
     """
 
     robot: str
@@ -57,6 +64,7 @@ class Rigging:
     delay: int = 0
     patience: float = PATIENCE
     watchdog: float = WATCHDOG
+    blind: bool = False
 
 
 @dataclass(frozen=True)
@@ -98,35 +106,48 @@ async def collect(
     found = [spot.surface(here) for spot in surfaces]
     sessions = plan.sessions(found, seed)
     low, high = room(sessions, here, rigging.workspace, rigging.margin)
+    touch = TakkTile(rigging.bus, rigging.rows)
+    await look(touch, clock)
     await asyncio.to_thread(import_module, "storage.writer")  # takes long, and would hold up the run
-    loop = asyncio.get_running_loop()
-    async with UrArm(
-        rigging.robot, Bounds(low, high, rigging.force), clock, watchdog=rigging.watchdog
-    ) as arm:
-        collection = Collection(
-            arm,
-            TakkTile(rigging.bus, rigging.rows),
-            UrMotion(rigging.robot, rigging.rate),
-            lambda: Dataset(rigging.out),
-            clock,
-            {"plan": name, "seed": seed, "workspace": [*low, *high], "force_limit": rigging.force},
-            delay=rigging.delay,
-            patience=rigging.patience,
-            told=told,
-        )
-        with suppress(RuntimeError, ValueError):  # not in the main thread
-            loop.add_signal_handler(signal.SIGUSR1, collection.pause_or_resume)
-        error = ""
+    bounds, stray = Bounds(low, high, rigging.force), rigging.margin
+    arm = UrArm(rigging.robot, bounds, clock, watchdog=rigging.watchdog, stray=stray)
+    collection = Collection(
+        arm,
+        touch,
+        UrMotion(rigging.robot, rigging.rate),
+        lambda: Dataset(rigging.out),
+        clock,
+        {"plan": name, "seed": seed, "workspace": [*low, *high], "force_limit": rigging.force},
+        delay=rigging.delay,
+        patience=rigging.patience,
+        blind=rigging.blind,
+        told=told,
+    )
+    error, stop = "", collection.interrupt
+    acts = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: collection.pause_or_resume}
+    with answered(acts):
         try:
-            await collection.collect(sessions)
+            async with arm:
+                await collection.collect(sessions)
         except EndpointError as stopped:
-            if not arm.fault:
+            if not arm.fault or not (collection.runs or collection.interrupted):
                 raise
             error = str(stopped)
-        finally:
-            with suppress(RuntimeError, ValueError):
-                loop.remove_signal_handler(signal.SIGUSR1)
-        return Collected(collection.runs, collection.driver.strokes, error, collection.interrupted)
+    return Collected(collection.runs, collection.driver.strokes, error, collection.interrupted)
+
+
+async def look(touch: TakkTile, clock: Clock) -> None:
+    """See that the fingertips are there.
+
+    Raises:
+        EndpointError: if no reading comes.
+    """
+    batches = cast("AsyncGenerator[Touch]", touch.batches(clock))
+    try:
+        async with asyncio.timeout(APPEAR), aclosing(batches):
+            await anext(batches)
+    except TimeoutError as error:
+        raise EndpointError(touch.path, f"gives no reading for {APPEAR:g} s") from error
 
 
 async def where(robot: str, clock: Clock) -> Pose:

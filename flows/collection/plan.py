@@ -37,6 +37,7 @@ from operators.errors import ParameterError
 
 _TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 _DIRECTIONS: Final = 8
+DEEPEST: Final = 0.006  # m beyond the first touch, that a plan may go
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +50,7 @@ class Stroke:
     approach: tuple[Step, ...]  # through the air, and down
     contact: tuple[Step, ...]
     retreat: tuple[Step, ...]
+    depth: float  # m beyond the first touch; the deepest where a force is sought
 
     @property
     def motion(self) -> str:
@@ -134,6 +136,10 @@ class Plan:
         for name in ("repeats", "rotations", "rounds", "depth", "rest"):
             if not getattr(self, name) >= 0:
                 raise ParameterError("Plan", name, getattr(self, name), "0 or above")
+        for name in ("depth", "deepest"):
+            if not getattr(self, name) <= DEEPEST:
+                must_be = f"at most {1000 * DEEPEST:g} mm, {DEEPEST} m: a fingertip gives way by a few mm"
+                raise ParameterError("Plan", name, getattr(self, name), must_be)
         if self.force is not None and not self.force > 0:
             raise ParameterError("Plan", "force", self.force, "above 0 N")
         if self.near > self.clearance:
@@ -176,6 +182,11 @@ class Plan:
                 )
         return sessions
 
+    @property
+    def _deep(self) -> float:
+        """How far a stroke is planned to go beyond the first touch, m."""
+        return self.depth if self.force is None else self.deepest
+
     def _strokes(
         self, surface: Surface, speed: float | None, random: np.random.Generator
     ) -> Iterator[Stroke]:
@@ -199,13 +210,13 @@ class Plan:
             approach=self._approach(begin, 0.0, 0.0),
             contact=(Wait(self.rest), slide, Wait(self.rest)),
             retreat=(self._retreat(end, 0.0, 0.0),),
+            depth=self._deep,
         )
 
     def _translation(self, surface: Surface, direction_deg: float, speed: float) -> Stroke:
         along, half = math.radians(direction_deg), speed * self.time / 2
         x, y = half * math.cos(along), half * math.sin(along)
-        depth = self.depth if self.force is None else self.deepest
-        places = [surface.at(part * x, part * y, depth) for part in surface.bends(x, y)]
+        places = [surface.at(part * x, part * y, self._deep) for part in surface.bends(x, y)]
         slide: Step
         if len(places) > 1:
             slide = Trace(tuple(place[:3] for place in places), speed, self.acceleration)
@@ -218,6 +229,7 @@ class Plan:
             approach=self._approach(surface, -x, -y),
             contact=(Wait(self.rest), slide, Wait(self.rest)),
             retreat=(self._retreat(surface, x, y),),
+            depth=self._deep,
         )
 
     def _approach(self, surface: Surface, x: float, y: float) -> tuple[Step, ...]:

@@ -3,14 +3,15 @@
 from collections.abc import Sequence
 from typing import Any
 
-from flows.collection.path import Extent, Place
-from flows.collection.plan import Session, extent
+from flows.collection.path import Extent, Place, Pose
+from flows.collection.plan import Session, Stroke, extent
 from operators.ports import Run
 
 
-def planned(sessions: Sequence[Session], low: Place, high: Place) -> dict[str, Any]:
-    """A plan's path, its duration and its bounds, within a workspace (m)."""
-    whole = extent(sessions)
+def planned(sessions: Sequence[Session], low: Place, high: Place, here: Pose | None = None) -> dict[str, Any]:
+    """A plan's path, its duration and its bounds, within a workspace (m), from where the arm is, if known."""
+    whole = extent(sessions, here)
+    contacts = [_contact(stroke, session) for session in sessions for stroke in session.strokes]
     return {
         "sessions": [
             {
@@ -28,6 +29,7 @@ def planned(sessions: Sequence[Session], low: Place, high: Place) -> dict[str, A
         ],
         "strokes": sum(len(session.strokes) for session in sessions),
         "seconds": round(whole.seconds, 3),
+        "contact_seconds": round(sum(contacts), 3),
         "low": list(whole.low),
         "high": list(whole.high),
         "workspace": [*low, *high],
@@ -40,10 +42,11 @@ def as_table(plan: dict[str, Any]) -> str:
     """The same as text.
 
     >>> print(as_table({"sessions": [], "strokes": 0, "seconds": 75.0, "low": [0, 0, 0], "high": [1, 1, 1],
-    ...     "workspace": [0, 0, 0, 1, 1, 1], "depth": None, "force": 2.0}))
+    ...     "contact_seconds": 30.0, "workspace": [0, 0, 0, 1, 1, 1], "depth": None, "force": 2.0}))
     session                      strokes      time   x mm            y mm            z mm            split
     in all                             0  1.2 min   0 .. 1000       0 .. 1000       0 .. 1000
     workspace                                       0 .. 1000       0 .. 1000       0 .. 1000
+    in contact                            0.5 min: the rest is baselines, and the ways from stroke to stroke
     pressed with 2 N, each stroke at the depth where it is felt; times and bounds are those of the deepest
     """
     head = f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"
@@ -56,7 +59,9 @@ def as_table(plan: dict[str, Any]) -> str:
     minutes = f"{plan['seconds'] / 60:.1f} min"
     whole = f"{'in all':28} {plan['strokes']:7} {minutes:>8}   {_spans(plan['low'], plan['high'])}"
     room = f"{'workspace':47} {_spans(low, high)}".rstrip()
-    return "\n".join([head, *rows, whole.rstrip(), room, _pressed(plan)])
+    contact = f"{plan['contact_seconds'] / 60:.1f} min"
+    touching = f"{'in contact':28} {contact:>16}: the rest is baselines, and the ways from stroke to stroke"
+    return "\n".join([head, *rows, whole.rstrip(), room, touching, _pressed(plan)])
 
 
 def summary(runs: Sequence[Run], strokes: int) -> dict[str, Any]:
@@ -82,10 +87,11 @@ def as_text(collected: dict[str, Any]) -> str:
         f"{each['session']:40} {', '.join(f'{rows} {name}' for name, rows in each['rows'].items())}"
         f"{'' if not each['gaps'] else ', gaps ' + str(each['gaps'])}"
         f"{'' if not each['dropped'] else ', dropped ' + str(each['dropped'])}"
-        f"{'' if not each['error'] else ': ' + each['error']}"
+        f"{'' if not each['error'] else ', ended early'}"
         for each in collected["sessions"]
     ]
-    return "\n".join([*rows, f"{collected['strokes']} strokes in {len(rows)} sessions"])
+    many = "session" if len(rows) == 1 else "sessions"
+    return "\n".join([*rows, f"{collected['strokes']} strokes in {len(rows)} {many}"])
 
 
 def _pressed(plan: dict[str, Any]) -> str:
@@ -99,5 +105,11 @@ def _reach(session: Session) -> Extent:
     return Extent.of(session.steps, session.begin.pose)
 
 
+def _contact(stroke: Stroke, session: Session) -> float:
+    """How long a stroke touches the surface, s."""
+    down = Extent.of(stroke.approach, session.begin.pose).end
+    return Extent.of(stroke.contact, down).seconds
+
+
 def _spans(low: Sequence[float], high: Sequence[float]) -> str:
-    return " ".join(f"{f'{1000 * a:.0f} .. {1000 * b:.0f}':15}" for a, b in zip(low, high, strict=True))
+    return " ".join(f"{f'{round(1000 * a)} .. {round(1000 * b)}':15}" for a, b in zip(low, high, strict=True))

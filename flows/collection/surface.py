@@ -10,6 +10,8 @@ from flows.collection.path import Pose, beside
 from operators.errors import ParameterError
 
 RADIUS: Final = Scene().radius  # m, of curved surfaces, as in the simulated rig
+LEAST: Final = 0.001  # m, of a radius
+MOST: Final = 1.0  # m; what is flatter is a plane
 STEEPEST: Final = math.radians(45)  # of a surface, at the end of a stroke
 _FLAT: Final = 1e-6  # rad, of a slope that is none
 _BEND: Final = 0.002  # m, from place to place along an arc
@@ -31,8 +33,8 @@ class Surface:
         if self.curvature not in get_args(Curvature):
             known = ", ".join(get_args(Curvature))
             raise ParameterError("Surface", "curvature", self.curvature, f"one of {known}")
-        if not 0 < self.radius < math.inf:
-            raise ParameterError("Surface", "radius", self.radius, "above 0 m")
+        if not LEAST <= self.radius <= MOST:
+            raise ParameterError("Surface", "radius", self.radius, f"from {LEAST} to {MOST} m")
 
     @property
     def curvatures(self) -> tuple[float, float]:
@@ -81,3 +83,19 @@ class Spot(NamedTuple):
     def surface(self, here: Pose) -> Surface:
         """It, for an arm that is here."""
         return Surface(self.curvature, self.place or here, self.radius)
+
+
+def apart(spots: list[Spot]) -> list[Spot]:
+    """Surfaces, each of which is somewhere else.
+
+    Raises:
+        ParameterError: if two are at one place.
+    """
+    places = [spot.place for spot in spots]
+    if len(set(places)) < len(places):
+        twice = next(place for place in places if places.count(place) > 1)
+        where = "where the arm is" if twice is None else list(twice)
+        raise ParameterError(
+            "collect", "surface", where, "a place for one surface: give each its @X,Y,Z,RX,RY,RZ"
+        )
+    return spots

@@ -458,7 +458,7 @@ async def test_a_flow_commands_it_and_goes_on_when_the_gripper_comes_back() -> N
 
 def test_without_pymodbus_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
     monkeypatch.setattr(gripper_link, "find_spec", found_nowhere)
-    with pytest.raises(InputError, match=r"needs pymodbus: pip install 'slipflow\[gripper\]'"):
+    with pytest.raises(InputError, match=r"needs pymodbus: in the clone, pip install -e '\.\[gripper\]'"):
         asyncio.run(Gripper("127.0.0.1").open(run))
 
 
@@ -467,6 +467,7 @@ def test_without_pymodbus_it_says_what_to_install(monkeypatch: pytest.MonkeyPatc
     [
         ("port", 65536),
         ("unit", -1),
+        ("port", "502"),
         ("position", 256),
         ("speed", -1),
         ("limits", (10.0, 40.0)),

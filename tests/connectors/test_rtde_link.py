@@ -116,7 +116,8 @@ def test_rubbish_is_not_taken_and_what_came_before_it_is() -> None:
     taken, reason, _ = against(then_rubbish)
     assert [len(batch) for batch in taken] == [2]
     assert reason == "a package of 0 bytes"
-    assert against(lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n")[:2] == ([], "a package of 18516 bytes")
+    taken, reason, _ = against(lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n")
+    assert (taken, reason) == ([], "it does not speak RTDE: a package of 18516 bytes")
 
 
 def test_an_old_controller_that_grants_more_than_it_has_is_not_believed() -> None:
@@ -135,7 +136,7 @@ def test_nobody_listening_fails() -> None:
 
         taken, error = run_virtually(main())
     assert not taken
-    assert "Connect call failed" in error.reason
+    assert "refuses the connection: is this its address" in error.reason
 
 
 class Reading(asyncio.Transport):

@@ -408,7 +408,11 @@ def test_a_flow_feels_slip_on_the_virtual_lab_as_it_would_on_a_real_one() -> Non
         ("fingers", {"rows": (0, 1), "fingers": (2, 2)}),
         ("fingers", {"fingers": (-1,)}),
         ("rate", {"rate": 0.0}),
+        ("rows", {"rows": 0}),
+        ("bus", {"bus": -1}),
+        ("bus", {"bus": ""}),
         ("conversion", {"conversion": 0}),
+        ("conversion", {"conversion": 3}),
         ("conversion", {"rate": 100.0, "conversion": 10 * ms}),
     ],
 )

@@ -9,6 +9,7 @@ import signal
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any, cast
 
 import numpy as np
@@ -18,8 +19,10 @@ from connectors.rig.free_arm import FreeArm
 from connectors.rig.pressing import PressingArm
 from connectors.rig.ur_control_box import Arm, RuntimeState
 from connectors.rig.ur_controller import UrController
+from connectors.rig.ur_program import Program
 from connectors.rtde import Version
 from connectors.ur_arm import UrArm
+from connectors.ur_control import Go, Order
 from connectors.ur_state import Bounds, State
 from flows.clock import LoopClock
 from operators import EndpointError
@@ -106,6 +109,27 @@ def test_it_goes_along_lines_slides_and_turns() -> None:
     assert abs(second[4]) > 0.1  # turned about the vertical
 
 
+def test_it_stops_though_its_controller_is_slow_to_look_at_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, turns = Program.step, count()
+
+    def seldom(program: Program) -> bool:
+        return step(program) if next(turns) % 25 == 0 else True  # every 0.2 s; it is kicked every 0.07 s
+
+    async def main() -> None:
+        clock = LoopClock()
+        async with (
+            UrController(FreeArm(np.array(BEGIN), 1.0), host=HOST, version=CB3, now=clock.now),
+            UrArm(HOST, BOUNDS, clock) as arm,
+        ):
+            monkeypatch.setattr(Program, "step", seldom)
+            await arm.slide((0.0, 0.04, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0)
+            assert arm.state.still
+            assert arm.state.pose[1] > 0.02
+            monkeypatch.undo()
+
+    asyncio.run(main())
+
+
 def test_it_follows_an_arc_at_its_speed_and_height() -> None:
     radius, centre = 0.06, (0.4, 0.06)  # m
     angles = np.linspace(0.0, 0.5, 20)
@@ -161,6 +185,41 @@ def test_it_is_stopped_where_there_is_nothing_to_touch() -> None:
             return here.arm.fault
 
     assert "no contact" in asyncio.run(main())
+
+
+def test_it_is_stopped_for_good_where_it_goes_on_beyond_the_deepest() -> None:
+    async def main() -> tuple[str, float]:
+        leaning = Leaning()
+        async with lab(DOWN, leaning) as here:
+            arm = cast("Any", here.arm)
+            send = arm._send
+
+            def lose(order: Order) -> None:
+                """Lose every order to come to rest."""
+                if not (isinstance(order, Go) and not any(order.velocity)):
+                    send(order)
+
+            arm._send = lose
+            await here.arm.tare(0.1)
+            with pytest.raises(EndpointError, match=r"beyond the 1\.0 mm that it might seek contact"):
+                await here.arm.touch((0.0, 0.0, -0.001), 2.0, 0.005, 0.5)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return here.arm.fault, here.arm.state.pose[2]
+
+    fault, height = asyncio.run(main())
+    assert fault.startswith("it went 1.")
+    assert -0.002 < height < 0.0
+
+
+def test_it_is_stopped_where_it_gets_off_a_line_of_places() -> None:
+    places = [(0.4, 0.02, 0.1), (0.4, 0.04, 0.1)]
+
+    def push(here: Lab) -> None:
+        cast("Any", here.arm)._stray = 0.0
+
+    here = refused(push, lambda arm: arm.trace(places, 0.02, 0.5, 2.0))
+    assert re.fullmatch(r"it is \d\.\d mm off its way", here.arm.fault)
 
 
 def test_no_contact_is_sought_without_a_force_to_feel() -> None:

@@ -58,6 +58,12 @@ def test_an_arm_that_was_pushed_aside_is_led_back() -> None:
     assert aside == pytest.approx((0.05, -0.008, 0.016))
 
 
+def test_how_far_it_is_off_its_line_and_beyond_its_end() -> None:
+    course = Course([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], 0.05, 0.5)
+    assert course.off((0.2, 0.003, -0.004)) == pytest.approx(0.005)
+    assert course.off((1.02, 0.0, 0.0)) == pytest.approx(0.02)
+
+
 def test_it_never_turns_back() -> None:
     course = Course(arc(0.03), 0.05, 0.5)
     course.steer(arc(0.03)[20])

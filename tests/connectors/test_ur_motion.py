@@ -315,10 +315,17 @@ def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
 # --- parameters and stamps -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("rate", "patience"), [(0, 1), (501, 1), (nan, 1), (125, 0.008), (125, nan)])
+@pytest.mark.parametrize(
+    ("rate", "patience"), [(0, 1), (501, 1), (60, 1), (nan, 1), (125, 0.008), (125, nan)]
+)
 def test_values_that_cannot_be_are_refused(rate: float, patience: float) -> None:
     with pytest.raises(ParameterError):
         UrMotion(HOST, rate, patience=patience)
+
+
+def test_an_address_is_needed() -> None:
+    with pytest.raises(ParameterError, match="host"):
+        UrMotion("")
 
 
 @given(

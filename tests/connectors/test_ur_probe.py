@@ -2,7 +2,7 @@ from math import nan
 
 import pytest
 
-from connectors.ur_probe import MEAN, Probe, mean_force
+from connectors.ur_probe import MEAN, OVERRUN, Probe, mean_force
 from connectors.ur_state import State
 from operators import ParameterError
 
@@ -23,6 +23,12 @@ def test_what_is_told_in_the_air_is_no_contact() -> None:
     down = probe()
     assert not any(down.look(at(-0.0001 * step)) for step in range(30))
     assert down.push == pytest.approx(0.0)
+
+
+def test_beyond_its_longest_way_it_overruns_once_it_should_stand() -> None:
+    down = probe()
+    assert not down.overruns(at(-0.004 - 0.9 * OVERRUN))
+    assert down.overruns(at(-0.0052)) == "it went 1.2 mm beyond the 4.0 mm that it might seek contact"
 
 
 def test_contact_is_felt_once_the_mean_of_the_newest_states_says_so() -> None:

@@ -11,8 +11,24 @@ import pytest
 
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
-from flows.testing import TestSink, TestSource, run_virtually
-from operators import Clock, Debounce, EndpointError, OperatorError, Run, Scores, Slips, Source, ms, s
+from flows.testing import TestSink, TestSource, VirtualLoop, run_virtually
+from operators import (
+    Align,
+    Clock,
+    Debounce,
+    EndpointError,
+    Motion,
+    OperatorError,
+    Run,
+    Sample,
+    Scores,
+    Slips,
+    Source,
+    Touch,
+    Zero,
+    ms,
+    s,
+)
 
 
 def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
@@ -413,3 +429,26 @@ def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> No
     run = execute(flow, duration=s)
     assert "float32" in run.sources["scores"].error
     assert Device.open == 0
+
+
+@pytest.mark.parametrize("stall", [0.2, 1.0])
+def test_after_a_stall_of_the_host_what_belongs_together_is_still_joined(stall: float) -> None:
+    flow, sink = Flow("f"), TestSink()
+    cells, flags = np.full((1, 6), 500, np.int16), np.ones((1, 6), np.bool_)
+    six = np.zeros((1, 6))
+    felt = [Touch(np.array([k * 10 * ms]), cells, cells, flags, finger=0) for k in range(200)]
+    moved = [Motion(np.array([k * 8 * ms]), np.array([k]), six, six) for k in range(250)]
+    touch = flow.source(TestSource(Touch, felt, fingers=(0,)))
+    motion = flow.source(TestSource(Motion, moved))
+    ((touch | Zero(500)) & motion | Align(within=20 * ms)).to(sink)
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.call_later(0.5, loop.stall, stall)
+        await LiveRunner(flow, "test").execute()
+
+    run_virtually(main())
+    samples = sink.rows(Sample, 0)
+    assert len(samples) == 200
+    assert samples.matched.all()

@@ -1,8 +1,10 @@
 """`slipflow collect` and `slipflow rig` as a user meets them."""
 
+import ast
 import importlib.util
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -26,7 +28,7 @@ def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 def test_a_dry_run_prints_the_path_its_duration_and_its_bounds(tmp_path: Path) -> None:
     done = slipflow("collect", "tiny", "--dry-run", "--surface", SPHERE, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    head, strokes, rotation, whole, workspace, pressed = done.stdout.splitlines()
+    head, strokes, rotation, whole, workspace, contact, pressed = done.stdout.splitlines()
     assert head.split()[:3] == ["session", "strokes", "time"]
     assert strokes.split()[:2] == ["sphere-050-01", "8"]
     assert "385 .. 415" in strokes
@@ -35,6 +37,9 @@ def test_a_dry_run_prints_the_path_its_duration_and_its_bounds(tmp_path: Path) -
     assert rotation.startswith("sphere-rotation-01")
     assert whole.split()[:5] == ["in", "all", "16", "1.1", "min"]
     assert "380 .. 420" in workspace
+    assert contact.split()[:4] == ["in", "contact", "0.5", "min:"]
+    assert "where the arm is now is unknown" in done.stderr
+    assert "laid around the origin" not in done.stderr  # its place was given
     assert not list(tmp_path.iterdir())
 
 
@@ -49,8 +54,28 @@ def test_a_dry_run_of_the_papers_plan_tells_a_program_the_same(tmp_path: Path) -
     assert found["high"] == pytest.approx([0.53, 0.03, 0.01], abs=1e-6)
 
 
+def test_a_dry_run_shows_the_room_that_the_arm_would_have(tmp_path: Path) -> None:
+    found = json.loads(slipflow("collect", "tiny", "--dry-run", "--virtual", "--json", cwd=tmp_path).stdout)
+    assert found["workspace"][:2] == pytest.approx([-0.045, -0.045])  # 30 mm around the strokes
+    assert found["workspace"][5] == pytest.approx(0.05)  # the arm is 20 mm above it at first
+    done = slipflow("collect", "tiny", "--dry-run", "--robot", "127.0.0.1", cwd=tmp_path)
+    assert done.returncode == 2  # it asks, and nobody is there
+
+
+def test_signals_to_pause_are_ignored_before_and_after_the_drive(tmp_path: Path) -> None:
+    dry = (
+        "import os, signal\nfrom flows.command import app\n"
+        "app(['collect', 'tiny', '--dry-run'], standalone_mode=False)\n"
+        "os.kill(os.getpid(), signal.SIGUSR1)\nprint('alive')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", dry], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "alive"), done.stderr
+
+
 def test_a_dry_run_with_a_force_says_how_deep_it_may_go(tmp_path: Path) -> None:
-    arguments = ["--dry-run", "--surface", "sphere:0.08", "--force", "2N", "--deepest", "0.003"]
+    arguments = ["--dry-run", "--surface", "sphere:0.08", "--force", "2N", "--deepest", "3mm"]
     done = slipflow("collect", "tiny", *arguments, cwd=tmp_path)
     assert done.stdout.splitlines()[-1].startswith("pressed with 2 N, each stroke at the depth where it")
     found = json.loads(slipflow("collect", "tiny", *arguments, "--json", cwd=tmp_path).stdout)
@@ -65,15 +90,24 @@ def test_a_dry_run_with_a_force_says_how_deep_it_may_go(tmp_path: Path) -> None:
         (["tiny"], "--robot HOST"),
         (["tiny", "--dry-run", "--surface", "cube"], "one of plane"),
         (["tiny", "--dry-run", "--surface", "plane@1,2,3"], "write 6 numbers"),
-        (["tiny", "--dry-run", "--surface", "sphere:big"], "write 1 numbers"),
-        (["tiny", "--dry-run", "--surface", "sphere:-0.06"], "above 0 m"),
+        (["tiny", "--dry-run", "--surface", "sphere:big"], "write it as 1.5mm"),
+        (["tiny", "--dry-run", "--surface", "sphere:-0.06"], "write it as 1.5mm"),
+        (["tiny", "--dry-run", "--surface", "sphere:50"], "from 0.001 to 1.0 m"),
+        (["tiny", "--dry-run", "--surface", "plane:0.05"], "a plane has no radius"),
+        (["tiny", "--dry-run", "--surface", "plane", "--surface", "sphere"], "one surface: give each its @X"),
+        (["tiny", "--virtual", "--surface", "plane", "--surface", SPHERE], "a virtual lab has one surface"),
+        (["tiny", "--dry-run", "--depth", "2"], "'2' is no length: write it as 1.5mm"),
+        (["tiny", "--dry-run", "--depth", "2m"], "at most 6 mm"),
+        (["tiny", "--dry-run", "--force", "2N", "--deepest", "2cm"], "write it as 1.5mm"),
+        (["tiny", "--dry-run", "--force", "2N", "--deepest", "20mm"], "at most 6 mm"),
+        (["tiny", "--virtual", "--watchdog", "0"], "0.1"),
         (["tiny", "--dry-run", "--surface", "sphere:0.01"], "0.0212 m or more"),
         (["tiny", "--dry-run", "--speeds", "0.5"], "below 0.3 m/s"),
         (["tiny", "--dry-run", "--force", "2"], "write it as 2N"),
         (["tiny", "--dry-run", "--force", "0N"], "above 0 N"),
-        (["tiny", "--dry-run", "--force", "2N", "--depth", "0.001"], "--depth or --force, not both"),
+        (["tiny", "--dry-run", "--force", "2N", "--depth", "1mm"], "--depth or --force, not both"),
         (["tiny", "--dry-run", "--force", "60N"], "below the --force-limit, 50N"),
-        (["tiny", "--dry-run", "--deepest", "0.01"], "--deepest is for --force"),
+        (["tiny", "--dry-run", "--deepest", "5mm"], "--deepest is for --force"),
         (["tiny", "--dry-run", "--workspace", "0,0,0,1,1,1"], "around the path"),
         (["tiny", "--robot", "127.0.0.1:x"], "rtde://"),
     ],
@@ -115,7 +149,7 @@ def test_ctrl_c_on_a_virtual_collection_stops_and_commits(tmp_path: Path) -> Non
     assert "interrupted" in found["error"]
     (session,) = tmp_path.glob("recordings/sessions/*/session.json")
     assert "interrupted" in json.loads(session.read_text())["error"]
-    assert "the arm stands where it is" in told
+    assert "interrupted; the arm stands where it is" in told
 
 
 def test_the_rig_says_where_things_are_and_ends_at_ctrl_c(tmp_path: Path) -> None:
@@ -129,3 +163,23 @@ def test_the_rig_says_where_things_are_and_ends_at_ctrl_c(tmp_path: Path) -> Non
     assert "process" in told[0]
     assert str(PORTS.rtde) not in told[1][1]
     assert process.returncode == 130
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pymodbus") is None, reason="needs the extra `gripper`")
+def test_the_flow_of_the_hardware_page_runs_on_the_virtual_lab(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "hardware.md").read_text()
+    [block] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    here = block.replace('"127.0.0.1"', repr(HOST)).replace("gripper=5020", f"gripper=5020, host={HOST!r}")
+    done = subprocess.run(
+        [sys.executable, "-c", here], capture_output=True, text=True, check=False, cwd=tmp_path, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    rows = ast.literal_eval(done.stdout)
+    assert rows["dataset"] > 0
+    assert rows["gripper"] >= 1
+
+
+def test_a_port_that_cannot_be_is_one_line(tmp_path: Path) -> None:
+    done = slipflow("rig", "--gripper", "70000", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "65535" in done.stderr

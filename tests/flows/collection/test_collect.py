@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import pytest
 
+from connectors.rig.pressing import STIFFNESS
 from connectors.rig.scene import Curvature
 from connectors.rig.truth import Truth
 from connectors.rig.virtual_lab import VirtualLab, scene, virtual_lab
@@ -100,6 +101,7 @@ def made(
     *,
     pressed: bool = True,
     surface: Curvature = "plane",
+    place: Pose = PLACE,
     limit: float = 50.0,
 ) -> Made:
     """What was collected on a virtual lab to which something is done, once it has `pressed` for a while."""
@@ -115,7 +117,7 @@ def made(
         async with virtual_lab(scene(surface), host=HOST, path=BUS) as lab:
             acting = asyncio.create_task(do(lab))
             async with asyncio.timeout(120):
-                collected = await collect(plan, [Spot(surface, PLACE)], rigging, name="quick", seed=1)
+                collected = await collect(plan, [Spot(surface, place)], rigging, name="quick", seed=1)
             acting.cancel()
             lab.lab.advance(lab.lab.now())  # to see that the arm stands
             return Made(collected, lab.lab.truth(), out)
@@ -255,6 +257,11 @@ def test_session_json_says_how_it_was_pressed(quick: Made, felt: Made) -> None:
         (QUICK.depth, None, None),
         (None, FORCE, 0.06),
     ]
+    planned, found = (each["pressed"] for each in pressed)
+    assert [(each["depth"], each["force"]) for each in planned] == [(QUICK.depth, None)] * 8
+    for each in found:  # of which each stroke's own depth and force are told, too
+        assert 0.9 * FORCE < each["force"] < 1.4 * FORCE
+        assert each["depth"] == pytest.approx(each["force"] / STIFFNESS, abs=1e-4)
 
 
 def interrupted(done: Made, why: str) -> None:
@@ -278,13 +285,25 @@ def test_an_emergency_stop_ends_the_collection(tmp_path: Path) -> None:
 
 
 def test_a_sensor_that_is_lost_stops_the_arm(tmp_path: Path) -> None:
-    interrupted(made(tmp_path / "data", act=lambda lab: lab.bus.unplug()), "has given no reading for 1.0 s")
+    interrupted(made(tmp_path / "data", act=lambda lab: lab.bus.unplug()), "has given no reading for 1 s")
 
 
-def test_ctrl_c_stops_the_arm_and_commits(tmp_path: Path) -> None:
-    done = made(tmp_path / "data", act=lambda _: signal.raise_signal(signal.SIGINT))
+def test_ctrl_c_stops_the_arm_and_commits_even_while_it_is_paused(tmp_path: Path) -> None:
+    def pause(_: VirtualLab) -> None:
+        signal.raise_signal(signal.SIGUSR1)
+        asyncio.get_running_loop().call_later(1.0, signal.raise_signal, signal.SIGINT)
+
+    done = made(tmp_path / "data", act=pause)
     interrupted(done, "interrupted")
     assert done.collected.interrupted
+
+
+def test_strokes_in_the_air_are_no_slip_and_end_the_collection(tmp_path: Path) -> None:
+    done = made(tmp_path / "data", pressed=False, place=(*PLACE[:2], 0.003, *PLACE[3:]))
+    assert "fingertip 0 felt nothing of a stroke" in done.collected.error
+    assert "fingertip 0 felt nothing of a stroke" in done.about["error"]
+    assert not done.about["complete"]
+    assert len(done.session.frame("episodes")) == 2  # the air, and one stroke
 
 
 def test_pressed_too_deep_the_arm_is_stopped_and_what_there_is_committed(tmp_path: Path) -> None:
@@ -293,9 +312,10 @@ def test_pressed_too_deep_the_arm_is_stopped_and_what_there_is_committed(tmp_pat
 
 
 def test_no_sensor_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flows.collection.collect.APPEAR", 0.5)
-    with pytest.raises(EndpointError, match="fingertip 0 gives no reading"):
+    monkeypatch.setattr("flows.collection.live.APPEAR", 0.5)
+    with pytest.raises(EndpointError, match=BUS):
         made(tmp_path / "data", act=lambda lab: lab.bus.unplug(), pressed=False)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_path_that_leaves_the_workspace_is_refused_before_anything_moves() -> None:

@@ -10,6 +10,7 @@ import pytest
 from connectors.ur_state import State
 from flows.clock import LoopClock
 from flows.collection.driver import Driver
+from flows.collection.felt import Felt
 from flows.collection.path import Extent, Place, Pose, Slide, Trace
 from flows.collection.plan import Plan, Session
 from flows.collection.surface import Surface
@@ -54,11 +55,12 @@ class TestArm:
         await self.wait(seconds)
         self.tared.append(self.state.pose[2])
 
-    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> None:
+    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> float:
         part = self.surface / math.hypot(*way)  # of the way, until it is felt
         await self.wait(part * math.hypot(*way) / speed)
         x, y, z, *turned = self.state.pose
         self.state = State((x + part * way[0], y + part * way[1], z + part * way[2], *turned), REST)
+        return 1.1 * force
 
     async def wait(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
@@ -67,6 +69,20 @@ class TestArm:
 
     async def stop(self) -> None:
         self.stops += 1
+
+    def fail(self, why: str) -> None:
+        self.fault = why
+
+
+class Pressed(Felt):
+    """Feels what a test says."""
+
+    def __init__(self, untouched: list[int]) -> None:
+        super().__init__()
+        self._untouched = untouched
+
+    def untouched(self) -> list[int]:
+        return self._untouched
 
 
 def session(strokes: int = 2, *, rotations: bool = False, force: float | None = None) -> Session:
@@ -85,20 +101,27 @@ class Driven:
     seconds: float
 
 
-def drive(planned: Session, *acts: tuple[float, str], fault: str = "") -> Driven:
+def drive(
+    planned: Session,
+    *acts: tuple[float, str],
+    fault: str = "",
+    untouched: Sequence[int] = (),
+    blind: bool = False,
+) -> Driven:
     """A session that was driven; acts of the driver (or a fault of the arm) come at their seconds."""
 
     async def main() -> Driven:
         clock, arm, episodes = LoopClock(0), TestArm(), list[Json]()
-        driver = Driver(arm, clock)
+        driver = Driver(arm, clock, blind=blind)
         await driver.follow([planned.begin])
         loop, began = asyncio.get_running_loop(), clock.now()
         for after, act in acts:
             loop.call_later(after, getattr(driver, act) if act else lambda: setattr(arm, "fault", fault))
         try:
-            await driver.carry_out(planned, episodes)
+            await driver.carry_out(planned, episodes, Pressed([*untouched]))
         except EndpointError as error:
-            assert error.reason == fault  # noqa: PT017 - it may also go well
+            assert fault in error.reason  # noqa: PT017 - it may also go well
+            assert fault
         return Driven(arm, driver, cast("list[dict[str, Any]]", episodes), (clock.now() - began) / s)
 
     return run_virtually(main())
@@ -128,6 +151,8 @@ def test_each_contact_is_an_episode_as_datasets_have_them() -> None:
             "speed": 0.1,
             "curvature": "sphere",
             "split": planned.split,
+            "depth": 0.0015,
+            "force": None,
         }
         arc = 2 * 0.06 * math.asin(0.03 / 0.06)  # m, but for the chords
         seconds = 2 * 0.4 + arc / 0.1 + 0.1 / 0.5
@@ -161,6 +186,24 @@ def test_an_arm_that_had_to_be_stopped_ends_the_session_and_its_episode() -> Non
     assert driven.episodes[-1]["end"] <= driven.seconds * s + 1.5 * s
 
 
+def test_an_arm_that_has_to_be_stopped_while_it_is_paused_ends_at_once() -> None:
+    driven = drive(session(2), (3.5, "pause"), (20.0, ""), fault="interrupted")
+    assert driven.arm.fault == "interrupted"
+    assert 20 <= driven.seconds < 20.1
+
+
+def test_a_stroke_that_a_fingertip_does_not_feel_is_the_last() -> None:
+    driven = drive(session(2), fault="fingertip 1 felt nothing of a stroke", untouched=[1])
+    assert [each["motion"] for each in driven.episodes] == ["hold", "translation"]
+    assert "just touch the surface" in driven.arm.fault
+    assert driven.arm.state.pose[2] == pytest.approx(0.11)  # in the air again
+
+
+def test_who_wants_to_goes_on_unfelt() -> None:
+    driven = drive(session(2), untouched=[0], blind=True)
+    assert (driven.driver.strokes, driven.arm.fault) == (2, "")
+
+
 def test_a_stroke_with_a_force_keeps_to_the_depth_at_which_it_was_felt() -> None:
     planned = session(2, force=2.0)
     driven = drive(planned)
@@ -172,5 +215,8 @@ def test_a_stroke_with_a_force_keeps_to_the_depth_at_which_it_was_felt() -> None
         gone = ways[first : first + len(trace.places)]
         np.testing.assert_allclose(gone, np.add(trace.places, (0, 0, 0.003)), atol=1e-9)
         first += len(trace.places) + 3  # up, over the next, near it
+    _, *strokes = driven.episodes
+    assert [each["depth"] for each in strokes] == pytest.approx([0.001] * 2)  # 2 mm from 1 mm above it
+    assert [each["force"] for each in strokes] == pytest.approx([2.2] * 2)
     assert driven.arm.tared == pytest.approx([0.11] * 2)  # in the air
     assert driven.arm.state.pose[2] == pytest.approx(0.11)
