@@ -23,7 +23,7 @@ SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
     {TIME: (1,), COUNTS: (BAROMETERS,), VELOCITY: (3, 6), SPEED: (1,), LABEL: (1,)}
 )
 
-_EXAMPLES: Final = {TIME: "time=t", COUNTS: "counts=p0..p5"}
+_EXAMPLES: Final = {TIME: "time=t", COUNTS: "counts=p0..p5, or counts=left,right,top,bottom,tip,base"}
 _USUAL: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         TIME: ("t", "time", "timestamp", "stamp"),  # each also with _s, _ms, _us or _ns

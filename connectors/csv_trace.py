@@ -13,6 +13,10 @@ from operators.ports import Description, Json
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
+DETECTORS: Final = 100.0  # Hz, that detectors are made for
+OFF: Final = 0.1  # share that a rate may be off from the one that is expected
+PLAUSIBLE: Final = 1.0  # m/s, that no arm exceeds while it feels something
+
 _INT16: Final = np.iinfo(np.int16)
 _GUESSED: Final = ColumnMap()
 
@@ -106,6 +110,26 @@ class CsvTrace:
         """Rows per second, by the median of their distances; None where all have one stamp."""
         distance = float(np.median(np.diff(self.touch.time))) if len(self.touch) > 1 else 0.0
         return s / distance if distance else None
+
+    @property
+    def speeds(self) -> Reals:
+        """(n,) m/s, of the arm, at the rows of motion."""
+        speeds: Reals = np.linalg.norm(self.motion.velocity[:, :3], axis=1)
+        return speeds
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What is hardly so, as where a unit is another than is thought, a line each."""
+        lines = list[str]()
+        fastest, rate = float(self.speeds.max(initial=0.0)), self.rate
+        if fastest > PLAUSIBLE:
+            lines.append(
+                f"the arm would move at {fastest:.3g} m/s: is the unit of its speed another, as mm/s?"
+            )
+        if rate is not None and abs(rate / DETECTORS - 1) > OFF:
+            made = f"detectors are made for {DETECTORS:g} Hz"
+            lines.append(f"it comes at {rate:.4g} Hz, {made}: is the unit of its time another?")
+        return tuple(lines)
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """The fingertip that it is of, if it holds what `kind` asks for; EVERY for the arm's motion."""

@@ -307,7 +307,10 @@ def _recording(path: Path) -> "Recording":
     if path.suffix == ".csv":
         from connectors.csv_trace import CsvTrace
 
-        return CsvTrace(path)
+        trace = CsvTrace(path)
+        for each in trace.doubts:
+            told(f"warning: {path}: {each} (slipflow import knows --units)")
+        return trace
     from storage import Session
 
     return Session.open(path)

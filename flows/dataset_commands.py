@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.options import AsJson, progress_bar, told
+from flows.options import AsJson, counted, progress_bar, told
 
 if TYPE_CHECKING:
     from storage import Recovery, Verified
@@ -25,8 +25,9 @@ def verify(place: Place, *, as_json: AsJson = False) -> None:
     Every file is held against the manifest: sha256, checksums of its pages, rows, times. Nothing is changed,
     so it may run while something is recorded, which is checked as far as it is committed.
 
-    Exits 0 if all is there; 3 if something was repaired, waits to be, or is known to be missing, such as rows
-    that were dropped; 1 if a file that should be there is lost or damaged.
+    Exits 0 if all is there; 3 if something was repaired or waits to be, with nothing lost, or is known to be
+    missing, such as rows that were dropped; 1 if what had been recorded is lost or damaged, also once a
+    recovery has made the best of it.
     """
     from dataclasses import asdict
 
@@ -34,7 +35,11 @@ def verify(place: Place, *, as_json: AsJson = False) -> None:
 
     with progress_bar("verifying") as update:
         found = check(place, update)
-    typer.echo(json.dumps({**asdict(found), "code": found.code}) if as_json else _verdict(place, found))
+    typer.echo(
+        json.dumps({**asdict(found), "worst": found.worst, "code": found.code})
+        if as_json
+        else _verdict(place, found)
+    )
     if found.code:
         raise typer.Exit(found.code)
 
@@ -43,21 +48,23 @@ def recover(place: Place, *, as_json: AsJson = False) -> None:
     """Put right what a crash left: what the journal of a killed recording holds becomes parts of the dataset.
 
     Opening such a session in slipflow does the same by itself; other readers see it afterwards. Sessions that
-    need nothing, or are being recorded, are left alone. What cannot be read is kept in a folder `damaged`.
+    need nothing, or are being recorded, are left alone. What cannot be read, or is there twice, is kept in a
+    folder `damaged`. Parts that a manifest lists are not read: `slipflow verify` does that.
 
     Exits 0 if there was nothing to do, 3 if something was put right, 1 if a session could not be.
     """
     from operators.errors import SlipflowError
     from storage import recover as put_right
-    from storage.layout import SESSION, session_folder, session_names
+    from storage.layout import SESSION, SESSIONS, headless, headless_names, session_folder, session_names
     from storage.lock import locked
 
-    single = (place / SESSION).exists()
+    single = (place / SESSION).exists() or headless(place)
     folders = [place] if single else [session_folder(place, name) for name in session_names(place)]
-    if not folders:
+    beheaded = [place / SESSIONS / name for name in ([] if single else headless_names(place))]
+    if not folders and not beheaded:
         raise typer.BadParameter(f"{place} is no session and holds none")
     done: list[Recovery] = []
-    errors: list[str] = []
+    errors = [f"{folder}: its {SESSION} is gone: see slipflow verify" for folder in beheaded]
     with progress_bar("recovering") as update:
         for number, folder in enumerate(folders, 1):
             try:
@@ -73,7 +80,8 @@ def recover(place: Place, *, as_json: AsJson = False) -> None:
         typer.echo(json.dumps({"sessions": sessions, "errors": errors}))
     else:
         changed = [_report(each) for each in done if each.changed]
-        typer.echo("\n".join(changed) or f"{len(done)} sessions, nothing to recover")
+        nothing = f"{counted(len(done), 'session')}, nothing to recover; slipflow verify reads every file"
+        typer.echo("\n".join(changed) or nothing)
     for each in errors:
         typer.echo(f"error: {each}", err=True)
     if errors or any(each.changed for each in done):
@@ -81,17 +89,27 @@ def recover(place: Place, *, as_json: AsJson = False) -> None:
 
 
 def _verdict(place: Path, found: "Verified") -> str:
-    lines = [f"{each.weight:5}  {each.session}: {each.text}" for each in found.findings]
-    said = {0: "all is there", 3: "something was repaired or is known to be missing", 1: "something is lost"}
-    size = f"{found.sessions} sessions, {found.files} files, {found.rows:,} rows"
-    return "\n".join([*lines, f"{place}: {size}: {said[found.code]}"])
+    wide = max((len(each.weight) for each in found.findings), default=0)
+    lines = [
+        f"{each.weight:{wide}}  {each.session}: {each.text}".replace(" : ", " ") for each in found.findings
+    ]
+    said = {
+        "note": "all is there",
+        "repairable": "something waits to be repaired, nothing is lost",
+        "repaired": "something was repaired, nothing is lost",
+        "lossy": "something is known to be missing",
+        "lost": "something is lost",
+    }
+    size = (
+        f"{counted(found.sessions, 'session')}, {counted(found.files, 'file')}, {counted(found.rows, 'row')}"
+    )
+    return "\n".join([*lines, f"{place}: {size}: {said[found.worst]}"])
 
 
 def _report(done: "Recovery") -> str:
     rows = ", ".join(f"{count:,} rows of {table}" for table, count in done.rows.items())
-    return "\n".join(
-        [f"{done.session}: back are {rows or 'no rows'}", *(f"  lost: {each}" for each in done.lost)]
-    )
+    lines = [f"{'cut off' if each in done.cut else 'lost'}: {each}" for each in done.lost]
+    return "\n  ".join([f"{done.session}: back are {rows or 'no rows'}", *lines, *done.done])
 
 
 def _as_dict(done: "Recovery") -> dict[str, object]:
@@ -100,5 +118,7 @@ def _as_dict(done: "Recovery") -> dict[str, object]:
         "rows": dict(done.rows),
         "adopted": list(done.adopted),
         "lost": list(done.lost),
+        "cut": list(done.cut),
+        "done": list(done.done),
         "complete": done.complete,
     }

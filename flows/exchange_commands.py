@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.options import AsJson, nanoseconds, progress_bar, told
+from flows.options import AsJson, counted, nanoseconds, progress_bar, told
 
 if TYPE_CHECKING:
     from storage import Session
@@ -61,7 +61,8 @@ def import_(
             "--map",
             metavar="NAME=COLUMNS,...",
             help="Which columns hold what: time=t,counts=p0..p5,speed=v,label=slip. Of time, counts (6),"
-            " velocity (3 or 6), speed, label; what is left out is guessed from usual names, label= is none.",
+            " velocity (3 or 6), speed, label; what is left out is guessed from usual names, label= is none."
+            " Names without numbers are listed: counts=left,right,top,bottom,tip,base.",
         ),
     ] = "",
     units: Annotated[
@@ -148,11 +149,18 @@ def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) 
         )
     found = {**asdict(done), "out": str(out)}
     splits = ", ".join(f"{split} {span}" for split, span in done.splits.items())
+    cut = f"{counted(done.sessions, 'session')}, cut at {counted(done.gaps, 'gap')}"
+    made = f"{counted(done.samples, 'sample')}: {counted(done.frames, 'frame')} at {rate} Hz"
     lines = [
-        f"{done.sessions} sessions, cut at {done.gaps} gaps: {done.episodes} episodes ({splits})",
-        f"{done.samples:,} samples: {done.frames:,} frames at {rate} Hz of {', '.join(done.features)}",
-        f"written: {out}",
+        f"{cut}: {counted(done.episodes, 'episode')} ({splits})",
+        f"{made} of {', '.join(done.features)}",
     ]
+    if done.samples > done.frames:
+        lines.append(
+            f"{counted(done.samples - done.frames, 'sample')} became no frame: those of another fingertip, or"
+            " the arm's motion, were not there; or another was nearer; or they stood alone between gaps"
+        )
+    lines.append(f"written: {out}")
     return found, "\n".join(lines)
 
 
@@ -170,4 +178,6 @@ def _mcap(sessions: "list[Session]", out: Path) -> tuple[dict[str, Any], str]:
             path = out if single else out / f"{name}.mcap"
             found[str(path)] = dict(write(session, path, progress))
     rows = sum(sum(topics.values()) for topics in found.values())
-    return {"files": found}, f"{len(found)} files, {rows:,} rows\nwritten: {', '.join(found)}"
+    return {
+        "files": found
+    }, f"{counted(len(found), 'file')}, {counted(rows, 'row')}\nwritten: {', '.join(found)}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from connectors import CsvTrace, Replay
 from connectors.csv_columns import LABEL, ColumnMap
+from connectors.csv_trace import OFF
 from flows.drawing import describe
 from flows.graph import Flow
 from flows.replay_runner import ReplayRunner
@@ -19,9 +20,6 @@ from operators.errors import InputError
 from operators.ports import Run
 from storage import Dataset
 
-DETECTORS: Final = 100.0  # Hz, that detectors are made for
-
-_OFF: Final = 0.1  # share that a rate may be off from the one that is told
 _STRANGE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _LABELS: Final = {"slip": SLIP, "static": STATIC, "unknown": UNKNOWN}
 
@@ -82,7 +80,7 @@ class Import:
     ) -> None:
         self.trace = CsvTrace(path, columns, finger=finger, zeroed=zeroed, rate=rate)
         found = self.trace.rate
-        if rate is not None and found is not None and abs(found / rate - 1) > _OFF:
+        if rate is not None and found is not None and abs(found / rate - 1) > OFF:
             reason = (
                 f"comes at {found:.1f} rows per second, not at {rate:g}; is the unit of its time another?"
             )
@@ -126,7 +124,7 @@ class Import:
     def summary(self) -> dict[str, Any]:
         """What was understood, for a program."""
         trace = self.trace
-        speeds = np.linalg.norm(trace.motion.velocity[:, :3], axis=1)  # (n,) m/s
+        speeds = trace.speeds  # (n,) m/s
         return {
             **trace.describe(),
             "guessed": [name for name in trace.columns.columns if name not in self._columns.columns],
@@ -134,7 +132,9 @@ class Import:
             "seconds": int(trace.touch.time[-1] - trace.touch.time[0]) / s,
             "rate": trace.rate,
             "motion": len(trace.motion),
+            "moving": int((speeds > self._label.speed).sum()),
             "fastest": float(speeds.max()) if len(speeds) else None,
+            "doubts": list(trace.doubts),
             "labelled": self.labelled or None,
             "labels": {name: int((trace.labels == code).sum()) for name, code in _LABELS.items()},
             "dataset": str(self._out),
@@ -144,19 +144,20 @@ class Import:
     def report(self) -> str:
         """The same for a person."""
         found, rate = self.summary(), self.trace.rate or 0.0
-        strange = "" if abs(rate / DETECTORS - 1) <= _OFF else f"; detectors are made for {DETECTORS:g} Hz"
-        lines = [f"{self.trace.name}: {found['rows']} rows, {found['seconds']:.1f} s, {rate:.1f} Hz{strange}"]
+        lines = [f"{self.trace.name}: {found['rows']} rows, {found['seconds']:.1f} s, {rate:.1f} Hz"]
         units = {**found["units"], "counts": "zeroed" if found["zeroed"] else "raw"}
         for name, columns in found["columns"].items():
             notes = [units[name]] if name in units else []
             notes += ["guessed from the names"] if name in found["guessed"] else []
             lines.append(f"  {name:9}{' '.join(columns)}  ({', '.join(notes)})".removesuffix("  ()"))
         if found["motion"]:
-            lines.append(f"  the arm moves in {found['motion']} rows, at up to {found['fastest']:.3g} m/s")
+            moving = f"{found['moving']} of {found['motion']} rows, above {self._label.speed:g} m/s"
+            lines.append(f"  the arm moves in {moving}, at up to {found['fastest']:.3g} m/s")
         counts = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
         by_file = f"  labels of the file: {counts}"
         by_speed = (
             f"  labels by {self.labelled}" if self.labelled else "  no labels and no motion: no samples"
         )
         lines.append(by_file if self.labelled == "the file" else by_speed)
+        lines += [f"  doubtful: {each}" for each in found["doubts"]]
         return "\n".join([*lines, f"session {self.session} of {self._out}, finger {found['finger']}"])

@@ -247,14 +247,15 @@ class _Outlet:
         self._more, self._room = asyncio.Event(), asyncio.Event()
         self._end, self._given_up = asyncio.Event(), asyncio.Event()
         self._writing: float | None = None  # s of the loop, since when
+        self._dropped_before = 0  # rows, when it last worked
 
     def offer(self, batch: Batch) -> bool:
         """Queue a batch if there is room, or if this sink's policy makes some."""
         if len(self._waiting) >= self.sink.capacity:
             if not self.sink.lossless:
-                self.status.dropped += len(self._waiting.popleft())
+                self._lose(self._waiting.popleft())
             elif self.status.error or self._is_stuck():  # waiting for it would stop the others
-                self.status.dropped += len(batch)
+                self._lose(batch)
                 return True
             else:
                 return False
@@ -300,6 +301,12 @@ class _Outlet:
         except Exception as error:  # noqa: BLE001 - the others must be closed too
             self._failed(error)
 
+    def _lose(self, batch: Batch) -> None:
+        """Count a batch for which there is no room; say it once in each failure."""
+        if self.status.error and self.status.dropped == self._dropped_before:
+            log.warning("%s drops rows until it works again", self.name)
+        self.status.dropped += len(batch)
+
     def _drop(self, *batches: Batch) -> None:
         self.status.dropped += sum(map(len, batches))
         self._waiting.clear()
@@ -324,7 +331,8 @@ class _Outlet:
                 self._failed(error)
             else:
                 if self.status.error:
-                    log.warning("%s works again", self.name)
+                    lost = self.status.dropped - self._dropped_before
+                    log.warning("%s works again%s", self.name, f"; {lost} rows were dropped" if lost else "")
                     self.status.error = ""
                 self.status.rows += len(batch)
                 return
@@ -344,6 +352,7 @@ class _Outlet:
     def _failed(self, error: Exception) -> None:
         if not self.status.error:
             log.warning("%s failed: %s", self.name, _text(error))
+            self._dropped_before = self.status.dropped
         self.status.error = _text(error)
         self.status.failures += 1
         self._room.set()

@@ -62,6 +62,15 @@ def told(text: str) -> None:
     typer.echo(text, err=True)
 
 
+def counted(count: int, noun: str) -> str:
+    """So many of something.
+
+    >>> counted(1, "session"), counted(2000, "session")
+    ('1 session', '2,000 sessions')
+    """
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
 class Update(Protocol):
     """Tells a bar how far the work is."""
 

@@ -91,7 +91,7 @@ def describe_session(
             "clock_steps": [asdict(step) for step in run.clock_steps],
         }
     try:
-        files.put_json(folder / SESSION, about)
+        files.put_checked(folder / SESSION, about)
     except (TypeError, ValueError) as error:
         raise InputError("description of the sources", f"cannot be JSON: {error}") from error
 
@@ -118,17 +118,17 @@ def describe_recovery(
         content |= {"error": "was not closed", "zeroed": zeroed}
         if newest is not None:
             content |= {"end": _rfc3339(newest), "end_ns": newest}
-    files.put_json(folder / SESSION, content)
+    files.put_checked(folder / SESSION, content)
 
 
 def read_session(folder: Path) -> Description:
     """What session.json says.
 
     Raises:
-        InputError: if it cannot be read, or is of another version.
+        InputError: if it cannot be read, is damaged, or is of another version.
     """
     path = folder / SESSION
-    about = files.read_json(path)
+    about = files.read_checked(path)
     _check_version(path, about)
     if not isinstance(about.get("session"), str):
         raise InputError(str(path), 'has no "session"')

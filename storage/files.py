@@ -1,5 +1,6 @@
 """Single files: put in place whole, read with typed errors."""
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -13,6 +14,7 @@ from storage import steps
 MiB: Final = 1 << 20  # bytes
 SCRATCH: Final = ".tmp"  # ends the name of a file that is not whole yet
 
+CHECK: Final = "check"  # names the last entry of a JSON object, the sha256 of the others
 _KINDS: Final = {".parquet": "part", ".wal": "segment"}  # what a step is said to be about; else its name
 
 
@@ -44,6 +46,18 @@ def put(path: Path, data: bytes) -> None:
 def put_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write a JSON file as `put` does."""
     put(path, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
+
+
+def put_checked(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a JSON file as `put` does, so that damage to it shows."""
+    rest: dict[str, Any] = json.loads(json.dumps(dict(content), allow_nan=False))  # as it will be read
+    rest.pop(CHECK, None)
+    put_json(path, {**rest, CHECK: hash_json(rest)})
+
+
+def hash_json(content: Mapping[str, Any]) -> str:
+    """The sha256, hex, of what a JSON object says, however it is laid out."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def make_folder(path: Path, *, new: bool = False) -> None:
@@ -92,6 +106,24 @@ def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(str(path), "is not a JSON object")
     return cast("dict[str, Any]", content)
+
+
+def read_checked(path: Path) -> dict[str, Any]:
+    """The object in a JSON file, which may lack the sha256 that `put_checked` adds; without that.
+
+    Raises:
+        InputError: if it cannot be read, holds something else or has another sha256.
+    """
+    content = read_json(path)
+    rest = dict(content)
+    last, check = rest.popitem() if rest else ("", None)
+    if check == hash_json(rest):
+        if last == CHECK:
+            return rest  # else the name is what is damaged
+    elif CHECK not in content:
+        return content
+    reason = f"is damaged; or was changed by hand: then remove its last entry, {CHECK!r}"
+    raise InputError(str(path), reason)
 
 
 def sync(path: Path) -> None:

@@ -130,7 +130,7 @@ class Journal:
         sync(self._folder / JOURNAL)
 
     def stop(self) -> None:
-        """End the threads, and append what waits, if the disk lets; may be called again."""
+        """End the threads, and append what waits and was not told, if the disk lets; may be called again."""
         with self._more:
             self._ended = True
             self._more.notify()
@@ -139,6 +139,7 @@ class Journal:
             thread.join()
         with suppress(OSError):
             self.append()
+            self._tell()
 
     def remove(self) -> None:
         """Delete the journal, which has been stopped: all its rows are in parts.

@@ -103,6 +103,18 @@ def session_names(root: Path) -> list[str]:
     return sorted(path.parent.name for path in (root / SESSIONS).glob(f"*/{SESSION}"))
 
 
+def headless_names(root: Path) -> list[str]:
+    """The folders among a dataset's sessions that hold rows but no session.json, sorted."""
+    folders = (path for path in (root / SESSIONS).glob("*") if path.is_dir())
+    return sorted(path.name for path in folders if headless(path))
+
+
+def headless(folder: Path) -> bool:
+    """Whether a folder holds what a session does, but not what it says of itself."""
+    patterns = (MANIFEST, EPISODES, "journal/*.wal", *(table.pattern for table in TABLES))
+    return not (folder / SESSION).exists() and any(any(folder.glob(each)) for each in patterns)
+
+
 def segments(folder: Path) -> dict[int, Path]:
     """The segments of a session's journal by their numbers, in order; none where it has no journal.
 

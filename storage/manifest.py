@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -21,6 +22,7 @@ _FILE: Final = re.compile(
     + re.escape(EPISODES)
 )
 _SHA256: Final = re.compile("[0-9a-f]{64}")
+_TIMES: Final = 2**63  # ns, which no time reaches
 _TYPES: Final = {"path": str, "rows": int, "first": int, "last": int, "sha256": str}
 
 
@@ -75,6 +77,20 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     return listed
 
 
+def hint_manifest(folder: Path) -> dict[str, Part]:
+    """The parts that a damaged manifest still tells of, by path: a hint, of which any word may be wrong."""
+    found = dict[str, Part]()
+    try:
+        lines = files.read(folder / MANIFEST, 64 * files.MiB).decode(errors="replace").splitlines()
+    except InputError:
+        return found
+    for line in lines:  # a part each, as `write_manifest` writes them
+        with suppress(InputError, ValueError, RecursionError):
+            part = _part(line, json.loads(line.strip().removesuffix(",")))
+            found[part.path] = part
+    return found
+
+
 def _digest(lines: str) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
@@ -84,7 +100,8 @@ def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - whatever the file
     if {key: type(value) for key, value in values.items()} != _TYPES:
         raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types")
     part = Part(**values)
-    if part.rows < 1 or part.first > part.last or not _SHA256.fullmatch(part.sha256):
+    times = -_TIMES <= part.first <= part.last < _TIMES
+    if part.rows < 1 or not times or not _SHA256.fullmatch(part.sha256):
         raise InputError(where, "has rows, times or a sha256 that cannot be")
     if not _FILE.fullmatch(part.path):
         raise InputError(where, f"{part.path!r} is no file of a session")

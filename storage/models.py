@@ -19,7 +19,6 @@ from storage import files
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
 _DIGEST: Final = "slipflow.sha256"  # of all else that a .safetensors file says; itself knows no checksum
-_CHECK: Final = "check"  # of a card, which its own sha256 is
 _UNNAMED: Final = "paper_tcn"  # what weights are of that do not say so, as those in .npz
 LIMIT: Final = 256 * files.MiB  # of a file, and of what is packed in it
 
@@ -74,8 +73,7 @@ def save_card(path: Path, card: Mapping[str, Any]) -> None:
     Raises:
         OSError: if it cannot be written.
     """
-    rest = {key: value for key, value in card.items() if key != _CHECK}
-    files.put_json(path.with_suffix(".json"), {**rest, _CHECK: _sha256(rest)})
+    files.put_checked(path.with_suffix(".json"), card)
 
 
 def load_detector(name: str | Path) -> Detector:
@@ -91,7 +89,7 @@ def load_detector(name: str | Path) -> Detector:
     if path.suffix in _READERS:
         weights, about = load_weights(path)
         told = load_card(path).get("sha256")
-        if told not in {None, hashlib.sha256(files.read(path, LIMIT)).hexdigest()}:
+        if told is not None and told != hashlib.sha256(files.read(path, LIMIT)).hexdigest():
             raise InputError(str(path), f"is damaged, or not the model of {path.with_suffix('.json').name}")
         kind = about.get("detector", _UNNAMED)
         if kind not in TRAINED:
@@ -117,14 +115,7 @@ def load_card(path: Path) -> dict[str, Any]:
         InputError: if it is damaged.
     """
     place = path.with_suffix(".json")
-    if not place.exists():
-        return {}
-    card = files.read_json(place)
-    check = card.pop(_CHECK, None)
-    if check not in {None, _sha256(card)}:
-        reason = f"is damaged; or was changed by hand: then remove its last entry, {_CHECK!r}"
-        raise InputError(str(place), reason)
-    return card
+    return files.read_checked(place) if place.exists() else {}
 
 
 def load_debounce(name: str | Path) -> Debounce | None:
@@ -160,12 +151,7 @@ def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
 
 
 def _digest(header: Mapping[str, Any], arrays: bytes) -> str:
-    return _sha256({**header, "": hashlib.sha256(arrays).hexdigest()})
-
-
-def _sha256(content: Mapping[str, Any]) -> str:
-    """That of what a JSON object says, however it is laid out."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    return files.hash_json({**header, "": hashlib.sha256(arrays).hexdigest()})
 
 
 def _read_npz(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:

@@ -64,6 +64,19 @@ def hash_part(path: Path) -> str:
     return hashlib.sha256(files.read(path)).hexdigest()
 
 
+def inspect_part(
+    folder: Path, path: str, schema: pa.Schema, times: tuple[str, str] = ("time", "time")
+) -> Part:
+    """What a manifest would say of a file of the session in `folder`, which is read for it.
+
+    Raises:
+        InputError: as `read_part`, or if a link leads out of the session.
+    """
+    place = inside(folder, folder / path)
+    sha256 = hash_part(place)
+    return described(path, read_part(place, schema, sha256), sha256, times)
+
+
 def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:
     """The columns of `schema` from a Parquet file; it may have others.
 
@@ -80,8 +93,10 @@ def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Ta
         raise InputError(str(path), "is damaged: its sha256 is not the one in the manifest")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        # in this thread: one of Arrow's own may be the last to let go of `data`, which aborts a process that
+        # just ends
         _check(path, file.schema_arrow, schema)
-        table: pa.Table = file.read(schema.names)
+        table: pa.Table = file.read(schema.names, use_threads=False)
         table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).partition("\n")[0]

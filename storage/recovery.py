@@ -19,7 +19,9 @@ class Recovery:
     session: str
     rows: Mapping[str, int]  # that no manifest listed and that are back, by table
     adopted: tuple[str, ...]  # of these, the files that were whole and only had to be listed
-    lost: tuple[str, ...]  # what could not be had and why, a line each
+    lost: tuple[str, ...]  # what could not be had and why, a line each; what was known before left out
+    cut: tuple[str, ...]  # of these, those of the end only, where the recorder was cut off
+    done: tuple[str, ...]  # what else was put right, a line each
 
     @property
     def complete(self) -> bool:
@@ -28,17 +30,19 @@ class Recovery:
 
     @property
     def changed(self) -> bool:
-        """Whether there was anything to do."""
-        return bool(self.rows or self.adopted or self.lost)
+        """Whether anything was put right, or found to be lost."""
+        return bool(self.rows or self.adopted or self.lost or self.done)
 
 
 def recover(folder: str | Path) -> Recovery:
     """Put a session right, so that all of it can be read from parts that its manifest lists.
 
-    Files that are whole but not listed are listed. The rows of the journal follow, table by table, up to the
-    first that is missing: a table never has a hole that its reader would have to look for. What stands behind
-    damage is kept in the session's folder `damaged`. At last session.json says what was done, and the journal
-    goes. A session that needs nothing is left alone; killed at any step, it may be called again.
+    Files that are whole but not listed are listed, but not what is there twice; a part that is known of and
+    gone is told of as lost, by what a damaged manifest still lists or by its number. The rows of the journal
+    follow, table by table, up to the first that is missing: a table never has a hole that its reader would
+    have to look for. What stands behind damage is kept in the session's folder `damaged`, as are a file that
+    was there twice and a damaged manifest. At last session.json says what was done, and the journal goes. A
+    session that needs nothing is left alone; killed at any step, it may be called again.
 
     Args:
         folder: The session's.

@@ -1,8 +1,9 @@
 """How a session is put right: parts that no manifest lists, then the journal."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import pyarrow as pa
 
@@ -25,10 +26,11 @@ from storage.layout import (
     inside,
     segments,
 )
-from storage.manifest import Part, read_manifest, write_manifest
-from storage.parts import commit_part, described, hash_part, read_part
+from storage.manifest import Part, hint_manifest, read_manifest, write_manifest
+from storage.parts import commit_part, inspect_part, read_part
 from storage.recovery import Recovery
 from storage.schema import batch_type, schema, to_arrow
+from storage.unlisted import doubled, extent, missing_numbers, missing_segments, part_number, shortfall
 
 PART_ROWS: Final = 100_000  # of a part
 
@@ -44,23 +46,33 @@ class Salvage:
         """
         self._folder, self._about, self._session = folder, about, str(about["session"])
         self._lost: list[str] = []
+        self._cut: list[str] = []  # of these, what tells of the end only
+        self._done: list[str] = []
+        self._journalled = (folder / JOURNAL).is_dir()
+        before = cast("dict[str, Any]", about.get("recovered", {}))
+        self._known_lost: list[str] = before.get("lost", [])
+        self._known_cut: list[str] = before.get("cut", [])
         self._adopted: list[str] = []
         self._doubtful: dict[
             str, str
         ] = {}  # by table, why its last file cannot be read, which no manifest lists
         self._holes: set[str] = set()  # tables of which a part is gone that no manifest lists
+        self._unreadable: set[str] = set()  # files of tables
         self._aside: list[Path] = []  # what is kept as it is, but not read any more
         self._listed = dict[str, Part]()
+        self._hints = dict[str, Part]()  # what a damaged manifest lists
         self._mend = not (folder / MANIFEST).exists()
         try:
             self._listed |= read_manifest(folder)
         except InputError:
             self._mend = True
+            self._hints |= hint_manifest(folder)
         self._were = dict(self._listed)
         self._parts = {table.name: self._found(table) for table in TABLES}
         self._rows: dict[str, list[Batch]] = {}  # from the journal, by table
         self._episodes = self._read_journal()
         self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
+        self._look_for_gone()
 
     def carry_out(self) -> Recovery:
         """Put it right.
@@ -75,42 +87,75 @@ class Salvage:
                 self._commit(table, to_arrow(table, rows, told))
         after = {name: self._count(parts) for name, parts in self._parts.items()}
         found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
-        result = Recovery(self._session, found, tuple(self._adopted), tuple(self._lost))
-        self._describe(result)
         parts = [part for each in self._parts.values() for part in each]
         if EPISODES in self._listed:
             parts.append(self._listed[EPISODES])
-        if self._mend or {part.path: part for part in parts} != self._were:
+        rewritten = self._mend or {part.path: part for part in parts} != self._were
+        if rewritten and not found:
+            self._done.append("its manifest was made anew")
+        if self._journalled and not found:
+            self._done.append("its journal was put away: it had no row that no part has")
+        result = Recovery(
+            self._session, found, tuple(self._adopted), self._new_lost(), tuple(self._cut), tuple(self._done)
+        )
+        self._describe(result)
+        if rewritten:
+            self._keep_manifest()
             write_manifest(self._folder, parts)
-        self._clear()
-        return result
+        left = self._clear()
+        return replace(result, done=(*result.done, *left))
 
     def _found(self, table: Table) -> list[Part]:
         """The parts of a table: those listed, and those that are whole."""
         parts = self._known(table)
         there = {path.relative_to(self._folder).as_posix() for path in self._folder.glob(table.pattern)}
-        for path in sorted(there - {part.path for part in parts}, key=_number):
+        for path in sorted(there - {part.path for part in parts}, key=part_number):
             try:
-                part = self._checked(path, schema(table))
+                part = inspect_part(self._folder, path, schema(table))
+                twice = doubled(self._folder, table, part, parts)
             except InputError as error:
-                self._damaged(table, path, error, last=path == max(there, key=_number))
+                self._damaged(table, path, error, last=path == max(there, key=part_number))
+                continue
+            if twice:
+                self._aside.append(self._folder / path)
+                self._done.append(f"{twice}: it is kept in {DAMAGED!r}")
                 continue
             parts.append(part)
             self._adopted.append(path)
-        return parts
+        return sorted(parts, key=lambda part: part_number(part.path))
 
     def _known(self, table: Table) -> list[Part]:
         paths = (path for path in self._listed if path.startswith((f"{table.name}/", f"{table.name}.")))
-        return [self._listed[path] for path in sorted(paths, key=_number)]
+        return [self._listed[path] for path in sorted(paths, key=part_number)]
 
-    def _checked(self, path: str, columns: pa.Schema, times: tuple[str, str] = ("time", "time")) -> Part:
-        place = inside(self._folder, self._folder / path)
-        sha256 = hash_part(place)
-        return described(path, read_part(place, columns, sha256), sha256, times)
+    def _look_for_gone(self) -> None:
+        """What is missing altogether: parts that are known of, rows that session.json counts, the journal."""
+        parts = [part for each in self._parts.values() for part in each]
+        hashes = {part.sha256 for part in parts}
+        paths = {part.path for part in parts} | self._unreadable
+        for path, part in self._hints.items():
+            if not (self._folder / path).exists() and part.sha256 not in hashes:
+                self._lost.append(f"{path}: is gone: {extent(part)}")
+        told = " ".join([*self._lost, *self._known_lost])
+        gone = [path for path in missing_numbers(paths) if path not in told]
+        self._lost += [f"{path}: is gone, and no manifest tells of it" for path in gone]
+        if self._mend and not self._journalled and (text := shortfall(self._about, parts)):
+            self._lost.append(text)
+        if "end_ns" in self._about:
+            return
+        if not parts and not self._rows:
+            self._done.append("was never closed, and has no rows")
+        elif not self._journalled:
+            self._cut.append("was never closed and has no journal: what came after its last part is missing")
+            self._lost += self._cut[-1:]
+
+    def _new_lost(self) -> tuple[str, ...]:
+        return tuple(each for each in self._lost if each not in self._known_lost)
 
     def _damaged(self, table: Table, path: str, error: InputError, *, last: bool) -> None:
         """A file that no manifest lists: the journal still has its rows, unless others came after it."""
         self._aside.append(self._folder / path)
+        self._unreadable.add(path)
         if last and segments(self._folder):
             self._doubtful[table.name] = f"{table.name}: {error}"
         else:
@@ -122,6 +167,9 @@ class Salvage:
         told: list[Any] | None = None
         next_row = {name: self._count(parts) for name, parts in self._parts.items()}
         left_out = dict[str, int]()  # rows by table
+        newest = next(reversed(segments(self._folder).values()), None)
+        gone = missing_segments(self._folder, self._about)
+        self._lost += gone if any(self._parts.values()) or segments(self._folder) else []
         for number, path in segments(self._folder).items():
             segment = frames.read_segment(files.read(path, frames.WHOLE), str(path), self._session, number)
             told = segment.episodes or told
@@ -136,6 +184,7 @@ class Salvage:
                 behind = "whole frames are behind it" if damage.more else "there the recorder was cut off"
                 self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {behind}")
                 self._aside += [path] if damage.more else []
+                self._cut += [] if damage.more or path != newest else self._lost[-1:]
         for table, rows_left in left_out.items():
             self._lost.append(f"{table}: {rows_left} rows that do not follow on row {next_row[table]}")
         if left_out:
@@ -150,10 +199,16 @@ class Salvage:
                 listed = self._listed.get(EPISODES)
                 sha256 = listed.sha256 if listed else None
                 found = Episodes(read_part(inside(self._folder, there), episodes.SCHEMA, sha256))
-                self._listed[EPISODES] = listed or self._checked(EPISODES, episodes.SCHEMA, episodes.TIMES)
+                self._listed[EPISODES] = listed or inspect_part(
+                    self._folder, EPISODES, episodes.SCHEMA, episodes.TIMES
+                )
             except InputError as error:
                 self._lost.append(f"episodes: {error}")
-        told = Episodes.described({"the journal": {"episodes": self._episodes or []}})
+        try:
+            told = Episodes.described({"the journal": {"episodes": self._episodes or []}})
+        except InputError as error:  # as the source described them
+            self._lost.append(f"episodes: {error}")
+            return found
         if len(told.table) < len(found.table) or told.table.equals(found.table):
             return found
         self._listed[EPISODES] = commit_part(self._folder, EPISODES, told.table, episodes.TIMES)
@@ -168,20 +223,31 @@ class Salvage:
             ]
             return
         files.make_folder(inside(self._folder, self._folder / table.name))
-        number = 1 + max((_number(part.path) for part in parts), default=-1)
+        number = 1 + max((part_number(part.path) for part in parts), default=-1)
         for start in range(0, len(rows), PART_ROWS):
             parts.append(commit_part(self._folder, table.file(number), rows.slice(start, PART_ROWS)))
             number += 1
 
     def _describe(self, result: Recovery) -> None:
-        ended, before = "end_ns" in self._about, "recovered" in self._about
-        if not (result.rows or result.adopted) and (before or (ended and not result.lost)):
+        before = cast("dict[str, Any]", self._about.get("recovered", {}))
+        found = bool(result.rows or result.adopted)
+        if not (found or result.lost) and (before or "end_ns" in self._about):
             return
+        rows, adopted = (
+            (result.rows, list(result.adopted))
+            if found
+            else (before.get("rows", {}), before.get("adopted", []))
+        )
         newest = max((part.last for parts in self._parts.values() for part in parts), default=None)
         describe_recovery(
             self._folder,
             self._about,
-            {"rows": dict(result.rows), "adopted": list(result.adopted), "lost": list(result.lost)},
+            {
+                "rows": dict(rows),
+                "adopted": adopted,
+                "lost": [*self._known_lost, *result.lost],
+                "cut": [*self._known_cut, *(each for each in result.cut if each not in self._known_cut)],
+            },
             newest=newest,
             zeroed=self._zeroed(),
         )
@@ -196,13 +262,22 @@ class Salvage:
         except InputError:
             return False
 
-    def _clear(self) -> None:
-        """Delete what is not needed any more; keep aside what could not be read."""
+    def _keep_manifest(self) -> None:
+        """A damaged one is kept aside before it is made anew."""
+        path = self._folder / MANIFEST
+        if self._mend and path.exists():
+            files.make_folder(self._folder / DAMAGED)
+            files.put(self._folder / DAMAGED / MANIFEST, files.read(path))
+
+    def _clear(self) -> list[str]:
+        """Delete what is not needed any more, and say so; keep aside what could not be read."""
+        deleted = 0
         for pattern in ("*", "*/*"):
             for path in self._folder.glob(pattern + files.SCRATCH):
                 if path.parent.name != JOURNAL:
                     inside(self._folder, path.parent)
                     path.unlink(missing_ok=True)
+                    deleted += 1
         if self._aside:
             files.make_folder(self._folder / DAMAGED)
         for path in self._aside:
@@ -213,6 +288,7 @@ class Salvage:
             files.sync(self._folder / DAMAGED)
         if (self._folder / JOURNAL).is_dir():
             drop_journal(self._folder)
+        return [f"{deleted} files that were never whole were deleted"] if deleted else []
 
     def _paths(self) -> set[str]:
         return {part.path for parts in self._parts.values() for part in parts}
@@ -220,9 +296,3 @@ class Salvage:
     @staticmethod
     def _count(parts: Iterable[Part]) -> int:
         return sum(part.rows for part in parts)
-
-
-def _number(path: str) -> int:
-    """Of a part, by its path; 0 for a table of one file."""
-    stem = path.rpartition("-")[2].partition(".")[0]
-    return int(stem) if stem.isdigit() else 0

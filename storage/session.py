@@ -39,7 +39,8 @@ class Session:
     """One session of a dataset, complete or still being recorded: what is committed is read.
 
     It is a `Recording`: streams come back as they were recorded, in type, order and every bit. Each file is
-    checked as it is read, by its sha256 where the manifest lists it, else by the checksums of its pages.
+    checked as it is read, by its sha256 where the manifest lists it, else by the checksums of its pages; a
+    file that is not listed and holds rows that are there already is not read.
     """
 
     folder: Path
@@ -158,9 +159,14 @@ class Session:
         if (self.folder / JOURNAL).exists():  # what is not listed yet may come again, out of the journal
             return sorted(listed, key=_numbered)
         there = {path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)}
+        paths = [table.file(number) for number in range(len(there))]
         if self.listed:
-            return sorted(there | listed, key=_numbered)
-        return [table.file(number) for number in range(len(there))]
+            paths = sorted(there | listed, key=_numbered)
+        if set(paths) <= listed:
+            return paths
+        from storage.unlisted import followers  # noqa: PLC0415 - it imports pyarrow
+
+        return followers(self.folder, table, paths, self.listed)
 
     def _rows(self, path: str, schema: "pa.Schema") -> "pa.Table":
         from storage.parts import read_part  # noqa: PLC0415 - it imports pyarrow

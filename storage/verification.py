@@ -16,11 +16,13 @@ from storage.layout import (
     MANIFEST,
     SAMPLES,
     SESSION,
+    SESSIONS,
     TABLES,
     Table,
+    headless,
+    headless_names,
     inside,
     segments,
-    session_folder,
     session_names,
 )
 from storage.lock import locked
@@ -30,13 +32,19 @@ GOOD: Final = 0  # exit codes
 LOST: Final = 1
 LOSSY: Final = 3
 
-Weight = Literal["note", "lossy", "lost"]
+Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
 Progress = Callable[[int, int, str], object]  # files done, of how many, session
+
+_ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", "lost")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something about a session that is not as it should be; a mere note says nothing against it."""
+    """Something about a session that is not as it should be; a mere note says nothing against it.
+
+    Repairable is what a recovery can put right, repaired what one has; neither has lost a row. Lossy is what
+    was known not to be there: rows dropped, or cut off with the recorder. Lost is what had been recorded.
+    """
 
     session: str
     weight: Weight
@@ -55,8 +63,16 @@ class Verified:
     @property
     def code(self) -> int:
         """0: all there; 3: something was repaired, or is missing and known to be; 1: something was lost."""
-        weights = {finding.weight for finding in self.findings}
-        return LOST if "lost" in weights else LOSSY if "lossy" in weights else GOOD
+        return GOOD if self.worst == "note" else LOST if self.worst == "lost" else LOSSY
+
+    @property
+    def worst(self) -> Weight:
+        """The weight of the worst finding; a note if there is none."""
+        found = {finding.weight for finding in self.findings}
+        for weight in reversed(_ORDER):
+            if weight in found:
+                return weight
+        return "note"
 
 
 def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: None) -> Verified:
@@ -73,7 +89,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
     """
     root = Path(path)
     findings = list[Finding]()
-    if (root / SESSION).exists():
+    if (root / SESSION).exists() or headless(root):
         folders = [root]
     else:
         if not root.is_dir():
@@ -82,9 +98,12 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
             read_dataset(root)
         except InputError as error:
             findings.append(Finding("", "lost", str(error)))
-        folders = [session_folder(root, name) for name in session_names(root)]
+        names = sorted([*session_names(root), *headless_names(root)])
+        folders = [inside(root, root / SESSIONS / name) for name in names]
         if findings and not folders:
             raise InputError(str(root), f"is no session, which has a {SESSION}, and no dataset")
+        if not folders:
+            findings.append(Finding("", "lossy", "holds no session: none was recorded, or they are gone"))
     checks = [_Check(folder) for folder in folders]
     done, of = 0, sum(len(check.listed) for check in checks)
     for check in checks:
@@ -106,6 +125,7 @@ class _Check:
         self.read: dict[str, int] = {}  # rows by file
         self.recording = locked(folder)
         self.listed: dict[str, Part] = {}
+        self.about: Description = {}  # session.json, if it can be read
         try:
             self.listed = read_manifest(folder)
         except InputError as error:
@@ -113,13 +133,15 @@ class _Check:
 
     def carry_out(self) -> Iterator[None]:
         """Check; give a turn after each file."""
+        from storage import unlisted  # noqa: PLC0415 - it imports pyarrow
+
         self._check_description()
         self._check_journal()
         for path, part in self.listed.items():
             try:
                 self.read[path] = self._check_part(path, part)
             except InputError as error:
-                self._find("lost", str(error))
+                self._find("lost", f"{error}: {unlisted.extent(part)}")
             yield
         self._check_rest()
 
@@ -130,24 +152,33 @@ class _Check:
         if self.recording:
             self._find("note", "is being recorded just now: what is committed is checked")
             return
+        if headless(self.folder):
+            self._find("lost", f"its {SESSION} is gone; rows are counted here as far as they can be read")
+            return
         try:
-            about = read_session(self.folder)
+            about = self.about = read_session(self.folder)
             self._check_ending(about)
             self._check_streams(about)
         except InputError as error:
             self._find("lost", str(error))
         except (AttributeError, LookupError, TypeError) as error:
+            self.about = {}
             self._find("lost", f"{self.folder / SESSION}: does not say what it must: {error!r}")
 
     def _check_ending(self, about: Description) -> None:
         recovered = cast("dict[str, Any] | None", about.get("recovered"))
         if recovered is not None:
             rows = ", ".join(f"{count} rows of {table}" for table, count in recovered["rows"].items())
-            self._find("lossy", f"was recovered: {rows or 'no rows'}")
+            self._find("repaired" if rows else "lossy", f"was recovered: {rows or 'no rows'}")
             for each in recovered["lost"]:
-                self._find("lossy", f"lost when it was recovered: {each}")
+                cut = each in recovered.get("cut", [])
+                self._find(
+                    "lossy" if cut else "lost",
+                    f"{'cut off' if cut else 'lost'} before it was recovered: {each}",
+                )
         elif "end_ns" not in about and not (self.folder / JOURNAL).exists():
-            self._find("lossy", "was never closed: slipflow recover says as much in it")
+            reason = "was never closed, and has no journal: what came after its last part is missing"
+            self._find("lossy", f"{reason}; slipflow recover says so in it")
         elif about.get("error"):
             self._find("note", f"ended early: {about['error']}")
 
@@ -162,24 +193,28 @@ class _Check:
                 self._find("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
 
     def _check_journal(self) -> None:
-        from storage import frames  # noqa: PLC0415 - what is not recorded or checked needs it not
+        from storage import frames, unlisted  # noqa: PLC0415 - what is not recorded or checked needs them not
 
         if self.recording or not (self.folder / JOURNAL).exists():
             return
-        self._find("lossy", "has a journal that waits: slipflow recover puts it into parts")
+        self._find("repairable", "has a journal that waits: slipflow recover puts it into parts")
+        for text in unlisted.missing_segments(self.folder, self.about):
+            self._find("lost" if self.listed or segments(self.folder) else "lossy", text)
         for number, path in segments(self.folder).items():
             try:
                 segment = frames.read_segment(
-                    files.read(path, frames.WHOLE), str(path), self._session(), number
+                    files.read(path, frames.WHOLE),
+                    str(path),
+                    str(self.about.get("session", self.name)),
+                    number,
                 )
             except InputError as error:
                 self._find("lost", str(error))
                 continue
             if segment.damage and segment.damage.more:
                 self._find("lost", f"{path.name}: is damaged at byte {segment.damage.offset}")
-
-    def _session(self) -> str:
-        return str(read_session(self.folder)["session"])
+            elif segment.damage:
+                self._find("lossy", f"{path.name}: its last {segment.damage.size} bytes cannot be read")
 
     def _check_part(self, path: str, part: Part) -> int:
         """Give its rows."""
@@ -200,19 +235,51 @@ class _Check:
     def _check_rest(self) -> None:
         """What the manifest does not list."""
         if (self.folder / DAMAGED).exists():
-            self._find("lossy", f"has a folder {DAMAGED!r}: what could not be read when it was recovered")
+            self._find("repaired", f"has a folder {DAMAGED!r}: what a recovery put aside")
         if self.recording or (self.folder / JOURNAL).exists():
             return
         if not (self.folder / MANIFEST).exists():
-            self._find("lossy", f"has no {MANIFEST}: slipflow recover makes it from the parts")
-        patterns = [EPISODES, *(table.pattern for table in TABLES)]
-        found = [path for pattern in patterns for path in self.folder.glob(pattern)]
-        for path in found:
-            name = path.relative_to(self.folder).as_posix()
-            if name not in self.listed:
-                self._find("lossy", f"{name} is not listed in the manifest: slipflow recover looks at it")
+            self._find("repairable", f"has no {MANIFEST}: slipflow recover makes it from the parts")
+        self._check_gone([*self.listed, *self._check_unlisted()])
         for path in (*self.folder.glob("*" + files.SCRATCH), *self.folder.glob("*/*" + files.SCRATCH)):
             self._find("note", f"{path.name} was left behind: slipflow recover deletes it")
+
+    def _check_unlisted(self) -> list[str]:
+        """Give the files that are there, but not those that are there twice."""
+        from storage import unlisted  # noqa: PLC0415 - it imports pyarrow
+
+        there = list[str]()
+        if (self.folder / EPISODES).exists():
+            there.append(EPISODES)
+        for table in TABLES:
+            found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]
+            paths = sorted(found, key=unlisted.part_number)
+            follow = unlisted.followers(self.folder, table, paths, self.listed)
+            for path in paths:
+                if path not in follow:
+                    self._find(
+                        "repairable",
+                        f"{path} has rows that are there already: slipflow recover puts it aside",
+                    )
+            there += follow
+        for path in there:
+            if path not in self.listed:
+                self._find("repairable", f"{path} is not in the manifest: slipflow recover looks at it")
+        return there
+
+    def _check_gone(self, paths: list[str]) -> None:
+        """What no file is left of; what a recovery told of is known."""
+        from storage import unlisted  # noqa: PLC0415 - it imports pyarrow
+
+        recovered = cast("dict[str, Any]", self.about.get("recovered", {}))
+        known: list[str] = recovered.get("lost", [])
+        for path in unlisted.missing_numbers(paths):
+            if not any(path in each for each in known):
+                self._find("lost", f"{path}: is gone, and no manifest tells of it")
+        if len(self.listed) == len(set(paths)):  # else what is there is not known
+            text = unlisted.shortfall(self.about, self.listed.values())
+            if text and text not in known:
+                self._find("lost", text)
 
 
 def _table(path: str) -> Table | None:

@@ -133,7 +133,7 @@ def users(of: Evaluation) -> Section:
     return Section(
         "users",
         f"{first.method.name} raises {felt.false_alarms_per_min:.1f} false alarms per static minute, "
-        f"misses {felt.missed:.1f} % of slips, and is {felt.onset_ms:.0f} ms late (median)",
+        + _missed(felt),
         f"{felt.slips} slips by the label in {felt.minutes:.1f} static minutes. An onset from 50 ms before a "
         "slip to 150 ms after it answers it; others are false alarms. A slip needs an onset of its own. "
         "Repeated are onsets of a slip after its first, of all slips. Settings: the probability that is a "
@@ -268,6 +268,15 @@ def _table_1(confusion: Confusion) -> Sequence[float]:
 
 def _against(confusion: Confusion) -> Sequence[float]:
     return confusion.accuracy, confusion.balanced, confusion.f1
+
+
+def _missed(felt: Felt) -> str:
+    """What becomes of the slips, in words; there may be none, or none that is answered."""
+    if isnan(felt.missed):
+        return "and there are no slips"
+    if isnan(felt.onset_ms):
+        return f"and misses {felt.missed:.1f} % of slips"
+    return f"misses {felt.missed:.1f} % of slips, and is {felt.onset_ms:.0f} ms late (median)"
 
 
 def _felt(felt: Felt) -> list[str]:

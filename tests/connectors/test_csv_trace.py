@@ -188,7 +188,10 @@ def test_a_negative_count_is_not_raw(write: Write) -> None:
     [
         (
             "t,s1,s2,s3,s4,s5",
-            "has the columns 't s1 s2 s3 s4 s5', none known as counts; say which, as counts=p0..p5",
+            (
+                "has the columns 't s1 s2 s3 s4 s5', none known as counts; say which, as counts=p0..p5, or "
+                "counts=left,right,top,bottom,tip,base"
+            ),
         ),
         (
             "s1,s2,s3,s4,s5,s6",

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from shutil import copyfile
 
 import numpy as np
 import pytest
@@ -43,17 +44,20 @@ def dataset(tmp_path: Path) -> Path:
 def test_a_crash_is_told_recovered_and_remembered(dataset: Path) -> None:
     done = slipflow("verify", dataset)
     assert done.returncode == 3, done.stderr
-    assert "lossy  crashed: has a journal that waits: slipflow recover" in done.stdout
+    assert "repairable  crashed: has a journal that waits: slipflow recover" in done.stdout
+    assert "something waits to be repaired, nothing is lost" in done.stdout
     done = slipflow("recover", dataset)
     assert done.returncode == 3, done.stderr
     assert done.stdout == "crashed: back are 5 rows of touch\n"
     assert len(Session.open(dataset / "sessions/crashed").frame("touch")) == 5
     done = slipflow("recover", dataset)
-    assert (done.returncode, done.stdout) == (0, "2 sessions, nothing to recover\n")
+    assert done.returncode == 0
+    assert done.stdout == "2 sessions, nothing to recover; slipflow verify reads every file\n"
     done = slipflow("verify", dataset)
     assert done.returncode == 3
-    assert "2 sessions, 2 files, 10 rows" in done.stdout
-    assert slipflow("verify", dataset / "sessions/closed").returncode == 0
+    assert "2 sessions, 2 files, 10 rows: something was repaired, nothing is lost" in done.stdout
+    done = slipflow("verify", dataset / "sessions/closed")
+    assert (done.returncode, "1 session, 1 file, 5 rows: all is there" in done.stdout) == (0, True)
 
 
 def test_a_lost_part_is_told_for_people_and_programs(dataset: Path) -> None:
@@ -89,6 +93,24 @@ def test_a_session_that_cannot_be_recovered_does_not_keep_the_others_from_it(dat
     assert done.returncode == 1
     assert "crashed: back are 5 rows of touch" in done.stdout
     assert "session.json: is not valid JSON" in done.stderr
+
+
+def test_a_session_without_its_description_is_named(dataset: Path) -> None:
+    (dataset / "sessions/closed/session.json").unlink()
+    done = slipflow("recover", dataset)
+    assert done.returncode == 1
+    assert "sessions/closed: its session.json is gone" in done.stderr
+    done = slipflow("verify", dataset, "--json")
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert (done.returncode, found["sessions"], found["rows"], found["worst"]) == (1, 2, 10, "lost")
+
+
+def test_recover_says_what_it_changed(dataset: Path) -> None:
+    folder = dataset / "sessions/closed"
+    copyfile(folder / "touch/part-000000.parquet", folder / "touch/part-000001.parquet")
+    done = slipflow("recover", folder)
+    assert done.returncode == 3
+    assert "touch/part-000001.parquet: is a copy of touch/part-000000.parquet" in done.stdout
 
 
 def test_mistakes_are_one_line_each(tmp_path: Path) -> None:

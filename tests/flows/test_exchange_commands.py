@@ -74,7 +74,7 @@ def test_a_trace_is_looked_at_then_imported_then_judged(tmp_path: Path) -> None:
     assert judged.returncode == 0, judged.stderr
     exported = slipflow("export", "out", "frames", "--to", "lerobot", cwd=tmp_path)
     assert exported.returncode == 0, exported.stderr
-    assert "1 sessions, cut at 0 gaps: 1 episodes (train 0:1)" in exported.stdout
+    assert "1 session, cut at 0 gaps: 1 episode (train 0:1)" in exported.stdout
 
 
 @pytest.mark.parametrize(
@@ -107,3 +107,4 @@ def test_the_help_teaches(tmp_path: Path) -> None:
     assert "/touch/FINGER" in exporting
     importing = " ".join(slipflow("import", "--help", cwd=tmp_path).stdout.split())
     assert "time=t,counts=p0..p5,speed=v,label=slip" in importing
+    assert "counts=left,right,top,bottom,tip,base" in importing.replace("- ", "-")

@@ -153,16 +153,29 @@ def test_what_was_understood_is_told_before_anything_is_written(tmp_path: Path, 
     assert found["labels"] == {"slip": 5, "static": 6, "unknown": 0}
     assert (found["seconds"], found["rate"], found["fastest"]) == (0.2, pytest.approx(50), 0.1)
     assert understood.report().splitlines() == [
-        f"{path}: 11 rows, 0.2 s, 50.0 Hz; detectors are made for 100 Hz",
+        f"{path}: 11 rows, 0.2 s, 50.0 Hz",
         "  time     T  (s, guessed from the names)",
         "  counts   s1 s2 s3 s4 s5 s6  (raw, guessed from the names)",
         "  speed    force  (m/s)",
         "  label    contact",
-        "  the arm moves in 11 rows, at up to 0.1 m/s",
+        "  the arm moves in 10 of 11 rows, above 0.003 m/s, at up to 0.1 m/s",
         "  labels of the file: 5 slip, 6 static",
+        "  doubtful: it comes at 50 Hz, detectors are made for 100 Hz: is the unit of its time another?",
         f"session trace of {tmp_path / 'out'}, finger 0",
     ]
     assert not (tmp_path / "out").exists()
+
+
+def test_a_speed_or_a_rate_that_can_hardly_be_is_doubted(tmp_path: Path, write: Write) -> None:
+    lines = [f"{k / 100},{counts(0)},{40 if k > 4 else 0}" for k in range(9)]
+    path = write(f"t,{CELLS},v", lines)
+    understood = Import(path, tmp_path, GUESS)
+    assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in understood.report()
+    [doubt] = understood.summary()["doubts"]
+    assert "at 40 m/s: is the unit of its speed another, as mm/s?" in doubt
+    assert Import(path, tmp_path, ColumnMap.parse("", "speed=mm/s")).summary()["doubts"] == []
+    [doubt] = Import(path, tmp_path, ColumnMap.parse("", "speed=mm/s,time=ms")).summary()["doubts"]
+    assert "comes at 1e+05 Hz" in doubt
 
 
 def test_a_rate_that_is_told_has_to_be_that_of_the_times(tmp_path: Path, write: Write) -> None:

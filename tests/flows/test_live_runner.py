@@ -212,7 +212,8 @@ def test_a_stuck_sink_works_again_once_its_write_ends(caplog: pytest.LogCaptureF
     assert not run.sinks["testsink"].error
     assert [record.message.partition(":")[0] for record in caplog.records] == [
         "testsink failed",
-        "testsink works again",
+        "testsink drops rows until it works again",
+        f"testsink works again; {9000 - len(kept)} rows were dropped",
     ]
 
 

@@ -97,3 +97,31 @@ def test_a_new_folder_may_not_exist(tmp_path: Path) -> None:
     files.make_folder(tmp_path / "a")
     with pytest.raises(FileExistsError):
         files.make_folder(tmp_path / "a", new=True)
+
+
+def test_a_flipped_bit_anywhere_in_a_checked_object_is_refused_or_changes_nothing(tmp_path: Path) -> None:
+    path, content = tmp_path / "about.json", {"rate_hz": 100.5, "units": {"1": "m"}, "gone": None, "all": [1]}
+    files.put_checked(path, content)
+    data = path.read_bytes()
+    for bit in range(8 * len(data)):
+        flipped = bytearray(data)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        try:
+            assert files.read_checked(path) == content, bit
+        except InputError:
+            continue
+
+
+def test_an_object_without_a_check_is_read_and_one_changed_by_hand_says_what_to_remove(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "about.json"
+    for content in ({}, {"rate_hz": 100}):
+        files.put_json(path, content)
+        assert files.read_checked(path) == content
+    files.put_checked(path, {"rate_hz": 100})
+    assert files.read_checked(path) == {"rate_hz": 100}
+    path.write_text(path.read_text().replace("100", "125"))
+    with pytest.raises(InputError, match="remove its last entry, 'check'"):
+        files.read_checked(path)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from operators.errors import InputError
 from storage.layout import MOTION
-from storage.manifest import Part, read_manifest, write_manifest
+from storage.manifest import Part, hint_manifest, read_manifest, write_manifest
 
 GOOD: dict[str, Any] = {
     "path": "touch/part-000000.parquet",
@@ -104,3 +104,13 @@ def test_a_flipped_bit_anywhere_is_reported_or_changes_nothing(tmp_path: Path, b
 def test_a_manifest_of_before_it_had_a_checksum_is_read(tmp_path: Path) -> None:
     (tmp_path / "MANIFEST.json").write_text(json.dumps({"version": 1, "parts": [GOOD]}))
     assert [part.rows for part in read_manifest(tmp_path).values()] == [3]
+
+
+def test_a_damaged_manifest_still_hints_at_the_parts_of_its_whole_lines(tmp_path: Path) -> None:
+    parts = [Part(f"touch/part-{number:06d}.parquet", 10, 0, 9, "0" * 64) for number in range(3)]
+    write_manifest(tmp_path, parts)
+    path = tmp_path / "MANIFEST.json"
+    path.write_text(path.read_text().replace('"rows": 10', '"rows" 10', 1))
+    assert list(hint_manifest(tmp_path).values()) == parts[1:]
+    path.unlink()
+    assert hint_manifest(tmp_path) == {}

@@ -1,4 +1,6 @@
 import hashlib
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -136,3 +138,21 @@ def _flipped(data: bytes, position: int, bit: int) -> bytes:
     damaged = bytearray(data)
     damaged[position] ^= 1 << bit
     return bytes(damaged)
+
+
+def test_a_part_is_read_without_arrow_s_own_threads(part: bytes, tmp_path: Path) -> None:
+    """One that lets go of the file's bytes while the process ends would abort it."""
+    path = tmp_path / "x.parquet"
+    path.write_bytes(part)
+    script = f"""
+import os
+from pathlib import Path
+from storage.layout import TOUCH
+from storage.parts import read_part
+from storage.schema import schema
+before = len(os.listdir("/proc/self/task"))
+read_part(Path({str(path)!r}), schema(TOUCH))
+print(len(os.listdir("/proc/self/task")) - before)
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout == "0\n"

@@ -4,7 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from shutil import copytree
+from shutil import copyfile, copytree, rmtree
 from threading import Event
 from typing import Any, cast
 
@@ -13,10 +13,13 @@ import pytest
 from operators.batch import Batch, Labelled, Motion, Slips, Touch, Zeroed, concat, ms
 from operators.errors import EndpointError, InputError
 from operators.ports import Json, Run
-from storage import Dataset, Session, recover, verify
-from storage.layout import TABLE_OF, segments
+from storage import Dataset, Session, frames, recover, verify
+from storage.frames import read_segment
+from storage.layout import TABLE_OF, TOUCH, segments
 from storage.lock import lock
 from storage.manifest import read_manifest, write_manifest
+from storage.parts import read_part, write_part
+from storage.schema import schema
 from storage.steps import STEPS
 from storage.writer import SessionWriter
 
@@ -169,7 +172,121 @@ def test_damage_in_the_middle_ends_the_tables_there_and_what_is_behind_it_is_kep
     assert (left / "damaged" / f"journal-{path.name}").read_bytes() == data
     counts = rows(left, batches)
     assert [20] * 4 <= counts < [25] * 5
-    assert verify(left).code == 3
+    assert verify(left).worst == "lost"
+    assert not recover(left).changed
+    assert verify(left).worst == "lost"
+
+
+def test_what_came_back_whole_is_repaired(left: Path) -> None:
+    assert (verify(left).code, verify(left).worst) == (3, "repairable")
+    recover(left)
+    assert (verify(left).code, verify(left).worst) == (3, "repaired")
+
+
+@pytest.mark.parametrize("manifest", ["whole", "gone"])
+def test_a_copy_of_a_part_is_put_aside_and_told_of(left: Path, batches: list[Batch], manifest: str) -> None:
+    recover(left)
+    copyfile(left / "touch/part-000000.parquet", left / "touch/part-000007.parquet")
+    if manifest == "gone":
+        (left / "touch/part-000007.parquet").rename(left / "touch/part-000003.parquet")
+        (left / "MANIFEST.json").unlink()
+    done = recover(left)
+    assert "is a copy of touch/part-000000.parquet" in done.done[0]
+    assert done.changed
+    assert rows(left, batches) == [25] * 5
+    assert [path.name[:10] for path in (left / "damaged").iterdir()] == ["touch-part"]
+    assert verify(left).worst == "repaired"
+    assert not recover(left).changed
+
+
+def test_rows_that_are_there_already_in_other_words_are_put_aside(left: Path, batches: list[Batch]) -> None:
+    recover(left)
+    again = read_part(left / "touch/part-000002.parquet", schema(TOUCH)).slice(2)
+    write_part(left / "touch/part-000003.parquet", again)
+    assert len(Session.open(left).frame("touch")) == 50
+    [told] = recover(left).done
+    assert "part-000003.parquet: has rows of the same time as touch/part-000002.parquet" in told
+    assert rows(left, batches) == [25] * 5
+
+
+def test_fingertips_may_share_the_time_of_another_part(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    folder = leave(tmp_path, new_run(), [new_batch(Touch, finger=finger) for finger in (0, 1)])
+    recover(folder)
+    whole = read_part(folder / "touch/part-000000.parquet", schema(TOUCH))
+    write_part(folder / "touch/part-000000.parquet", whole.slice(0, 5))
+    write_part(folder / "touch/part-000001.parquet", whole.slice(5))
+    (folder / "MANIFEST.json").unlink()
+    assert recover(folder).adopted == ("touch/part-000000.parquet", "touch/part-000001.parquet")
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_damaged_manifest_still_tells_of_a_part_that_is_gone_with_it(left: Path, number: int) -> None:
+    recover(left)
+    (left / f"touch/part-00000{number}.parquet").unlink()
+    path = left / "MANIFEST.json"
+    path.write_text(path.read_text().replace('"rows": 20', '"rows": 21'))
+    damaged = path.read_bytes()
+    done = recover(left)
+    assert f"touch/part-00000{number}.parquet: is gone: 2" in done.lost[0]
+    assert (left / "damaged/MANIFEST.json").read_bytes() == damaged
+    for _ in range(2):
+        assert verify(left).worst == "lost"
+        assert not recover(left).changed
+
+
+def test_a_part_that_is_gone_with_the_manifest_is_missed_by_its_number(left: Path) -> None:
+    recover(left)
+    for name in ("touch/part-000001.parquet", "MANIFEST.json"):
+        (left / name).unlink()
+    before = verify(left)
+    assert before.code == 1
+    assert "touch/part-000001.parquet: is gone" in " ".join(each.text for each in before.findings)
+    assert recover(left).lost == ("touch/part-000001.parquet: is gone, and no manifest tells of it",)
+    found = [each.text for each in verify(left).findings if each.weight == "lost"]
+    assert found == [
+        "lost before it was recovered: touch/part-000001.parquet: is gone, and no manifest tells of it"
+    ]
+
+
+def test_a_segment_that_is_gone_is_lost(left: Path, batches: list[Batch]) -> None:
+    [path] = segments(left).values()
+    later = path.with_name(f"{int(path.stem) + 2:06d}.wal")
+    about = frames.describe("one", int(later.stem))
+    salt = frames.new_salt()
+    later.write_bytes(salt + frames.seal(about, salt, len(salt)))
+    name = f"journal/{int(path.stem) + 1:06d}.wal: is gone"
+    assert verify(left).worst == "lost"
+    assert name in recover(left).lost[0]
+    assert rows(left, batches) == [25] * 5
+    assert verify(left).worst == "lost"
+
+
+def test_a_journal_without_segments_is_lost_once_rows_were_committed(left: Path) -> None:
+    for path in segments(left).values():
+        path.unlink()
+    assert verify(left).worst == "lost"
+    assert "has no segment" in recover(left).lost[0]
+    assert verify(left).worst == "lost"
+    assert not (left / "journal").exists()
+
+
+def test_a_session_that_lost_its_journal_is_told_to_be_cut_off(left: Path) -> None:
+    rmtree(left / "journal")
+    done = recover(left)
+    assert done.cut == done.lost
+    assert "has no journal" in done.lost[0]
+    assert verify(left).worst == "lossy"
+
+
+def test_whatever_is_changed_is_told(left: Path) -> None:
+    recover(left)
+    (left / "MANIFEST.json.tmp").write_text("half")
+    assert recover(left).done == ("1 files that were never whole were deleted",)
+    (left / "journal").mkdir()
+    assert "its journal was put away" in recover(left).done[0]
+    assert not recover(left).changed
 
 
 def test_rows_that_do_not_follow_are_left_out(left: Path, batches: list[Batch]) -> None:
@@ -184,11 +301,18 @@ def test_rows_that_do_not_follow_are_left_out(left: Path, batches: list[Batch]) 
 
 def test_a_cut_off_end_costs_its_own_rows_only(left: Path, batches: list[Batch]) -> None:
     [path] = segments(left).values()
-    path.write_bytes(path.read_bytes()[:-3])
+    data = path.read_bytes()
+    segment = read_segment(data, "", "one", int(path.stem))
+    while len(read_segment(data, "", "one", int(path.stem)).rows) == len(segment.rows):
+        data = data[:-1]
+    path.write_bytes(data)
+    assert verify(left).worst == "lossy"
     done = recover(left)
     assert "there the recorder was cut off" in done.lost[0]
+    assert done.cut == done.lost
     assert rows(left, batches) == [25, 25, 25, 25, 20]
     assert not (left / "damaged").exists()
+    assert verify(left).worst == "lossy"
 
 
 def test_samples_get_the_episodes_that_were_told_while_it_ran(
@@ -360,3 +484,16 @@ def test_a_recovery_killed_at_any_step_is_carried_out_by_the_next(
         assert rows(place, batches) == [25] * 5, place
         about: Any = Session.open(place).about
         assert about["recovered"]["rows"] == {"touch": 10, "motion": 5, "samples": 5, "slips": 25}, place
+
+
+def test_episodes_that_cannot_be_cost_no_row(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
+) -> None:
+    told = list[Json]()
+    writer: Any = SessionWriter(tmp_path, new_run(describe={"rig": {"episodes": told}}), 10**12, 1000)
+    told += [{"start": 0, "end": 20 * ms}, {"start": 10 * ms, "end": 30 * ms}]  # they overlap
+    writer.append(new_batch(Touch, 1))
+    writer._leave()  # tells at last
+    recovery = recover(writer.folder)
+    assert recovery.rows == {"touch": 1}
+    assert [each.partition(":")[0] for each in recovery.lost] == ["episodes"]

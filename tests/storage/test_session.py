@@ -1,6 +1,7 @@
 import asyncio
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import pytest
@@ -213,13 +214,23 @@ def test_a_part_that_is_not_listed_yet_is_not_read_beside_the_journal(
     assert len(Session.open(folder).frame("touch")) == 10
 
 
+@pytest.mark.parametrize("listed", [True, False])
+def test_a_copy_of_a_part_is_not_read(folder: Path, *, listed: bool) -> None:
+    rows = len(Session.open(folder).frame("touch"))
+    copyfile(folder / "touch/part-000000.parquet", folder / "touch/part-000009.parquet")
+    if not listed:
+        (folder / "MANIFEST.json").unlink()
+        (folder / "touch/part-000009.parquet").rename(folder / "touch/part-000003.parquet")
+    assert len(Session.open(folder).frame("touch")) == rows
+
+
 def test_a_session_whose_recorder_is_gone_is_put_right_when_it_is_opened(
     tmp_path: Path, new_run: Callable[..., Run], thirty: list[Batch]
 ) -> None:
     record(tmp_path, new_run(), thirty)
     session = Session.open(tmp_path)
     assert len(session.frame("touch")) == 30
-    assert session.about["recovered"] == {"rows": {"touch": 10}, "adopted": [], "lost": []}
+    assert session.about["recovered"] == {"rows": {"touch": 10}, "adopted": [], "lost": [], "cut": []}
     assert not (tmp_path / "sessions/one/journal").exists()
 
 

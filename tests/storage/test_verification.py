@@ -2,7 +2,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from shutil import copytree
+from shutil import copytree, rmtree
 from typing import Any
 
 import pytest
@@ -11,7 +11,10 @@ from operators.batch import Batch, Labelled, Motion, Slips, Touch, ms
 from operators.errors import InputError
 from operators.ports import Gap, Run, SinkStatus, SourceStatus
 from storage import Session, recover, verify
+from storage.layout import TOUCH
 from storage.manifest import read_manifest, write_manifest
+from storage.parts import read_part
+from storage.schema import schema
 from storage.writer import SessionWriter
 
 
@@ -127,7 +130,7 @@ def test_a_journal_that_is_damaged_in_the_middle_is_lost(
     data = bytearray(path.read_bytes())
     data[data.rindex(b"SLIP", 0, -300) + 15] ^= 1
     path.write_bytes(data)
-    assert [each.weight for each in verify(tmp_path).findings] == ["lossy", "lost"]
+    assert [each.weight for each in verify(tmp_path).findings] == ["repairable", "lost"]
 
 
 def test_a_session_that_is_being_recorded_is_good_as_far_as_it_is_committed(
@@ -159,7 +162,7 @@ def test_files_that_nobody_lists_are_told_of(dataset: Path) -> None:
     folder = dataset / "sessions/two"
     (folder / "touch/part-000001.parquet").write_bytes((folder / "touch/part-000000.parquet").read_bytes())
     (folder / "motion/part-000001.parquet.tmp").write_bytes(b"half")
-    assert [each.weight for each in verify(folder).findings] == ["lossy", "note"]
+    assert [each.weight for each in verify(folder).findings] == ["repairable", "note"]
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
@@ -169,6 +172,48 @@ def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, con
         content = "[]"
     (dataset / name).write_text(content)
     assert verify(dataset).code == 1
+
+
+@pytest.mark.parametrize("left", ["MANIFEST.json", "touch/part-000000.parquet", "journal/000000.wal"])
+def test_a_session_that_lost_its_description_is_lost(dataset: Path, left: str) -> None:
+    rmtree(dataset / "sessions/one")
+    place = dataset / "sessions/one" / left
+    place.parent.mkdir(parents=True)
+    place.write_bytes(b"{}")
+    for path, sessions in ((dataset, 2), (dataset / "sessions/one", 1)):
+        found = verify(path)
+        assert (found.code, found.sessions) == (1, sessions)
+        assert any("its session.json is gone" in each.text for each in found.findings)
+
+
+def test_a_dataset_without_sessions_is_not_all_there(dataset: Path) -> None:
+    rmtree(dataset / "sessions")
+    found = verify(dataset)
+    assert (found.code, found.sessions) == (3, 0)
+    assert "holds no session" in found.findings[0].text
+
+
+def test_what_a_lost_part_held_is_told(dataset: Path) -> None:
+    (dataset / "sessions/two/touch/part-000000.parquet").unlink()
+    assert verify(dataset).findings[0].text.endswith(": 5 rows, 0.0 s")
+
+
+def test_rows_that_a_closed_session_counts_are_missed_where_no_manifest_tells_of_them(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
+) -> None:
+    run = new_run()
+    run.sinks["dataset"] = SinkStatus(rows=100)
+    folder = record(tmp_path, run, batches).folder
+    assert verify(folder).code == 0
+    last = max(folder.glob("touch/*.parquet"))
+    rows = len(read_part(last, schema(TOUCH)))
+    last.unlink()
+    (folder / "MANIFEST.json").unlink()
+    text = f"{rows} of the 100 rows that were recorded are in no part"
+    assert recover(folder).lost == (text,)
+    assert [each.text for each in verify(folder).findings if each.weight == "lost"] == [
+        f"lost before it was recovered: {text}"
+    ]
 
 
 def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:

@@ -1,11 +1,14 @@
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from flows.evaluation import report, sections
 from flows.evaluation.evaluate import Evaluation, evaluate
+from flows.evaluation.events import Felt
 from flows.evaluation.written import claim
 from operators.errors import EndpointError
 
@@ -51,6 +54,17 @@ def test_titles_say_the_numbers(found: Evaluation) -> None:
     assert f"{first.felt.false_alarms_per_min:.1f} false alarms per static minute" in titles["users"]
     assert re.search(r"in \d+ of \d+ kinds of motion", titles["motions"])
     assert re.search(r"lie within 60 ms of a change", titles["changes"])
+
+
+def test_no_delay_is_told_where_no_slip_is_found(found: Evaluation) -> None:
+    nothing = Felt(np.empty(0), missed_slips=3, false_alarms=0, repeats=0, minutes=1.0)
+    for felt, end in (
+        (nothing, "and misses 100.0 % of slips"),
+        (replace(nothing, missed_slips=0), "and there are no slips"),
+    ):
+        leader = replace(sections.leader(found), felt=felt)
+        [title] = [sections.users(replace(found, results=(leader,))).title]
+        assert title.endswith(end)
 
 
 def test_the_papers_numbers_stand_beside(found: Evaluation) -> None:

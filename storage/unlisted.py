@@ -1,0 +1,145 @@
+"""What no manifest lists: files that may not be read beside the parts, and those that should be there."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pyarrow as pa
+
+from operators.batch import EVERY, s
+from operators.errors import InputError
+from operators.ports import Description
+from storage.layout import EPISODES, JOURNAL, TABLES, Table, inside, segment_file, segments
+from storage.manifest import Part
+from storage.parts import flat, inspect_part, read_part
+from storage.schema import schema
+
+
+def part_number(path: str) -> int:
+    """Of a part, by its path; 0 for a table of one file.
+
+    >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
+    (12, 0)
+    """
+    stem = path.rpartition("-")[2].partition(".")[0]
+    return int(stem) if stem.isdigit() else 0
+
+
+def doubled(folder: Path, table: Table, part: Part, known: Iterable[Part]) -> str:
+    """Why a file that no manifest lists does not belong beside the others of its table; empty: it does.
+
+    It is none of them again, and its rows are later than those of the parts before it, at each fingertip.
+
+    Args:
+        folder: The session's.
+        table: Of whose rows they are.
+        part: The file.
+        known: The other parts of the table.
+
+    Raises:
+        InputError: if the file cannot be read; the others may be damaged.
+    """
+    others = list(known)
+    for other in others:
+        if other.sha256 == part.sha256:
+            return f"{part.path}: is a copy of {other.path}"
+    for other in others:
+        before, after = sorted((part, other), key=lambda each: part_number(each.path))
+        if before.last > after.first and _overlap(folder, table, before, after, part):
+            return f"{part.path}: has rows of the same time as {other.path}"
+    return ""
+
+
+def followers(folder: Path, table: Table, paths: Sequence[str], listed: Mapping[str, Part]) -> list[str]:
+    """The files of a table without those that `doubled` tells of; what cannot be read stays."""
+    known, found = [listed[path] for path in paths if path in listed], list[str]()
+    for path in paths:
+        if path not in listed:
+            try:
+                part = inspect_part(folder, path, schema(table))
+                if doubled(folder, table, part, known):
+                    continue
+            except InputError:
+                pass  # who reads it is told why
+            else:
+                known.append(part)
+        found.append(path)
+    return found
+
+
+def missing_numbers(paths: Iterable[str]) -> list[str]:
+    """The parts that are missing between those of these paths, and before them.
+
+    >>> missing_numbers(["touch/part-000000.parquet", "touch/part-000002.parquet", "slips.parquet"])
+    ['touch/part-000001.parquet']
+    """
+    there, missing = set(paths), list[str]()
+    for table in TABLES:
+        if table.parted:
+            numbers = [part_number(path) for path in there if path.startswith(f"{table.name}/")]
+            wanted = map(table.file, range(max(numbers, default=-1)))
+            missing += [path for path in wanted if path not in there]
+    return missing
+
+
+def missing_segments(folder: Path, about: Description) -> list[str]:
+    """The segments of a journal that should be there, a line each; none where there is no journal."""
+    numbers = list(segments(folder))
+    if not numbers:
+        waits = (folder / JOURNAL).is_dir() and "end_ns" not in about
+        return [f"{JOURNAL}: has no segment: the newest rows were in it"] if waits else []
+    gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
+    return [f"{segment_file(number)}: is gone, with the rows that it held" for number in gaps]
+
+
+def shortfall(about: Description, parts: Iterable[Part]) -> str:
+    """How many of the rows that a closed session says were recorded no part holds; empty: all are held."""
+    sinks = cast("dict[str, dict[str, int]]", about.get("sinks", {}))
+    try:
+        written = [sink["rows"] for name, sink in sinks.items() if name.startswith("dataset")]
+    except (AttributeError, LookupError, TypeError):  # who reads the description says so
+        return ""
+    there = sum(part.rows for part in parts if part.path != EPISODES)
+    if len(written) != 1 or there >= written[0]:  # of several, each is another dataset
+        return ""
+    return f"{written[0] - there:,} of the {written[0]:,} rows that were recorded are in no part"
+
+
+def extent(part: Part) -> str:
+    """How much a part holds.
+
+    >>> extent(Part("touch/part-000000.parquet", 6000, 0, 60 * s, "0" * 64))
+    '6,000 rows, 60.0 s'
+    """
+    return f"{part.rows:,} rows, {(part.last - part.first) / s:.1f} s"
+
+
+def _overlap(folder: Path, table: Table, before: Part, after: Part, part: Part) -> bool:
+    """Whether a fingertip has rows in `after` that are older than one in `before`."""
+    spans = list[dict[int, tuple[int, int]]]()
+    for each in (before, after):
+        try:
+            spans.append(_spans(folder, table, each))
+        except InputError:
+            if each is part:
+                raise
+            return False  # a part that is damaged tells nothing
+    ends, begins = spans
+    return any(begins[finger][0] < ends[finger][1] for finger in ends.keys() & begins.keys())
+
+
+def _spans(folder: Path, table: Table, part: Part) -> dict[int, tuple[int, int]]:
+    """The earliest and the latest time, ns, by fingertip."""
+    columns: Any = schema(table)
+    held: list[pa.Field[Any]] = [columns.field(name) for name in ("time", "finger")[: 1 + table.finger]]
+    wanted = pa.schema(held)
+    rows = read_part(inside(folder, folder / part.path), wanted, part.sha256)
+    time: Any = flat(rows["time"]).to_numpy(zero_copy_only=False)
+    if not table.finger:
+        return {EVERY: (int(time.min()), int(time.max()))}
+    fingers: Any = flat(rows["finger"]).to_numpy(zero_copy_only=False)
+    return {
+        int(finger): (int(time[fingers == finger].min()), int(time[fingers == finger].max()))
+        for finger in np.unique(fingers)
+    }

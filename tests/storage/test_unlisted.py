@@ -1,0 +1,47 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from storage.layout import segment_file
+from storage.manifest import Part
+from storage.unlisted import missing_numbers, missing_segments, shortfall
+
+PARTS = [Part(f"touch/part-{number:06d}.parquet", 10, 0, 9, "0" * 64) for number in range(3)]
+EPISODES = Part("episodes.parquet", 5, 0, 9, "0" * 64)
+
+
+@pytest.mark.parametrize(
+    ("sinks", "told"),
+    [
+        ({"dataset": {"rows": 30}}, ""),
+        ({"dataset": {"rows": 29}}, ""),
+        ({"dataset": {"rows": 1034}, "mqtt": {"rows": 9999}}, "1,004 of the 1,034 rows"),
+        ({"dataset": {"rows": 40}, "dataset-2": {"rows": 40}}, ""),  # which of them is not known
+        ({"dataset": 3}, ""),
+        ([], ""),
+    ],
+)
+def test_rows_that_no_part_holds_are_counted(sinks: Any, told: str) -> None:  # noqa: ANN401 - what JSON may hold
+    text = shortfall({"sinks": sinks}, [*PARTS, EPISODES])
+    assert bool(text) == bool(told)
+    assert text.startswith(told)
+
+
+def test_parts_are_missed_by_their_numbers_in_each_table() -> None:
+    paths = ["touch/part-000002.parquet", "motion/part-000001.parquet", "motion/part-000000.parquet"]
+    assert missing_numbers(paths) == ["touch/part-000000.parquet", "touch/part-000001.parquet"]
+    assert missing_numbers([]) == []
+
+
+def test_segments_are_missed_between_others_and_where_there_is_none(tmp_path: Path) -> None:
+    assert missing_segments(tmp_path, {}) == []
+    (tmp_path / "journal").mkdir()
+    assert "has no segment" in missing_segments(tmp_path, {})[0]
+    assert missing_segments(tmp_path, {"end_ns": 5}) == []
+    for number in (4, 7):
+        (tmp_path / segment_file(number)).touch()
+    assert [each.partition(":")[0] for each in missing_segments(tmp_path, {})] == [
+        "journal/000005.wal",
+        "journal/000006.wal",
+    ]
