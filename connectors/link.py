@@ -20,7 +20,7 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from connectors.broker import PASSWORD, USER, Broker
+from connectors.broker import CA, PASSWORD, USER, Broker
 from connectors.message import Message
 from operators.errors import EndpointError
 
@@ -31,8 +31,10 @@ KEEPALIVE = 5  # s
 WILL_DELAY = 2  # s; a connection that is back by then was never away
 SESSION_EXPIRY = 10  # s; the broker sends the will no later than this
 PACKET = 128 * 1024  # bytes; the broker delivers no larger one
+NOT_AUTHORIZED = 0x87  # a reason of MQTT 5
 INCOMING = 1000  # messages that may wait to be read; then the oldest are dropped
 
+_CLOSED = "the broker closed the connection"
 _paho_log = logging.getLogger("slipflow.paho")  # it repeats what our errors say
 _paho_log.setLevel(logging.CRITICAL)
 
@@ -124,8 +126,7 @@ class Link(aiomqtt.Client):
             raise
         except (aiomqtt.MqttError, ValueError) as error:
             self.drop()
-            hint = f"; check {USER} and {PASSWORD}" if isinstance(error, MqttConnectError) else ""
-            raise EndpointError(self._place, f"cannot connect: {_reason(error)}{hint}") from None
+            raise EndpointError(self._place, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
         self.on_lost(self._stirred.set)
 
     def on_lost(self, call: Callable[[], object]) -> None:
@@ -161,7 +162,7 @@ class Link(aiomqtt.Client):
                 answer.cancel()
         refused = zip(messages, (answer.result() for answer in answers), strict=True)
         return [
-            f"refuses to publish {message.topic}: {code}" if code.is_failure else ""
+            f"refuses to publish {message.topic}: {_refusal(code)}" if code.is_failure else ""
             for message, code in refused
         ]
 
@@ -177,7 +178,7 @@ class Link(aiomqtt.Client):
             raise EndpointError(self._place, f"connection lost ({_reason(error)})") from None
         for topic, answer in zip(topics, answers, strict=True):
             if isinstance(answer, ReasonCode) and answer.is_failure:
-                raise EndpointError(self._place, f"refuses to subscribe to {topic}: {answer}")
+                raise EndpointError(self._place, f"refuses to subscribe to {topic}: {_refusal(answer)}")
 
     async def receive(self) -> tuple[str, bytes]:
         """Topic and payload of the next message; being cancelled loses none.
@@ -206,6 +207,22 @@ class Link(aiomqtt.Client):
             with suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
             self._client.loop_read()
+
+    def _hint(self, error: Exception) -> str:
+        """What to do about a connection that was not made; empty where nobody knows."""
+        text = str(error)
+        if isinstance(error, MqttConnectError):
+            return f"; check {USER} and {PASSWORD}"
+        if "CERTIFICATE_VERIFY_FAILED" in text:
+            return f"; name the file of the authority that signed it in {CA}"
+        if text == _CLOSED or "SSL" in text or "reset by peer" in text:
+            tls = self._place.startswith("mqtts:")
+            return (
+                "; if it speaks no TLS, say mqtt:// and its port"
+                if tls
+                else "; if it speaks TLS, say mqtts://"
+            )
+        return ""
 
     async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - as the base has it
         try:
@@ -246,7 +263,7 @@ class Link(aiomqtt.Client):
     ) -> None:
         super()._on_disconnect(client, userdata, flags, reason_code, properties)
         if not self._connected.done():
-            self._connected.set_exception(aiomqtt.MqttError("the broker closed the connection"))
+            self._connected.set_exception(aiomqtt.MqttError(_CLOSED))
         for future in (self._connected, self._disconnected):
             if future.done() and not future.cancelled():
                 future.exception()  # nobody may ever ask: asyncio need not complain
@@ -286,7 +303,11 @@ def _reason(error: BaseException | None) -> str:
         return "closed unexpectedly"
     if text == "timed out":
         return f"no answer within {TIMEOUT:g} s"
-    return re.sub(r"^\[Errno -?\d+\] ", "", text)
+    return re.sub(r"^\[(Errno -?\d+|SSL[^]]*)\] | \(_ssl\.c:\d+\)$", "", text)
+
+
+def _refusal(code: ReasonCode) -> str:
+    return f"{code}; its access list must allow it" if code.value == NOT_AUTHORIZED else str(code)
 
 
 async def connect(broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> Link:

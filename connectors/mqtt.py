@@ -29,8 +29,9 @@ HEALTH_EVERY = 5.0  # s
 class Mqtt(Sink[Slips | Faults | Clocks]):
     """Publishes each slip event once it is decided, losing none, and keeps the state of every fingertip.
 
-    An event is numbered and durable in the outbox, a file that outlives the run, before it is sent, and it is
-    sent until the broker has it: in a later run, if need be. Whoever missed it can ask for it, see
+    An event is numbered and in the outbox, a file that outlives the run, before it is sent, and it is sent
+    until the broker has it: in a later run, if need be. A power cut costs at most the events of the last
+    moments that are neither out nor on the disk yet. Whoever missed an event can ask for it, see
     `connectors.consumer.Consumer`.
 
     Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all but the events retained:

@@ -254,13 +254,22 @@ def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
 
     monkeypatch.setattr(OutboxFile, "__init__", fail)
 
+    async def healed(box: Outbox) -> None:
+        full.clear()
+        await until(lambda: not box.error)
+        (before, _), _ = box.heads()
+        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
+        full.append(True)
+
+    use(path, healed)
+
     async def body(box: Outbox) -> None:
         await box.append([DRAFT])
         assert [entry.seq for entry in await box.next(9)] == [1]
         full.clear()
         await until(lambda: not box.error)
         assert box.waiting == 4
-        assert len(box.heads()) == 2
+        assert len(box.heads()) == 3  # a run each
         assert [entry.seq for entry in await box.next(9)] == [1, 2, 3, 1]
 
     use(path, body)
@@ -461,6 +470,41 @@ def test_a_failure_while_events_are_written_spoils_neither_their_numbers_nor_tho
         assert box.heads() == [(before, 0), (box.epoch, 0)]
         found = await send(box)
         assert sorted(found) == sorted([*(f"{before}-{seq}" for seq in (1, 2, 3)), f"{box.epoch}-1"])
+        inside(box, "_memory").clear()
+        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failing, writing, go = threading.Event(), threading.Event(), threading.Event()
+    append, sync, failures = OutboxFile.append, OutboxFile.sync, [OSError(5, "Input/output error")]
+
+    def fail(file: OutboxFile) -> None:
+        if failures:
+            assert failing.wait(PATIENCE)
+            raise failures.pop()
+        sync(file)
+
+    def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
+        writing.set()
+        assert go.wait(PATIENCE)
+        append(file, *args)
+
+    async def body(box: Outbox) -> None:
+        before = box.epoch
+        monkeypatch.setattr(OutboxFile, "sync", fail)
+        await box.append([DRAFT])
+        monkeypatch.setattr(OutboxFile, "append", slow)
+        coming = asyncio.create_task(box.append([DRAFT] * 2))
+        await asyncio.to_thread(writing.wait)
+        failing.set()
+        await until(lambda: bool(box.error))
+        go.set()
+        await coming
+        await until(lambda: not box.error and durable(box))
         inside(box, "_memory").clear()
         assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
 

@@ -1,0 +1,128 @@
+"""Brokers that do not let us in."""
+
+import asyncio
+import os
+import subprocess
+import time
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager, chdir
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import NamedTuple
+from unittest import mock
+
+from connectors import Event, Mqtt
+from connectors.broker import CA, PASSWORD, USER
+from connectors.outbox import Outbox
+from connectors.testing import TestBroker
+from operators import Run, SlipflowError
+from tests.chaos.promise import Promise
+from tests.chaos.scale import Scale
+
+BOUND = 3.0  # s
+EVENTS = 5  # that wait in the outbox
+DRAFT = Event("chaos", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+
+
+class Clock:
+    """The host's."""
+
+    def now(self) -> int:
+        """The present, ns."""
+        return time.time_ns()
+
+    async def sleep_until(self, time: int) -> None:
+        """Nobody waits."""
+        raise AssertionError(time)
+
+
+class Case(NamedTuple):
+    """A broker, how it is addressed, and what the error must say."""
+
+    what: str
+    settings: Callable[[Path], list[str]]  # of the broker, with its files in a folder
+    environment: dict[str, str]
+    scheme: str
+    says: str  # to do
+
+
+def guarded(folder: Path) -> list[str]:
+    """Only the user rig, who may publish nothing."""
+    subprocess.run(["mosquitto_passwd", "-c", "-b", folder / "users", "rig", "right"], check=True)
+    (folder / "rights").write_text("user rig\ntopic read #\n")
+    return ["allow_anonymous false", f"password_file {folder}/users", f"acl_file {folder}/rights"]
+
+
+def certified(folder: Path) -> list[str]:
+    """TLS, with a certificate that nobody knows."""
+    for name in ("ours", "other"):
+        kind = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=test"]
+        files = ["-keyout", f"{folder}/{name}.key", "-out", f"{folder}/{name}.pem"]
+        address = ["-addext", "subjectAltName=IP:127.0.0.1"]
+        subprocess.run(["openssl", "req", *kind, *address, *files], check=True, capture_output=True)
+    return ["allow_anonymous true", f"certfile {folder}/ours.pem", f"keyfile {folder}/ours.key"]
+
+
+def plain(_: Path) -> list[str]:
+    """Anybody."""
+    return ["allow_anonymous true"]
+
+
+CASES = (
+    Case("wrong password", guarded, {USER: "rig", PASSWORD: "wrong"}, "mqtt", f"check {USER}"),
+    Case("ACL", guarded, {USER: "rig", PASSWORD: "right"}, "mqtt", "access list must allow it"),
+    Case("wrong CA", certified, {CA: "other.pem"}, "mqtts", CA),
+    Case("plain TCP on a TLS port", certified, {}, "mqtt", "mqtts://"),
+    Case("TLS on a plain port", plain, {}, "mqtts", "mqtt://"),
+)
+
+
+def refusals(scale: Scale) -> list[Promise]:
+    """Try to publish, with events in the outbox."""
+    bound = 3 * BOUND if scale.short else BOUND  # a machine may be busy while the suite runs
+    found = list[Promise]()
+    for case in CASES:
+        with TemporaryDirectory(prefix="slipflow-chaos-") as name:
+            folder = Path(name)
+            broker = TestBroker(folder, *case.settings(folder))
+            try:
+                with mock.patch.dict(os.environ, case.environment), chdir(folder):
+                    url = broker.url.replace("mqtt:", f"{case.scheme}:")
+                    took, error, kept = asyncio.run(_refused(url, folder / "outbox"))
+            finally:
+                broker.close()
+        result = f"after {took:.2f} s: {error.partition(': ')[2]}; {kept} events kept"
+        must_be = f"an error within {BOUND:.0f} s that says what to do, {EVENTS} kept"
+        good = took < bound and case.says in error and kept == EVENTS
+        found.append(
+            Promise(f"events: {case.what}, {EVENTS} events in the outbox", result, must_be, kept=good)
+        )
+    return found
+
+
+async def _refused(url: str, path: Path) -> tuple[float, str, int]:
+    """How long it took (s), what was said, and how many events are still in the outbox."""
+    async with _opened(path) as outbox:
+        await outbox.append([DRAFT] * EVENTS)
+    sink, error, began = Mqtt(url, "chaos", "rig", outbox=path), "none", time.monotonic()
+    try:
+        await sink.open(Run("chaos", "chaos", Clock(), 0))
+        await sink.close()
+    except SlipflowError as raised:
+        error = str(raised)
+    took = time.monotonic() - began
+    async with _opened(path) as outbox:
+        return took, error, outbox.waiting
+
+
+@asynccontextmanager
+async def _opened(path: Path) -> AsyncGenerator[Outbox]:
+    outbox = Outbox(path, keep=1000, keep_for=1e9)
+    await outbox.open()
+    try:
+        yield outbox
+    finally:
+        await outbox.close()
+
+
+PROMISES = [refusals]

@@ -1,0 +1,51 @@
+"""The rig's whole flow at many times its pace, in a process of its own.
+
+    python -m tests.chaos.soaked FOLDER PACE SECONDS
+
+Records and scores; prints a JSON object with what it held in memory, twice a second.
+"""
+
+import asyncio
+import json
+import os
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+from connectors import Rig
+from flows.graph import Flow
+from flows.live_runner import LiveRunner
+from flows.record import collect
+from operators import Debounce, Label, Score, ms, s
+from storage import Dataset, load_detector
+from tests.chaos.child import memory
+
+SESSION = "soaked"
+LOOK = 0.5  # s
+LATENCY = 70 * ms  # ns, of the simulated arm
+
+
+async def main(folder: Path, pace: float, seconds: float) -> object:
+    """Run; say what happened."""
+    flow, dataset, rig = Flow("soaked"), Dataset(folder), Rig(seed=0, pace=pace)
+    zeroed = collect(flow, rig, Label(speed=0.003, delay=LATENCY), dataset)
+    (zeroed | Score(load_detector("tcn")) | Debounce(threshold=0.78, consecutive=2, release=12)).to(dataset)
+    runner = LiveRunner(flow, SESSION, duration=round(seconds * s))
+    running = asyncio.create_task(runner.execute())
+    sizes, began = list[tuple[float, float]](), asyncio.get_running_loop().time()
+    while not running.done():
+        sizes.append((asyncio.get_running_loop().time() - began, memory(os.getpid())))
+        await asyncio.wait([running], timeout=LOOK)
+    run = running.result()
+    return {
+        "memory": sizes,
+        "sources": {name: source.rows for name, source in run.sources.items()},
+        "late": sum(source.late for source in run.sources.values()),
+        "sink": {name: asdict(sink) for name, sink in run.sinks.items()},
+    }
+
+
+if __name__ == "__main__":
+    place, *numbers = sys.argv[1:]
+    told = asyncio.run(main(Path(place), *map(float, numbers)))
+    os.write(1, json.dumps(told).encode())

@@ -1,0 +1,146 @@
+"""Files whose checksums hold, but which say what no slipflow says."""
+
+import json
+from collections.abc import Iterator
+from copy import deepcopy
+from dataclasses import asdict
+from pathlib import Path
+from shutil import copytree, rmtree
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from operators import SlipflowError
+from storage import Session, files, load_debounce, load_detector, recover, verify
+from storage.manifest import Part, read_manifest, write_manifest
+from storage.models import save_card, shipped
+from tests.chaos.processes import scratch
+from tests.chaos.session import begin, read, write
+
+ANY = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@pytest.fixture(scope="module", params=["killed", "closed"])
+def folder(request: pytest.FixtureRequest) -> Iterator[Path]:
+    """A session, whole."""
+    with scratch(memory=True) as root:
+        writer = begin(root / "data", part_rows=10)
+        for number in range(25):
+            write(writer, number)
+        copytree(writer.folder, root / "killed")
+        writer.close()
+        copytree(writer.folder, root / "closed")
+        name: str = request.param
+        yield root / name
+
+
+def places(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:  # noqa: ANN401 - JSON
+    """The ways to all values in a JSON object."""
+    keys: list[str | int] = [*content] if type(content) is dict else [*range(len(content))]
+    for key in keys:
+        yield (*path, key)
+        if isinstance(content[key], dict | list):
+            yield from places(content[key], (*path, key))
+
+
+def changed(content: Any, data: st.DataObject) -> Any:  # noqa: ANN401 - JSON
+    """It with one value replaced, or left out."""
+    content = deepcopy(content)
+    *path, last = data.draw(st.sampled_from(list(places(content))))
+    inner = content
+    for key in path:
+        inner = inner[key]
+    if data.draw(st.booleans()):
+        inner[last] = data.draw(ANY)
+    else:
+        del inner[last]
+    return content
+
+
+def use(folder: Path) -> None:
+    """All that reads a session raises nothing but typed errors; verify and recover included."""
+    for work in (verify, read, recover, Session.open, verify):
+        try:
+            work(folder)
+        except SlipflowError:
+            continue
+
+
+@settings(max_examples=120)
+@given(data=st.data())
+def test_whatever_session_json_says_the_errors_are_typed(folder: Path, data: st.DataObject) -> None:
+    copy = folder.with_name("copy")
+    copytree(folder, copy)
+    try:
+        about = files.read_checked(copy / "session.json")
+        files.put_checked(copy / "session.json", changed(about, data))
+        use(copy)
+    finally:
+        rmtree(copy)
+
+
+@settings(max_examples=120)
+@given(data=st.data())
+def test_whatever_a_manifest_lists_the_errors_are_typed(folder: Path, data: st.DataObject) -> None:
+    copy = folder.with_name("copy")
+    copytree(folder, copy)
+    try:
+        parts = list(read_manifest(copy).values())
+        number = data.draw(st.integers(0, len(parts) - 1))
+        column = data.draw(st.sampled_from(["path", "rows", "first", "last", "sha256"]))
+        values = asdict(parts[number])
+        values[column] = data.draw(ANY | st.sampled_from(["../x", "/etc/passwd", "slips.parquet", "0" * 64]))
+        parts[number] = Part(**values)
+        write_manifest(copy, parts)
+        use(copy)
+    finally:
+        rmtree(copy)
+
+
+@settings(max_examples=12)
+@given(data=st.data())
+def test_whatever_a_card_says_the_errors_are_typed(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    model = shipped("tcn")
+    assert model
+    path = tmp_path_factory.getbasetemp() / "tcn.safetensors"
+    path.write_bytes(model.read_bytes())
+    card: Any = json.loads(model.with_suffix(".json").read_text())
+    save_card(path, changed({key: card[key] for key in ("sha256", "debounce", "detector")}, data))
+    for work in (load_detector, load_debounce):
+        try:
+            work(path)
+        except SlipflowError:
+            continue
+
+
+@settings(max_examples=120)
+@given(data=st.data())
+def test_whatever_a_model_says_of_itself_the_errors_are_typed(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    model = shipped("tcn")
+    assert model
+    whole = model.read_bytes()
+    size = int.from_bytes(whole[:8], "little")
+    header: Any = changed(json.loads(whole[8 : 8 + size]), data)
+    if isinstance(header.get("__metadata__"), dict):
+        header["__metadata__"].pop("slipflow.sha256", None)  # else it is refused for that
+    text = json.dumps(header).encode()
+    path = tmp_path_factory.getbasetemp() / "headed.safetensors"
+    path.write_bytes(len(text).to_bytes(8, "little") + text + whole[8 + size :])
+    try:
+        load_detector(path)
+    except SlipflowError:
+        return
