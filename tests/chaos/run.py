@@ -59,15 +59,15 @@ def told(tests: Iterable[tuple[str, Test]], scale: Scale) -> list[Promise]:
 
 
 def main() -> int:
-    """Put all to the test, or one subject."""
+    """Put all to the test, or what is named."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     known = subjects()
-    parser.add_argument("--only", choices=list(known), help="one subject")
+    parser.add_argument("--only", choices=list(known), action="append", help="this subject; may be repeated")
     parser.add_argument("--seed", type=int, default=0, help="of what is drawn by chance")
     parser.add_argument("--short", action="store_true", help="as the test suite does it")
     options = parser.parse_args()
     scale = Scale(options.seed, options.short)
-    chosen = [options.only] if options.only else list(known)
+    chosen = options.only or list(known)
     kept = told(((name, test) for name in chosen for test in known[name]), scale)
     sys.stdout.write(f"{machine(scale.seed)}\n{table(kept)}\n")
     return 0 if all(each.kept for each in kept) else 1
