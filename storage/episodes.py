@@ -45,10 +45,7 @@ class Episodes:
             InputError: if a value has the wrong type, or two overlap.
         """
         listed: dict[str, dict[str, Any]] = {}
-        for source, description in descriptions.items():
-            episodes = description.get("episodes", [])
-            if not isinstance(episodes, list):
-                raise InputError(f"source {source!r}", '"episodes" is not a list')
+        for source, episodes in listings(descriptions).items():
             for number, each in enumerate(episodes):
                 listed[json.dumps(each, sort_keys=True)] = _row(f"source {source!r}, episode {number}", each)
         rows = sorted(listed.values(), key=lambda row: int(row["start"]))
@@ -76,6 +73,23 @@ class Episodes:
     def ends(self) -> Times:
         """The first instant after each, ns."""
         return self.table["end"].to_numpy()
+
+
+def listings(descriptions: Mapping[str, Description]) -> dict[str, list[Json]]:
+    """What sources list under "episodes", as they do; a list that several of them share is given once.
+
+    Raises:
+        InputError: if one is no list.
+    """
+    found, known = dict[str, list[Json]](), set[int]()
+    for source, description in descriptions.items():
+        episodes = description.get("episodes", [])
+        if not isinstance(episodes, list):
+            raise InputError(f"source {source!r}", '"episodes" is not a list')
+        if id(episodes) not in known:
+            known.add(id(episodes))
+            found[source] = episodes
+    return found
 
 
 def _row(where: str, episode: Json) -> dict[str, Any]:

@@ -13,11 +13,11 @@ from shutil import rmtree
 from threading import Lock
 
 from operators.batch import EVERY, Batch, Zeroed, concat
-from operators.errors import EndpointError, ParameterError
-from operators.ports import Description, Json, Run
+from operators.errors import EndpointError, InputError, ParameterError
+from operators.ports import Description, Run
 from storage import frames
 from storage.description import describe_dataset, describe_session
-from storage.episodes import TIMES, Episodes
+from storage.episodes import TIMES, Episodes, listings
 from storage.files import make_folder
 from storage.frames import Rows
 from storage.journal import Journal
@@ -278,16 +278,9 @@ def _gather(buffer: _Buffer, batch: Batch) -> None:
 def _told(describe: Mapping[str, Description]) -> bytes | None:
     """The episodes so far, for the journal, as they are described: looking closer would cost far more."""
     try:
-        return frames.episodes([each for about in describe.values() for each in _listed(about)])
-    except (TypeError, ValueError):  # the next commit says what is wrong
+        return frames.episodes([each for listed in listings(describe).values() for each in listed])
+    except (InputError, TypeError, ValueError):  # the next commit says what is wrong
         return None
-
-
-def _listed(about: Description) -> list[Json]:
-    episodes = about.get("episodes", [])
-    if not isinstance(episodes, list):
-        raise TypeError("no list")
-    return episodes
 
 
 def _leave(journal: Journal | None, held: int | None) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Json
-from storage.episodes import NONE, Episodes
+from storage.episodes import NONE, Episodes, listings
 
 
 def test_episodes_are_numbered_in_the_order_of_time_whatever_the_sources() -> None:
@@ -64,3 +64,13 @@ def test_without_episodes_there_is_no_row_and_no_number() -> None:
 def test_episodes_that_cannot_be_are_refused(listed: Json, complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         Episodes.described({"rig": {"episodes": listed}})
+
+
+def test_a_list_that_sources_share_is_given_once_and_equal_ones_are_told_apart() -> None:
+    shared: list[Json] = [{"start": 1, "end": 2}]
+    found = listings({"touch": {"episodes": shared}, "motion": {"episodes": shared}, "other": {}})
+    assert found == {"touch": shared, "other": []}
+    assert list(listings({"touch": {"episodes": shared}, "motion": {"episodes": [*shared]}})) == [
+        "touch",
+        "motion",
+    ]
