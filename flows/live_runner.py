@@ -1,25 +1,23 @@
 """Running a flow live: a task per source, operators called inline, a bounded queue and a task per sink."""
 
 import asyncio
-import logging
 import signal
-from collections import deque
-from collections.abc import AsyncGenerator, Generator, Sequence
+from collections import defaultdict, deque
+from collections.abc import AsyncGenerator, Generator, Mapping, Sequence
 from contextlib import aclosing, contextmanager, suppress
 from math import inf
 from typing import Any
 
+from flows import incidents
 from flows.clock import STEP, LoopClock
 from flows.drawing import streams
 from flows.graph import Flow
 from flows.node import Node
-from flows.plan import Delivery, Plan
-from operators.batch import Batch, ms, s
+from flows.plan import Delivery, Entry, Plan
+from operators.batch import Batch, ms
 from operators.errors import EndpointError, SlipflowError
 from operators.operator import Order
 from operators.ports import Clock, ClockStep, Gap, Run, Sink, SinkStatus, Source, SourceStatus
-
-log = logging.getLogger("slipflow")
 
 FIRST_RETRY = 0.1  # s
 LAST_RETRY = 5.0  # s, up to which the back-off doubles
@@ -41,16 +39,24 @@ class LiveRunner:
     """
 
     def __init__(
-        self, flow: Flow, session: str, *, clock: Clock | None = None, duration: int | None = None
+        self,
+        flow: Flow,
+        session: str,
+        *,
+        clock: Clock | None = None,
+        duration: int | None = None,
+        whole: bool = False,
     ) -> None:
         """Get ready to run `flow` as `session` until its sources end, `duration` (ns) has passed, or `stop`.
+
+        With `whole`, as of a recording, a run that was stopped is not complete.
 
         Raises:
             FlowError: if the flow is wired wrongly.
         """
         self.plan = Plan(flow)
         self.clock = clock or LoopClock()
-        self._duration = duration
+        self._duration, self._whole = duration, whole
         self._sources: dict[Node, Source[Any]] = {
             node: node.part for node in flow.nodes if isinstance(node.part, Source)
         }
@@ -66,7 +72,7 @@ class LiveRunner:
             if isinstance(node.part, Sink)
         }
         self._push = asyncio.Lock()  # a full sink makes all sources wait: the rows of a stream stay in order
-        self._in_hand = 0  # batches taken from a source and not delivered yet
+        self._in_hand = 0  # batches taken from a source that wait for a sink with room
         self._delivered, self._ending = asyncio.Event(), False
         self._stop, self._stops = asyncio.Event(), 0
         self._writers: list[asyncio.Task[None]] = []
@@ -78,6 +84,8 @@ class LiveRunner:
         """
         self._stops += 1
         self._stop.set()
+        if self._whole:
+            self.run.error = "was interrupted"
         if self._stops > 1:
             for outlet in self._outlets.values():
                 outlet.give_up()
@@ -142,28 +150,42 @@ class LiveRunner:
             await asyncio.gather(*self._writers, return_exceptions=True)
 
     async def _read(self, node: Node) -> None:
-        status, orders = self.run.sources[node.name], {finger: Order() for finger in node.fingers}
+        status, orders = self.run.sources[node.name], defaultdict[int, Order](Order)
         async with aclosing(self._batches(node, status)) as batches:
             async for batch in batches:
-                order = orders.setdefault(batch.finger, Order())
-                status.late -= order.late
+                order = orders[batch.finger]
+                late = order.late
                 order.keep(batch)
-                status.late += order.late
+                status.late += order.late - late
                 status.newest = max(status.newest, order.newest)
                 status.rows += len(batch)
-                self._in_hand += 1
-                try:
-                    async with self._push:
-                        await self._deliver(self.plan.push({(node, batch.finger): batch}))
-                finally:
-                    self._in_hand -= 1
-                    self._delivered.set()
+                await self._take({(node, batch.finger): batch})
                 if self._ending:
                     return
                 if self.clock.now() - status.newest > BEHIND:
                     await self._let_older_pass(status)
                 if status.rows % TURN < len(batch):
                     await asyncio.sleep(0)  # a source that never waits must let the sinks have their turn
+
+    async def _take(self, batches: Mapping[Entry, Batch]) -> None:
+        """Carry what came through the plan; wait if a sink is full, as then does what comes meanwhile."""
+        waiting = None if self._in_hand else self._refused(self.plan.push(batches))
+        if waiting == []:
+            return  # most often: no turn of the event loop went by, and there was nothing to guard
+        self._in_hand += 1
+        try:
+            async with self._push:
+                await self._deliver(self.plan.push(batches) if waiting is None else waiting)
+        finally:
+            self._in_hand -= 1
+            self._delivered.set()
+
+    def _refused(self, deliveries: list[Delivery]) -> list[Delivery]:
+        """Queue what sinks are to take, up to the first that has no room: give the rest."""
+        for place, (node, batch) in enumerate(deliveries):
+            if not self._outlets[node].offer(batch):
+                return deliveries[place:]
+        return []
 
     async def _let_older_pass(self, status: SourceStatus) -> None:
         """Let the others give what is older: a join waits for what belongs together only so long."""
@@ -184,16 +206,17 @@ class LiveRunner:
                         if not len(batch.check()):
                             continue
                         if failed_at:
-                            status.gaps.append(Gap(failed_at, self.clock.now(), reason))
-                            log.warning("%s is back", node.name)
+                            status.gaps.append(gap := Gap(failed_at, self.clock.now(), reason))
+                            incidents.source_restarted(node.name, gap)
                             retry, failed_at = FIRST_RETRY, 0
                         status.up, status.error = True, ""
                         yield batch
                 except Exception as error:  # noqa: BLE001 - whatever a device raises, it is tried again
                     if not failed_at:
                         failed_at, reason = status.newest or self.run.start, _text(error)
-                        log.warning("%s failed, trying again: %s", node.name, reason)
+                        incidents.source_failed(node.name, reason)
                     status.up, status.error = False, _text(error)
+                    status.failures += 1
                 else:
                     return
                 finally:
@@ -208,9 +231,7 @@ class LiveRunner:
 
     async def _deliver(self, deliveries: Sequence[Delivery]) -> None:
         for node, batch in deliveries:
-            outlet = self._outlets[node]
-            if not outlet.offer(batch):
-                await outlet.put(batch)
+            await self._outlets[node].put(batch)
 
     async def _watch_host(self) -> None:
         """Note when the host's clock is set: stamps go on, and are that much off from then on."""
@@ -218,7 +239,7 @@ class LiveRunner:
             known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
             if abs(stray - known) >= STEP:
                 self.run.clock_steps.append(ClockStep(self.clock.now(), stray))
-                log.warning("the host's clock was set by %+.3f s; time stamps go on", (stray - known) / s)
+                incidents.clock_set(stray, known)
             await asyncio.sleep(LOOK)
 
     @contextmanager
@@ -304,7 +325,7 @@ class _Outlet:
     def _lose(self, batch: Batch) -> None:
         """Count a batch for which there is no room; say it once in each failure."""
         if self.status.error and self.status.dropped == self._dropped_before:
-            log.warning("%s drops rows until it works again", self.name)
+            incidents.sink_drops(self.name)
         self.status.dropped += len(batch)
 
     def _drop(self, *batches: Batch) -> None:
@@ -331,8 +352,7 @@ class _Outlet:
                 self._failed(error)
             else:
                 if self.status.error:
-                    lost = self.status.dropped - self._dropped_before
-                    log.warning("%s works again%s", self.name, f"; {lost} rows were dropped" if lost else "")
+                    incidents.sink_restored(self.name, self.status.dropped - self._dropped_before)
                     self.status.error = ""
                 self.status.rows += len(batch)
                 return
@@ -351,7 +371,7 @@ class _Outlet:
 
     def _failed(self, error: Exception) -> None:
         if not self.status.error:
-            log.warning("%s failed: %s", self.name, _text(error))
+            incidents.sink_failed(self.name, _text(error))
             self._dropped_before = self.status.dropped
         self.status.error = _text(error)
         self.status.failures += 1

@@ -1,6 +1,7 @@
 """What a runner carries out: a flow unfolded into one fresh operator per fingertip, in order of flow."""
 
-from collections.abc import Callable, Mapping, Sequence
+import pickle
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast
 
@@ -30,22 +31,36 @@ class _Stage:
     sinks: list[Node] = field(default_factory=list[Node])
     _push: Callable[..., Batch] = field(init=False)
     _nothing: tuple[Batch, ...] = field(init=False)
+    _first: int = field(init=False)
+    _second: int | None = field(init=False)  # None: an operator, not a join
 
     def __post_init__(self) -> None:
         if self.operator is not None:
             self._push = self.operator.push
+            self._first, *second = self.inputs
+            self._second = second[0] if second else None
         self._nothing = tuple(kind.empty() for kind in self.takes)
 
     def push(self, values: Sequence[Batch | None]) -> Batch | None:
         """The output for what the inputs have, or None if they have nothing or nothing came of it."""
-        if len(self.inputs) == 1:
-            batch = values[self.inputs[0]]
-            return None if batch is None else self.checked(self._push(batch))
-        first, second = self.inputs
-        left, right = values[first], values[second]
-        if left is None and right is None:
-            return None
-        return self.checked(self._push(left or self._nothing[0], right or self._nothing[1]))
+        left = values[self._first]
+        if self._second is None:
+            if left is None:
+                return None
+            out = self._push(left)
+        else:
+            right = values[self._second]
+            if left is None and right is None:
+                return None
+            nothing = self._nothing
+            out = self._push(nothing[0] if left is None else left, nothing[1] if right is None else right)
+        if type(out) is self.gives and out.finger == self.finger and out.time.size:
+            return out
+        return self.checked(out)
+
+    def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
+        """Go on with an operator in this state."""
+        self.operator, self._push = operator, operator.push
 
     def checked(self, out: Batch) -> Batch | None:
         """What the operator gave, if it is what it declares to give; None if it is nothing."""
@@ -73,24 +88,38 @@ class Plan:
     >>> [(sink, slips)] = plan.push({plan.entries[0]: scores})
     >>> sink.name, slips.time, slips.start
     ('testsink', array([2]), array([1]))
+
+    Args:
+        flow: what is to be carried out.
+        only: the fingertips to do it for, with all that belongs to every one; None: for all of them.
+
+    Raises:
+        FlowError: if the flow is wired wrongly.
     """
 
-    def __init__(self, flow: Flow) -> None:
+    def __init__(self, flow: Flow, only: Collection[int] | None = None) -> None:
         validate(flow)
         self._flow = flow.name
         self._stages: list[_Stage] = []
         self._stage_of: dict[Entry, int] = {}
+        fingers = {
+            node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
+            for node in flow.nodes
+        }
         for node in _in_order(flow):
             if isinstance(node.part, Sink):
                 for parent in node.inputs:
-                    for finger in parent.fingers:
+                    for finger in fingers[parent]:
                         self._stages[self._stage_of[parent, finger]].sinks.append(node)
             else:
-                for finger in node.fingers:
+                for finger in fingers[node]:
                     self._unfold(node, finger)
-        self.entries = [(node, finger) for node in flow.sources() for finger in node.fingers]
+        self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
         self._all = [stage for stage in self._stages if stage.operator is not None]
-        self._downstream = {entry: self._reached_from(self._stage_of[entry]) for entry in self.entries}
+        places = {entry: self._stage_of[entry] for entry in self.entries}
+        self._entered = {
+            entry: (self._stages[place], self._reached_from(place)) for entry, place in places.items()
+        }
 
     def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
         """Carry batches that arrived together through the flow.
@@ -103,23 +132,28 @@ class Plan:
         """
         values: list[Batch | None] = [None] * len(self._stages)
         deliveries: list[Delivery] = []
+        behind = self._all
         for entry, batch in batches.items():
             try:
-                stage = self._stages[self._stage_of[entry]]
+                stage, downstream = self._entered[entry]
             except KeyError:
                 node, finger = entry
                 reason = f"source {node.name!r} gave fingertip {finger}, and declares {node.fingers}"
                 raise BatchError(type(batch).__name__, "finger", reason) from None
-            if len(batch):
+            if batch.time.size:
                 values[stage.index] = batch
                 deliveries += [(sink, batch) for sink in stage.sinks]
-        for stage in self._downstream[next(iter(batches))] if len(batches) == 1 else self._all:
+            if len(batches) == 1:
+                behind = downstream
+        for stage in behind:
             try:
-                out = values[stage.index] = stage.push(values)
+                out = stage.push(values)
             except Exception as error:
                 raise self._failure(stage, error) from error
-            if out is not None and stage.sinks:
-                deliveries += [(sink, out) for sink in stage.sinks]
+            if out is not None:
+                values[stage.index] = out
+                if stage.sinks:
+                    deliveries += [(sink, out) for sink in stage.sinks]
         return deliveries
 
     def flush(self) -> list[Delivery]:
@@ -137,6 +171,25 @@ class Plan:
                 values[stage.index] = out
                 deliveries += [(sink, out) for sink in stage.sinks]
         return deliveries
+
+    def snapshot(self) -> bytes:
+        """What all operators remember: `restore` goes on from it, in another process too.
+
+        Raises:
+            OperatorError: if an operator's state does not pickle.
+        """
+        states = list[bytes]()
+        for stage in self._all:
+            try:
+                states.append(pickle.dumps(stage.operator, pickle.HIGHEST_PROTOCOL))
+            except (pickle.PicklingError, AttributeError, TypeError) as error:
+                raise self._failure(stage, error) from error
+        return pickle.dumps(states, pickle.HIGHEST_PROTOCOL)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Go on from a snapshot of a plan of the same flow; it is a pickle: restore only what is your own."""
+        for stage, state in zip(self._all, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
+            stage.resume(pickle.loads(state))  # noqa: S301 - the same
 
     def _failure(self, stage: _Stage, error: Exception) -> OperatorError:
         reason = str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"

@@ -1,20 +1,24 @@
 """The arm's motion at the instant of each touch."""
 
 from dataclasses import dataclass, field
-from math import isfinite
+from math import isfinite, nan
 from typing import Final, Literal, get_args
 
 import numpy as np
 
-from operators.batch import Flags, Motion, Reals, Sample, Times, Zeroed, ms, s
+from operators.batch import Flags, Motion, Reals, Sample, Zeroed, constant, maker, ms, s
+from operators.chain import Chain
 from operators.errors import ParameterError
 from operators.operator import Join
 from operators.rotation import Real, between
-from operators.tail import Tail
 
 How = Literal["nearest", "previous", "linear"]
 
 _FAR: Final = 2**62  # ns, further than any two stamps lie apart
+_made: Final = maker(Sample)
+_MATCHED: Final = constant([True])  # (1,)
+_UNMATCHED: Final = constant([False])  # (1,)
+_NO_MOTION: Final = constant([[nan] * 6])  # (1, 6)
 
 
 @dataclass
@@ -44,9 +48,11 @@ class Align(Join[Zeroed, Motion, Sample]):
     how: How = "nearest"
     wait: int = 100 * ms  # ns, for motion
     keep: int = 10 * s  # ns, motion; more than touch may lag, as it does while `Zero` takes its baseline
-    _motion: Tail[Motion] = field(default_factory=lambda: Tail(Motion), init=False, repr=False, compare=False)
+    _motion: Chain[Motion] = field(
+        default_factory=lambda: Chain(Motion), init=False, repr=False, compare=False
+    )
     _newest: int = field(default=-_FAR, init=False, repr=False)  # ns, of the motion
-    _held: Tail[Zeroed] = field(default_factory=lambda: Tail(Zeroed), init=False, repr=False, compare=False)
+    _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if self.how not in get_args(How):
@@ -63,58 +69,41 @@ class Align(Join[Zeroed, Motion, Sample]):
     def process(self, left: Zeroed, right: Motion) -> Sample:
         """Take motion first, then touch; give the touch rows that are decided."""
         oldest = self._newest - self.keep  # that a new touch may be
-        size = left.time.size
         if right.time.size:
             self._remember(right)
-        held = self._held
-        rows = left
-        if held.stop > held.start:
-            if size:
-                held.append(left)
-            rows = held.rows
-        count = self._decided(rows.time) if rows.time.size else 0
-        if rows is not left:
-            held.drop(count)
-        elif count < size:
-            held.append(left[count:] if count else left)
-        if not count:
-            samples = Sample.empty()
-        else:
-            samples = self._match(rows if count == rows.time.size else rows[:count], oldest)
-        motion, needed = self._motion, self._newest - self.keep - self.within
-        if motion.stop > motion.start and motion.block.time.item(motion.start) < needed - self.keep // 8:
-            motion.drop(int(motion.time.searchsorted(needed)))  # not at every row: it takes time
+        if left.time.size:
+            self._held.append(left)
+        passed = self._order_left.newest - self.wait  # touch up to here has waited long enough
+        rows = self._held.take(max(self._newest, passed + 1))
+        samples = Sample.empty() if rows is None else self._match(rows, oldest)
+        if right.time.size:
+            self._motion.forget(
+                self._newest - self.keep - self.within, self.keep // 8
+            )  # at every row is slow
         return samples
 
     def flush(self) -> Sample:
         """Give the touch rows that still wait, with what is there."""
-        rows = self._held.rows
-        if not len(rows):
-            return Sample.empty()
-        self._held.drop(len(rows))
-        return self._match(rows, -_FAR)
+        rows = self._held.take(_FAR)
+        return Sample.empty() if rows is None else self._match(rows, -_FAR)
 
     def _remember(self, motion: Motion) -> None:
         if motion.time.size == 1:
-            finite = all(map(isfinite, motion.velocity[0].tolist()))
-            motion = motion if finite else motion[:0]
+            [velocity] = motion.velocity.tolist()
+            kept = isfinite(sum(velocity)) or all(map(isfinite, velocity))  # a sum may overflow
         else:
-            rows = np.all(np.isfinite(motion.velocity), axis=1)
+            rows = np.all(np.isfinite(motion.velocity), axis=1)  # (n,)
             motion = motion if np.all(rows) else motion[rows]
-        if motion.time.size:
+            kept = motion.time.size > 0
+        if kept:
             self._motion.append(motion)
             self._newest = motion.time.item(-1)
-
-    def _decided(self, time: Times) -> int:
-        passed = self._order_left.newest - self.wait  # touch up to here has waited long enough
-        if time.size == 1:
-            return int(time.item(0) < self._newest or time.item(0) <= passed)
-        return int(max(time.searchsorted(self._newest), time.searchsorted(passed, "right")))
 
     def _match(self, rows: Zeroed, oldest: int) -> Sample:
         if rows.time.size == 1:
             return self._match_one(rows, oldest)
-        time, motion, start = self._motion.time, self._motion.block, self._motion.start
+        motion = self._motion.over(rows.time.item(0), rows.time.item(-1))
+        time = motion.time
         after = time.searchsorted(rows.time, "right")  # (n,) the first newer row
         around = np.concatenate(([-_FAR], time, [_FAR]))
         behind, ahead = rows.time - around[after], around[after + 1] - rows.time  # (n,) ns
@@ -126,7 +115,7 @@ class Align(Join[Zeroed, Motion, Sample]):
         else:
             matched = (behind == 0) | (np.maximum(behind, ahead) <= self.within)
         matched &= rows.time >= oldest
-        after += start - 1
+        after -= 1
         if matched.all():
             velocity, pose = motion.velocity.take(after, axis=0), motion.pose.take(after, axis=0)
         else:
@@ -144,25 +133,25 @@ class Align(Join[Zeroed, Motion, Sample]):
         return _sample(rows, velocity, pose, matched)
 
     def _match_one(self, rows: Zeroed, oldest: int) -> Sample:
-        instant, time, motion = rows.time.item(0), self._motion.time, self._motion.block
-        after = int(time.searchsorted(instant, "right"))
-        behind = instant - time.item(after - 1) if after else _FAR
-        ahead = time.item(after) - instant if after < time.size else _FAR
-        after += self._motion.start
-        off, part = behind, 0.0
+        instant = rows.time.item(0)
+        before, after = self._motion.around(instant)
+        behind = instant - before.time.item(0) if before is not None else _FAR
+        ahead = after.time.item(0) - instant if after is not None else _FAR
+        motion, off = before, behind
         if self.how == "nearest" and ahead <= behind:
-            after, off = after + 1, ahead
+            motion, off = after, ahead
         elif self.how == "linear" and behind:
-            off, part = max(behind, ahead), behind / (behind + ahead)
-        if off > self.within or instant < oldest:
-            return _sample(rows, np.full((1, 6), np.nan), np.full((1, 6), np.nan), np.array([False]))
-        velocity, pose = motion.velocity[after - 1 : after], motion.pose[after - 1 : after]
-        if part:
+            off = max(behind, ahead)
+        if motion is None or off > self.within or instant < oldest:
+            return _sample(rows, _NO_MOTION, _NO_MOTION, _UNMATCHED)
+        velocity, pose = motion.velocity, motion.pose
+        if self.how == "linear" and behind and after is not None:
+            part = behind / (behind + ahead)
             with np.errstate(invalid="ignore"):
-                moved = _moved(velocity[0].tolist(), motion.velocity[after].tolist(), part)
-                posed = _posed(pose[0].tolist(), motion.pose[after].tolist(), part)
+                moved = _moved(velocity[0].tolist(), after.velocity[0].tolist(), part)
+                posed = _posed(pose[0].tolist(), after.pose[0].tolist(), part)
             velocity, pose = np.array([moved]), np.array([posed])
-        return _sample(rows, velocity, pose, np.array([True]))
+        return _sample(rows, velocity, pose, _MATCHED)
 
 
 def _moved(first: list[Real], second: list[Real], part: Real) -> list[Real]:
@@ -178,6 +167,4 @@ def _posed(first: list[Real], second: list[Real], part: Real) -> list[Real]:
 
 
 def _sample(rows: Zeroed, velocity: Reals, pose: Reals, matched: Flags) -> Sample:
-    return Sample(
-        rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, finger=rows.finger
-    )
+    return _made(rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, rows.finger)

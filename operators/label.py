@@ -6,13 +6,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Labelled, Reals, Sample, ms
+from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Labelled, Reals, Sample, constant, maker, ms
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.rotation import Real, Vector, quaternion, root, turn
 from operators.tail import Tail
 
 _AXES: Final = 3
+_made: Final = maker(Labelled)
+_LABELS: Final = {label: constant([label], np.int8) for label in (SLIP, STATIC, UNKNOWN)}  # (1,) each
 
 
 @dataclass
@@ -91,16 +93,15 @@ class Label(Operator[Sample, Labelled]):
     def _own(self, batch: Sample) -> Labelled:
         # each row by its own motion
         if batch.time.size == 1:
-            x, y, z = batch.pose[0, 3:].tolist()
+            [(_, _, _, x, y, z)], [(u, v, w, a, b, c)] = batch.pose.tolist(), batch.velocity.tolist()
             posed = isfinite(x) and isfinite(y) and isfinite(z)
-            u, v, w, a, b, c = batch.velocity[0].tolist()
             speed = _across((u, v, w), turn(self._unit, quaternion((x, y, z))) if posed else self._unit)
             slip, known = speed > self.speed, speed < self.limit
             if self.rotation is not None:
                 angular = root(a * a + b * b + c * c)
                 slip, known = slip or angular > self.rotation, known and not isnan(angular)
             label = (SLIP if slip else STATIC) if known else UNKNOWN
-            return _labelled(batch, np.array([speed]), np.array([label], np.int8))
+            return _labelled(batch, np.array([speed]), _LABELS[label])
         turned = batch.pose[:, 3:]  # (n, 3)
         finite = np.isfinite(turned)
         velocity = batch.velocity.T  # (6, n)
@@ -129,7 +130,7 @@ def _across(velocity: Vector[Real], normal: Vector[Real]) -> Real:
 
 
 def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
-    return Labelled(
+    return _made(
         rows.time,
         rows.counts,
         rows.temperature,
@@ -139,5 +140,5 @@ def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
         rows.matched,
         speed,
         label,
-        finger=rows.finger,
+        rows.finger,
     )

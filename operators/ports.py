@@ -4,7 +4,7 @@ Only the shapes stand here; what talks to the world lives in connectors and stor
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
@@ -13,7 +13,7 @@ from operators.batch import EVERY, Batch
 Given = TypeVar("Given", bound=Batch, covariant=True)
 Taken = TypeVar("Taken", bound=Batch, contravariant=True)
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
-Json: TypeAlias = "bool | int | float | str | list[Json] | dict[str, Json] | None"
+Json: TypeAlias = "bool | int | float | str | Sequence[Json] | dict[str, Json] | None"
 Description: TypeAlias = Mapping[str, Json]
 
 
@@ -54,6 +54,7 @@ class SourceStatus:
     late: int = 0  # rows that came after newer ones
     newest: int = 0  # ns, event time of the newest row
     up: bool = False
+    failures: int = 0  # after each it is started again
     error: str = ""  # the newest failure; empty while it works
     gaps: list[Gap] = field(default_factory=list[Gap])
 
@@ -125,6 +126,7 @@ class Sink(ABC, Generic[Taken]):
 
     lossless: bool = True  # False: when the queue is full the oldest batch is dropped and counted
     capacity: int = 4096  # batches
+    shared: bool = False  # True: several processes may write to its place at once, each a run of its own
 
     @property
     @abstractmethod

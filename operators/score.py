@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed
+from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed, maker
 from operators.detectors.detector import Detector, Stream, Streaming
 from operators.errors import ParameterError
 from operators.hold import hold
@@ -14,6 +14,7 @@ from operators.window import Window
 
 _BLOCK: Final = 64  # windows that a detector is given at once: few enough to stay in cache
 _MISSING: Final = 3  # cells of the newest sample that may be invalid
+_made: Final = maker(Scores)
 
 
 @dataclass
@@ -23,7 +24,8 @@ class Score(Operator[Zeroed, Scores]):
     A cell that did not answer is taken to read what it read last, or 0 before it ever did. Where more than
     three cells of the newest sample did not answer, the score is NaN.
 
-    A detector that can is streamed: it is given each sample once, and no window is kept.
+    A detector that can is streamed: it is given each sample once, and no window is kept. Where numba, which
+    compiles that, is not installed, it is given windows as the others are, for several times the CPU.
     """
 
     detector: Detector
@@ -35,10 +37,9 @@ class Score(Operator[Zeroed, Scores]):
     def __post_init__(self) -> None:
         if self.hop < 1:
             raise ParameterError("Score", "hop", self.hop, "at least 1")
-        if isinstance(self.detector, Streaming):
-            self._way = _Streamed(self.detector.stream())
-        else:
-            self._way = _Windowed(self.detector, Window(self.detector.length, self.hop))
+        stream = _stream(self.detector)
+        windowed = _Windowed(self.detector, Window(self.detector.length, self.hop))
+        self._way = windowed if stream is None else _Streamed(stream)
         self._last = np.zeros(BAROMETERS, np.int16)
         self._due = self.detector.length
 
@@ -57,7 +58,17 @@ class Score(Operator[Zeroed, Scores]):
         if not answered:
             missing = BAROMETERS - batch.valid[rows].sum(axis=1)  # (n,)
             probability = np.where(missing > _MISSING, np.nan, probability)
-        return Scores(batch.time[rows], probability, finger=batch.finger)
+        return _made(batch.time[rows], probability, batch.finger)
+
+
+def _stream(detector: Detector) -> Stream | None:
+    """A stream of a detector that can; None where it cannot, or a small install leaves out its compiler."""
+    try:
+        return detector.stream() if isinstance(detector, Streaming) else None
+    except ModuleNotFoundError as error:
+        if error.name != "numba":
+            raise
+        return None
 
 
 @dataclass

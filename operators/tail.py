@@ -5,7 +5,7 @@ from typing import Any, Final, Generic
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import AnyBatch, Times, columns
+from operators.batch import AnyBatch, Times, layout
 
 _ROWS: Final = 1024  # of a block, at least
 
@@ -33,7 +33,7 @@ class Tail(Generic[AnyBatch]):
     block: AnyBatch
     start: int
     stop: int
-    _columns: list[tuple[str, NDArray[Any]]]
+    _cells: list[NDArray[Any]]  # the block's columns, each row with a length: the fastest to set one of
 
     def __init__(self, kind: type[AnyBatch]) -> None:
         self.__setstate__(kind.empty())
@@ -54,16 +54,15 @@ class Tail(Generic[AnyBatch]):
     def append(self, batch: AnyBatch) -> None:
         """Copy rows behind those kept; columns that the kind lacks fall away."""
         size = batch.time.size
-        stop = self.stop + size
-        if stop > self.block.time.size or self.block.finger != batch.finger:
+        if self.stop + size > self._size or self._finger != batch.finger:
             self._renew(batch)
-            stop = self.stop + size
+        stop = self.stop + size
         if size == 1:
-            for name, column in self._columns:
-                column[self.stop] = getattr(batch, name)[0]
+            for cells, values in zip(self._cells, self._take(batch), strict=True):
+                cells[self.stop] = values
         else:
-            for name, column in self._columns:
-                column[self.stop : stop] = getattr(batch, name)
+            for column, values in zip(self._take(self.block), self._take(batch), strict=True):
+                column[self.stop : stop] = values
         self.stop = stop
 
     def drop(self, count: int) -> None:
@@ -73,8 +72,9 @@ class Tail(Generic[AnyBatch]):
     def _renew(self, batch: AnyBatch) -> None:
         kept = len(self)
         size = max(_ROWS, 2 * kept + len(batch))
-        arrays: list[Any] = [np.empty((size, *old.shape[1:]), old.dtype) for _, old in self._columns]
-        for array, (_, column) in zip(arrays, self._columns, strict=True):
+        columns = self._take(self.block)
+        arrays: list[Any] = [np.empty((size, *old.shape[1:]), old.dtype) for old in columns]
+        for array, column in zip(arrays, columns, strict=True):
             array[:kept] = column[self.start : self.stop]
         self.__setstate__(type(self.block)(*arrays, finger=batch.finger))
         self.stop = kept
@@ -84,4 +84,7 @@ class Tail(Generic[AnyBatch]):
 
     def __setstate__(self, rows: AnyBatch) -> None:
         self.block, self.start, self.stop = rows, 0, len(rows)
-        self._columns = [(name, getattr(rows, name)) for name in columns(type(rows))]
+        self._size, self._finger = len(rows), rows.finger  # of the block
+        self._take = layout(type(rows)).take
+        columns = self._take(rows)
+        self._cells = [column if column.ndim > 1 else column[:, None] for column in columns]

@@ -5,12 +5,13 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed
+from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed, maker
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.tail import Tail
 
 _FULL: Final = 1023  # counts, of the 10-bit converter
+_made: Final = maker(Zeroed)
 
 
 @dataclass
@@ -24,7 +25,7 @@ class Zero(Operator[Touch, Zeroed]):
 
     baseline: int | tuple[int, ...] | None = None  # raw ADC counts, of all cells or of each; None: measured
     scans: int = 100
-    _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (6,)
+    _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (1, 6)
     _known: Flags | None = field(default=None, init=False, repr=False, compare=False)  # (6,); None: all are
     _held: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
 
@@ -35,7 +36,7 @@ class Zero(Operator[Touch, Zeroed]):
             cells = (self.baseline,) * BAROMETERS if isinstance(self.baseline, int) else self.baseline
             if len(cells) != BAROMETERS or not all(0 <= cell <= _FULL for cell in cells):
                 raise ParameterError("Zero", "baseline", self.baseline, f"one or six counts, 0 to {_FULL}")
-            self._offset = np.array(cells, np.int16)
+            self._offset = np.array([cells], np.int16)
 
     def process(self, batch: Touch) -> Zeroed:
         """Give the batch with the baseline subtracted, or hold it back."""
@@ -55,11 +56,11 @@ class Zero(Operator[Touch, Zeroed]):
         first = held[: self.scans]
         known = np.any(first.valid, axis=0)  # (6,)
         self._known = None if np.all(known) else known
-        self._offset = np.zeros(BAROMETERS, np.int16)
+        self._offset = np.zeros((1, BAROMETERS), np.int16)
         for cell in np.flatnonzero(known):
-            self._offset[cell] = np.rint(np.median(first.counts[first.valid[:, cell], cell]))
+            self._offset[0, cell] = np.rint(np.median(first.counts[first.valid[:, cell], cell]))
         return self._subtract(held, self._offset)
 
     def _subtract(self, batch: Touch, offset: Counts) -> Zeroed:
         valid = batch.valid if self._known is None else batch.valid & self._known
-        return Zeroed(batch.time, batch.counts - offset, batch.temperature, valid, finger=batch.finger)
+        return _made(batch.time, batch.counts - offset, batch.temperature, valid, batch.finger)

@@ -2,7 +2,8 @@
 
 Run by `make bench`. Every variant scores every sample and must give the reference's scores exactly. All
 variants take turns, so that a change of the machine's speed hits all of them; the table shows medians and the
-ratio to the reference within the same turn.
+ratio to the reference within the same turn. What a stage adds is what the flow up to it costs more than the
+flow up to the one before; what is left without any is the plan, which hands the rows to sinks.
 """
 
 import argparse
@@ -17,53 +18,59 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from flows.graph import Flow
 from flows.plan import Delivery, Entry, Plan
 from flows.testing import TestSink, TestSource
-from operators import Align, Label, Labelled, Motion, Operator, Scores, Touch, Zero, ms
+from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Reals
+from tests.benchmarks.peers.job import Job, Meter
+from tests.benchmarks.peers.push_graph import prepare
 
 LENGTH = 100  # samples
+STAGES = ("Zero", "Align", "Label", "StepEnergy")
+ALIGN = 2  # stages up to the join
+SPLIT = (1, 1000)  # samples of a batch, at which the stages are told apart
 LIMIT = 400.0  # counts^2 per sample: energy of the steps at which the score is one half
 
 
 @dataclass
-class StepEnergy(Operator[Labelled, Scores]):
+class StepEnergy(Operator[Zeroed, Scores]):
     """Mean energy of the steps in the newest `LENGTH` samples, summed incrementally and exactly."""
 
-    _sums: NDArray[np.int64] = field(
-        default_factory=lambda: np.zeros(LENGTH, np.int64), init=False, repr=False
-    )
+    _sums: list[int] = field(default_factory=lambda: [0] * LENGTH, init=False, repr=False)
     _seen: int = field(
         default=0, init=False, repr=False
     )  # samples; the sum up to the k-th is at k mod LENGTH
-    _last: NDArray[np.int64] | None = field(default=None, init=False, repr=False)  # (1, 6)
+    _last: list[int] | None = field(default=None, init=False, repr=False)  # (6,)
 
-    def process(self, batch: Labelled) -> Scores:
+    def process(self, batch: Zeroed) -> Scores:
         """Score the samples that complete a window."""
-        counts, seen, sums = batch.counts.astype(np.int64), self._seen, self._sums  # (n, 6)
-        last = counts[:1] if self._last is None else self._last
-        self._last, self._seen = counts[-1:], seen + len(batch)
-        if len(batch) == 1:
-            step, slot = (counts - last).ravel(), seen % LENGTH
-            total = sums.item(slot - 1) + step.dot(step).item()
-            energy = (total - sums.item(slot)) / LENGTH
+        seen, sums = self._seen, self._sums
+        if batch.time.size == 1:
+            [newest] = batch.counts.tolist()
+            last, slot = self._last or newest, seen % LENGTH
+            total = sums[slot - 1]
+            for count, before in zip(newest, last, strict=True):
+                total += (count - before) * (count - before)
+            energy = (total - sums[slot]) / LENGTH
             sums[slot] = total
+            self._last, self._seen = newest, seen + 1
             if seen < LENGTH - 1:
                 return Scores.empty()
-            return Scores(batch.time, np.array([energy / (energy + LIMIT)]))
-        steps = np.diff(counts, axis=0, prepend=last)  # (n, 6)
+            return Scores(batch.time, np.array([energy / (energy + LIMIT)]), finger=batch.finger)
+        counts = batch.counts.astype(np.int64)  # (n, 6)
+        steps = np.diff(counts, axis=0, prepend=counts[:1] if self._last is None else [self._last])  # (n, 6)
         slot = seen % LENGTH  # of the oldest
         steps_energy = np.einsum("ij,ij->i", steps, steps)  # (n,)
         totals = sums[slot - 1] + steps_energy.cumsum()  # (n,)
         ordered = np.concatenate((sums[slot:], sums[:slot], totals))  # (LENGTH + n,)
-        newest, slot = ordered[-LENGTH:], LENGTH - self._seen % LENGTH
-        self._sums = np.concatenate((newest[slot:], newest[:slot]))
+        self._last, self._seen = counts[-1].tolist(), seen + len(batch)
+        newest, slot = ordered[-LENGTH:].tolist(), LENGTH - self._seen % LENGTH
+        self._sums = newest[slot:] + newest[:slot]
         first = max(LENGTH - 1 - seen, 0)  # of the batch, that completes a window
         energies = (ordered[LENGTH + first :] - ordered[first:-LENGTH]) / LENGTH
-        return Scores(batch.time[first:], energies / (energies + LIMIT))
+        return Scores(batch.time[first:], energies / (energies + LIMIT), finger=batch.finger)
 
 
 def streams(samples: int, seed: int) -> tuple[Touch, Motion]:
@@ -96,68 +103,86 @@ def plain(touch: Touch, motion: Motion) -> Reals:
     return scores
 
 
-def flow() -> Flow:
-    """The job as a flow."""
+def flow(stages: int = len(STAGES)) -> Flow:
+    """The job as a flow, or no more than its first stages."""
     job = Flow("job")
-    zeroed = job.source(TestSource(Touch)) | Zero(baseline=400)
-    aligned = zeroed & job.source(TestSource(Motion)) | Align(within=20 * ms, how="previous")
-    (aligned | Label(speed=0.003) | StepEnergy()).to(TestSink())
+    touch, motion = job.source(TestSource(Touch)), job.source(TestSource(Motion))
+    if not stages:
+        touch.to(TestSink())
+        motion.to(TestSink())
+        return job
+    zeroed = touch | Zero(baseline=400)
+    if stages < ALIGN:
+        zeroed.to(TestSink())
+        motion.to(TestSink())
+        return job
+    aligned = zeroed & motion | Align(within=20 * ms, how="previous")
+    labelled = aligned | Label(speed=0.003) if stages > ALIGN else aligned
+    (labelled | StepEnergy() if stages == len(STAGES) else labelled).to(TestSink())
     return job
 
 
-def through_flow(rows: int) -> Callable[[Touch, Motion], Reals]:
-    """The job carried out by slipflow in batches of `rows` barometer samples."""
+def through_flow(rows: int, stages: int = len(STAGES)) -> Callable[[Touch, Motion], Reals]:
+    """The job, or its first stages, carried out by slipflow in batches of `rows` barometer samples."""
 
     def run(touch: Touch, motion: Motion) -> Reals:
-        plan = Plan(flow())
-        out: list[Reals] = []
-
-        def take(deliveries: list[Delivery]) -> None:
-            out.extend(batch.probability for _, batch in deliveries if isinstance(batch, Scores))
-
-        if rows == 1:  # live: each sample by itself, in the order of time
-            left, right = plan.entries
-            order = np.argsort(np.concatenate((touch.time, motion.time)), kind="stable")
-            pushes: list[dict[Entry, Batch]] = [
-                ({left: touch[i : i + 1]} if i < len(touch) else {right: motion[i - len(touch) :][:1]})
-                for i in order.tolist()
-            ]
-            began = time.process_time()
-            for push in pushes:
-                take(plan.push(push))
-        else:
-            left, right = plan.entries
-            edges = np.arange(0, len(touch) + rows, rows) * 10 * ms  # spans that hold `rows` touch samples
-            first, second = (np.searchsorted(batch.time, edges).tolist() for batch in (touch, motion))
-            spans: list[dict[Entry, Batch]] = [
-                {left: touch[first[i] : first[i + 1]], right: motion[second[i] : second[i + 1]]}
-                for i in range(len(edges) - 1)
-            ]
-            began = time.process_time()
-            for span in spans:
-                take(plan.push(span))
-        take(plan.flush())
+        plan, out = Plan(flow(stages)), list[Delivery]()
+        pushes = cut(plan.entries, touch, motion, rows)
+        began = time.process_time()
+        for push in pushes:
+            out += plan.push(push)
+        out += plan.flush()
         timed.append(time.process_time() - began)
-        return np.concatenate(out)
+        scores = [batch.probability for _, batch in out if isinstance(batch, Scores)]
+        return np.concatenate(scores) if scores else np.empty(0)
 
     return run
 
 
-timed: list[float] = []  # s, of the newest run through a flow: making its input is not its cost
+def cut(entries: list[Entry], touch: Touch, motion: Motion, rows: int) -> list[dict[Entry, Batch]]:
+    """What is pushed: each row by itself in the order of time, as live, or spans of `rows` touch samples."""
+    left, right = entries
+    if rows == 1:
+        order = np.argsort(np.concatenate((touch.time, motion.time)), kind="stable")
+        return [
+            ({left: touch[i : i + 1]} if i < len(touch) else {right: motion[i - len(touch) :][:1]})
+            for i in order.tolist()
+        ]
+    edges = np.arange(0, len(touch) + rows, rows) * 10 * ms
+    first, second = (np.searchsorted(batch.time, edges).tolist() for batch in (touch, motion))
+    return [
+        {left: touch[first[i] : first[i + 1]], right: motion[second[i] : second[i + 1]]}
+        for i in range(len(edges) - 1)
+    ]
+
+
+def plain_python(touch: Touch, motion: Motion) -> Reals:
+    """The job by functions that call each other with each record, of tuples, floats and a deque."""
+    meter = Meter()
+    run = prepare(Job(touch.time[None], touch.counts[None], motion.time, motion.velocity), 1)
+    scores = np.array([score for _, _, score in run(meter)])
+    timed.append(meter.spent)
+    gc.disable()  # the meter enabled it
+    return scores
+
+
+timed: list[float] = []  # s, of the newest run: making its input is not its cost
 
 
 def main() -> None:
-    """Measure and print the table."""
+    """Measure and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--samples", type=int, default=20_000)
     parser.add_argument("--turns", type=int, default=5)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     touch, motion = streams(options.samples, options.seed)
-    variants = {f"slipflow, batches of {rows}": through_flow(rows) for rows in (1, 10, 100, 1000)}
+    variants: dict[str, Callable[[Touch, Motion], Reals]] = {"plain Python, per record": plain_python}
+    variants |= {f"slipflow, batches of {rows}": through_flow(rows) for rows in (1, 10, 100, 1000)}
     variants["slipflow, whole"] = through_flow(options.samples)
     expected = plain(touch, motion)
     cost: dict[str, list[float]] = {name: [] for name in ("polars join_asof + numpy", *variants)}
+    upto = {(rows, stages): list[float]() for stages in range(len(STAGES) + 1) for rows in SPLIT}
     gc.disable()
     for _ in range(options.turns + 1):  # the first turn warms up
         began = time.process_time()
@@ -168,6 +193,9 @@ def main() -> None:
             if result.tobytes() != expected.tobytes():
                 raise SystemExit(f"{name}: wrong scores")
             cost[name].append(timed.pop())
+        for (rows, stages), spent in upto.items():
+            through_flow(rows, stages)(touch, motion)
+            spent.append(timed.pop())
         gc.collect()
     commit = subprocess.run(
         ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
@@ -176,11 +204,17 @@ def main() -> None:
     print(f"{options.samples} samples, {options.turns} turns, seed {options.seed}, commit {revision}")
     machine = platform.processor() or platform.machine()
     print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"load {os.getloadavg()[0]:.1f} at the end")
     print(f"{'':28}{'us/sample':>10}{'ratio':>8}")
     reference = cost["polars join_asof + numpy"][1:]
     for name, seconds in cost.items():
         ratio = statistics.median(a / b for a, b in zip(seconds[1:], reference, strict=True))
         print(f"{name:28}{statistics.median(seconds[1:]) / options.samples * 1e6:10.2f}{ratio:8.1f}")
+    print(f"{'each stage adds, batches of':28}" + "".join(f"{rows:10}" for rows in SPLIT))
+    totals = {key: statistics.median(spent[1:]) / options.samples * 1e6 for key, spent in upto.items()}
+    for stages, name in enumerate(("plan", *STAGES)):
+        added = [totals[rows, stages] - totals.get((rows, stages - 1), 0.0) for rows in SPLIT]
+        print(f"{name:28}" + "".join(f"{each:10.2f}" for each in added))
 
 
 if __name__ == "__main__":

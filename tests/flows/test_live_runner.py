@@ -4,6 +4,7 @@ import os
 import signal
 import time
 from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from operators import (
     Clock,
     Debounce,
     EndpointError,
+    Join,
     Motion,
     OperatorError,
     Run,
@@ -185,6 +187,46 @@ def test_a_slow_lossless_sink_makes_the_source_wait_and_gets_everything() -> Non
     assert run.sinks["testsink"].dropped == 0
 
 
+@dataclass
+class Numbered(Join[Scores, Scores, Scores]):
+    """Numbers what comes, by its time."""
+
+    _next: int = field(default=0, init=False, repr=False)
+
+    def process(self, left: Scores, right: Scores) -> Scores:
+        self._next += 1
+        return Scores(np.array([(self._next - 1) * 10 * ms]), (left if len(left) else right).probability)
+
+
+class Following(Source[Scores]):
+    """One score as soon as it is told to give it."""
+
+    def __init__(self, go: asyncio.Event) -> None:
+        self._go = go
+
+    @property
+    def kind(self) -> type[Scores]:
+        return Scores
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        await self._go.wait()
+        yield Scores(np.array([0]), np.array([0.9]))
+
+
+def test_what_another_source_gives_just_as_a_full_sink_has_room_does_not_overtake() -> None:
+    flow, go = Flow("f"), asyncio.Event()
+
+    async def hold() -> None:
+        await asyncio.sleep(1)
+        go.set()  # the other source has its turn before the one that waits for room
+
+    slow = TestSink(capacity=1, hold=hold)
+    one = flow.source(TestSource(Scores, scores(0, 1) * 3))  # one is written, one queued, one waits
+    (one & flow.source(Following(go), name="other") | Numbered()).to(slow)
+    execute(flow)
+    assert times(slow) == [0, 1, 2, 3]
+
+
 def test_a_lossless_sink_that_is_stuck_counts_as_failing_and_no_longer_holds_up_the_others() -> None:
     flow, other = Flow("f"), TestSink()
     stuck = TestSink(capacity=10, hold=lambda: asyncio.sleep(60))
@@ -331,6 +373,19 @@ def test_a_second_stop_gives_up_failing_sinks_at_once() -> None:
 
     assert run_virtually(main()) < 2
     assert dead.closed == 1
+
+
+@pytest.mark.parametrize(("whole", "error"), [(True, "was interrupted"), (False, "")])
+def test_a_recording_that_was_stopped_is_not_complete(*, whole: bool, error: str) -> None:
+    flow = Flow("f")
+    flow.source(Endless()).to(TestSink())
+
+    async def main() -> Run:
+        runner = LiveRunner(flow, "test", whole=whole)
+        asyncio.get_running_loop().call_later(1, runner.stop)
+        return await runner.execute()
+
+    assert run_virtually(main()).error == error
 
 
 def test_what_a_source_prepares_is_not_of_the_run() -> None:

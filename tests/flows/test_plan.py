@@ -167,3 +167,40 @@ def test_an_operator_that_breaks_its_contract_is_named(
     plan = Plan(flow)
     with pytest.raises(OperatorError, match=re.escape(message)):
         plan.push({plan.entries[0]: scores(0.1, finger=2)})
+
+
+def test_a_plan_goes_on_from_a_snapshot() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())
+    whole, first, second = Plan(flow), Plan(flow), Plan(flow)
+    batch = scores(0.9, 0.9, 0.9, 0.1, 0.1)
+    [(_, expected)] = whole.push({whole.entries[0]: batch})
+    assert first.push({first.entries[0]: batch[:2]}) == []
+    second.restore(first.snapshot())
+    [(_, found)] = second.push({second.entries[0]: batch[2:]})
+    assert found.time.tolist() == expected.time.tolist()
+    assert cast("Slips", found).start.tolist() == cast("Slips", expected).start.tolist()
+
+
+def test_a_state_that_does_not_pickle_names_its_operator() -> None:
+    @dataclass
+    class Local(Operator[Scores, Scores]):
+        def process(self, batch: Scores) -> Scores:
+            return batch
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Local()).to(TestSink())
+    with pytest.raises(OperatorError, match="flow 'f': Local: "):
+        Plan(flow).snapshot()
+
+
+def test_a_plan_of_one_fingertip_leaves_the_others_out() -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1, 2))) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align(wait=20 * ms)).to(TestSink())
+    plan = Plan(flow, only=(1,))
+    assert [(node.name, finger) for node, finger in plan.entries] == [("touch", 1), ("motion", EVERY)]
+    pushed = plan.push({plan.entries[0]: touch(0, finger=1), plan.entries[1]: motion(0, 10 * ms)})
+    assert [batch.finger for _, batch in pushed] == [1]
+    with pytest.raises(BatchError, match="fingertip 2"):
+        plan.push({(plan.entries[0][0], 2): touch(0, finger=2)})

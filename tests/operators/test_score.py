@@ -90,6 +90,22 @@ def test_a_streaming_detector_is_given_each_sample_once_and_judges_as_one_of_win
     assert np.concatenate(runner.given)[:, 0, 0].tolist() == held
 
 
+@dataclass
+class _Uncompiled(_Runner):
+    missing: str = "numba"
+
+    def stream(self, fingers: int = 1) -> "_Runner":
+        raise ModuleNotFoundError(f"No module named {self.missing!r}", name=self.missing)
+
+
+def test_a_detector_whose_compiler_is_not_installed_is_given_windows() -> None:
+    touch = _touch(rows=30)
+    found = Score(_Uncompiled(length=5)).push(touch)
+    np.testing.assert_array_equal(found.probability, Score(_Keeper(length=5)).push(touch).probability)
+    with pytest.raises(ModuleNotFoundError, match="torch"):
+        Score(_Uncompiled(length=5, missing="torch"))
+
+
 def test_a_hop_out_of_range_is_refused() -> None:
     with pytest.raises(ParameterError, match="Score: hop is 0, must be at least 1"):
         Score(_Keeper(), hop=0)

@@ -1,0 +1,62 @@
+from dataclasses import FrozenInstanceError
+from typing import Any
+
+import numpy as np
+import pytest
+
+from operators import Batch, BatchError, Labelled, Motion, Scores, Slips, Touch, Windows, Zeroed, concat
+from operators.batch import columns, constant, maker
+
+KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
+
+
+def _columns(kind: type[Batch], rows: int) -> list[Any]:
+    shapes = [(rows, *(max(size, 1) for size in column.shape)) for column in columns(kind).values()]
+    return [np.zeros(shape, c.dtype) for shape, c in zip(shapes, columns(kind).values(), strict=True)]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_a_maker_makes_is_what_the_constructor_makes(kind: type[Batch]) -> None:
+    values = _columns(kind, 3)
+    made, constructed = maker(kind)(*values, 5), kind(*values, finger=5)
+    assert type(made) is kind
+    assert made.finger == constructed.finger == 5
+    for name in columns(kind):
+        assert getattr(made, name) is getattr(constructed, name)
+
+
+def test_what_a_maker_makes_cannot_be_changed() -> None:
+    made: Any = maker(Scores)(*_columns(Scores, 1), 5)
+    with pytest.raises(FrozenInstanceError):
+        made.finger = 6
+
+
+def test_a_maker_takes_every_column() -> None:
+    with pytest.raises(TypeError, match="missing 1 required positional argument: 'finger'"):
+        maker(Scores)(*_columns(Scores, 1))
+
+
+def test_a_constant_cannot_be_written_to() -> None:
+    array = constant([1, 2], np.int8)
+    assert array.dtype == np.int8
+    with pytest.raises(ValueError, match="read-only"):
+        array[0] = 3
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("wrong", ["type", "shape", "length"])
+def test_a_column_of_another_type_shape_or_length_is_named(kind: type[Batch], wrong: str) -> None:
+    for place, name in enumerate(columns(kind)):
+        values = _columns(kind, 3)
+        if wrong == "type":
+            values[place] = values[place].astype(np.complex64)
+        else:
+            values[place] = values[place][..., None] if wrong == "shape" else values[place][:2]
+        with pytest.raises(BatchError, match=rf"^{kind.__name__}\.({name if place else '.*'}): "):
+            kind(*values).check()
+
+
+def test_batches_of_several_fingertips_cannot_become_one() -> None:
+    values = _columns(Scores, 1)
+    with pytest.raises(BatchError, match="several fingertips"):
+        concat(Scores, [Scores(*values, finger=0), Scores(*values, finger=1)])
