@@ -21,9 +21,11 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
 
     The rows of a live run go to a journal at once, and parts are committed behind its back: what is killed
     loses at most the last 10 rows of a table, a power cut about a second; `storage.recover` puts the journal
-    into parts. Rows of a replay, which can be made again, have no journal: a kill loses what had gathered.
+    into parts. Rows of a replay, which can be made again, have no journal: a kill loses what had gathered, a
+    power cut before the session has ended any of it. Such a session is never complete.
 
-    Disk work runs in threads. After a failed write (a full disk, say) the same batch may be written again.
+    Several processes may record into one dataset, each sessions of its own. Disk work runs in threads. After
+    a failed write (a full disk, say) the same batch may be written again.
 
     Args:
         path: The dataset's folder; made if absent.
@@ -34,6 +36,8 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
     Raises:
         ParameterError: if a part could hold nothing.
     """
+
+    shared = True
 
     def __init__(
         self, path: str | Path, *, part_span: int = 60 * s, part_rows: int = 100_000, host: str | None = None
@@ -50,6 +54,11 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
     def place(self) -> str:
         """The dataset's folder, resolved."""
         return str(self._root)
+
+    def moved(self, path: str | Path) -> "Dataset":
+        """A sink like this one that writes to another folder."""
+        span, rows, host = self._part_span, self._part_rows, self._host
+        return Dataset(path, part_span=span, part_rows=rows, host=host)
 
     async def open(self, run: Run) -> None:
         """Begin the session `run.session`.

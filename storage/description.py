@@ -1,5 +1,6 @@
 """What a dataset and a session say of themselves: dataset.json and session.json."""
 
+import os
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -13,22 +14,28 @@ from operators.errors import InputError
 from operators.ports import Description, Run
 from storage import files
 from storage.layout import DATASET, SESSION, TABLES
+from storage.lock import lock
 
 VERSION: Final = 1  # of the layout
 
 
 def describe_dataset(root: Path) -> None:
-    """Write dataset.json if there is none.
+    """Write dataset.json if there is none; of several processes that begin a dataset, one does.
 
     Raises:
         InputError: if there is one of another version.
         OSError: if it cannot be written.
     """
     path = root / DATASET
-    if path.exists():
-        _check_version(path, files.read_json(path))
-    else:
-        files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
+    if not path.exists():
+        held = lock(root, wait=True)
+        try:
+            if not path.exists():
+                files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
+        finally:
+            if held is not None:
+                os.close(held)
+    _check_version(path, files.read_json(path))
 
 
 def read_dataset(root: Path) -> Description:
@@ -43,7 +50,13 @@ def read_dataset(root: Path) -> Description:
 
 
 def describe_session(
-    folder: Path, run: Run, *, host: str | None = None, zeroed: bool = False, ended: bool = False
+    folder: Path,
+    run: Run,
+    *,
+    host: str | None = None,
+    zeroed: bool = False,
+    ended: bool = False,
+    put: files.Put = files.put,
 ) -> None:
     """Write session.json, when a run begins and again when it has `ended`: it is complete if nothing failed.
 
@@ -91,7 +104,7 @@ def describe_session(
             "clock_steps": [asdict(step) for step in run.clock_steps],
         }
     try:
-        files.put_checked(folder / SESSION, about)
+        files.put_checked(folder / SESSION, about, put)
     except (TypeError, ValueError) as error:
         raise InputError("description of the sources", f"cannot be JSON: {error}") from error
 

@@ -3,10 +3,10 @@
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NoReturn, cast
+from typing import Any, Final, NoReturn, TypeAlias, cast
 
 from operators.errors import InputError
 from storage import steps
@@ -15,6 +15,7 @@ MiB: Final = 1 << 20  # bytes
 SCRATCH: Final = ".tmp"  # ends the name of a file that is not whole yet
 
 CHECK: Final = "check"  # names the last entry of a JSON object, the sha256 of the others
+Put: TypeAlias = Callable[[Path, bytes], None]  # writes a file so that it is found whole
 _KINDS: Final = {".parquet": "part", ".wal": "segment"}  # what a step is said to be about; else its name
 
 
@@ -24,35 +25,59 @@ def put(path: Path, data: bytes) -> None:
     Raises:
         OSError: the old file is still there, or the new one already is.
     """
-    scratch, what = path.with_name(path.name + SCRATCH), _KINDS.get(path.suffix, path.stem.lower())
+    place(path, data, durable=True)
+    steps.reach(f"settle {kind(path)}")
+    sync(path.parent)
+
+
+def place(path: Path, data: bytes, *, durable: bool) -> None:
+    """Write a file so that whoever looks finds the old one or the new one whole.
+
+    Args:
+        path: The file.
+        data: All of it.
+        durable: Whether its content, but not yet its name, outlives a power cut.
+
+    Raises:
+        OSError: the old file is still there.
+    """
+    scratch, what = path.with_name(path.name + SCRATCH), kind(path)
     try:
         steps.reach(f"write {what}")
         scratch.unlink(missing_ok=True)  # of one that was killed; or a link, which would be followed
         with scratch.open("xb") as file:
             file.write(data)
-            file.flush()
-            steps.reach(f"sync {what}")
-            os.fsync(file.fileno())
+            if durable:
+                file.flush()
+                steps.reach(f"sync {what}")
+                os.fsync(file.fileno())
         steps.reach(f"rename {what}")
         scratch.replace(path)
     except OSError:
         with suppress(OSError):
             scratch.unlink(missing_ok=True)
         raise
-    steps.reach(f"settle {what}")
-    sync(path.parent)
 
 
-def put_json(path: Path, content: Mapping[str, Any]) -> None:
+def kind(path: Path) -> str:
+    """What a step says that it is about.
+
+    >>> kind(Path("touch/part-000000.parquet")), kind(Path("session.json"))
+    ('part', 'session')
+    """
+    return _KINDS.get(path.suffix, path.stem.lower())
+
+
+def put_json(path: Path, content: Mapping[str, Any], put: Put = put) -> None:
     """Write a JSON file as `put` does."""
     put(path, json.dumps(content, indent=2, allow_nan=False).encode() + b"\n")
 
 
-def put_checked(path: Path, content: Mapping[str, Any]) -> None:
+def put_checked(path: Path, content: Mapping[str, Any], put: Put = put) -> None:
     """Write a JSON file as `put` does, so that damage to it shows."""
     rest: dict[str, Any] = json.loads(json.dumps(dict(content), allow_nan=False))  # as it will be read
     rest.pop(CHECK, None)
-    put_json(path, {**rest, CHECK: hash_json(rest)})
+    put_json(path, {**rest, CHECK: hash_json(rest)}, put)
 
 
 def hash_json(content: Mapping[str, Any]) -> str:

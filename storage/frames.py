@@ -1,4 +1,4 @@
-"""The frames of a journal: rows, as bytes that cannot be taken for anything else.
+"""The frames of a journal: rows and episodes, as bytes that cannot be taken for anything else.
 
 .. code-block:: text
 
@@ -14,8 +14,9 @@ whose blocks were used again, is never valid, nor is a tail of zeros or a repeat
 import json
 import os
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from struct import Struct
 from typing import Any, Final, NamedTuple, cast
 
@@ -24,10 +25,13 @@ from numpy.typing import NDArray
 
 from operators.batch import Batch, columns
 from operators.errors import InputError
+from operators.ports import Json
 from storage import files
 from storage.layout import TABLE_OF
 
-VERSION: Final = 1
+VERSION: Final = 2  # 1 told of all episodes each time
+EPISODE_LOG: Final = -1  # number of the segment that tells of episodes
+SINGLE_LOG: Final = -2  # of the one that has the rows of tables of one file
 LIMIT: Final = 64 * files.MiB  # bytes of a body, looked at before any are read
 WHOLE: Final = 8192 * files.MiB  # bytes of a segment, the same
 
@@ -35,9 +39,12 @@ _PREAMBLE: Final = b"SLIPWAL1"
 _MAGIC: Final = b"SLIP"
 _PREFIX: Final = Struct("<4sII")
 _HEAD: Final = Struct("<BhIQ")
+_PLACE: Final = Struct("<QI")
 _KINDS: Final = tuple(TABLE_OF)  # a frame's code is a batch type's place here
+_CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
 _DESCRIPTION: Final = 255  # code; JSON follows
 _EPISODES: Final = 254  # code; JSON follows
+_TOLD: Final = 1000  # episodes in a frame
 _SEARCHED: Final = 256 * files.MiB  # bytes, which a search for a frame may hash
 SALT: Final = len(_PREAMBLE) + 8  # bytes, with which a segment begins
 
@@ -47,6 +54,15 @@ class Rows(NamedTuple):
 
     first: int
     batch: Batch
+
+
+@dataclass(frozen=True)
+class Change:
+    """How a source's list of episodes reads from one of them on, to its end."""
+
+    source: str
+    first: int  # number, within the list, of the first that is given here
+    episodes: list[Json]
 
 
 @dataclass(frozen=True)
@@ -63,7 +79,7 @@ class Segment:
     """What a segment holds, up to where it is damaged."""
 
     rows: list[Rows]
-    episodes: list[Any] | None  # the newest that it tells of, as described by the sources
+    changes: list[Change]  # of episodes, as the sources described them
     damage: Damage | None
 
 
@@ -78,19 +94,54 @@ def describe(session: str, number: int) -> bytes:
     return _note(_DESCRIPTION, {"version": VERSION, "session": session, "segment": number, "kinds": kinds})
 
 
-def episodes(rows: list[Any]) -> bytes:
-    """The body of a frame that tells of all episodes so far."""
-    return _note(_EPISODES, rows)
+def episodes(change: Change) -> Iterator[bytes]:
+    """The bodies of the frames that tell of a change: one, unless it is of many episodes.
+
+    Raises:
+        TypeError: if an episode cannot be JSON.
+        ValueError: the same.
+    """
+    for start in range(0, max(len(change.episodes), 1), _TOLD):
+        listed = change.episodes[start : start + _TOLD]
+        told = {"source": change.source, "first": change.first + start, "episodes": listed}
+        yield _note(_EPISODES, told)
 
 
-def bodies(rows: Rows) -> Iterator[bytes]:
-    """The bodies of the frames that hold these rows: one, unless they are more than it may hold."""
-    kind = type(rows.batch)
-    most = (LIMIT - _HEAD.size) // _row_size(kind)
-    for start in range(0, len(rows.batch), most):
-        batch = rows.batch if len(rows.batch) <= most else rows.batch[start : start + most]
-        head = _HEAD.pack(_KINDS.index(kind), batch.finger, len(batch), rows.first + start)
-        yield head + b"".join([getattr(batch, name).tobytes() for name in columns(kind)])
+def bodies(rows: Iterable[Rows]) -> Iterator[bytes]:
+    """The bodies of the frames that hold these rows; those that follow on each other share one."""
+    runs, newest = list[_Run](), dict[type[Batch], _Run]()
+    for first, batch in rows:
+        kind, count = type(batch), len(batch.time)
+        most = (LIMIT - _HEAD.size) // _row_size(kind)
+        run = newest.get(kind)
+        if run and run.end == first and run.finger == batch.finger and run.end - run.first + count <= most:
+            run.batches.append(batch)
+            run.end += count
+            continue
+        for start in range(0, count, most):
+            part = batch if count <= most else batch[start : start + most]
+            newest[kind] = _Run(first + start, first + start + len(part), batch.finger, [part])
+            runs.append(newest[kind])
+    return map(_body_of, runs)
+
+
+@dataclass(slots=True)
+class _Run:
+    """Rows of one type and fingertip that follow on each other."""
+
+    first: int  # number within its table
+    end: int  # after the last
+    finger: int
+    batches: list[Batch]
+
+
+def _body_of(run: _Run) -> bytes:
+    kind = type(run.batches[0])
+    names = columns(kind)
+    parts = [_HEAD.pack(_CODES[kind], run.finger, run.end - run.first, run.first)]
+    for column in zip(*map(attrgetter(*names), run.batches), strict=True):
+        parts += [values.tobytes() for values in column]
+    return b"".join(parts)
 
 
 def seal(body: bytes, salt: bytes, offset: int) -> bytes:
@@ -113,24 +164,23 @@ def read_segment(data: bytes, where: str, session: str, number: int) -> Segment:
     salt, offset = data[:SALT], SALT
     body = _body(data, salt, offset) if salt.startswith(_PREAMBLE) else None
     if body is None:
-        return Segment([], None, Damage(0, len(data), more=len(data) > SALT))
+        return Segment([], [], Damage(0, len(data), more=len(data) > SALT))
     kinds = _described(body, where, session, number)
-    rows, told = list[Rows](), None
+    rows, changes = list[Rows](), list[Change]()
     while offset < len(data):
         body = _body(data, salt, offset)
         if body is None:
-            return Segment(rows, told, Damage(offset, len(data) - offset, _more(data, salt, offset + 1)))
+            return Segment(rows, changes, Damage(offset, len(data) - offset, _more(data, salt, offset + 1)))
         if body[0] == _EPISODES:
-            told = _list(body, where)
+            changes.append(_change(body, where))
         elif body[0] != _DESCRIPTION:
             rows.append(_rows(body, kinds, where))
         offset += _PREFIX.size + len(body)
-    return Segment(rows, told, None)
+    return Segment(rows, changes, None)
 
 
 def _checksum(body: bytes, salt: bytes, offset: int) -> int:
-    place = zlib.crc32(offset.to_bytes(8, "little"), zlib.crc32(salt))
-    return zlib.crc32(body, zlib.crc32(len(body).to_bytes(4, "little"), place))
+    return zlib.crc32(body, zlib.crc32(_PLACE.pack(offset, len(body)), zlib.crc32(salt)))
 
 
 def _body(data: bytes, salt: bytes, offset: int) -> bytes | None:
@@ -218,11 +268,13 @@ def _note(code: int, content: object) -> bytes:
     return _HEAD.pack(code, 0, 0, 0) + json.dumps(content).encode()
 
 
-def _list(body: bytes, where: str) -> list[Any]:
-    found = _json(body, where)
-    if not isinstance(found, list):
-        raise InputError(where, "holds episodes that are no list")
-    return [*found]
+def _change(body: bytes, where: str) -> Change:
+    told: Any = _json(body, where)
+    match told:
+        case {"source": str(source), "first": int(first), "episodes": list()} if first >= 0:
+            return Change(source, first, told["episodes"])
+        case _:
+            raise InputError(where, "tells of episodes as no slipflow does")
 
 
 def _json(body: bytes, where: str) -> object:

@@ -1,17 +1,19 @@
 """The journal of a session: its rows on their way to Parquet, so that a crash costs only the last."""
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from threading import Condition, Event, RLock, Thread
 from typing import Final
 
+from operators.ports import Description
 from storage import frames, steps
+from storage.episode_log import EpisodeLog
 from storage.files import SCRATCH, make_folder, sync
 from storage.frames import Rows
-from storage.layout import JOURNAL, TABLE_OF, segment_file, segments
+from storage.layout import JOURNAL, TABLE_OF, episode_log, segment_file, segments, single_log
 from storage.segment import OpenSegment
 
 SOON: Final = 5  # rows of a table that wait, at which they are appended
@@ -24,23 +26,25 @@ class Journal:
     """The segments of one session and the two threads that write them: one appends, one makes durable.
 
     A slow fsync does not hold up what is appended meanwhile. Only `add` may be called by who must not wait.
+    Rows of tables of one file, written when the session ends, have a segment of their own until then.
     """
 
-    def __init__(self, folder: Path, session: str, told: Callable[[], bytes | None]) -> None:
+    def __init__(self, folder: Path, session: str, describe: Mapping[str, Description]) -> None:
         """Begin the journal in a session's folder.
 
         Args:
             folder: The session's.
             session: Its name.
-            told: Gives the body of the frame that tells of the episodes so far; None: not now.
+            describe: What its sources say of themselves, the episodes as they begin.
 
         Raises:
             OSError: if it cannot be written.
         """
-        self._folder, self._session, self._told = folder, session, told
+        self._folder, self._session = folder, session
         make_folder(folder / JOURNAL)
+        self._single = OpenSegment(single_log(folder), session, frames.SINGLE_LOG)  # there before all others
         self._segment = OpenSegment(folder / segment_file(0), session, 0)
-        self._last_told: bytes | None = None
+        self._episodes = EpisodeLog(folder, session, describe)
         self._disk = RLock()  # held while frames are appended
         self._syncing = RLock()  # held while the segment is made durable; taken before _disk
         self._more = Condition()  # guards what follows; never held while the disk works
@@ -73,7 +77,7 @@ class Journal:
             yield
 
     def append(self, *rows: Rows) -> None:
-        """Append what waits and then `rows`, now.
+        """Append what waits and then `rows`, which are of one table, now.
 
         Raises:
             OSError: nothing was; what waits goes on waiting, `rows` do not.
@@ -83,7 +87,9 @@ class Journal:
             if not waiting and not rows:
                 return
             try:
-                self._segment.append(_bodies(chain(waiting, rows)))
+                single = any(map(_single, rows))
+                for of_single in (not single, single):  # `rows` last: if that fails, they are nowhere
+                    self._write([each for each in chain(waiting, rows) if _single(each) is of_single])
             except BaseException:
                 self._give_back(waiting)
                 self._failing = True
@@ -91,8 +97,12 @@ class Journal:
             self._failing = False
             self._appended(waiting)
 
-    def rotate(self, kept: Callable[[], Iterable[Rows]]) -> None:
+    def rotate(self, kept: Callable[[], Iterable[Rows]], single: Callable[[], Iterable[Rows]]) -> None:
         """Begin the next segment with the rows that stay in memory: the others are to be committed.
+
+        Args:
+            kept: Gives those of tables of parts.
+            single: Gives all rows of tables of one file, which are written again only if an fsync failed.
 
         Raises:
             OSError: the segment is still the one that it was.
@@ -103,7 +113,9 @@ class Journal:
             with self._disk:
                 waiting = self._take()  # some are to be committed, but are in no part yet
                 try:  # in order; some are there twice, which their numbers tell
-                    fresh.append(_bodies(sorted([*waiting, *kept()], key=lambda rows: rows.first)))
+                    of_parts = [*(each for each in waiting if not _single(each)), *kept()]
+                    fresh.append(frames.bodies(sorted(of_parts, key=lambda rows: rows.first)))
+                    self._go_on(waiting, single)
                 except BaseException:
                     self._give_back(waiting)
                     fresh.close()
@@ -115,14 +127,37 @@ class Journal:
                 old.sync()
             old.close()
 
+    def keep_episodes(self) -> None:
+        """Have the episodes that are described by now durable, unless they are not as they must be.
+
+        Raises:
+            OSError: some may never become so; it may be tried again.
+        """
+        self._episodes.keep()
+
+    def sync(self) -> None:
+        """Make durable what was appended.
+
+        Raises:
+            OSError: some of it may never become so: it is suspect until the next segment begins.
+        """
+        with self._syncing:
+            try:
+                self._single.sync()
+                self._segment.sync()
+            except (
+                OSError
+            ):  # trying again could seem to work: the kernel may have forgotten what it did not write
+                self.suspect = True
+                raise
+
     def drop(self) -> None:
         """Delete the segments before this one: their rows are in parts, or in this one.
 
         Raises:
             OSError: some are left.
         """
-        with self._syncing:
-            self._segment.sync()
+        self.sync()
         for number, path in segments(self._folder).items():
             if number < self._segment.number:
                 steps.reach("drop segment")
@@ -130,16 +165,16 @@ class Journal:
         sync(self._folder / JOURNAL)
 
     def stop(self) -> None:
-        """End the threads, and append what waits and was not told, if the disk lets; may be called again."""
+        """End the threads, and append what waits and what is new, if the disk lets; may be called again."""
         with self._more:
             self._ended = True
             self._more.notify()
         self._end.set()
         for thread in self._threads:
             thread.join()
-        with suppress(OSError):
-            self.append()
-            self._tell()
+        for work in (self.append, self.keep_episodes):
+            with suppress(OSError):
+                work()
 
     def remove(self) -> None:
         """Delete the journal, which has been stopped: all its rows are in parts.
@@ -147,13 +182,33 @@ class Journal:
         Raises:
             OSError: some of it is left.
         """
-        self._segment.close()
+        self._close()
         drop_journal(self._folder)
 
     def leave(self) -> None:
         """Let go of the journal as it is; may be called again."""
         self.stop()
+        self._close()
+
+    def _close(self) -> None:
         self._segment.close()
+        self._single.close()
+        self._episodes.close()
+
+    def _write(self, rows: list[Rows]) -> None:
+        """Append rows that belong to one segment."""
+        if rows:
+            (self._single if _single(rows[0]) else self._segment).append(frames.bodies(rows))
+
+    def _go_on(self, waiting: list[Rows], single: Callable[[], Iterable[Rows]]) -> None:
+        """Have the rows of tables of one file in a segment that is not suspect."""
+        if self.suspect:
+            bodies = frames.bodies(single())
+            fresh = OpenSegment(self._single.path, self._session, frames.SINGLE_LOG, bodies)
+            self._single.close()
+            self._single = fresh
+        else:
+            self._write([each for each in waiting if _single(each)])
 
     def _append_soon(self) -> None:
         while True:
@@ -168,22 +223,9 @@ class Journal:
     def _sync_often(self) -> None:
         while not self._end.wait(SYNC):
             with suppress(OSError):  # as above
-                self._tell()
-            try:
-                with self._syncing:
-                    self._segment.sync()
-            except (
-                OSError
-            ):  # trying again could seem to work: the kernel may have forgotten what it did not write
-                self.suspect = True
-
-    def _tell(self) -> None:
-        """Append the episodes if there are others than the last time."""
-        told = self._told()
-        if told is not None and told != self._last_told:
-            with self._disk:
-                self._segment.append([told])
-            self._last_told = told
+                self.keep_episodes()
+            with suppress(OSError):  # then it is suspect
+                self.sync()
 
     def _take(self) -> list[Rows]:
         with self._more:
@@ -200,6 +242,11 @@ class Journal:
                 self._waiting[TABLE_OF[type(rows.batch)].name] -= len(rows.batch)
 
 
+def _single(rows: Rows) -> bool:
+    """Whether rows are of a table of one file."""
+    return not TABLE_OF[type(rows.batch)].parted
+
+
 def drop_journal(folder: Path) -> None:
     """Delete the journal of a session: all that it held is in parts.
 
@@ -207,13 +254,14 @@ def drop_journal(folder: Path) -> None:
         OSError: some of it is left.
     """
     place = folder / JOURNAL
-    for path in [*segments(folder).values(), *place.glob("*" + SCRATCH)]:
+    for path in [
+        *segments(folder).values(),
+        single_log(folder),
+        episode_log(folder),
+        *place.glob("*" + SCRATCH),
+    ]:
         steps.reach("drop segment")
         path.unlink(missing_ok=True)
     steps.reach("drop journal")
     place.rmdir()
     sync(folder)
-
-
-def _bodies(rows: Iterable[Rows]) -> Iterator[bytes]:
-    return chain.from_iterable(map(frames.bodies, rows))

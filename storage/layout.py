@@ -6,12 +6,14 @@
     sessions/<session>/session.json                 what the recording says of itself; written first
     sessions/<session>/touch/part-000000.parquet    rows as received; motion alike
     sessions/<session>/samples/part-000000.parquet  derived rows, which can be rebuilt
-    sessions/<session>/episodes.parquet             what was done when
+    sessions/<session>/episodes.parquet             what was done when; complete once the session has ended
     sessions/<session>/slips.parquet                the events that were raised; faults.parquet alike
     sessions/<session>/clocks.parquet               how a device's clock stood to the host's
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
     sessions/<session>/journal/000000.wal           rows that no file above has yet: while recording, or after
                                                     the recorder was killed; see storage.frames
+    sessions/<session>/journal/episodes.wal         the episodes, until they are in their file at the end
+    sessions/<session>/journal/single.wal           rows of tables of one file, the same
     sessions/<session>/damaged/                     what a recovery could not read
 """
 
@@ -132,6 +134,24 @@ def segment_file(number: int) -> str:
     'journal/000007.wal'
     """
     return f"{JOURNAL}/{number:06d}.wal"
+
+
+def episode_log(folder: Path) -> Path:
+    """Where the journal of a session keeps the episodes; it may not be there.
+
+    Raises:
+        InputError: if it leads out of the session.
+    """
+    return inside(folder, folder / JOURNAL / "episodes.wal")
+
+
+def single_log(folder: Path) -> Path:
+    """Where the journal of a session keeps the rows of tables of one file.
+
+    Raises:
+        InputError: if it leads out of the session.
+    """
+    return inside(folder, folder / JOURNAL / "single.wal")
 
 
 def inside(folder: Path, path: Path) -> Path:

@@ -42,7 +42,7 @@ class Part:
         return json.dumps(asdict(self))
 
 
-def write_manifest(folder: Path, parts: Iterable[Part]) -> None:
+def write_manifest(folder: Path, parts: Iterable[Part], put: files.Put = files.put) -> None:
     """Replace a session's manifest.
 
     Raises:
@@ -50,7 +50,7 @@ def write_manifest(folder: Path, parts: Iterable[Part]) -> None:
     """
     lines = ",\n".join(part.line for part in parts)
     text = f'{{"version": {VERSION}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
-    files.put(folder / MANIFEST, text.encode())
+    put(folder / MANIFEST, text.encode())
 
 
 def read_manifest(folder: Path) -> dict[str, Part]:

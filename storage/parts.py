@@ -13,7 +13,7 @@ from storage.layout import inside
 from storage.manifest import Part
 
 
-def write_part(path: Path, table: pa.Table) -> str:
+def write_part(path: Path, table: pa.Table, put: files.Put = files.put) -> str:
     """Commit a table as one Parquet file; give its sha256.
 
     Raises:
@@ -29,11 +29,17 @@ def write_part(path: Path, table: pa.Table) -> str:
         write_page_checksum=True,
     )
     data = sink.getvalue().to_pybytes()
-    files.put(path, data)
+    put(path, data)
     return hashlib.sha256(data).hexdigest()
 
 
-def commit_part(folder: Path, path: str, table: pa.Table, times: tuple[str, str] = ("time", "time")) -> Part:
+def commit_part(
+    folder: Path,
+    path: str,
+    table: pa.Table,
+    times: tuple[str, str] = ("time", "time"),
+    put: files.Put = files.put,
+) -> Part:
     """Write a table as a file of the session in `folder`; give what the manifest is to say of it.
 
     Args:
@@ -41,12 +47,13 @@ def commit_part(folder: Path, path: str, table: pa.Table, times: tuple[str, str]
         path: Within it.
         table: The rows.
         times: The columns whose least and greatest value are its time range.
+        put: How to write it.
 
     Raises:
         OSError: the file is not there, or is whole.
         InputError: if a link leads out of the session.
     """
-    return described(path, table, write_part(inside(folder, folder / path), table), times)
+    return described(path, table, write_part(inside(folder, folder / path), table, put), times)
 
 
 def described(path: str, table: pa.Table, sha256: str, times: tuple[str, str] = ("time", "time")) -> Part:

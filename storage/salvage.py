@@ -13,6 +13,7 @@ from operators.ports import Description
 from storage import episodes, files, frames
 from storage.description import describe_recovery
 from storage.episodes import Episodes
+from storage.following import put_together
 from storage.journal import drop_journal
 from storage.layout import (
     DAMAGED,
@@ -23,8 +24,10 @@ from storage.layout import (
     TABLES,
     TOUCH,
     Table,
+    episode_log,
     inside,
     segments,
+    single_log,
 )
 from storage.manifest import Part, hint_manifest, read_manifest, write_manifest
 from storage.parts import commit_part, inspect_part, read_part
@@ -70,7 +73,8 @@ class Salvage:
         self._were = dict(self._listed)
         self._parts = {table.name: self._found(table) for table in TABLES}
         self._rows: dict[str, list[Batch]] = {}  # from the journal, by table
-        self._episodes = self._read_journal()
+        self._read_journal()
+        self._changes, self._log_whole = self._read_episodes()
         self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
         self._look_for_gone()
 
@@ -162,17 +166,17 @@ class Salvage:
             self._holes.add(table.name)
             self._lost.append(f"{table.name}: {error}")
 
-    def _read_journal(self) -> list[Any] | None:
-        """Gather its rows, up to the first of each table that is missing; give its episodes."""
-        told: list[Any] | None = None
+    def _read_journal(self) -> None:
+        """Gather its rows, up to the first of each table that is missing."""
         next_row = {name: self._count(parts) for name, parts in self._parts.items()}
         left_out = dict[str, int]()  # rows by table
-        newest = next(reversed(segments(self._folder).values()), None)
+        logs, single = segments(self._folder), single_log(self._folder)
+        newest = [next(reversed(logs.values()), None), single]
+        logs |= {frames.SINGLE_LOG: single} if single.exists() else {}
         gone = missing_segments(self._folder, self._about)
         self._lost += gone if any(self._parts.values()) or segments(self._folder) else []
-        for number, path in segments(self._folder).items():
+        for number, path in logs.items():
             segment = frames.read_segment(files.read(path, frames.WHOLE), str(path), self._session, number)
-            told = segment.episodes or told
             for rows in segment.rows:
                 table, end = TABLE_OF[type(rows.batch)].name, rows.first + len(rows.batch)
                 if table in left_out or table in self._holes or rows.first > next_row[table]:
@@ -180,39 +184,64 @@ class Salvage:
                 elif end > next_row[table]:
                     self._rows.setdefault(table, []).append(rows.batch[next_row[table] - rows.first :])
                     next_row[table] = end
-            if damage := segment.damage:
-                behind = "whole frames are behind it" if damage.more else "there the recorder was cut off"
-                self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {behind}")
-                self._aside += [path] if damage.more else []
-                self._cut += [] if damage.more or path != newest else self._lost[-1:]
+            self._look_at(path, segment.damage, last=path in newest)
         for table, rows_left in left_out.items():
             self._lost.append(f"{table}: {rows_left} rows that do not follow on row {next_row[table]}")
         if left_out:
-            self._aside += [path for path in segments(self._folder).values() if path not in self._aside]
-        return told
+            self._aside += [path for path in logs.values() if path not in self._aside]
+
+    def _read_episodes(self) -> tuple[list[frames.Change], bool]:
+        """What the journal tells of episodes, and whether it can all be read."""
+        path = episode_log(self._folder)
+        if not path.exists():
+            return [], False
+        data = files.read(path, frames.WHOLE)
+        segment = frames.read_segment(data, str(path), self._session, frames.EPISODE_LOG)
+        self._look_at(path, segment.damage, last=True)
+        return segment.changes, segment.damage is None
+
+    def _look_at(self, path: Path, damage: frames.Damage | None, *, last: bool) -> None:
+        """Tell of the damage to a segment, the last of its kind or not."""
+        if damage:
+            behind = "whole frames are behind it" if damage.more else "there the recorder was cut off"
+            self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {behind}")
+            self._aside += [path] if damage.more else []
+            self._cut += self._lost[-1:] if last and not damage.more else []
 
     def _commit_episodes(self) -> Episodes:
         """The episodes, those that only the journal knows included."""
-        there, found = self._folder / EPISODES, Episodes.described({})
-        if there.exists():
-            try:
-                listed = self._listed.get(EPISODES)
-                sha256 = listed.sha256 if listed else None
-                found = Episodes(read_part(inside(self._folder, there), episodes.SCHEMA, sha256))
-                self._listed[EPISODES] = listed or inspect_part(
-                    self._folder, EPISODES, episodes.SCHEMA, episodes.TIMES
-                )
-            except InputError as error:
-                self._lost.append(f"episodes: {error}")
+        found, told, unread = Episodes.described({}), Episodes.described({}), list[str]()
         try:
-            told = Episodes.described({"the journal": {"episodes": self._episodes or []}})
+            found = self._committed_episodes()
+        except InputError as error:
+            unread.append(f"episodes: {error}")
+        try:
+            told = Episodes.described(put_together(self._changes, str(episode_log(self._folder))))
         except InputError as error:  # as the source described them
-            self._lost.append(f"episodes: {error}")
+            self._lost += [*unread, f"episodes: {error}"]
             return found
-        if len(told.table) < len(found.table) or told.table.equals(found.table):
+        knows_all = self._log_whole and self._changes  # it has told of them, since the session began
+        self._lost += [] if knows_all else unread  # else its file was just being replaced, or is not needed
+        if (len(told.table) < len(found.table) and not knows_all) or told.table.equals(found.table):
             return found
-        self._listed[EPISODES] = commit_part(self._folder, EPISODES, told.table, episodes.TIMES)
+        if len(told.table):
+            self._listed[EPISODES] = commit_part(self._folder, EPISODES, told.table, episodes.TIMES)
         return told
+
+    def _committed_episodes(self) -> Episodes:
+        """Those in their file; it is listed from now on.
+
+        Raises:
+            InputError: if it cannot be read.
+        """
+        there, listed = self._folder / EPISODES, self._listed.get(EPISODES)
+        if not there.exists():
+            return Episodes.described({})
+        rows = read_part(inside(self._folder, there), episodes.SCHEMA, listed.sha256 if listed else None)
+        self._listed[EPISODES] = listed or inspect_part(
+            self._folder, EPISODES, episodes.SCHEMA, episodes.TIMES
+        )
+        return Episodes(rows)
 
     def _commit(self, table: Table, rows: pa.Table) -> None:
         parts = self._parts[table.name]

@@ -8,7 +8,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from operators.batch import EVERY, Batch, Column, columns
-from storage.episodes import Episodes
+from storage.episodes import Numbering
 from storage.layout import SAMPLES, TABLE_OF, Table
 from storage.parts import flat
 
@@ -22,15 +22,21 @@ def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
     >>> schema(TOUCH).field("counts").type
     FixedSizeListType(fixed_size_list<item: int16>[6])
     """
-    fields = [_field(name, each) for name, each in table.columns.items()]
-    if table.finger:
-        fields.insert(1, pa.field("finger", pa.int16(), nullable=False))
-    if table is SAMPLES:
-        fields.append(pa.field("episode", pa.int32(), nullable=False))
-    return pa.schema(fields, {"batch": (kind or table.kind).__name__})
+    return pa.schema(_fields(table), {"batch": (kind or table.kind).__name__})
 
 
-def to_arrow(table: Table, batches: Sequence[Batch], episodes: Episodes) -> pa.Table:
+def holders(table: Table) -> pa.Schema:
+    """As much of a table's schema as tells whose its rows are: the fingertip, or else the time.
+
+    >>> from storage.layout import MOTION, TOUCH
+    >>> holders(TOUCH).names, holders(MOTION).names
+    (['finger'], ['time'])
+    """
+    name = "finger" if table.finger else "time"
+    return pa.schema([field for field in _fields(table) if field.name == name])
+
+
+def to_arrow(table: Table, batches: Sequence[Batch], episodes: Numbering) -> pa.Table:
     """The rows of one or more batches of one type, in the order given; `episodes` numbers the samples'."""
     values: dict[str, NDArray[Any]] = {
         name: np.concatenate([getattr(batch, name) for batch in batches]) for name in table.columns
@@ -48,6 +54,14 @@ def batch_type(rows: pa.Table) -> type[Batch] | None:
     return _KINDS.get((rows.schema.metadata or {}).get(b"batch", b"").decode(errors="replace"))
 
 
+def fingers(table: Table, rows: pa.Table) -> frozenset[int]:
+    """The fingertips that have rows, of which the columns of `holders` are enough."""
+    if not table.finger:
+        return frozenset({EVERY} if len(rows) else ())
+    found: list[int] = np.unique(_values(rows, "finger")).tolist()
+    return frozenset(found)
+
+
 def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Batch]:
     """The rows as batches of `kind`, by fingertip.
 
@@ -63,11 +77,25 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
         else:
             unknown = np.nan if each.dtype.kind == "f" else -1
             values[name] = np.full((len(rows), *each.shape), unknown, each.dtype)
-    fingers = _values(rows, "finger") if table.finger else np.full(len(rows), EVERY)  # (n,)
-    found: list[int] = np.unique(fingers).tolist()
-    if len(found) == 1:
-        return {found[0]: kind(*values.values(), finger=found[0])}
-    return {each: kind(*(v[fingers == each] for v in values.values()), finger=each) for each in found}
+    found = fingers(table, rows)
+    if len(found) <= 1:
+        return {each: kind(*values.values(), finger=each) for each in found}
+    finger = _values(rows, "finger")  # (n,)
+    order = finger.argsort(kind="stable")  # a fingertip's rows side by side, in their order
+    first = finger[order].searchsorted(sorted(found))  # (fingers,)
+    return {
+        each: kind(*(value[own] for value in values.values()), finger=each)
+        for each, own in zip(sorted(found), np.split(order, first[1:]), strict=True)
+    }
+
+
+def _fields(table: Table) -> "list[pa.Field[Any]]":
+    fields = [_field(name, each) for name, each in table.columns.items()]
+    if table.finger:
+        fields.insert(1, pa.field("finger", pa.int16(), nullable=False))
+    if table is SAMPLES:
+        fields.append(pa.field("episode", pa.int32(), nullable=False))
+    return fields
 
 
 def _field(name: str, column: Column) -> "pa.Field[Any]":

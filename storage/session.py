@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, Self, TypeAlias, cast
+from weakref import WeakValueDictionary
 
 from operators.batch import Batch
 from operators.errors import EndpointError, InputError, ParameterError
@@ -35,17 +36,41 @@ log = logging.getLogger("slipflow")
 
 
 @dataclass(frozen=True)
+class _Rows:
+    """The rows of one part."""
+
+    kind: type[Batch]
+    by_finger: Mapping[int, Batch]
+
+
+_Held: TypeAlias = tuple[type[Batch], frozenset[int]]  # of which type rows are, of which fingertips
+
+
+@dataclass(frozen=True)
 class Session:
     """One session of a dataset, complete or still being recorded: what is committed is read.
 
     It is a `Recording`: streams come back as they were recorded, in type, order and every bit. Each file is
     checked as it is read, by its sha256 where the manifest lists it, else by the checksums of its pages; a
     file that is not listed and holds rows that are there already is not read.
+
+    Memory holds one part of each table that is read, however long the session. Fingertips that are read side
+    by side, as a replay does, share it: each part is then read once.
     """
 
     folder: Path
     about: Description = field(repr=False)  # session.json
     listed: Mapping[str, Part] = field(repr=False)  # the manifest, by path
+    _held: dict[str, list[_Held]] = field(  # in the parts of a table, by its name; once somebody asked
+        default_factory=dict[str, list[_Held]], init=False, repr=False, compare=False
+    )
+    _open: WeakValueDictionary[str, _Rows] = field(  # the parts that somebody reads just now, by path
+        default_factory=WeakValueDictionary[str, _Rows], init=False, repr=False, compare=False
+    )
+
+    def __reduce__(self) -> tuple[type[Self], tuple[Path, Description, Mapping[str, Part]]]:
+        """Pickles as what it is of; what was read stays behind."""
+        return type(self), (self.folder, self.about, self.listed)
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
@@ -72,17 +97,32 @@ class Session:
     def tables(self) -> tuple[str, ...]:
         """The tables that it holds."""
         found = [table.name for table in TABLES if self._paths(table)]
-        if EPISODES in self.listed or (self.folder / EPISODES).exists():
+        if self._has_episodes:
             found.append("episodes")
         return tuple(found)
+
+    def files(self, kind: type[Batch]) -> dict[str, str | None]:
+        """The files that hold its rows of `kind`, in order, with the sha256 that the manifest has of each."""
+        table = TABLE_OF.get(kind)
+        paths = self._paths(table) if table else []
+        return {path: self.listed[path].sha256 if path in self.listed else None for path in paths}
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """The fingertips it holds rows of `kind` for; () where it holds none.
 
+        All of the table's files are checked for it, the first time that it is asked; of their rows, only
+        whose they are is unpacked.
+
         Raises:
             InputError: as `read`.
         """
-        return tuple(sorted({finger for batches in self._batches(kind) for finger in batches}))
+        table = TABLE_OF.get(kind)
+        if table is None:
+            return ()
+        if table.name not in self._held:
+            self._held[table.name] = list(self._holders(table))
+        of_kind = [fingers for stored, fingers in self._held[table.name] if issubclass(stored, kind)]
+        return tuple(sorted(frozenset[int]().union(*of_kind)))
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
         """The rows of one fingertip, as recorded, in batches of at most `rows`.
@@ -95,8 +135,8 @@ class Session:
         """
         if rows < 1:
             raise ParameterError("Session.read", "rows", rows, "at least 1")
-        for batches in self._batches(kind):
-            batch = batches.get(finger, kind.empty())
+        for part in self._parts(kind):
+            batch = part.by_finger.get(finger, kind.empty())
             for start in range(0, len(batch), rows):
                 yield cast("SomeBatch", batch[start : start + rows])
 
@@ -128,15 +168,19 @@ class Session:
         Raises:
             InputError: as `read`.
         """
-        if "episodes" not in self.tables:
+        if not self._has_episodes:
             return self.about
         from storage import episodes  # noqa: PLC0415 - it imports pyarrow
 
         rows: list[Any] = self._rows(EPISODES, episodes.SCHEMA).to_pylist()
         return {**self.about, "episodes": rows}
 
-    def _batches(self, kind: type[Batch]) -> Iterator[dict[int, Batch]]:
-        """The rows of each part, by fingertip; none where they are not of `kind`."""
+    @property
+    def _has_episodes(self) -> bool:
+        return EPISODES in self.listed or (self.folder / EPISODES).exists()
+
+    def _parts(self, kind: type[Batch]) -> Iterator[_Rows]:
+        """The parts whose rows are of `kind`."""
         from storage import schema  # noqa: PLC0415 - it imports pyarrow
 
         table = TABLE_OF.get(kind)
@@ -144,14 +188,34 @@ class Session:
             return
         before: type[Batch] | None = None
         for path in self._paths(table):
-            rows = self._rows(path, schema.schema(table))
-            stored = schema.batch_type(rows)
-            if stored is None or not issubclass(stored, table.kind) or before not in {None, stored}:
-                reason = 'its metadata "batch" is missing or not that of the other parts'
-                raise InputError(str(self.folder / path), reason)
-            before = stored
-            if issubclass(stored, kind):
-                yield schema.from_arrow(table, stored, rows)
+            part = self._open.get(path)
+            if part is None:
+                rows = self._rows(path, schema.schema(table))
+                stored = self._kind(table, path, rows, before)
+                part = self._open[path] = _Rows(stored, schema.from_arrow(table, stored, rows))
+            before = part.kind
+            if issubclass(before, kind):
+                yield part
+
+    def _holders(self, table: Table) -> Iterator[_Held]:
+        """What each part of a table holds."""
+        from storage import schema  # noqa: PLC0415 - it imports pyarrow
+
+        before: type[Batch] | None = None
+        for path in self._paths(table):
+            rows = self._rows(path, schema.holders(table))
+            before = self._kind(table, path, rows, before)
+            yield before, schema.fingers(table, rows)
+
+    def _kind(self, table: Table, path: str, rows: "pa.Table", before: type[Batch] | None) -> type[Batch]:
+        """Of which type the rows of a part are, which must be that of the part `before`."""
+        from storage import schema  # noqa: PLC0415 - it imports pyarrow
+
+        stored = schema.batch_type(rows)
+        if stored is None or not issubclass(stored, table.kind) or before not in {None, stored}:
+            reason = 'its metadata "batch" is missing or not that of the other parts'
+            raise InputError(str(self.folder / path), reason)
+        return stored
 
     def _paths(self, table: Table) -> list[str]:
         """The files of a table, those that are missing included."""

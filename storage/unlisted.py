@@ -10,7 +10,7 @@ import pyarrow as pa
 from operators.batch import EVERY, s
 from operators.errors import InputError
 from operators.ports import Description
-from storage.layout import EPISODES, JOURNAL, TABLES, Table, inside, segment_file, segments
+from storage.layout import EPISODES, JOURNAL, TABLES, Table, inside, segment_file, segments, single_log
 from storage.manifest import Part
 from storage.parts import flat, inspect_part, read_part
 from storage.schema import schema
@@ -90,7 +90,10 @@ def missing_segments(folder: Path, about: Description) -> list[str]:
         waits = (folder / JOURNAL).is_dir() and "end_ns" not in about
         return [f"{JOURNAL}: has no segment: the newest rows were in it"] if waits else []
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
-    return [f"{segment_file(number)}: is gone, with the rows that it held" for number in gaps]
+    lost = [segment_file(number) for number in gaps]
+    if not single_log(folder).exists() and "end_ns" not in about:  # it was there before all others
+        lost.append(single_log(folder).relative_to(folder.resolve()).as_posix())
+    return [f"{path}: is gone, with the rows that it held" for path in lost]
 
 
 def shortfall(about: Description, parts: Iterable[Part]) -> str:

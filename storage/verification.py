@@ -1,6 +1,6 @@
 """Whether a dataset is all there: every file against the manifests, every page against its checksum."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, cast
@@ -19,11 +19,13 @@ from storage.layout import (
     SESSIONS,
     TABLES,
     Table,
+    episode_log,
     headless,
     headless_names,
     inside,
     segments,
     session_names,
+    single_log,
 )
 from storage.lock import locked
 from storage.manifest import Part, read_manifest
@@ -52,6 +54,15 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Checked:
+    """A file that a session's manifest lists."""
+
+    session: str
+    part: Part
+    whole: bool  # False: it is gone or damaged
+
+
+@dataclass(frozen=True)
 class Verified:
     """What a check of a dataset found."""
 
@@ -59,6 +70,8 @@ class Verified:
     files: int  # Parquet files that were read
     rows: int  # in them
     findings: tuple[Finding, ...]
+    parts: tuple[Checked, ...] = ()
+    names: tuple[str, ...] = ()  # of all sessions
 
     @property
     def code(self) -> int:
@@ -68,11 +81,21 @@ class Verified:
     @property
     def worst(self) -> Weight:
         """The weight of the worst finding; a note if there is none."""
-        found = {finding.weight for finding in self.findings}
-        for weight in reversed(_ORDER):
-            if weight in found:
-                return weight
-        return "note"
+        return heaviest(self.findings)
+
+
+def heaviest(findings: Iterable[Finding]) -> Weight:
+    """The weight of the worst finding; a note if there is none."""
+    return _ORDER[max((severity(finding.weight) for finding in findings), default=0)]
+
+
+def severity(weight: Weight) -> int:
+    """How bad it is: 0 for a note.
+
+    >>> severity("lossy") < severity("lost")
+    True
+    """
+    return _ORDER.index(weight)
 
 
 def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: None) -> Verified:
@@ -112,7 +135,16 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
         findings += check.findings
     read = [check.read for check in checks]
     return Verified(
-        len(checks), sum(map(len, read)), sum(sum(each.values()) for each in read), tuple(findings)
+        len(checks),
+        sum(map(len, read)),
+        sum(sum(each.values()) for each in read),
+        tuple(findings),
+        tuple(
+            Checked(check.name, part, path in check.read)
+            for check in checks
+            for path, part in check.listed.items()
+        ),
+        tuple(check.name for check in checks),
     )
 
 
@@ -200,7 +232,12 @@ class _Check:
         self._find("repairable", "has a journal that waits: slipflow recover puts it into parts")
         for text in unlisted.missing_segments(self.folder, self.about):
             self._find("lost" if self.listed or segments(self.folder) else "lossy", text)
-        for number, path in segments(self.folder).items():
+        logs = {
+            frames.SINGLE_LOG: single_log(self.folder),
+            frames.EPISODE_LOG: episode_log(self.folder),
+        }
+        waiting = [*segments(self.folder).items(), *(each for each in logs.items() if each[1].exists())]
+        for number, path in waiting:
             try:
                 segment = frames.read_segment(
                     files.read(path, frames.WHOLE),

@@ -3,65 +3,38 @@
 import os
 import weakref
 from collections import Counter
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 from shutil import rmtree
 from threading import Lock
 
-from operators.batch import EVERY, Batch, Zeroed, concat
-from operators.errors import EndpointError, InputError, ParameterError
-from operators.ports import Description, Run
-from storage import frames
+from operators.batch import EVERY, Batch, Zeroed
+from operators.errors import EndpointError, ParameterError
+from operators.ports import Run
+from storage import files
+from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
-from storage.episodes import TIMES, Episodes, listings
-from storage.files import make_folder
+from storage.episodes import TIMES, Episodes
 from storage.frames import Rows
+from storage.growing import Growing
 from storage.journal import Journal
 from storage.layout import EPISODES, SESSIONS, TABLE_OF, TABLES, TOUCH, Table, session_folder
 from storage.lock import lock
 from storage.manifest import Part, write_manifest
 from storage.parts import commit_part
 from storage.schema import to_arrow
-
-
-@dataclass
-class _Buffer:
-    """The rows of one table that are not committed yet."""
-
-    kind: type[Batch]  # of all batches of this session
-    start: int = 0  # number of its first row within the table
-    batches: list[Batch] = field(default_factory=list[Batch])
-    rows: int = 0
-    first: int = 0  # ns, earliest event time
-    last: int = 0  # ns, latest
-
-    def plus(self, batch: Batch) -> tuple[int, int, int]:
-        """What rows, first and last would be with one batch more."""
-        first, last = int(batch.time.min()), int(batch.time.max())
-        if not self.rows:
-            return len(batch), first, last
-        return self.rows + len(batch), min(self.first, first), max(self.last, last)
-
-    def merge(self) -> list[Rows]:
-        """Its rows in as few batches as there can be, of one fingertip each."""
-        runs = groupby(self.batches, key=lambda batch: batch.finger)
-        self.batches = [concat(self.kind, list(run)) for _, run in runs]
-        numbered, first = list[Rows](), self.start
-        for batch in self.batches:
-            numbered.append(Rows(first, batch))
-            first += len(batch)
-        return numbered
+from storage.timeline import Timeline
+from storage.unsettled import Unsettled
 
 
 class SessionWriter:
     """One session being written. Apart from `full`, `add` and `take`, its methods wait for the disk.
 
     All tables are committed together, so that their parts cover the same time. A live run's rows are in a
-    journal until then, so that a crash does not cost them; a replay can be made again.
+    journal until then, so that a crash does not cost them. A replay can be made again: it is made durable all
+    at once, before it is declared ended.
     """
 
     def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
@@ -75,35 +48,38 @@ class SessionWriter:
         self.folder = session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
-        self._episodes = Episodes.described(run.describe)
-        self._committed = Episodes.described({}).table
-        self._buffers: dict[str, _Buffer] = {}
-        self._taken: dict[str, _Buffer] | None = None  # what the commit that is due is about
+        self._episodes = Timeline(run.describe)
+        self._unwritten = False  # episodes of which their file does not tell
+        self._buffers: dict[str, Buffer | Growing] = {}
+        self._taken: dict[str, Buffer | Growing] | None = None  # what the commit that is due is about
         self._rotated = self._behind = False  # of that commit: the journal has gone on; it failed
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
         self._gathering = Lock()  # guards the buffers; never held while the disk works
         self._writing = Lock()  # a commit goes on in its thread when the task that awaited it is cancelled
         self._journal: Journal | None = None
+        self._unsettled = None if run.live else Unsettled()
+        self._put = self._unsettled.put if self._unsettled else files.put
+        self._make_folder = self._unsettled.make_folder if self._unsettled else files.make_folder
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder")
         with self._reporting():
             root.mkdir(parents=True, exist_ok=True)
             describe_dataset(root)
-            make_folder(root / SESSIONS)
+            self._make_folder(root / SESSIONS)
             try:
-                make_folder(self.folder, new=True)
+                self._make_folder(self.folder, new=True)
             except FileExistsError:
                 reason = f"has a session {run.session!r} already; give this one another name"
                 raise EndpointError(str(root), reason) from None
             held = None
             try:
                 held = lock(self.folder)
-                describe_session(self.folder, run, host=host)
+                describe_session(self.folder, run, host=host, put=self._put)
                 self._commit_episodes()
-                write_manifest(self.folder, self._parts)
+                write_manifest(self.folder, self._parts, self._put)
                 if run.live:
-                    self._journal = Journal(self.folder, run.session, partial(_told, run.describe))
+                    self._journal = Journal(self.folder, run.session, run.describe)
             except BaseException:
                 rmtree(self.folder, ignore_errors=True)
                 if held is not None:
@@ -141,7 +117,7 @@ class SessionWriter:
         rows = len(batch.check())
         if self._behind or (self._journal and self._journal.suspect):
             return True
-        if not rows or not table.parted or not buffer or not buffer.rows:
+        if not rows or not isinstance(buffer, Buffer) or not buffer.rows:
             return False
         rows, first, last = buffer.plus(batch)
         return rows > self._part_rows or last - first >= self._part_span
@@ -155,9 +131,9 @@ class SessionWriter:
             return True
         with self._gathering:
             buffer = self._buffer(batch)
-            if self._journal and not self._journal.add(Rows(buffer.start + buffer.rows, batch)):
+            if self._journal and not self._journal.add(Rows(buffer.end, batch)):
                 return False
-            _gather(buffer, batch)
+            buffer.add(batch)
         return True
 
     def append(self, batch: Batch) -> None:
@@ -169,9 +145,9 @@ class SessionWriter:
         assert self._journal, "without one, add takes all"
         with self._reporting(), self._journal.held():
             buffer = self._buffer(batch)
-            self._journal.append(Rows(buffer.start + buffer.rows, batch))
+            self._journal.append(Rows(buffer.end, batch))
             with self._gathering:
-                _gather(self._buffer(batch), batch)
+                self._buffer(batch).add(batch)
 
     def take(self, *, final: bool = False) -> None:
         """What has gathered is what the next commit is about; `final`: the tables of one file, too."""
@@ -181,7 +157,7 @@ class SessionWriter:
                 found = {table.name: self._buffers.get(table.name) for table in tables}
                 self._taken = {name: buffer for name, buffer in found.items() if buffer and buffer.rows}
                 for name, buffer in self._taken.items():
-                    self._buffers[name] = _Buffer(buffer.kind, buffer.start + buffer.rows)
+                    self._buffers[name] = type(buffer)(buffer.kind, buffer.end)
             self._rotated = final  # nothing stays behind
 
     def commit(self, *, final: bool = False) -> None:
@@ -194,7 +170,7 @@ class SessionWriter:
         with self._writing, self._reporting():
             try:
                 self.take(final=final)
-                self._commit_taken()
+                self._commit_taken(final=final)
             except BaseException:
                 self._behind = True
                 raise
@@ -213,54 +189,68 @@ class SessionWriter:
         self.commit(final=True)
         touch = self._buffers.get(TOUCH.name)
         with self._reporting():
+            if self._unsettled:
+                self._unsettled.settle()
             zeroed = touch is not None and touch.kind is Zeroed
             describe_session(self.folder, self._run, host=self._host, zeroed=zeroed, ended=True)
             if self._journal:
                 self._journal.remove()
         self._leave()
 
-    def _buffer(self, batch: Batch) -> _Buffer:
-        return self._buffers.setdefault(TABLE_OF[type(batch)].name, _Buffer(type(batch)))
+    def _buffer(self, batch: Batch) -> Buffer | Growing:
+        table = TABLE_OF[type(batch)]
+        found = self._buffers.get(table.name)
+        if found is None:
+            found = self._buffers[table.name] = (Buffer if table.parted else Growing)(type(batch))
+        return found
 
-    def _kept(self) -> list[Rows]:
-        """The rows that are not taken."""
+    def _kept(self, form: type[Buffer | Growing]) -> list[Rows]:
+        """The rows that are not taken, of tables of parts or of one file."""
         with self._gathering:
-            return [rows for buffer in self._buffers.values() for rows in buffer.merge()]
+            kept = [buffer for buffer in self._buffers.values() if isinstance(buffer, form)]
+            return [rows for buffer in kept for rows in buffer.numbered()]
 
-    def _commit_taken(self) -> None:
+    def _commit_taken(self, *, final: bool) -> None:
         """In this order, so that at each step all rows are in a listed part or in the journal."""
         assert self._taken is not None, "take comes first"
         if self._journal and not self._rotated:
-            self._journal.rotate(self._kept)
+            self._journal.rotate(partial(self._kept, Buffer), partial(self._kept, Growing))
             self._rotated = True
-        self._commit_episodes()
+        self._commit_episodes(final=final)
         for table in TABLES:
             if buffer := self._taken.get(table.name):
                 self._commit_rows(table, buffer)
                 del self._taken[table.name]
-        write_manifest(self.folder, self._parts)
+        write_manifest(self.folder, self._parts, self._put)
         if self._journal:
             self._journal.drop()
         self._taken = None
 
-    def _commit_rows(self, table: Table, buffer: _Buffer) -> None:
+    def _commit_rows(self, table: Table, buffer: Buffer | Growing) -> None:
         rows, parts = to_arrow(table, buffer.batches, self._episodes), list[Part]()
         size = self._part_rows if table.parted else len(rows)
         if table.parted:
-            make_folder(self.folder / table.name)
+            self._make_folder(self.folder / table.name)
         for start in range(0, len(rows), size):  # more than one part only where one batch is larger
             path = table.file(self._numbers[table.name] + len(parts))
-            parts.append(commit_part(self.folder, path, rows.slice(start, size)))
+            parts.append(commit_part(self.folder, path, rows.slice(start, size), put=self._put))
         self._parts += parts
         self._numbers[table.name] += len(parts)
 
-    def _commit_episodes(self) -> None:
-        episodes = Episodes.described(self._run.describe)  # a source may tell of them as they begin
-        if not episodes.table.equals(self._committed):
-            part = commit_part(self.folder, EPISODES, episodes.table, TIMES)
-            self._parts = [*(each for each in self._parts if each.path != EPISODES), part]
-            self._committed = episodes.table
-        self._episodes = episodes
+    def _commit_episodes(self, *, final: bool = False) -> None:
+        """Have them durable: in their file, unless the journal has them until the end."""
+        self._unwritten |= self._episodes.look()  # a source may tell of them as they begin
+        if self._journal and not final:
+            self._journal.keep_episodes()
+        elif self._unwritten or final:  # at the end, those that were changed later than they may be, too
+            table = Episodes.described(self._run.describe).table
+            if len(table):
+                others = [each for each in self._parts if each.path != EPISODES]
+                if len(others) < len(self._parts):  # so that none is ever listed as what it is not
+                    write_manifest(self.folder, others, self._put)
+                part = commit_part(self.folder, EPISODES, table, TIMES, self._put)
+                self._parts = [*others, part]
+            self._unwritten = False
 
     @contextmanager
     def _reporting(self) -> Generator[None]:
@@ -268,19 +258,6 @@ class SessionWriter:
             yield
         except OSError as error:
             raise EndpointError(str(self._root), f"cannot be written: {error.strerror or error}") from error
-
-
-def _gather(buffer: _Buffer, batch: Batch) -> None:
-    buffer.rows, buffer.first, buffer.last = buffer.plus(batch)
-    buffer.batches.append(batch)
-
-
-def _told(describe: Mapping[str, Description]) -> bytes | None:
-    """The episodes so far, for the journal, as they are described: looking closer would cost far more."""
-    try:
-        return frames.episodes([each for listed in listings(describe).values() for each in listed])
-    except (InputError, TypeError, ValueError):  # the next commit says what is wrong
-        return None
 
 
 def _leave(journal: Journal | None, held: int | None) -> None:

@@ -8,6 +8,7 @@ from math import inf
 from typing import Any, Final, cast
 
 from connectors.rig.hand import Orders
+from connectors.rig.moved import Moved
 from connectors.rig.scene import Move, Scene, Timing
 from connectors.rig.truth import Memory, Truth
 from operators.batch import Commands, Motion, Touch, s
@@ -55,7 +56,7 @@ class Rig:
         self.hand = RigHand(self)
         self.orders = Orders()
         self._memory = {finger: Memory(int(remember * self.scene.touch.rate)) for finger in fingers}
-        self._episodes: list[Json] = []
+        self._moved = Moved(self.scene.curvature)
         self._origin = 0  # ns
         self._running: set[Source[Any]] = set()
         self._given: dict[Source[Any], float] = {}  # batches that each source has given, if not paced
@@ -75,7 +76,7 @@ class Rig:
             "seed": self.seed,
             "fingers": list(self.fingers),
             "scene": _json(self.scene),
-            "episodes": self._episodes,
+            "episodes": self._moved,
         }
 
     def begin(self, source: Source[Any], clock: Clock) -> int:
@@ -84,7 +85,7 @@ class Rig:
             self._running, self._given, self._advanced = set(), {}, asyncio.Event()
             self._origin = clock.now()
             self.orders.begin(self._origin)
-            self._episodes.clear()
+            self._moved.clear()
             for memory in self._memory.values():
                 memory.clear()
         self._running.add(source)
@@ -119,17 +120,8 @@ class Rig:
 
     def note(self, move: Move, start: float) -> None:
         """Write down a move that begins `start` seconds after the run."""
-        self._episodes.append(
-            {
-                "start": self._origin + round(start * s),
-                "end": self._origin + round((start + move.seconds) * s),
-                "motion": move.motion,
-                "axis": move.axis,
-                "direction_deg": move.direction_deg,
-                "speed": move.speed,
-                "curvature": self.scene.curvature,
-            }
-        )
+        begin, end = (self._origin + round(at * s) for at in (start, start + move.seconds))
+        self._moved.add(move, begin, end)
 
 
 class RigTouch(Source[Touch]):

@@ -127,6 +127,44 @@ def lives(scale: Scale) -> Promise:
     return found.promise(f"at {reached} steps of a session's life")
 
 
+def replays(scale: Scale) -> Promise:
+    """The power fails at any step of a replay, which is made durable all at once at its end."""
+    random, rows = np.random.default_rng(scale.seed), 30 if scale.short else 90
+    right = [concat(kind, [row(kind, number) for number in range(rows)]) for kind, _ in STREAMS]
+    images = whole = partial_ones = refused = wrong = 0
+
+    def fail(disk: Disk) -> None:
+        nonlocal images, whole, partial_ones, refused, wrong
+        place = disk.folder.parents[2] / "image"
+        for chance in (0.0, 1.0) if scale.short else (0.0, 1.0, 0.5, 0.5, 0.5, 0.5):
+            disk.image(place, partial(_chance, random, chance), partial(_end, random))
+            images += 1
+            try:
+                found = read(place)
+            except SlipflowError:
+                refused += 1
+            else:
+                pairs = list(zip(found.rows, right, strict=True))
+                same = all(not len(a) or alike(a, b[: len(a)]) for a, b in pairs)
+                there = all(len(a) == len(b) for a, b in pairs)
+                said = found.about["complete"] is not True
+                whole, partial_ones = whole + (not said), partial_ones + said
+                wrong += not (same and (said or there))
+            rmtree(place)
+
+    with scratch(memory=True) as folder, _watched(folder, fail):
+        writer = begin(folder / "data", part_rows=PART, live=False)
+        for number in range(rows):
+            write(writer, number)
+        writer.close()
+    return Promise(
+        f"power cut: at any step of a replay, {images} images",
+        f"{wrong} silently wrong; {whole} whole, {partial_ones} said to be incomplete, {refused} refused",
+        "0 silently wrong",
+        kept=not wrong and whole > 0,
+    )
+
+
 @contextmanager
 def _watched(folder: Path, fail: Callable[[Disk], None]) -> Generator[Disk]:
     """What is done to the session in `folder` is known; `fail` is called at each step of it."""
@@ -150,7 +188,7 @@ def _watched(folder: Path, fail: Callable[[Disk], None]) -> Generator[Disk]:
 def _make_durable(writer: SessionWriter) -> None:
     """All rows that were written, now."""
     inside: Any = writer
-    inside._journal._segment.sync()
+    inside._journal.sync()
 
 
 def _chance(random: np.random.Generator, chance: float) -> bool:
@@ -163,4 +201,4 @@ def _end(random: np.random.Generator, rest: bytes) -> bytes:
     return end(rest, at, TAILS[random.integers(len(TAILS))], random)
 
 
-PROMISES = (tails, lives)
+PROMISES = (tails, lives, replays)

@@ -56,24 +56,27 @@ def row(kind: type[Batch], number: int) -> Batch:
     )
 
 
-def begin(root: Path, *, part_rows: int = 1000) -> SessionWriter:
-    """A live session, to which nobody else writes."""
+def begin(root: Path, *, part_rows: int = 1000, live: bool = True) -> SessionWriter:
+    """A session, to which nobody else writes."""
     episodes: list[Json] = [
         {"start": START + turn * 100 * ms, "end": START + (turn + 1) * 100 * ms, "motion": "translation"}
         for turn in range(4)
     ]
     about: dict[str, Json] = {"sensor": "made of numbers", "rate_hz": 100, "episodes": episodes}
-    run = Run(NAME, "chaos", Still(), START, describe={"touch": about})
+    run = Run(NAME, "chaos", Still(), START, live=live, describe={"touch": about})
     return SessionWriter(root, run, part_span=1000 * s, part_rows=part_rows)
 
 
 def write(writer: SessionWriter, number: int) -> None:
-    """One row of each stream, which is in the journal then."""
+    """One row of each stream, which is in the journal then, if there is one."""
     for kind, _ in STREAMS:
         batch = row(kind, number)
         while writer.full(batch):
             writer.commit()
-        writer.append(batch)
+        if writer.journalled:
+            writer.append(batch)
+        else:
+            writer.add(batch)
 
 
 @dataclass(frozen=True)

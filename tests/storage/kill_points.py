@@ -1,6 +1,7 @@
 """Records, or recovers, once for each step at which that can be cut off, and is killed there.
 
     kill_points.py record ROOT          ROOT/<step>-<turn>/ holds what each kill left
+    kill_points.py replay ROOT          the same for what is not recorded live
     kill_points.py recover LEFT ROOT    the same for recoveries of copies of the session LEFT
 
 Prints a JSON object: by step, how often one was killed there.
@@ -19,12 +20,13 @@ from traceback import print_exc
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Motion, Slips, Touch, ms
-from operators.ports import Run
+from operators.batch import BAROMETERS, Motion, Slips, Touch, ms, s
+from operators.ports import Json, Run
 from storage import journal, recovery, steps
 from storage.writer import SessionWriter
 
 ROWS = 45  # of each stream
+STROKE = 4  # rows of an episode
 TURNS = (1, 3)  # which time a step is reached
 
 
@@ -46,14 +48,24 @@ def row(kind: type[Touch | Motion | Slips], number: int) -> Touch | Motion | Sli
     return Slips(time, np.array([number % 2], np.int8), time, np.array([number / 100]), finger=0)
 
 
-def record(root: Path) -> None:
+def stroke(number: int) -> dict[str, Json]:
+    """An episode, when it is over."""
+    return {"start": number * STROKE * 10 * ms, "end": (number + 1) * STROKE * 10 * ms, "motion": "tap"}
+
+
+def record(root: Path, *, live: bool) -> None:
     """As a sink does; `taken` says how many rows of each stream were."""
     root.mkdir()
     (root / "taken").write_bytes(b"")
     journal.SYNC = 0.001  # type: ignore[misc] # s
-    writer = SessionWriter(root, Run("one", "slip", Clock(), 0), part_span=100 * ms, part_rows=8)
+    episodes: list[Json] = []
+    run = Run("one", "slip", Clock(), 0, live=live, describe={"arm": {"episodes": episodes}})
+    writer = SessionWriter(root, run, part_span=100 * ms, part_rows=8)
     with (root / "taken").open("ab", buffering=0) as taken:
         for number in range(ROWS):
+            if number % STROKE == 0:  # one begins, which it is not known yet how long it takes
+                episodes[-1:] = [stroke(number // STROKE - 1)] if number else []
+                episodes.append({**stroke(number // STROKE), "end": 3600 * s})
             for kind in (Touch, Motion, Slips):
                 batch = row(kind, number)
                 while writer.full(batch):
@@ -97,8 +109,9 @@ def main() -> None:
     for step in steps.STEPS:
         for turn in TURNS:
             place = root / f"{step}-{turn}"
-            if sys.argv[1] == "record":
-                counts[step] += killed(turn, step, partial(record, place))
+            if sys.argv[1] in {"record", "replay"}:
+                live = sys.argv[1] == "record"
+                counts[step] += killed(turn, step, partial(record, place, live=live))
             else:
                 copytree(left, place)
                 counts[step] += killed(turn, step, partial(recovery.recover, place))

@@ -304,21 +304,21 @@ def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_no
     new_batch: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    fsync, writing, go_on = os.fsync, threading.Event(), threading.Event()
+    writing, go_on = threading.Event(), threading.Event()
 
-    def wait(number: int) -> None:
-        writing.set()
-        go_on.wait()
-        fsync(number)
+    def wait(step: str) -> None:
+        if step == "rename part":
+            writing.set()
+            assert go_on.wait(60)
 
     async def main() -> None:
         dataset = Dataset(tmp_path, part_span=s)
         await dataset.open(new_run(live=False))
         await dataset.write(new_batch(Touch))
         with monkeypatch.context() as patch:
-            patch.setattr(os, "fsync", wait)
+            patch.setattr("storage.steps.reach", wait)
             task = asyncio.create_task(dataset.write(new_batch(Touch, start=2 * s)))
-            await asyncio.to_thread(writing.wait)
+            assert await asyncio.to_thread(writing.wait, 60)
             task.cancel()
             with pytest.raises(asyncio.CancelledError):
                 await task

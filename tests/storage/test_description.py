@@ -5,7 +5,8 @@ import pytest
 
 from operators.batch import s
 from operators.ports import Run
-from storage.description import describe_session, read_session
+from storage import description, files
+from storage.description import describe_dataset, describe_session, read_dataset, read_session
 
 
 @pytest.mark.parametrize(
@@ -24,6 +25,19 @@ def test_the_start_is_given_to_the_nanosecond_as_a_number_and_as_rfc_3339(
     describe_session(tmp_path, run)
     about = read_session(tmp_path)
     assert (about["start_ns"], about["start"]) == (start, text)
+
+
+def test_of_several_processes_that_begin_a_dataset_one_describes_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def beaten(root: Path, *, wait: bool) -> None:
+        """By a process that held the lock when we asked for it."""
+        assert wait
+        files.put_json(root / "dataset.json", {"format": "slipflow dataset", "version": 1, "by": "another"})
+
+    monkeypatch.setattr(description, "lock", beaten)
+    describe_dataset(tmp_path)
+    assert read_dataset(tmp_path)["by"] == "another"
 
 
 def test_it_names_the_software_and_the_host(tmp_path: Path, new_run: Callable[..., Run]) -> None:

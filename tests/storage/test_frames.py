@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 
 from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns, concat
 from operators.errors import InputError
+from operators.ports import Json
 from storage import frames
-from storage.frames import Damage, Rows, read_segment
+from storage.following import put_together
+from storage.frames import Change, Damage, Rows, read_segment
 
 KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
 
@@ -37,7 +39,7 @@ def written(new_batch: Callable[..., Any]) -> list[Rows]:
 
 @pytest.fixture(scope="module")
 def data(written: list[Rows]) -> bytes:
-    return segment([body for rows in written for body in frames.bodies(rows)])
+    return segment(list(frames.bodies(written)))
 
 
 def is_prefix(found: frames.Segment, written: list[Rows]) -> bool:
@@ -53,7 +55,7 @@ def test_rows_come_back_bit_for_bit(
     drawn: list[tuple[type[Batch], int, int]],
 ) -> None:
     written = [Rows(first, new_batch(kind, rows, finger=rows % 3, seed=rows)) for kind, rows, first in drawn]
-    found = read(segment([body for rows in written for body in frames.bodies(rows)]))
+    found = read(segment(list(frames.bodies(written))))
     assert found.damage is None
     full = [rows for rows in written if len(rows.batch)]
     assert [rows.first for rows in found.rows] == [rows.first for rows in full]
@@ -66,7 +68,7 @@ def test_a_large_batch_becomes_several_frames(
 ) -> None:
     monkeypatch.setattr(frames, "LIMIT", 1500)
     batch = new_batch(Motion, 100)
-    found = read(segment(list(frames.bodies(Rows(7, batch)))))
+    found = read(segment(list(frames.bodies([Rows(7, batch)]))))
     assert len(found.rows) > 5
     assert [rows.first for rows in found.rows] == [7 + 13 * n for n in range(len(found.rows))]
     assert concat(Motion, [cast("Motion", rows.batch) for rows in found.rows]).velocity.tobytes() == (
@@ -74,10 +76,50 @@ def test_a_large_batch_becomes_several_frames(
     )
 
 
-def test_the_newest_episodes_are_told_and_an_unknown_time_is_kept() -> None:
-    told: list[Any] = [{"start": 1, "end": 2, "direction_deg": None}]
-    assert read(segment([frames.episodes([]), frames.episodes(told)])).episodes == told
-    assert read(segment([])).episodes is None
+def test_rows_that_follow_on_each_other_share_a_frame(new_batch: Callable[..., Any]) -> None:
+    touch = [new_batch(Touch, 2, start=n, finger=int(n > 3), seed=n) for n in range(6)]
+    motion = [new_batch(Motion, 1, start=n, seed=n) for n in range(6)]
+    written = [Rows(2 * n, touch[n]) for n in range(6)]
+    written[2:2] = [Rows(n + (n > 3), motion[n]) for n in range(6)]  # one number is missing
+    found = read(segment(list(frames.bodies(written)))).rows
+    assert sorted((type(rows.batch).__name__, rows.first, len(rows.batch)) for rows in found) == [
+        ("Motion", 0, 4),
+        ("Motion", 5, 2),
+        ("Touch", 0, 8),
+        ("Touch", 8, 4),
+    ]
+    felt = [rows.batch for rows in found if isinstance(rows.batch, Touch)]
+    assert b"".join(each.counts.tobytes() for each in felt) == b"".join(t.counts.tobytes() for t in touch)
+
+
+def test_changes_of_episodes_come_back_in_order_and_an_unknown_time_is_kept() -> None:
+    changes = [
+        Change("rig", 0, [{"start": 1, "end": 2, "direction_deg": None}]),
+        Change("arm", 7, []),
+        Change("rig", 1, [{"start": 2, "end": 3}, {"start": 3, "end": 4}]),
+    ]
+    bodies = [body for change in changes for body in frames.episodes(change)]
+    assert len(bodies) == 3
+    assert read(segment(bodies)).changes == changes
+    assert read(segment([])).changes == []
+
+
+def test_many_episodes_become_several_frames_that_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frames, "_TOLD", 10)
+    listed: list[Json] = [{"start": number, "end": number + 1} for number in range(25)]
+    found = read(segment(list(frames.episodes(Change("rig", 0, listed))))).changes
+    assert [(each.first, len(each.episodes)) for each in found] == [(0, 10), (10, 10), (20, 5)]
+    assert put_together(found, "") == {"rig": {"episodes": listed}}
+
+
+@pytest.mark.parametrize(
+    "told",
+    [[], {}, {"source": "rig", "first": -1, "episodes": []}, {"source": 1, "first": 0, "episodes": []}],
+)
+def test_episodes_told_as_no_slipflow_does_are_refused(told: object) -> None:
+    body = bytes([254]) + bytes(14) + json.dumps(told).encode()
+    with pytest.raises(InputError, match="tells of episodes as no slipflow does"):
+        read(segment([body]))
 
 
 def test_wherever_it_is_cut_a_prefix_is_left(data: bytes, written: list[Rows]) -> None:
@@ -132,7 +174,7 @@ def test_damage_with_whole_frames_behind_it_is_told_from_a_cut_off_end(data: byt
 
 
 def test_a_frame_from_elsewhere_is_never_valid(new_batch: Callable[..., Any]) -> None:
-    body = next(frames.bodies(Rows(0, new_batch(Touch, 3))))
+    body = next(frames.bodies([Rows(0, new_batch(Touch, 3))]))
     one, other = segment([body, body, body]), segment([body, body, body])
     size = (len(one) - len(segment([]))) // 3
     start = len(one) - 2 * size
@@ -159,7 +201,10 @@ def said(**changes: object) -> bytes:
 
 
 CHANGES: list[tuple[dict[str, Any], str]] = [
-    ({"version": 2}, "is of version 2, this slipflow knows 1"),
+    (
+        {"version": 1},
+        "is of version 1, this slipflow knows 2: recover it with the slipflow that session.json",
+    ),
     ({"session": "two"}, "is segment 3 of session 'two'; put it back there"),
     ({"segment": 4}, "is segment 4 of session 'one'"),
     ({"kinds": [{"batch": "Touch", "columns": []}]}, "has Touch rows of other columns"),

@@ -7,10 +7,12 @@ from typing import Any
 import pytest
 
 from operators.batch import Batch, Motion, Slips, Touch
+from operators.ports import Json
 from storage import frames, steps
+from storage.following import put_together
 from storage.frames import Rows, read_segment
 from storage.journal import MOST, SOON, Journal
-from storage.layout import segments
+from storage.layout import episode_log, segments, single_log
 
 
 class Steps:
@@ -43,11 +45,17 @@ def step(monkeypatch: pytest.MonkeyPatch) -> Steps:
 
 @pytest.fixture
 def journal(tmp_path: Path, step: Steps) -> Iterator[Journal]:
-    made = Journal(tmp_path, "one", lambda: None)
+    made = Journal(tmp_path, "one", {})
     yield made
     step.go_on.set()
     step.failing = False
     made.leave()
+
+
+def singles(folder: Path) -> list[tuple[int, int]]:
+    """First row and rows of each frame of a table of one file."""
+    segment = read_segment(single_log(folder).read_bytes(), "", "one", frames.SINGLE_LOG)
+    return [(rows.first, len(rows.batch)) for rows in segment.rows]
 
 
 def found(folder: Path) -> list[tuple[str, int, int]]:
@@ -72,12 +80,12 @@ def test_rows_that_wait_are_appended_at_once_when_there_are_some(
     tmp_path: Path, step: Steps, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
-    journal = Journal(tmp_path, "one", lambda: None)
+    journal = Journal(tmp_path, "one", {})
     for number in range(SOON):
         assert journal.add(Rows(number, new_batch(Touch, 1)))
     step.wait()
     with journal.held():
-        assert found(tmp_path) == [("Touch", number, 1) for number in range(SOON)]
+        assert found(tmp_path) == [("Touch", 0, SOON)]
     journal.leave()
 
 
@@ -118,7 +126,7 @@ def test_a_full_disk_refuses_rows_until_there_is_room_and_loses_and_repeats_none
         assert not journal.add(Rows(SOON, new_batch(Touch, 1)))
     step.failing = False
     journal.append(Rows(SOON, new_batch(Touch, 2)))
-    assert found(tmp_path) == [("Touch", 0, SOON), ("Touch", SOON, 2)]
+    assert found(tmp_path) == [("Touch", 0, SOON + 2)]
     assert journal.add(Rows(SOON + 2, new_batch(Touch, 1)))
 
 
@@ -127,7 +135,7 @@ def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_m
 ) -> None:
     kept = [Rows(3, new_batch(Slips, 2))]
     journal.append(Rows(0, new_batch(Touch, 4)), *kept)
-    journal.rotate(lambda: kept)
+    journal.rotate(lambda: kept, list)
     assert list(segments(tmp_path)) == [0, 1]
     journal.append(Rows(4, new_batch(Touch, 1)))
     journal.drop()
@@ -139,13 +147,13 @@ def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
     tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
-    journal, touch = Journal(tmp_path, "one", lambda: None), [new_batch(Touch, 1) for _ in range(3)]
+    journal, touch = Journal(tmp_path, "one", {}), [new_batch(Touch, 1) for _ in range(3)]
     for number in range(3):
         assert journal.add(Rows(number, touch[number]))
-    journal.rotate(lambda: [Rows(2, touch[2])])  # the others are to be committed, and may not be yet
-    assert found(tmp_path) == [("Touch", number, 1) for number in (0, 1, 2, 2)]
+    journal.rotate(lambda: [Rows(2, touch[2])], list)  # the others are to be committed, and may not be yet
+    assert found(tmp_path) == [("Touch", 0, 3), ("Touch", 2, 1)]
     assert journal.add(Rows(3, touch[0]))
-    journal.rotate(lambda: [Rows(2, new_batch(Touch, 2))])  # one of them is in the segment before
+    journal.rotate(lambda: [Rows(2, new_batch(Touch, 2))], list)  # one of them is in the segment before
     journal.drop()
     assert found(tmp_path) == [("Touch", 2, 2), ("Touch", 3, 1)]
     journal.leave()
@@ -157,11 +165,11 @@ def test_a_segment_that_cannot_be_begun_leaves_the_old_one_in_use(
     journal.append(Rows(0, new_batch(Touch, 1)))
     step.failing = True
     with pytest.raises(OSError, match="No space left"):
-        journal.rotate(lambda: [Rows(0, new_batch(Touch, 1))])
+        journal.rotate(lambda: [Rows(0, new_batch(Touch, 1))], list)
     step.failing = False
     journal.append(Rows(1, new_batch(Touch, 1)))
     assert found(tmp_path) == [("Touch", 0, 1), ("Touch", 1, 1)]
-    journal.rotate(list)
+    journal.rotate(list, list)
     journal.drop()
     assert found(tmp_path) == []
 
@@ -179,7 +187,7 @@ def test_a_slow_fsync_does_not_hold_up_what_is_appended(
 
     monkeypatch.setattr("storage.journal.SYNC", 0.001)
     monkeypatch.setattr(os, "fsync", slow)
-    journal = Journal(tmp_path, "one", lambda: None)
+    journal = Journal(tmp_path, "one", {})
     journal.append(Rows(0, new_batch(Touch, 1)))
     assert syncing.wait(60)
     for number in range(1, 50):
@@ -199,46 +207,48 @@ def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr("storage.journal.SYNC", 0.001)
-    journal = Journal(tmp_path, "one", lambda: None)
+    journal = Journal(tmp_path, "one", {})
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fail)
         journal.append(Rows(0, new_batch(Touch, 1)))
         assert failed.wait(60)
         journal.stop()
     suspect = [journal.suspect]
-    journal.rotate(list)
+    journal.rotate(list, list)
     assert [*suspect, journal.suspect] == [True, False]
     journal.leave()
 
 
-def test_episodes_are_told_when_they_change_and_only_then(
+def test_episodes_are_kept_as_they_begin_and_outlive_the_segments(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told, asked = list[Any](), threading.Semaphore(0)
+    listed, synced = list[Json](), threading.Semaphore(0)
 
-    def tell() -> bytes:
-        asked.release()
-        return frames.episodes(told)
+    def reach(step: str) -> None:
+        if step == "sync frames":
+            synced.release()
 
     monkeypatch.setattr("storage.journal.SYNC", 0.001)
-    journal = Journal(tmp_path, "one", tell)
-    sizes: list[int] = []
-    for episode in (1, 2):
-        told.append(episode)
-        for _ in range(10):
-            assert asked.acquire(timeout=60)
-        sizes.append(segments(tmp_path)[0].stat().st_size)
+    monkeypatch.setattr(steps, "reach", reach)
+    journal = Journal(tmp_path, "one", {"rig": {"episodes": listed}})
+    for start in range(3):
+        listed.append({"start": start, "end": start + 1})
+        assert synced.acquire(timeout=60)
+        journal.rotate(list, list)
+        journal.drop()
     journal.leave()
-    data = segments(tmp_path)[0].read_bytes()
-    assert read_segment(data, "", "one", 0).episodes == [1, 2]
-    assert data.count(b"SLIP") < 6  # of the segment, its description, and at most three lists
+    data = episode_log(tmp_path).read_bytes()
+    changes = read_segment(data, "", "one", frames.EPISODE_LOG).changes
+    assert put_together(changes, "") == {"rig": {"episodes": listed}}
+    journal.remove()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_its_threads_end_with_it_and_what_waited_is_there(
     tmp_path: Path, new_batch: Callable[..., Any]
 ) -> None:
     before = threading.active_count()
-    journal, batch = Journal(tmp_path, "one", lambda: None), list[Batch]([new_batch(Touch, 1)])
+    journal, batch = Journal(tmp_path, "one", {}), list[Batch]([new_batch(Touch, 1)])
     assert threading.active_count() == before + 2
     assert journal.add(Rows(0, batch[0]))
     journal.leave()
@@ -246,3 +256,56 @@ def test_its_threads_end_with_it_and_what_waited_is_there(
     assert found(tmp_path) == [("Touch", 0, 1)]
     journal.remove()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_rows_of_a_table_of_one_file_are_appended_once_and_outlive_the_segments(
+    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any]
+) -> None:
+    def refuse() -> list[Rows]:
+        raise AssertionError
+
+    for number in range(3):
+        journal.append(Rows(2 * number, new_batch(Slips, 2)))
+        journal.rotate(list, refuse)
+        journal.drop()
+    assert singles(tmp_path) == [(0, 2), (2, 2), (4, 2)]
+    assert found(tmp_path) == []
+
+
+def test_after_a_failed_fsync_they_are_written_anew_from_memory(
+    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    slips = new_batch(Slips, 4)
+    journal.append(Rows(0, slips))
+    before = single_log(tmp_path).stat().st_ino
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fail)
+        with pytest.raises(OSError, match="Input/output"):
+            journal.sync()
+    suspect = [journal.suspect]
+    journal.rotate(list, lambda: [Rows(0, slips)])
+    assert [*suspect, journal.suspect] == [True, False]
+    assert singles(tmp_path) == [(0, 4)]
+    assert single_log(tmp_path).stat().st_ino != before
+
+
+def test_what_could_not_be_appended_to_both_is_not_taken_by_either(
+    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(step: str) -> None:
+        if step == "append frames":
+            raise OSError(28, "No space left on device")
+
+    with journal.held():
+        assert journal.add(Rows(0, new_batch(Touch, 1)))
+        with monkeypatch.context() as patch:
+            patch.setattr(steps, "reach", fail)
+            with pytest.raises(OSError, match="No space left"):
+                journal.append(Rows(0, new_batch(Slips, 1)))
+        assert singles(tmp_path) == []
+        journal.append(Rows(0, new_batch(Slips, 3)))
+    assert singles(tmp_path) == [(0, 3)]
+    assert found(tmp_path) == [("Touch", 0, 1)]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from jsonschema import Draft202012Validator
 
 from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, ms, s
 from operators.errors import EndpointError, InputError
@@ -107,6 +108,46 @@ def test_every_row_of_every_table_is_a_message_in_the_order_of_time(
     assert alike(found) == alike(expected)
     assert dict(counted) == {name: sum(each[0] == name for each in expected) for name in counted}
     assert told[-1] == len(expected) == sum(counted.values())
+
+
+def test_every_message_keeps_the_schema_that_stands_in_the_file(
+    tmp_path: Path, record: Record, new_batch: NewBatch
+) -> None:
+    from mcap.reader import make_reader  # noqa: PLC0415 - an extra
+
+    kinds = (Touch, Motion, Labelled, Slips, Faults, Clocks)
+    path, checked = tmp_path / "one.mcap", set[str]()
+    episode = {"start": s, "end": 2 * s, "motion": "hold"}
+    export(record(tmp_path, [new_batch(kind, 9, start=s) for kind in kinds], episodes=[episode]), path)
+    with path.open("rb") as file:
+        for stored, _, message in make_reader(file).iter_messages():
+            assert stored is not None
+            schema = json.loads(stored.data)
+            # as in Foxglove's own JSON schemas: what marks a stamp there is its title
+            stamp_of = schema["properties"]["timestamp"]
+            assert (stamp_of["type"], stamp_of["title"]) == ("object", "time")
+            assert {name: each["type"] for name, each in stamp_of["properties"].items()} == {
+                "sec": "integer",
+                "nsec": "integer",
+            }
+            content = json.loads(message.data)
+            assert set(content) <= set(schema["properties"])
+            validator: Any = Draft202012Validator(lenient(schema))
+            validator.validate(content)
+            checked.add(stored.name)
+    assert checked == {f"slipflow.{kind.__name__}" for kind in kinds} | {"slipflow.Episode"}
+
+
+def lenient(schema: dict[str, Any]) -> dict[str, Any]:
+    """The schema with null among the numbers, which Foxglove takes and its schemas cannot say."""
+    found = dict(schema)
+    if found.get("type") == "number":
+        found["type"] = ["number", "null"]
+    if "items" in found:
+        found["items"] = lenient(found["items"])
+    if "properties" in found:
+        found["properties"] = {name: lenient(each) for name, each in found["properties"].items()}
+    return found
 
 
 def test_late_rows_come_in_their_place(tmp_path: Path, record: Record, new_batch: NewBatch) -> None:

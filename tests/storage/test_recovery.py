@@ -1,5 +1,6 @@
 import asyncio
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
@@ -8,6 +9,7 @@ from shutil import copyfile, copytree, rmtree
 from threading import Event
 from typing import Any, cast
 
+import polars as pl
 import pytest
 
 from operators.batch import Batch, Labelled, Motion, Slips, Touch, Zeroed, concat, ms
@@ -15,7 +17,7 @@ from operators.errors import EndpointError, InputError
 from operators.ports import Json, Run
 from storage import Dataset, Session, frames, recover, verify
 from storage.frames import read_segment
-from storage.layout import TABLE_OF, TOUCH, segments
+from storage.layout import TABLE_OF, TOUCH, episode_log, segments, single_log
 from storage.lock import lock
 from storage.manifest import read_manifest, write_manifest
 from storage.parts import read_part, write_part
@@ -163,7 +165,7 @@ def test_damage_in_the_middle_ends_the_tables_there_and_what_is_behind_it_is_kep
 ) -> None:
     [path] = segments(left).values()
     data = bytearray(path.read_bytes())
-    frame = data.rindex(b"SLIP", 0, len(data) - 500)
+    frame = data.rindex(b"SLIP", 0, data.rindex(b"SLIP"))  # the last but one
     data[frame + 20] ^= 4
     path.write_bytes(data)
     done = recover(left)
@@ -310,7 +312,7 @@ def test_a_cut_off_end_costs_its_own_rows_only(left: Path, batches: list[Batch])
     done = recover(left)
     assert "there the recorder was cut off" in done.lost[0]
     assert done.cut == done.lost
-    assert rows(left, batches) == [25, 25, 25, 25, 20]
+    assert rows(left, batches) == [25, 25, 25, 20, 25]
     assert not (left / "damaged").exists()
     assert verify(left).worst == "lossy"
 
@@ -383,7 +385,7 @@ def test_a_journal_of_another_slipflow_is_refused_and_nothing_is_changed(
 ) -> None:
     before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
     monkeypatch.setattr("storage.frames.VERSION", 7)
-    with pytest.raises(InputError, match=r"\.wal: is of version 1, this slipflow knows 7"):
+    with pytest.raises(InputError, match=r"\.wal: is of version 2, this slipflow knows 7"):
         recover(left)
     assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
 
@@ -451,6 +453,45 @@ def numbers(session: Session, kind: type[Batch], finger: int) -> list[int]:
     return [time // (10 * ms) for batch in session.read(kind, finger) for time in batch.time.tolist()]
 
 
+def stroke(number: int) -> dict[str, Json]:
+    """An episode of those that the script records."""
+    return {"start": 40 * number * ms, "end": 40 * (number + 1) * ms, "motion": "tap"}
+
+
+def test_a_log_of_single_files_that_is_gone_is_told_of(left: Path, batches: list[Batch]) -> None:
+    single_log(left).unlink()
+    assert verify(left).worst == "lost"
+    assert "journal/single.wal: is gone, with the rows that it held" in recover(left).lost
+    assert rows(left, batches) == [25, 25, 25, 25, 0]
+
+
+def test_a_replay_killed_at_any_step_is_whole_or_says_that_it_is_not(tmp_path: Path) -> None:
+    counts = kill("replay", tmp_path)
+    reached = {step for step in STEPS if counts[step]}
+    assert reached == {
+        *(
+            f"{each} {what}"
+            for each in ("write", "rename", "sync")
+            for what in ("part", "session", "manifest")
+        ),
+        *(f"{each} dataset" for each in ("write", "rename", "sync", "settle")),
+        "settle session",
+    }
+    for place in tmp_path.iterdir():
+        folder = place / "sessions/one"
+        if not (folder / "session.json").exists():
+            continue
+        before = Session.open(place).about["complete"]
+        assert verify(place).code == (0 if before else 3), place  # lossy, and said to be
+        assert recover(folder).complete == (before or not list(folder.glob("*/*.parquet"))), place
+        session = Session.open(place)
+        assert session.about["complete"] is before
+        for kind, finger in ((Touch, 0), (Motion, -1), (Slips, 0)):
+            found = numbers(session, kind, finger)
+            assert found == list(range(len(found))), place
+            assert len(found) == 45 or not before, place
+
+
 def test_a_recorder_killed_at_any_step_loses_the_last_rows_at_most(tmp_path: Path) -> None:
     counts = kill("record", tmp_path)
     assert [step for step in STEPS if not counts[step]] == []
@@ -459,12 +500,19 @@ def test_a_recorder_killed_at_any_step_loses_the_last_rows_at_most(tmp_path: Pat
         if not (place / "sessions/one/session.json").exists():
             assert taken == 0
             continue
+        parts = [pl.read_parquet(path) for path in place.glob("sessions/one/touch/*.parquet")]
+        committed = max((time for frame in parts for time in frame["time"].to_list()), default=-1)
         assert recover(place / "sessions/one").complete, place
         session = Session.open(place)
         for kind, finger in ((Touch, 0), (Motion, -1), (Slips, 0)):
             found = numbers(session, kind, finger)
             assert found == list(range(len(found))), place
             assert len(found) >= taken - 10, place
+        told: Any = session.describe().get("episodes", [])
+        keys = ("start", "end", "motion")
+        found_episodes = [{key: each[key] for key in keys} for each in told]
+        assert found_episodes[:-1] == [stroke(n) for n in range(len(told) - 1)], place
+        assert len(told) > committed // (4 * 10 * ms), place
         assert verify(place).code in {0, 3}, place
         assert list(place.rglob("*.tmp")) == list(place.glob("*.tmp")), place
 
@@ -484,6 +532,74 @@ def test_a_recovery_killed_at_any_step_is_carried_out_by_the_next(
         assert rows(place, batches) == [25] * 5, place
         about: Any = Session.open(place).about
         assert about["recovered"]["rows"] == {"touch": 10, "motion": 5, "samples": 5, "slips": 25}, place
+
+
+def episodes(*starts: int) -> list[Json]:
+    return [{"start": start * ms, "end": (start + 10) * ms, "motion": "tap"} for start in starts]
+
+
+def starts(folder: Path) -> list[int]:
+    return [start // ms for start in Session.open(folder).frame("episodes")["start"].to_list()]
+
+
+def test_a_file_of_episodes_that_was_just_being_replaced_costs_none(
+    tmp_path: Path, new_run: Callable[..., Run]
+) -> None:
+    told = episodes(0)
+    writer: Any = SessionWriter(tmp_path, new_run(describe={"rig": {"episodes": told}}), 10**12, 1000)
+    told += episodes(10, 20)
+    writer._journal.keep_episodes()
+    writer._commit_episodes(final=True)  # and is killed before the manifest
+    del writer
+    folder = tmp_path / "sessions/one"
+    assert recover(folder).complete
+    assert starts(folder) == [0, 10, 20]
+    assert verify(tmp_path).worst == "lossy"  # it was never closed
+
+
+def test_a_source_that_began_anew_is_believed(tmp_path: Path, new_run: Callable[..., Run]) -> None:
+    told = episodes(0, 10, 20)
+    writer: Any = SessionWriter(tmp_path, new_run(describe={"rig": {"episodes": told}}), 10**12, 1000)
+    writer._journal.keep_episodes()
+    told[:] = episodes(40)
+    del writer
+    assert starts(tmp_path / "sessions/one") == [40]
+
+
+@pytest.mark.parametrize(
+    ("frame", "weight", "left_over"),
+    [(0, "lost", [0]), (1, "lost", [0]), (2, "lost", [0, 10]), (3, "lossy", [0, 10, 20])],
+)
+def test_damage_to_what_the_journal_tells_of_episodes_costs_those_behind_it_and_no_row(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    frame: int,
+    weight: str,
+    left_over: list[int],
+) -> None:
+    monkeypatch.setattr("storage.journal.SYNC", 3600.0)
+    told = episodes(0)
+    writer: Any = SessionWriter(tmp_path, new_run(describe={"rig": {"episodes": told}}), 10**12, 1000)
+    writer.append(new_batch(Labelled))
+    for start in (10, 20, 30):
+        told += episodes(start)
+        writer._journal.keep_episodes()
+    folder, path = writer.folder, episode_log(writer.folder)
+    del writer
+    data = bytearray(path.read_bytes())
+    places = [match.start() for match in re.finditer(b"SLIP", data)][1:]  # the file begins so, too
+    assert len(places) == 4
+    data[places[frame] + 20] ^= 1
+    path.write_bytes(data)
+    assert verify(folder).worst == weight
+    done = recover(folder)
+    assert done.rows == {"samples": 5}
+    assert "episodes.wal: its last" in done.lost[0]
+    assert starts(folder) == left_over
+    assert (folder / "damaged/journal-episodes.wal").exists() == (weight == "lost")
 
 
 def test_episodes_that_cannot_be_cost_no_row(

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from storage import frames
-from storage.frames import Segment, read_segment
+from storage.frames import Change, Segment, read_segment
 from storage.segment import OpenSegment
 
 
@@ -16,14 +16,19 @@ def read(path: Path) -> Segment:
 
 
 def body(number: int) -> bytes:
-    return frames.episodes([number])
+    [told] = frames.episodes(Change("rig", number, []))
+    return told
+
+
+def told(segment: Segment) -> list[int]:
+    return [change.first for change in segment.changes]
 
 
 def test_frames_are_there_in_order_as_soon_as_they_are_appended(tmp_path: Path) -> None:
     segment = OpenSegment(tmp_path / "000000.wal", "one", 0)
     for number in range(3):
         segment.append([body(10 * number), body(10 * number + 1)])
-        assert read(segment.path).episodes == [10 * number + 1]
+        assert told(read(segment.path))[-2:] == [10 * number, 10 * number + 1]
         assert read(segment.path).damage is None
     segment.sync()
     segment.close()
@@ -51,7 +56,7 @@ def test_what_could_not_be_appended_whole_is_taken_back_and_can_be_tried_again(
             segment.append([body(2), body(3)])
     assert segment.path.read_bytes() == before
     segment.append([body(2), body(3)])
-    assert read(segment.path).episodes == [3]
+    assert told(read(segment.path)) == [1, 2, 3]
     segment.close()
 
 
@@ -75,7 +80,7 @@ def test_where_it_cannot_be_taken_back_the_next_frames_are_written_over_it(
             segment.append([body(n) for n in range(9)])
     segment.append([body(99)])
     found = read(segment.path)
-    assert found.episodes == [99]
+    assert told(found) == [99]
     assert found.damage is not None
     segment.close()
 
@@ -92,7 +97,7 @@ segment, took = OpenSegment(Path({str(tmp_path / "000000.wal")!r}), "one", 0), 0
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
     while True:
-        segment.append([frames.episodes([took + 1])])
+        segment.append(frames.episodes(frames.Change("rig", took, [])))
         took += 1
 except OSError as error:
     print(took, error.strerror)
@@ -106,7 +111,7 @@ except OSError as error:
     )
     took, reason = done.stdout.strip().split(" ", 1)
     found = read(tmp_path / "000000.wal")
-    assert (found.episodes, found.damage, reason) == ([int(took)], None, "File too large")
+    assert (told(found), found.damage, reason) == ([*range(int(took))], None, "File too large")
 
 
 def test_only_what_is_new_is_made_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -119,3 +124,13 @@ def test_only_what_is_new_is_made_durable(tmp_path: Path, monkeypatch: pytest.Mo
     segment.sync()
     assert len(synced) == 1
     segment.close()
+
+
+def test_it_may_begin_with_frames_in_place_of_another(tmp_path: Path) -> None:
+    path = tmp_path / "000000.wal"
+    for number in range(2):
+        segment = OpenSegment(path, "one", 0, [body(10 * number), body(10 * number + 1)])
+        segment.append([body(99)])
+        segment.close()
+        assert told(read(path)) == [10 * number, 10 * number + 1, 99]
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]

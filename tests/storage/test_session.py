@@ -1,15 +1,17 @@
 import asyncio
+import pickle
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
 
+import pyarrow as pa
 import pytest
 
 from operators.batch import Batch, Faults, Labelled, Motion, Sample, Scores, Slips, Touch, Zeroed, concat, ms
 from operators.errors import InputError, ParameterError
 from operators.ports import Recording, Run
-from storage import Dataset, Session, files
+from storage import Dataset, Session, files, parts
 from storage.episodes import Episodes
 from storage.layout import TOUCH
 from storage.parts import read_part, write_part
@@ -171,6 +173,53 @@ def test_a_part_that_leads_out_of_the_session_is_refused(folder: Path, tmp_path:
     path.symlink_to(tmp_path / "elsewhere.parquet")
     with pytest.raises(InputError, match="leads out of"):
         Session.open(folder).frame("touch")
+
+
+def test_fingertips_that_are_read_side_by_side_share_each_part(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read = list[str]()
+
+    def watched(path: Path, *more: Any) -> pa.Table:  # noqa: ANN401 - as read_part takes them
+        read.append(path.name)
+        return read_part(path, *more)
+
+    monkeypatch.setattr(parts, "read_part", watched)
+    session = Session.open(folder)
+    for _ in zip(session.read(Touch, 0, 10), session.read(Touch, 2, 10), strict=True):
+        pass
+    assert read == [f"part-{number:06d}.parquet" for number in range(3)]
+
+
+def test_a_part_that_is_being_read_is_not_given_as_what_it_is_not(folder: Path) -> None:
+    session = Session.open(folder)
+    raw, zeroed = session.read(Touch, 0), session.read(Zeroed, 0)
+    assert len(next(raw)) == 10
+    assert list(zeroed) == []
+
+
+def test_no_part_is_kept_once_it_has_been_read(folder: Path) -> None:
+    session = Session.open(folder)
+    assert len(list(session.read(Touch, 0))) == 3
+    assert not vars(session)["_open"]
+
+
+def test_the_files_are_checked_once_for_whose_rows_they_hold(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = Session.open(folder)
+    assert session.fingers(Touch) == (0, 2)
+    monkeypatch.setattr(parts, "read_part", None)
+    assert session.fingers(Touch) == (0, 2)
+
+
+def test_a_session_pickles_while_it_is_read(folder: Path) -> None:
+    session = Session.open(folder)
+    rows = session.read(Touch, 0)
+    next(rows)
+    again = pickle.loads(pickle.dumps(session))  # noqa: S301 - our own
+    assert again == session
+    assert again.fingers(Touch) == (0, 2)
 
 
 def record(root: Path, run: Run, batches: Sequence[Batch]) -> SessionWriter:

@@ -41,7 +41,8 @@ def test_segments_are_missed_between_others_and_where_there_is_none(tmp_path: Pa
     assert missing_segments(tmp_path, {"end_ns": 5}) == []
     for number in (4, 7):
         (tmp_path / segment_file(number)).touch()
-    assert [each.partition(":")[0] for each in missing_segments(tmp_path, {})] == [
-        "journal/000005.wal",
-        "journal/000006.wal",
+    gone = [
+        f"journal/{name}.wal: is gone, with the rows that it held" for name in ("000005", "000006", "single")
     ]
+    assert missing_segments(tmp_path, {}) == gone
+    assert missing_segments(tmp_path, {"end_ns": 5}) == gone[:2]

@@ -1,0 +1,161 @@
+"""A session as one Rerun recording (.rrd): its streams as time series, its events as a text log."""
+
+import json
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from operators.batch import BAROMETERS, SLIP, AnyBatch, Batch, Faults, Labelled, Motion, Slips, Touch, Zeroed
+from operators.detectors import Detector
+from operators.errors import EndpointError, InputError
+from operators.health import FaultKind
+from operators.score import Score
+from operators.zero import Zero
+from storage.partial import partial_file
+from storage.session import Session
+
+TIMELINE: Final = "time"  # event time, since 1970 UTC
+
+_CELLS: Final = tuple(f"barometer {cell}" for cell in range(BAROMETERS))
+
+
+def export(
+    session: Session,
+    path: Path,
+    detector: Detector | None = None,
+    progress: Callable[[int], object] = lambda _rows: None,
+) -> Mapping[str, int]:
+    """Write a session; give how many rows each entity has.
+
+    - ``/touch/FINGER``: six series of counts, raw or zeroed as they were recorded; none where a cell is mute
+    - ``/probability/FINGER``: of slip, as `detector` says, touch zeroed first where it is raw
+    - ``/motion/speed``: of the tool centre point, m/s; ``/samples/FINGER/speed``: in the contact plane
+    - ``/slip/FINGER``: each onset and end as a line of text; ``/faults``: the same of barometers
+    - ``/session``: what session.json says
+
+    Streams are read and written part by part, so a long session takes no more memory than a short one.
+
+    Args:
+        session: What to write.
+        path: The file, which must not be there.
+        detector: Scores the touch again; None: without a probability.
+        progress: Told how many rows are written, now and then.
+
+    Raises:
+        InputError: if the library is not installed, or the session is damaged.
+        EndpointError: if the file is there already, or cannot be written; nothing is left then.
+    """
+    if find_spec("rerun") is None:
+        raise InputError("Rerun export", "needs rerun-sdk: pip install 'slipflow[rerun]'")
+    counts = Counter[str]()
+    with partial_file(path) as file:
+        with closing(_Recording(session.name, file.name)) as recording:
+            for entity, rows in recording.send(session, detector):
+                counts[entity] += rows
+                progress(counts.total())
+        require_whole(file.name, path)
+    return dict(counts)
+
+
+class _Recording:
+    """What the library writes to a file of batches."""
+
+    def __init__(self, name: str, path: str) -> None:
+        self._rerun: Any = import_module("rerun")  # an extra, and slow to import
+        self._stream: Any = self._rerun.RecordingStream("slipflow", recording_id=name)
+        self._stream.save(path)
+        self._named = set[str]()  # entities
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._stream.disconnect()
+
+    def send(self, session: Session, detector: Detector | None) -> Iterator[tuple[str, int]]:
+        """Send all of a session; give each batch's entity and rows."""
+        about = json.dumps(dict(session.about), indent=1, default=str)
+        self._stream.log("/session", self._rerun.TextDocument(about), static=True)
+        for finger in session.fingers(Touch):
+            yield from self._touch(session, finger, detector)
+        for batch in _batches(session, Motion):
+            with np.errstate(over="ignore", invalid="ignore"):  # whatever was recorded
+                speed = np.linalg.norm(batch.velocity[:, :3], axis=1)  # (n,) m/s
+            yield self._scalars("/motion/speed", batch, speed, ("speed, m/s",))
+        for sample in _batches(session, Labelled):
+            name = f"/samples/{sample.finger}/speed"
+            yield self._scalars(name, sample, sample.speed, ("speed in the contact plane, m/s",))
+        for slips in _batches(session, Slips):
+            yield self._texts(f"/slip/{slips.finger}", slips, _slip_texts(slips))
+        for faults in _batches(session, Faults):
+            yield self._texts("/faults", faults, _fault_texts(faults))
+
+    def _touch(self, session: Session, finger: int, detector: Detector | None) -> Iterator[tuple[str, int]]:
+        zero, score = Zero(), None if detector is None else Score(detector)
+        for batch in session.read(Touch, finger):
+            counts = np.where(batch.valid, batch.counts, np.nan)  # (n, 6)
+            yield self._scalars(f"/touch/{finger}", batch, counts, _CELLS)
+            if score is None:
+                continue
+            scores = score.push(batch if isinstance(batch, Zeroed) else zero.push(batch))
+            if len(scores):
+                yield self._scalars(f"/probability/{finger}", scores, scores.probability, ("slip",))
+
+    def _scalars(
+        self, entity: str, batch: Batch, values: np.ndarray[Any, Any], names: tuple[str, ...]
+    ) -> tuple[str, int]:
+        """Send series, a column of `values` each; (n,) or (n, k)."""
+        if entity not in self._named:
+            self._named.add(entity)
+            self._stream.log(entity, self._rerun.SeriesLines(names=list(names)), static=True)
+        columns = self._rerun.Scalars.columns(scalars=np.asarray(values, np.float64).reshape(-1))
+        self._stream.send_columns(
+            entity, [self._times(batch)], columns.partition(np.full(len(batch), len(names)))
+        )
+        return entity, len(batch)
+
+    def _texts(self, entity: str, batch: Batch, texts: list[str]) -> tuple[str, int]:
+        columns = self._rerun.TextLog.columns(text=texts, level=["INFO"] * len(texts))
+        self._stream.send_columns(entity, [self._times(batch)], columns)
+        return entity, len(batch)
+
+    def _times(self, batch: Batch) -> Any:  # noqa: ANN401 - of the library, which is an extra
+        return self._rerun.TimeColumn(TIMELINE, timestamp=batch.time.view("datetime64[ns]"))
+
+
+def require_whole(written: str, path: Path) -> None:
+    """Make sure that a file is whole: the library does not tell that it could not write.
+
+    Raises:
+        EndpointError: naming `path`, if it is not.
+    """
+    chunk: Any = import_module("rerun.chunk")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a file without its end is read with a warning
+            chunk.RrdReader(written)
+    except (RuntimeError, Warning) as error:
+        raise EndpointError(str(path), "was not written whole: is the disk full?") from error
+
+
+def _batches(session: Session, kind: type[AnyBatch]) -> Iterator[AnyBatch]:
+    for finger in session.fingers(kind):
+        yield from session.read(kind, finger)
+
+
+def _slip_texts(batch: Slips) -> list[str]:
+    rows = zip(batch.state.tolist(), batch.probability.tolist(), strict=True)
+    return [f"slip {'onset' if state == SLIP else 'end'}  p {probability:.2f}" for state, probability in rows]
+
+
+def _fault_texts(batch: Faults) -> list[str]:
+    rows = zip(batch.barometer.tolist(), batch.kind.tolist(), batch.active.tolist(), strict=True)
+    return [
+        f"finger {batch.finger} barometer {cell} {FaultKind(kind).name.lower()} {'begins' if on else 'ends'}"
+        for cell, kind, on in rows
+    ]

@@ -1,0 +1,96 @@
+import os
+from pathlib import Path
+
+import pytest
+
+from storage import steps
+from storage.unsettled import Unsettled
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """The names of what was made durable."""
+    found, fsync = set[str](), os.fsync
+
+    def note(number: int) -> None:
+        found.add(Path(f"/proc/self/fd/{number}").readlink().name)
+        fsync(number)
+
+    monkeypatch.setattr(os, "fsync", note)
+    return found
+
+
+@pytest.fixture
+def unsettled(tmp_path: Path) -> Unsettled:
+    made = Unsettled()
+    made.make_folder(tmp_path / "touch", new=True)
+    for name in ("touch/part-000000.parquet", "MANIFEST.json", "MANIFEST.json"):
+        made.put(tmp_path / name, name.encode())
+    return made
+
+
+def test_files_are_there_at_once_and_durable_when_told(
+    unsettled: Unsettled, tmp_path: Path, synced: set[str]
+) -> None:
+    assert (tmp_path / "MANIFEST.json").read_bytes() == b"MANIFEST.json"
+    assert synced == set()
+    unsettled.settle()
+    assert synced == {"part-000000.parquet", "MANIFEST.json", "touch", tmp_path.name}
+    synced.clear()
+    unsettled.settle()
+    assert synced == set()
+
+
+def test_all_files_are_durable_before_any_folder_is_asked_for(
+    unsettled: Unsettled, synced: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = list[set[str]]()
+
+    def note(step: str) -> None:
+        if step.startswith("settle"):
+            before.append(set(synced))
+
+    monkeypatch.setattr(steps, "reach", note)
+    unsettled.settle()
+    assert before[0] == {"part-000000.parquet", "MANIFEST.json"}
+
+
+def test_after_a_failed_fsync_files_are_written_anew(
+    unsettled: Unsettled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = tmp_path / "touch/part-000000.parquet"
+    before = part.stat().st_ino
+
+    def fail(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fail)
+        with pytest.raises(OSError, match="Input/output"):
+            unsettled.settle()
+    assert part.stat().st_ino == before
+    unsettled.settle()
+    assert part.read_bytes() == b"touch/part-000000.parquet"
+    assert part.stat().st_ino != before
+
+
+def test_what_the_disk_has_forgotten_is_not_made_up(
+    unsettled: Unsettled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(_: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", fail)
+        with pytest.raises(OSError, match="Input/output"):
+            unsettled.settle()
+    (tmp_path / "MANIFEST.json").write_bytes(b"anything")
+    for _ in range(2):
+        with pytest.raises(OSError, match="not there any more; replay it again"):
+            unsettled.settle()
+
+
+def test_a_folder_that_has_to_be_new_is_refused_if_it_is_there(unsettled: Unsettled, tmp_path: Path) -> None:
+    unsettled.make_folder(tmp_path / "touch")
+    with pytest.raises(FileExistsError):
+        unsettled.make_folder(tmp_path / "touch", new=True)
