@@ -1,6 +1,7 @@
 """The commands about the robot experiments; `flows.command` registers `app` with one line."""
 
 import json
+import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -9,6 +10,8 @@ import typer
 from flows.options import AsJson, progress_bar, told
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from flows.experiment.experiment import Kind, Method
     from flows.experiment.setting import Conditions
 
@@ -44,6 +47,12 @@ Locks = Annotated[
 Sweep = Annotated[
     bool, typer.Option("--stress", help="Instead: success under friction, mass, dead cells, delay, rate.")
 ]
+Break = Annotated[
+    bool,
+    typer.Option(
+        "--ablation", help="Instead: where it breaks, against delay and rate, and what breaks first."
+    ),
+]
 Jobs = Annotated[int | None, typer.Option(help="Processes; one for each core by default.")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the page and its figure go.")]
 
@@ -68,7 +77,7 @@ def tap(
     _carry_out(
         "tap",
         method,
-        ["ours"],
+        None,
         things=thing,
         trials=trials,
         seed=seed,
@@ -76,6 +85,7 @@ def tap(
         jobs=jobs,
         out=out,
         as_json=as_json,
+        command=_command("tap", *_given(method, None, thing), *_under(rate=rate), *_of(trials, seed)),
     )
 
 
@@ -97,6 +107,7 @@ def lift(
     rate: Rate = 100.0,
     locks: Locks = False,
     stress: Sweep = False,
+    ablation: Break = False,
     jobs: Jobs = None,
     out: Out = Path("experiment"),
     as_json: AsJson = False,
@@ -104,15 +115,35 @@ def lift(
     """Lift what is gripped too weakly: is it caught by more force?
 
     Prints success beside the paper's, how trials failed, how far objects slid and the force it took. Writes
-    lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json.
+    lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation
+    lift-ablation.html, .md, .json and .svg, for which path, delay, rate and hand are the experiment's own.
     """
+    if stress and ablation:
+        raise typer.BadParameter("--stress or --ablation: give one")
     conditions = _conditions(path, delay, rate, locks=locks)
-    rules = rule or ["ours"]
+    given = [*_given(method, rule, thing), *_under(path, delay, rate, locks=locks), *_of(trials, seed)]
+    if ablation:
+        if conditions != _conditions("direct", 0, 100):
+            raise typer.BadParameter(
+                "--ablation takes no --path, --delay, --rate or --locks: it tries its own"
+            )
+        _ablate(
+            method,
+            rule,
+            things=thing,
+            trials=trials,
+            seed=seed,
+            jobs=jobs,
+            out=out,
+            as_json=as_json,
+            command=_command("lift", "--ablation", *given),
+        )
+        return
     if not stress:
         _carry_out(
             "lift",
             method,
-            rules,
+            rule,
             things=thing,
             trials=trials,
             seed=seed,
@@ -120,21 +151,63 @@ def lift(
             jobs=jobs,
             out=out,
             as_json=as_json,
+            command=_command("lift", *given),
         )
         return
+    from connectors.rig.objects import OBJECTS
     from flows.evaluation.written import claim
     from flows.experiment import stress_page
     from flows.experiment.stress import stress as measure
 
     claim(out)
-    chosen = _methods("lift", method, rules)[0]
+    chosen = _methods("lift", method, rule)[0]
     with progress_bar("stressing") as update:
-        found = measure(chosen, trials=trials, seed=seed, conditions=conditions, jobs=jobs, progress=update)
-    paths = stress_page.write(
-        found, out, f"slipflow experiment lift --stress --trials {trials} --seed {seed}"
-    )
+        found = measure(
+            chosen,
+            trials=trials,
+            seed=seed,
+            objects=thing or tuple(OBJECTS),
+            conditions=conditions,
+            jobs=jobs,
+            progress=update,
+        )
+    paths = stress_page.write(found, out, _command("lift", "--stress", *given))
     told(f"written: {', '.join(map(str, paths))}")
-    typer.echo(json.dumps(found.json()) if as_json else stress_page.text(found))
+    typer.echo(json.dumps(found.json(), allow_nan=False) if as_json else stress_page.text(found))
+
+
+def _ablate(
+    names: list[str] | None,
+    rules: list[str] | None,
+    *,
+    things: list[str] | None,
+    trials: int,
+    seed: int,
+    jobs: int | None,
+    out: Path,
+    as_json: bool,
+    command: str,
+) -> None:
+    from connectors.rig.objects import OBJECTS
+    from flows.evaluation.written import claim
+    from flows.experiment import ablation_page
+    from flows.experiment.ablation import METHODS, ablation
+
+    claim(out)
+    with progress_bar("ablation") as update:
+        found = ablation(
+            _methods("lift", names, rules) if names else METHODS,
+            trials=trials,
+            seed=seed,
+            objects=things or tuple(OBJECTS),
+            jobs=jobs,
+            progress=update,
+        )
+    paths = ablation_page.write(found, out, command)
+    _written(paths)
+    typer.echo(
+        json.dumps(ablation_page.summary(found), allow_nan=False) if as_json else ablation_page.text(found)
+    )
 
 
 @app.command()
@@ -144,8 +217,8 @@ def learn(
         Path,
         typer.Option("--out", "-o", metavar="FILE", help="The model, .safetensors; its card is the .json."),
     ] = Path("tcn_grasp.safetensors"),
-    grasps: Annotated[int, typer.Option(min=20, help="Recordings of grasps to learn from.")] = 2000,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of the training.")] = 4000,
+    grasps: Annotated[int, typer.Option(min=20, help="Recordings of grasps to learn from.")] = 4000,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of the training.")] = 2600,
     seed: Annotated[int, typer.Option(min=0, help="Of the recordings.")] = 7000,
     as_json: AsJson = False,
 ) -> None:
@@ -153,8 +226,10 @@ def learn(
 
     None has one of the six objects. Stopped, it goes on where it was. Needs the train extra.
     """
+    from dataclasses import replace
+
+    from flows.experiment.learning import RECIPE
     from flows.experiment.learning import learn as train
-    from flows.networks.recipe import Recipe
     from flows.training.curve import Check
 
     with progress_bar("training tcn_grasp") as update:
@@ -164,7 +239,9 @@ def learn(
             if check:
                 told(f"{check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
 
-        model = train(out, seed=seed, grasps=grasps, recipe=Recipe(steps=steps), told=told, progress=progress)
+        model = train(
+            out, seed=seed, grasps=grasps, recipe=replace(RECIPE, steps=steps), told=told, progress=progress
+        )
     scores = ", ".join(f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items())
     summary = {"path": str(model.path), **model.card}
     typer.echo(json.dumps(summary) if as_json else f"{model.path}: balanced accuracy {scores}")
@@ -173,7 +250,7 @@ def learn(
 def _carry_out(
     kind: "Kind",
     names: list[str] | None,
-    rules: list[str],
+    rules: list[str] | None,
     *,
     things: list[str] | None,
     trials: int,
@@ -182,6 +259,7 @@ def _carry_out(
     jobs: int | None,
     out: Path,
     as_json: bool,
+    command: str,
 ) -> None:
     from connectors.rig.objects import OBJECTS
     from flows.evaluation.written import claim
@@ -201,16 +279,45 @@ def _carry_out(
             jobs=jobs,
             progress=update,
         )
-    given = "".join(f" --method {name}" for name in dict.fromkeys(method.detector for method in methods))
-    paths = page.write(found, out, f"slipflow experiment {kind}{given} --trials {trials} --seed {seed}")
-    told(f"written: {', '.join(map(str, paths))}")
-    typer.echo(json.dumps(page.summary(found)) if as_json else page.text(found))
+    paths = page.write(found, out, command)
+    _written(paths)
+    typer.echo(json.dumps(page.summary(found), allow_nan=False) if as_json else page.text(found))
 
 
-def _methods(kind: "Kind", names: list[str] | None, rules: list[str]) -> "list[Method]":
+def _written(paths: "Sequence[Path]") -> None:
+    """Say what was written, and what it takes to have the figures that were left out."""
+    from flows.figures import lacking
+
+    told(f"written: {', '.join(map(str, paths))}" + (f"; figures {reason}" if (reason := lacking()) else ""))
+
+
+def _command(*arguments: str) -> str:
+    """What makes the same page again."""
+    return shlex.join(["slipflow", "experiment", *arguments])
+
+
+def _given(names: list[str] | None, rules: list[str] | None, things: list[str] | None) -> list[str]:
+    """The options that may be given several times, as they were."""
+    options = {"--method": names, "--rule": rules, "--object": things}
+    return [part for option, values in options.items() for value in values or [] for part in (option, value)]
+
+
+def _under(path: str = "direct", delay: float = 0, rate: float = 100, *, locks: bool = False) -> list[str]:
+    """The conditions that are not nominal, as options."""
+    options = {"--path": (path, "direct"), "--delay": (f"{delay:g}", "0"), "--rate": (f"{rate:g}", "100")}
+    other = [part for option, (value, usual) in options.items() if value != usual for part in (option, value)]
+    return [*other, "--locks"] if locks else other
+
+
+def _of(trials: int, seed: int) -> list[str]:
+    return ["--trials", str(trials), "--seed", str(seed)]
+
+
+def _methods(kind: "Kind", names: list[str] | None, given: list[str] | None) -> "list[Method]":
     """Each detector with each rule; by default ours beside the paper's, and no control."""
-    from flows.experiment.experiment import BESIDE, DEFAULT, Method
+    from flows.experiment.experiment import BESIDE, DEFAULT, OURS, Method
 
+    rules = given or [OURS]
     if names:
         return [Method(name, rule) for name in names for rule in rules]
     return [Method(DEFAULT, rule) for rule in rules] + list(BESIDE[kind])

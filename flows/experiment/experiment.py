@@ -68,6 +68,7 @@ BESIDE: Final[Mapping[Kind, Sequence[Method]]] = {
 
 
 Outcome: TypeAlias = Lifting | Tapping
+Progress: TypeAlias = Callable[[int, int, str], object]  # done, of how many, whose
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +107,7 @@ def experiment(
     objects: Sequence[str] = tuple(OBJECTS),
     conditions: Conditions | None = None,
     jobs: int | None = None,
-    progress: Callable[[int, int, str], object] = lambda _done, _all, _part: None,
+    progress: Progress = lambda _done, _all, _part: None,
 ) -> Found:
     """Carry an experiment out.
 
@@ -125,32 +126,61 @@ def experiment(
         ParameterError: on less than one trial, method or job, or no such object.
         SlipflowError: if a process ended early.
     """
-    for name, value in (("trials", trials), ("methods", len(methods)), ("jobs", 1 if jobs is None else jobs)):
+    found = under(
+        kind, methods, {"": conditions or Conditions()},
+        trials=trials, seed=seed, objects=objects, jobs=jobs, progress=progress,
+    )  # fmt: skip
+    return found[""]
+
+
+def under(
+    kind: Kind,
+    methods: Sequence[Method],
+    tried: Mapping[str, Conditions],
+    *,
+    trials: int = TRIALS,
+    seed: int = SEED,
+    objects: Sequence[str] = tuple(OBJECTS),
+    jobs: int | None = None,
+    progress: Progress = lambda _done, _all, _part: None,
+) -> dict[str, Found]:
+    """Carry an experiment out under each condition, by its name, always with the same trials; as above."""
+    workers = 1 if jobs is None else jobs
+    sizes = {"trials": trials, "methods": len(methods), "conditions": len(tried), "jobs": workers}
+    for name, value in sizes.items():
         if value < 1:
             raise ParameterError("experiment", name, value, "at least 1")
-    things = tuple(named(each).name for each in objects)
-    conditions = conditions or Conditions()
-    work = _Work(kind, {m.name: (load_detector(m.detector), m.grip()) for m in methods}, conditions)
+    for thing in objects:
+        if thing not in OBJECTS:
+            raise ParameterError("experiment", "object", thing, f"one of {', '.join(OBJECTS)}")
+    things = tuple(objects)
+    work = _Work(kind, {m.name: (load_detector(m.detector), m.grip()) for m in methods}, tried)
     chunks = [
-        _Chunk(method.name, thing, range(first, min(first + CHUNK, seed + trials)))
+        _Chunk(name, method.name, thing, range(first, min(first + CHUNK, seed + trials)))
+        for name in tried
         for method in methods
         for thing in things
         for first in range(seed, seed + trials, CHUNK)
     ]
     jobs = min(os.cpu_count() or 1 if jobs is None else jobs, len(chunks))
-    outcomes: dict[tuple[str, str], list[Outcome]] = {}
-    done, of = 0, trials * len(things) * len(methods)
+    outcomes = {name: dict[tuple[str, str], list[Outcome]]() for name in tried}
+    done, of = 0, trials * len(things) * len(methods) * len(tried)
     progress(0, of, "")
     with closing(results(work, chunks, jobs)) as each:
         for chunk, found in zip(chunks, each, strict=True):
-            outcomes.setdefault((chunk.method, chunk.thing), []).extend(found)
+            outcomes[chunk.condition].setdefault((chunk.method, chunk.thing), []).extend(found)
             done += len(found)
-            progress(done, of, f"{chunk.method}: {chunk.thing}")
-    return Found(kind, trials, seed, conditions, outcomes, tuple(m.name for m in methods), things, methods[0])
+            progress(done, of, chunk.condition or f"{chunk.method}: {chunk.thing}")
+    names = tuple(method.name for method in methods)
+    return {
+        name: Found(kind, trials, seed, conditions, outcomes[name], names, things, methods[0])
+        for name, conditions in tried.items()
+    }
 
 
 @dataclass(frozen=True, slots=True)
 class _Chunk:
+    condition: str
     method: str
     thing: str
     seeds: range
@@ -162,12 +192,12 @@ class _Work:
 
     kind: Kind
     methods: Mapping[str, By]
-    conditions: Conditions
+    conditions: Mapping[str, Conditions]
 
     def __call__(self, chunk: _Chunk) -> list[Outcome]:
-        by = self.methods[chunk.method]
+        by, conditions = self.methods[chunk.method], self.conditions[chunk.condition]
         with one_thread():
-            return [one(self.kind, chunk.thing, seed, by, self.conditions)[1] for seed in chunk.seeds]
+            return [one(self.kind, chunk.thing, seed, by, conditions)[1] for seed in chunk.seeds]
 
 
 def one(kind: Kind, thing: str, seed: int, by: By, conditions: Conditions) -> tuple[Trace, Outcome]:

@@ -10,7 +10,7 @@ from connectors.rig.lift import Lift
 from connectors.rig.objects import Object
 from flows.experiment.decisions import registered
 from flows.experiment.setting import SLIDES, Conditions, Setting
-from flows.experiment.trial import By, Trace, run
+from flows.experiment.trial import BASELINE, By, Trace, run
 from operators.batch import s
 from operators.grip import Gripping
 
@@ -40,6 +40,9 @@ class Lifting:
     ratio: float  # mean force of the last second over the least that holds; NaN: not held
     peak: float  # highest force over the least that holds
     false: int  # slips registered before anything slid
+    firm: float = math.nan  # s from the hand's start upwards until it grips with what holds; NaN: never
+    lost: bool = False  # out of the fingers
+    give: float = 0.0  # mm that it hangs lower in the end than it slid: fingers and rubber give
 
     @property
     def success(self) -> bool:
@@ -48,13 +51,29 @@ class Lifting:
 
 
 def lift(held: Object, seed: int, by: By, conditions: Conditions) -> tuple[Trace, Lifting]:
-    """One lift; the rule begins with the weak force that is drawn."""
+    """One lift; the rule begins with the weak force that is drawn.
+
+    A hand that hears late closes late: what is felt until then is its touch, and decides nothing.
+    """
     detector, grip = by
     setting = Setting.drawn(held, seed, conditions.nature)
-    weak = setting.expected * float(np.random.default_rng([seed, 8]).uniform(*WEAK))
-    rule = replace(grip, force=weak)
-    trace = run(setting.grasp(LIFT), (detector, rule), conditions, END)
+    rule = replace(
+        grip, force=weak(setting, conditions), settle=grip.settle + round(conditions.hand.delay * s)
+    )
+    trace = run(setting.grasp(raised(conditions)), (detector, rule), conditions, END)
     return trace, judged(trace, rule, setting.least)
+
+
+def weak(setting: Setting, conditions: Conditions) -> float:
+    """The force (N) that the hand of a trial begins with."""
+    share = float(np.random.default_rng([setting.seed, 8]).uniform(*WEAK))
+    return setting.expected * share * conditions.weak
+
+
+def raised(conditions: Conditions) -> Lift:
+    """The hand's way up."""
+    pace = conditions.pace
+    return replace(LIFT, speed=pace * LIFT.speed, acceleration=pace * LIFT.acceleration)
 
 
 def judged(trace: Trace, grip: Gripping, least: float) -> Lifting:
@@ -63,12 +82,13 @@ def judged(trace: Trace, grip: Gripping, least: float) -> Lifting:
     slides = trace.t[lifting][trace.speed[lifting] > SLIDES]
     began = float(slides[0]) if len(slides) else math.inf
     felt = registered(trace, grip.threshold, grip.consecutive)
-    felt = felt[felt > trace.t[0] + 1 + grip.settle / s]
+    felt = felt[felt > BASELINE + grip.settle / s]
     answers = felt[felt >= began - EARLY]
     delay = float(answers[0]) - began if len(answers) else math.nan
     slid = 1000 * (trace.slide[lifting] - trace.slide[lifting][0])
     ending = _ending(trace, grip, least, delay)
     force = trace.force[trace.between(END - 1, END + 1)]
+    firm = trace.t[lifting][trace.force[lifting] >= least]
     return Lifting(
         ending,
         float(slid.max()),
@@ -76,6 +96,9 @@ def judged(trace: Trace, grip: Gripping, least: float) -> Lifting:
         float(force.mean()) / least if ending == "held" else math.nan,
         float(trace.force.max()) / least,
         int((felt < began - EARLY).sum()),
+        float(firm[0]) - LIFT.instant if len(firm) else math.nan,
+        bool(trace.dropped[-1]),
+        1000 * float(trace.hand[-1] - trace.height[-1]) - float(slid[-1]),
     )
 
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from math import nan
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,6 +16,7 @@ from flows.experiment import figure
 from flows.experiment.experiment import Found
 from flows.experiment.lifting import Lifting
 from flows.experiment.tapping import Tapping
+from flows.options import counted
 
 PAPER: Final = {
     "tap": {
@@ -41,7 +42,7 @@ def page(of: Found, command: str) -> Page:
     """The findings; `command` made them."""
     what = "Mallet tap" if of.kind == "tap" else "Object lift"
     text = (
-        f"{of.trials} trials of each object, the same for all, from seed {of.seed} on, in the simulated "
+        f"{tried(of)}, the same for all methods, from seed {of.seed} on, in the simulated "
         "scene; the paper's are of real objects. What counts as success, and what is assumed, is in "
         "docs/experiments.md."
     )
@@ -69,13 +70,13 @@ def text(of: Found) -> str:
 
 
 def summary(of: Found) -> dict[str, Any]:
-    """The same for a program; ``mean_success`` is that of the first method, in %."""
+    """The same for a program; ``mean_success`` is that of the first method, in %; what is unknown is null."""
     methods = {
         method: {
             "mean_success": of.mean(method),
             "objects": {thing: of.success(method, thing) for thing in of.objects},
             "failures": {thing: _failures(of, method, [thing]) for thing in of.objects},
-            **numbers(of, method),
+            **{name: known(value) for name, value in numbers(of, method).items()},
         }
         for method in of.methods
     }
@@ -101,7 +102,7 @@ def successes(of: Found) -> Section:
     ]
     paper = [PAPER[of.kind][thing] for thing in of.objects]
     rows.append(["paper, real objects", *map(str, paper), number(float(np.mean(paper)))])
-    return Section(of.kind, _best(of), f"Of {of.trials} trials.", [Table(head, rows)])
+    return Section(of.kind, _best(of), f"Of {tried(of)}.", [Table(head, rows)])
 
 
 def failures(of: Found) -> Section:
@@ -114,7 +115,10 @@ def failures(of: Found) -> Section:
     ]
     first = of.methods[0]
     lost = Counter(_failures(of, first, of.objects)).most_common(1)
-    title = f"{first} fails mostly by: {lost[0][0]}" if lost else f"{first} never fails"
+    every = of.all(first)
+    failed = sum(not one.success for one in every)
+    title = f"{first} fails in {failed} of {counted(len(every), 'trial')}"
+    title += f", mostly by: {lost[0][0]}" if lost else ""
     return Section(
         "failures", title, "Trials that failed, by how.", [Table(["method", "object", "how"], rows)]
     )
@@ -129,10 +133,11 @@ def costs(of: Found) -> Section:
             found = [each for each in outcomes if isinstance(each, Lifting)]
             rows.append([method, name.replace("_", " "), *_row(found)])
     first = numbers(of, of.methods[0])
+    force = first["force_ratio"]
+    held = f"with {ratio(force)} times the least force" if isfinite(force) else "nothing"
     return Section(
         "costs",
-        f"{of.methods[0]} lets slide by {number(first['slide_mm'])} mm and holds with "
-        f"{first['force_ratio']:.2f} times the least force",
+        f"{of.methods[0]} lets slide by {number(first['slide_mm'])} mm and holds {held}",
         "Medians. Slide: from the lift on, in all trials. Delay: from the first sliding to the registered "
         "slip. Force: mean of the last second over the least that holds, where it is held; peak: the highest "
         "of the trial. False slips: registered before anything slid, per trial.",
@@ -172,19 +177,19 @@ def alarms(of: Found) -> Section:
 def _row(found: Sequence[Lifting]) -> list[str]:
     slides = [each.slide for each in found]
     return [
-        number(_median(slides)),
+        number(median(slides)),
         number(float(np.quantile(slides, 0.9))),
-        number(_median([each.delay for each in found])).removesuffix(".0"),
-        f"{_median([each.ratio for each in found]):.2f}",
-        f"{_median([each.peak for each in found]):.2f}",
+        number(median([each.delay for each in found])).removesuffix(".0"),
+        ratio(median([each.ratio for each in found])),
+        ratio(median([each.peak for each in found])),
         f"{np.mean([each.false for each in found]):.1f}",
     ]
 
 
 def _alarms(found: Sequence[Tapping]) -> list[str]:
     return [
-        number(_median([each.slide for each in found])),
-        number(_median([each.delay for each in found])).removesuffix(".0"),
+        number(median([each.slide for each in found])),
+        number(median([each.delay for each in found])).removesuffix(".0"),
         str(sum(each.drawn for each in found)),
         number(100 * float(np.mean([each.false_lift > 0 for each in found]))),
         number(100 * float(np.mean([each.false_tap > 0 for each in found]))),
@@ -202,23 +207,47 @@ def numbers(of: Found, method: str) -> dict[str, float]:
     taps = [each for each in outcomes if isinstance(each, Tapping)]
     if lifts:
         return {
-            "slide_mm": _median([each.slide for each in lifts]),
+            "slide_mm": median([each.slide for each in lifts]),
             "slide_p90_mm": float(np.quantile([each.slide for each in lifts], 0.9)),
-            "delay_ms": _median([each.delay for each in lifts]),
-            "force_ratio": _median([each.ratio for each in lifts]),
-            "peak_ratio": _median([each.peak for each in lifts]),
+            "delay_ms": median([each.delay for each in lifts]),
+            "force_ratio": median([each.ratio for each in lifts]),
+            "peak_ratio": median([each.peak for each in lifts]),
         }
     return {
-        "slide_mm": _median([each.slide for each in taps]),
-        "delay_ms": _median([each.delay for each in taps]),
+        "slide_mm": median([each.slide for each in taps]),
+        "delay_ms": median([each.delay for each in taps]),
         "false_lift": 100 * float(np.mean([each.false_lift > 0 for each in taps])),
         "false_tap": 100 * float(np.mean([each.false_tap > 0 for each in taps])),
     }
 
 
-def _median(values: Sequence[float]) -> float:
+def median(values: Sequence[float]) -> float:
+    """Of those that are known; NaN if none is."""
     known = [each for each in values if each == each]  # noqa: PLR0124 - not NaN
     return float(np.median(known)) if known else nan
+
+
+def ratio(value: float) -> str:
+    """With two decimals.
+
+    >>> ratio(1.656), ratio(nan)
+    ('1.66', '-')
+    """
+    return f"{value:.2f}" if isfinite(value) else NONE
+
+
+def known(value: float) -> float | None:
+    """For a program: JSON has neither NaN nor infinity.
+
+    >>> known(1.5), known(nan)
+    (1.5, None)
+    """
+    return value if isfinite(value) else None
+
+
+def tried(of: Found) -> str:
+    """How many trials a share is of."""
+    return f"{counted(of.trials, 'trial')} of each object"
 
 
 def _failures(of: Found, method: str, things: Sequence[str]) -> dict[str, int]:
@@ -235,4 +264,9 @@ def _best(of: Found) -> str:
     first = of.methods[0]
     paper = float(np.mean([PAPER[of.kind][thing] for thing in of.objects]))
     verb = "feels the blow and the rest after it" if of.kind == "tap" else "holds"
-    return f"{first} {verb} in {number(of.mean(first))} % of trials; the paper in {number(paper)} %"
+    every = of.all(first)
+    share = f"{sum(one.success for one in every)} of {counted(len(every), 'trial')}"
+    return (
+        f"{first} {verb} in {share}, {of.trials} of each object ({number(of.mean(first))} %); "
+        f"the paper in {number(paper)} % of its own"
+    )

@@ -13,6 +13,7 @@ from connectors.rig.objects import Object
 from connectors.rig.scene import Faults, Vibration
 from connectors.rig.tap import Tap
 from flows.experiment.hand import Hand
+from operators.errors import ParameterError
 
 SPREAD: Final = 0.1  # of mass and friction from trial to trial, to either side; assumed
 OFF: Final = (0.004, 0.006)  # m, of the grip from the object's middle, to either side; assumed
@@ -36,6 +37,14 @@ class Conditions:
     hand: Hand = field(default_factory=Hand)
     nature: Nature = field(default_factory=Nature)
     rate: float = 100.0  # Hz, of samples
+    every: int = 1  # samples, of which the first is a reading; it is held for the others
+    weak: float = 1.0  # factor of the grip that a lift begins with
+    pace: float = 1.0  # factor of the speed and of the acceleration of a lift
+
+    def __post_init__(self) -> None:
+        for name in ("rate", "every", "weak", "pace"):
+            if not getattr(self, name) > 0:
+                raise ParameterError("Conditions", name, getattr(self, name), "above 0")
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,11 @@
 """Where the lift breaks: its success under other friction, mass, delay and rate, and with a dead cell."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from connectors.rig.objects import OBJECTS
-from flows.experiment.experiment import SEED, TRIALS, Found, Method, experiment
+from flows.experiment.experiment import SEED, TRIALS, Found, Method, Progress, under
 from flows.experiment.hand import PATHS
 from flows.experiment.setting import Conditions
 
@@ -70,7 +70,7 @@ def stress(
     objects: Sequence[str] = tuple(OBJECTS),
     conditions: Conditions | None = None,
     jobs: int | None = None,
-    progress: Callable[[int, int, str], object] = lambda _done, _all, _part: None,
+    progress: Progress = lambda _done, _all, _part: None,
 ) -> Stressed:
     """Lift under each condition, always with the same trials; see `experiment`.
 
@@ -79,23 +79,14 @@ def stress(
         ParameterError: on less than one trial or job, or no such object.
         SlipflowError: if a process ended early.
     """
-    tried = grid(conditions or Conditions())
-    found: dict[str, Found] = {}
-    of = trials * len(objects) * len(tried)
-    for number, (name, each) in enumerate(tried.items()):
-        begun = number * trials * len(objects)
-
-        def part(done: int, _all: int, _whose: str, begun: int = begun, name: str = name) -> None:
-            progress(begun + done, of, name)
-
-        found[name] = experiment(
-            "lift",
-            [method],
-            trials=trials,
-            seed=seed,
-            objects=objects,
-            conditions=each,
-            jobs=jobs,
-            progress=part,
-        )
+    found = under(
+        "lift",
+        [method],
+        grid(conditions or Conditions()),
+        trials=trials,
+        seed=seed,
+        objects=objects,
+        jobs=jobs,
+        progress=progress,
+    )
     return Stressed(method.name, found)

@@ -6,7 +6,7 @@ from typing import Final
 from flows.evaluation.page import Page, Section, Table
 from flows.evaluation.sections import number
 from flows.evaluation.written import told, written
-from flows.experiment.page import numbers
+from flows.experiment.page import numbers, ratio, tried
 from flows.experiment.stress import NOMINAL, Stressed
 
 GOOD: Final = 90.0  # %, of the mean
@@ -14,7 +14,9 @@ GOOD: Final = 90.0  # %, of the mean
 
 def page(of: Stressed, command: str) -> Page:
     """The findings; `command` made them."""
-    text = "The same trials under each condition, which differs from nominal in one thing."
+    text = (
+        f"{tried(of.found[NOMINAL])}, the same under each condition, which differs from nominal in one thing."
+    )
     return Page(f"The lift under stress: {of.method}", text, [table(of)], command)
 
 
@@ -40,12 +42,13 @@ def table(of: Stressed) -> Section:
     for name, found in of.found.items():
         costs = numbers(found, of.method)
         shares = [f"{found.success(of.method, thing):.0f}" for thing in found.objects]
-        more = [number(found.mean(of.method)), number(costs["slide_mm"]), f"{costs['force_ratio']:.2f}"]
+        more = [number(found.mean(of.method)), number(costs["slide_mm"]), ratio(costs["force_ratio"])]
         rows.append([name, *shares, *more])
     good = sum(found.mean(of.method) >= GOOD for found in of.found.values())
     return Section(
         "lift-stress",
-        f"{of.method} holds {GOOD:.0f} % or more under {good} of {len(of.found)} conditions",
+        f"{of.method} holds {GOOD:.0f} % or more under {good} of {len(of.found)} conditions, "
+        f"in {tried(nominal)}",
         "Success, %; median slide, and median force over the least that holds, where it is held.",
         [Table(head, rows)],
     )

@@ -1,6 +1,6 @@
 """One trial: a grasp in the scene and the declared flow, sample by sample in virtual time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -49,33 +49,40 @@ class Trace:
 def run(grasp: Grasp, by: By, conditions: Conditions, seconds: float) -> Trace:
     """Carry a trial out.
 
+    The open hand is scanned as often as the detector needs for its first score, however slow the rate is.
+
     Args:
         grasp: From its beginning on, with an open hand that waits for the first command.
         by: What feels slip, and what rules the force.
         conditions: The hand that obeys, and how often it is felt.
         seconds: How long.
     """
-    rate = conditions.rate
+    rate, every = conditions.rate, conditions.every
     flow, notes, told = Flow("trial"), TestSink(), TestSink()
-    scans = round(rate * BASELINE)
+    waits = round(rate * BASELINE)
+    scans = max(waits, by[0].length)
     scores, commands = held_by(flow, TestSource(Touch, fingers=(0,)), *by, scans)
     scores.to(notes)
     commands.to(told)
     plan = Plan(flow)
     [entry] = plan.entries
     mechanics = Grasping(conditions.hand, grasp)
-    n = round(seconds * rate)
+    instants = np.concatenate((np.arange(scans) / scans * BASELINE, np.arange(waits, seconds * rate) / rate))
+    n, stamps = len(instants), np.rint(instants * s).astype(np.int64)
     happened: list[Held] = []
     counts = np.zeros((n, BAROMETERS), np.int16)
     probability, asked = np.full(n, np.nan), np.zeros(n)
-    for k in range(n):
-        touch, held = grasp.sense(k / rate)
+    reading = Touch.empty()
+    for k, instant in enumerate(instants.tolist()):
+        touch, held = grasp.sense(instant)
+        if k < scans or (k - scans) % every == 0:
+            reading = touch
+        touch = replace(reading, time=touch.time)
         happened.append(held)
         counts[k] = touch.counts[0]
         for _, batch in plan.push({entry: touch}):
             if isinstance(batch, Scores):
-                rows = np.rint(batch.time / s * rate).astype(np.intp)
-                probability[rows] = batch.probability
+                probability[np.searchsorted(stamps, batch.time)] = batch.probability
             elif isinstance(batch, Commands):
                 mechanics.take(batch)
         asked[k] = mechanics.asked

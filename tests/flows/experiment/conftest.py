@@ -1,4 +1,4 @@
-"""Traces that are made up, to be judged."""
+"""Traces and findings that are made up, to be judged."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,6 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flows.experiment.ablation import Ablation
+from flows.experiment.budget import Budget
+from flows.experiment.experiment import Found, Method
+from flows.experiment.lifting import Ending, Lifting
+from flows.experiment.setting import Conditions
 from flows.experiment.trial import Trace
 from operators.batch import Reals
 
@@ -39,3 +44,37 @@ def during() -> Callable[..., Reals]:
         return np.where(inside, value, 0.0)
 
     return column
+
+
+@pytest.fixture
+def ablated() -> Callable[..., Ablation]:
+    """An ablation of one method, by default with ten trials of a ball, made up; objects fare alike."""
+
+    def made(
+        *,
+        firm: float,
+        ending: Ending = "held",
+        lost: bool = False,
+        late: Ending = "held",
+        late_lost: bool = False,
+        give: float = 0.0,
+        objects: tuple[str, ...] = ("ball",),
+        trials: int = 10,
+    ) -> Ablation:
+        def found(how: Ending, *, gone: bool) -> Found:
+            trial = Lifting(how, 3.0, 20.0, 1.5, 1.75, 0, firm, gone, give)
+            outcomes = {("psd, none", thing): [trial] * trials for thing in objects}
+            method = Method("psd", "none")
+            return Found("lift", trials, 7, Conditions(), outcomes, (method.name,), objects, method)
+
+        now, then = found(ending, gone=lost), found(late, gone=late_lost)
+        left = Budget(0.024, 0.02, 0.6, 0.45, 0.46, 0.1, 0.1)
+        return Ablation(
+            ("psd, none",),
+            {0: now, 100: then},
+            {"50 Hz": now},
+            {"lift x2": then},
+            {thing: [left] * trials for thing in objects},
+        )
+
+    return made

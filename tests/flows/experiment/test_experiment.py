@@ -58,6 +58,11 @@ def test_what_cannot_be_is_refused(values: dict[str, object]) -> None:
         experiment("tap", **given)  # type: ignore[arg-type]
 
 
+def test_an_unknown_object_is_named_as_an_object() -> None:
+    with pytest.raises(ParameterError, match="object is 'nope', must be one of box, ball"):
+        experiment("lift", [NONE], trials=1, objects=["nope"], jobs=1)
+
+
 def test_an_unknown_rule_or_detector_is_named() -> None:
     with pytest.raises(InputError, match="ours, steps, none"):
         Method("tcn", "best").grip()
