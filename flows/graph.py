@@ -3,6 +3,7 @@
 Building a flow runs nothing; a runner carries it out, as often as wanted, with fresh operators each time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -51,6 +52,15 @@ class Flow:
 
     def __str__(self) -> str:
         return text(self.name, self.nodes)
+
+    def replaced(self, choose: Callable[[Node], Part]) -> "Flow":
+        """The same flow with the parts that `choose` gives for its nodes; this one stays as it is."""
+        copies = {node: Node(node.name, choose(node)) for node in self.nodes}
+        for node, copy in copies.items():
+            copy.inputs += [copies.get(parent, parent) for parent in node.inputs]
+        flow = Flow(self.name)
+        flow.nodes += copies.values()
+        return flow
 
     def add(self, name: str, part: Part, *inputs: Node) -> Node:
         """Add a part behind others; what ``|`` and `source` do."""

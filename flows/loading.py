@@ -60,7 +60,9 @@ def load(target: str) -> Declaration:
     if not file.suffix and not file.exists() and (READY_MADE / f"{path}.py").exists():
         file = READY_MADE / f"{path}.py"
     if not file.is_file():
-        raise InputError(path, "no such flow file, and no ready-made flow: those are live, record and lift")
+        raise InputError(
+            path, "no such flow file, and no ready-made flow: those are live, record, relabel and lift"
+        )
     found = _declared_in(_imported(file), file)
     if name and name not in found:
         raise InputError(path, f"holds no flow {name!r}; it holds {', '.join(found) or 'none'}")

@@ -10,7 +10,7 @@ from connectors.replay import Replay
 from flows.clock import EventClock
 from flows.drawing import streams
 from flows.graph import Flow
-from flows.node import Node
+from flows.node import Node, Part
 from flows.plan import Entry, Plan
 from operators.batch import Batch, Motion, Touch
 from operators.errors import InputError
@@ -18,34 +18,37 @@ from operators.operator import Order
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
 
-def replayed(flow: Flow, recording: Recording) -> Flow:
+def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
     """The same flow, its sources replaced by what was recorded of them.
 
     A source takes the recorded fingertips that it declares; the only source of its kind takes all of them.
 
+    Args:
+        flow: The flow; it stays as it is.
+        recording: What was recorded.
+        paced: Whether it will run live: then the streams keep their distance in time, for which the
+            beginning of each is read.
+
     Raises:
         InputError: if the recording holds nothing for one of the sources.
     """
-    replaced = Flow(flow.name)
-    copies: dict[Node, Node] = {}
-    origin = first_time(recording)
+    origin = first_time(recording) if paced else None
     sources = [node.part for node in flow.nodes if isinstance(node.part, Source)]
-    for node in flow.nodes:
+
+    def recorded(node: Node) -> Part:
         part = node.part
-        if isinstance(part, Source):
-            kind = cast("type[Batch]", part.kind)
-            fingers = recording.fingers(kind)
-            if sum(cast("type[Batch]", other.kind) is kind for other in sources) > 1:
-                fingers = tuple(finger for finger in fingers if finger in part.fingers)
-            if not fingers:
-                reason = f"holds no {kind.__name__.lower()} stream, which source {node.name!r} needs"
-                raise InputError(recording.name, f"{reason} (flow {flow.name!r})")
-            part = Replay(recording, kind, fingers, origin=origin)
-        copies[node] = Node(node.name, part)
-        replaced.nodes.append(copies[node])
-    for node, copy in copies.items():
-        copy.inputs += [copies.get(parent, parent) for parent in node.inputs]
-    return replaced
+        if not isinstance(part, Source):
+            return part
+        kind = cast("type[Batch]", part.kind)
+        fingers = recording.fingers(kind)
+        if sum(cast("type[Batch]", other.kind) is kind for other in sources) > 1:
+            fingers = tuple(finger for finger in fingers if finger in part.fingers)
+        if not fingers:
+            reason = f"holds no {kind.__name__.lower()} stream, which source {node.name!r} needs"
+            raise InputError(recording.name, f"{reason} (flow {flow.name!r})")
+        return Replay(recording, kind, fingers, origin=origin)
+
+    return flow.replaced(recorded)
 
 
 class ReplayRunner:
@@ -56,16 +59,27 @@ class ReplayRunner:
     recording is still there to be run over again.
     """
 
-    def __init__(self, flow: Flow, recording: Recording, session: str, *, rows: int = 1000) -> None:
+    def __init__(
+        self,
+        flow: Flow,
+        recording: Recording,
+        session: str,
+        *,
+        rows: int = 1000,
+        unfold: Callable[[Flow], Plan] = Plan,
+    ) -> None:
         """Get ready to run `flow` over `recording` as `session`, in batches of at most `rows`.
+
+        What `unfold` makes of the flow is carried out.
 
         Raises:
             FlowError: if the flow is wired wrongly.
             InputError: if the recording lacks a stream.
         """
-        self._flow = replayed(flow, recording)
-        self.plan = Plan(self._flow)
+        self._flow = replayed(flow, recording, paced=False)
+        self.plan = unfold(self._flow)
         self._recording, self._rows = recording, rows
+        self._stopping = False
         self._clock = EventClock(0)
         self.run = Run(session, flow.name, self._clock, 0, live=False, declaration=tuple(streams(flow.nodes)))
         for node in self._flow.sources():
@@ -74,7 +88,11 @@ class ReplayRunner:
         for node in self._flow.sinks():
             self.run.sinks[node.name] = SinkStatus()
 
-    async def execute(self, progress: Callable[[Run], None] = lambda _: None) -> Run:
+    def stop(self) -> None:
+        """End after the slice at hand, as if the recording ended there; the run tells that it did not."""
+        self._stopping = True
+
+    async def execute(self, progress: Callable[[Run], object] = lambda _: None) -> Run:
         """Run to the end of the recording, calling `progress` after each slice.
 
         Raises:
@@ -86,7 +104,7 @@ class ReplayRunner:
         }
         slices = in_slices(recorded)
         if (first := next(slices, None)) is None:
-            raise InputError(self._recording.name, "is empty")
+            raise InputError(self._recording.name, "is empty: there is no row to replay")
         self._clock.newest = self.run.start = min(int(batch.time[0]) for batch in first.values())
         sinks = {node: cast("Sink[Any]", node.part) for node in self._flow.sinks()}
         order = {entry: Order() for entry in self.plan.entries}
@@ -105,9 +123,12 @@ class ReplayRunner:
                     self._clock.newest = max(self._clock.newest, status.newest)
                 await self._write(sinks, self.plan.push(batches))
                 progress(self.run)
+                if self._stopping:
+                    self.run.error = "was interrupted"
+                    break
             await self._write(sinks, self.plan.flush())
-        except Exception as error:
-            self.run.error = str(error)
+        except BaseException as error:  # cancelled is not complete either
+            self.run.error = str(error) or "was interrupted"
             raise
         finally:
             for sink in opened:
@@ -159,5 +180,5 @@ def first_time(recording: Recording) -> int:
         for batch in islice(recording.read(kind, finger, 1), 1)
     ]
     if not times:
-        raise InputError(recording.name, "is empty")
+        raise InputError(recording.name, "is empty: there is no row to replay")
     return min(times)

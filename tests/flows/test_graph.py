@@ -42,3 +42,15 @@ def test_what_belongs_to_every_fingertip_joins_each_of_them(
     touch = flow.source(TestSource(Touch, fingers=fingers)) | Zero()
     motion = flow.source(TestSource(Motion))
     assert (touch & motion | Align()).node.fingers == joined
+
+
+def test_replacing_parts_leaves_the_flow_as_it_was() -> None:
+    flow, sink = Flow("f"), TestSink()
+    (flow.source(TestSource(Scores)) | Debounce()).to(sink)
+    drawn = str(flow)
+    other = TestSink()
+    copy = flow.replaced(lambda node: other if node.part is sink else node.part)
+    assert [node.part for node in copy.sinks()] == [other]
+    assert [node.name for node in copy.nodes] == [node.name for node in flow.nodes]
+    assert not set(copy.nodes) & {parent for node in flow.nodes for parent in node.inputs}
+    assert str(flow) == drawn

@@ -126,6 +126,28 @@ def test_a_failing_sink_ends_a_replay_and_is_closed() -> None:
     assert sink.closed == 1
 
 
+def test_a_replay_that_is_stopped_keeps_what_it_has_and_tells() -> None:
+    flow, sink = labelling()
+    runner = ReplayRunner(flow, recording(), "x", rows=100)
+    run = asyncio.run(runner.execute(lambda _: runner.stop()))
+    assert run.error == "was interrupted"
+    assert run.sources["touch"].rows < 101
+    assert 0 < len(sink.rows(Labelled, 0)) <= run.sources["touch"].rows
+    assert sink.closed == 1
+
+
+def test_a_replay_that_is_cancelled_is_not_complete() -> None:
+    async def cancelled() -> None:
+        raise asyncio.CancelledError
+
+    flow, sink = Flow("f"), TestSink(hold=cancelled)
+    flow.source(TestSource(Touch)).to(sink)
+    runner = ReplayRunner(flow, recording(), "x")
+    with pytest.raises(asyncio.CancelledError):
+        asyncio.run(runner.execute())
+    assert (runner.run.error, sink.closed) == ("was interrupted", 1)
+
+
 def test_two_sources_of_one_kind_take_the_fingertips_that_they_declare() -> None:
     flow = Flow("f")
     thumb, index = TestSink(), TestSink()

@@ -1,0 +1,134 @@
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from shutil import rmtree
+from threading import Event
+
+import numpy as np
+import pytest
+
+from flows.cluster.claims import Claim
+from flows.cluster.job_folder import JobFolder
+from flows.cluster.run import Cluster
+from flows.loading import load
+
+from .conftest import ROOT, Local, Recorder, World, contents, stop, until
+
+pytestmark = pytest.mark.cluster
+
+
+def cluster_of(world: World) -> Cluster:
+    return Cluster(world.local.url, world.local.python, slices=2)
+
+
+def test_operators_import_in_the_environment_of_the_cluster(world: World) -> None:
+    code = "import numpy, operators; print(numpy.__version__ < '2.2')"
+    done = subprocess.run(
+        [world.local.python, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "True"
+
+
+@pytest.mark.parametrize(("sessions", "fingers", "seconds"), [(2, 3, 60), (1, 64, 20)])
+def test_two_task_managers_write_the_files_of_one_process(
+    world: World, sessions: int, fingers: int, seconds: int
+) -> None:
+    world.record(sessions, fingers, seconds)
+    cluster, settings = cluster_of(world), {"out": str(world.out)}
+    done = cluster.run("job", load(str(world.flow)), settings, [world.source])
+    assert done == {f"session-{number}": "" for number in range(sessions)}
+    expected = world.expected()
+    assert any(path.endswith("slips.parquet") for path in expected)
+    assert contents(world.out) == expected
+    vertices = world.local.ask(f"/jobs/{cluster.job}")["vertices"]
+    [work] = [each for each in vertices if each["name"].startswith("work off")]
+    shares = world.local.ask(f"/jobs/{cluster.job}/vertices/{work['id']}")["subtasks"]
+    assert len({each["endpoint"] for each in shares}) == 2
+    records = [each["metrics"]["read-records"] for each in shares]
+    assert min(records) > 0.4 * sum(records), "one of the two has most of the work"
+
+
+@pytest.mark.parametrize("victim", ["task manager", "python worker"])
+def test_a_kill_changes_nothing(victim: str, world: World) -> None:
+    world.record(sessions=2, fingers=4, seconds=120)
+    cluster, local = cluster_of(world), world.local
+    with ThreadPoolExecutor() as pool:
+        settings = {"out": str(world.out), "pause": "0.1"}
+        ended = pool.submit(cluster.run, "job", load(str(world.flow)), settings, [world.source])
+        until(lambda: ended.done() or bool(cluster.job))
+        assert cluster.job, ended.exception()
+        until(lambda: any((world.out / ".jobs").rglob("*.npz")))
+        until(lambda: local.ask(f"/jobs/{cluster.job}/checkpoints").get("counts", {}).get("completed", 0) > 0)
+        workers = local.workers()
+        os.kill((local.task_managers() if victim == "task manager" else workers)[0], signal.SIGKILL)
+        assert not ended.done()
+        assert ended.result(timeout=400) == {"session-0": "", "session-1": ""}
+    assert local.ask(f"/jobs/{cluster.job}/checkpoints")["counts"]["restored"] >= 1
+    if victim == "task manager":
+        stop()
+        assert local.workers() == []
+    assert contents(world.out) == world.expected()
+
+
+def test_stopping_a_cluster_ends_no_worker_of_another(local: Local) -> None:
+    code = ["-c", "import time; time.sleep(600)", "pyflink.fn_execution.beam.beam_boot"]
+    places = [local.pids.parents[1].with_name("at-1") / "pid", Path("/elsewhere/at-1/pid")]
+    workers = [
+        subprocess.Popen([sys.executable, *code], env={**os.environ, "FLINK_PID_DIR": str(place)})
+        for place in places
+    ]
+    try:
+        subprocess.run(["deploy/cluster", "stop"], cwd=ROOT, env={**os.environ, "PORT": "1"}, check=True)
+        assert workers[0].wait(60) == -signal.SIGKILL
+        assert workers[1].poll() is None
+    finally:
+        for worker in workers:
+            worker.kill()
+            worker.wait()
+        rmtree(places[0].parent)
+
+
+def test_parts_that_appear_meanwhile_in_any_order_and_twice_are_taken_once(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chance, earlier, repeated = np.random.default_rng(0), list[Claim](), list[Claim]()
+    hand_out = JobFolder.claim
+
+    def disordered(folder: JobFolder, name: str, claims: Iterable[Claim]) -> None:
+        new = list(claims)
+        again = [each for each in [*earlier, *new] if chance.random() < 0.05] or [new[0]]
+        repeated.extend(again)
+        earlier.extend(new)
+        order: list[int] = chance.permutation(len(new) + len(again)).tolist()
+        hand_out(folder, name, [[*new, *again][place] for place in order])
+
+    monkeypatch.setattr(JobFolder, "claim", disordered)
+    recorder = Recorder(world.source, "growing", fingers=3)
+    recorder.record(70)
+    cluster, enough = cluster_of(world), Event()
+
+    def run() -> dict[str, str]:
+        declaration, settings = load(str(world.flow)), {"out": str(world.out)}
+        return cluster.run("job", declaration, settings, [world.source], follow=True, stopped=enough.is_set)
+
+    def written(session: str) -> Path:
+        return world.out / "sessions" / session
+
+    with ThreadPoolExecutor() as pool:
+        ended = pool.submit(run)
+        until(lambda: ended.done() or any((world.out / ".jobs").rglob("*.npz")))
+        assert not ended.done(), ended.exception()
+        assert not written("growing").exists()
+        recorder.record(100)
+        recorder.close()
+        until(lambda: ended.done() or written("growing").exists())
+        world.record(sessions=1, fingers=3, seconds=30)
+        until(lambda: ended.done() or written("session-0").exists())
+        enough.set()
+        assert ended.result(timeout=120) == {"growing": "", "session-0": ""}
+    assert repeated
+    assert contents(world.out) == world.expected()

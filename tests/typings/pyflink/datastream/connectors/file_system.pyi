@@ -1,0 +1,13 @@
+from pyflink.common import Duration
+
+class StreamFormat:
+    @staticmethod
+    def text_line_format() -> StreamFormat: ...
+
+class FileSourceBuilder:
+    def monitor_continuously(self, discovery_interval: Duration) -> FileSourceBuilder: ...
+    def build(self) -> FileSource: ...
+
+class FileSource:
+    @staticmethod
+    def for_record_stream_format(stream_format: StreamFormat, *paths: str) -> FileSourceBuilder: ...
