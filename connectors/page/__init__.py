@@ -1,0 +1,1 @@
+"""The live page: what a flow feels, in a browser."""

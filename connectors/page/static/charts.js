@@ -1,0 +1,183 @@
+// Three curves over one axis: counts of each barometer, probability of slip, speed of the TCP.
+
+/* global uPlot */
+
+const LEFT = 52; // px, the same for all, so that instants stand below each other
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+// Barometers by their place: a hue for each column of the pad; the upper row (5 4 3) is dotted.
+export const HUES = ["--left", "--middle", "--right", "--right", "--middle", "--left"];
+
+class Chart {
+  constructor(id, series, range, extra = () => {}) {
+    this.named = id === "counts"; // whose bands say what they are
+    this.host = document.getElementById(id);
+    this.carries = this.host.classList.contains("last"); // the instants, for all
+    this.series = series;
+    this.range = range;
+    this.extra = extra;
+    this.data = [[], ...series.map(() => [])];
+    this.view = { begin: -10000, end: 0, slips: [] };
+    this.#build();
+    new ResizeObserver(() => this.#resize()).observe(this.host);
+  }
+
+  // Carry the instants, or leave them to another.
+  set last(last) {
+    this.carries = last;
+    this.host.classList.toggle("last", last); // whose size is another: it is drawn anew
+  }
+
+  draw(data, view) {
+    this.data = data;
+    this.view = view;
+    this.plot.setData(data);
+  }
+
+  rebuild() {
+    this.plot.destroy();
+    this.#build();
+    this.plot.setData(this.data);
+  }
+
+  #build() {
+    const ink = colour("--soft"), grid = colour("--grid");
+    const font = `12px ${getComputedStyle(document.body).fontFamily}`;
+    const axis = { stroke: ink, font, grid: { stroke: grid, width: 1 }, ticks: { show: false } };
+    this.plot = new uPlot(
+      {
+        width: this.host.clientWidth || 600,
+        height: this.host.clientHeight || 120,
+        legend: { show: false },
+        cursor: { show: false },
+        padding: [10, 10, 0, 0],
+        scales: {
+          x: { time: false, range: () => [this.view.begin, this.view.end] },
+          y: { range: (_, low, high) => this.range(low, high) },
+        },
+        axes: [
+          { ...axis, size: () => (this.carries ? 24 : 5), gap: 4, splits: () => this.#instants(), values: (_, at) => at.map((t) => (this.carries ? this.#ago(t) : "")) },
+          { ...axis, size: LEFT, gap: 6, space: 24 },
+        ],
+        series: [
+          {},
+          ...this.series.map(({ hue, dash }) => ({ stroke: colour(hue), width: 1.6, dash, points: { show: false }, spanGaps: false })),
+        ],
+        hooks: { drawAxes: [(plot) => this.#bands(plot)], draw: [(plot) => this.extra(plot)] },
+      },
+      this.data,
+      this.host,
+    );
+  }
+
+  #resize() {
+    if (!this.host.clientWidth) return; // hidden
+    this.plot.setSize({ width: this.host.clientWidth, height: this.host.clientHeight });
+  }
+
+  #instants() {
+    const { begin, end } = this.view, span = end - begin;
+    const steps = [1000, 2000, 5000, 10000, 30000, 60000, 120000, 300000, 600000, 1800000];
+    const step = steps.find((each) => span / each <= (this.host.clientWidth < 480 ? 5 : 10)) ?? steps.at(-1);
+    const instants = [];
+    for (let t = end; t >= begin - 1; t -= step) instants.unshift(t);
+    return instants;
+  }
+
+  #ago(t) {
+    const seconds = Math.round((t - this.view.end) / 1000);
+    return seconds === 0 ? "0 s" : `−${-seconds}`;
+  }
+
+  // Where it slipped, behind the curves.
+  #bands(plot) {
+    const { ctx, bbox } = plot, { begin, end, at, slips } = this.view;
+    ctx.save();
+    for (const [from, to] of slips) {
+      if (to < begin || from > end) continue;
+      const left = plot.valToPos(Math.max(from, begin), "x", true);
+      const right = plot.valToPos(Math.min(to, end), "x", true);
+      ctx.fillStyle = colour("--slip-band");
+      ctx.fillRect(left, bbox.top, Math.max(right - left, 1), bbox.height);
+      if (from >= begin) {
+        ctx.fillStyle = colour("--slip");
+        ctx.fillRect(left, bbox.top, devicePixelRatio, bbox.height);
+        if (this.named && right - left > 30 * devicePixelRatio) {
+          ctx.textAlign = "left";
+          ctx.textBaseline = "alphabetic";
+          ctx.font = `${11 * devicePixelRatio}px ${getComputedStyle(document.body).fontFamily}`;
+          ctx.fillText("slip", left + 4 * devicePixelRatio, bbox.top + 12 * devicePixelRatio);
+        }
+      }
+    }
+    if (at < end) { // the instant chosen, within what is shown
+      ctx.fillStyle = colour("--soft");
+      ctx.fillRect(plot.valToPos(at, "x", true), bbox.top, devicePixelRatio, bbox.height);
+    }
+    ctx.restore();
+  }
+}
+
+// A range that follows what is drawn, in steps, and shrinks only when it is far too large.
+export function settling(least) {
+  let top = least, bottom = 0;
+  return (low, high) => {
+    const wanted = Math.max(least, nice((high ?? 0) * 1.08));
+    if (wanted > top || wanted < top / 2) top = wanted;
+    const under = (low ?? 0) < -top * 0.04 ? -nice(-low * 1.1) : 0;
+    if (under < bottom || under > bottom / 2) bottom = under;
+    return [bottom, top];
+  };
+}
+
+export function nice(value) {
+  const ten = 10 ** Math.floor(Math.log10(Math.max(value, 1e-9)));
+  return [1, 1.5, 2, 3, 4, 5, 6, 8, 10].find((each) => each * ten >= value - 1e-9) * ten;
+}
+
+export class Charts {
+  constructor() {
+    this.threshold = null;
+    this.raw = false;
+    const pressure = settling(60);
+    const cells = HUES.map((hue, cell) => ({ hue, dash: cell > 2 ? [2, 3] : undefined }));
+    this.counts = new Chart("counts", cells, (low, high) => (this.raw ? [0, 1023] : pressure(low, high)));
+    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => this.#mark(plot));
+    this.motion = new Chart("motion", [{ hue: "--probability" }], settling(10));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
+  }
+
+  // Whether there is motion to draw; else the chart above has the instants.
+  set moves(moves) {
+    const figure = this.motion.host.closest("figure");
+    if (figure.hidden !== moves) return;
+    figure.hidden = !moves;
+    this.scores.last = !moves;
+  }
+
+  draw({ touch, scores, speed }, view) {
+    this.counts.draw(touch ? touch.between(view.begin, view.end) : [[], [], [], [], [], [], []], view);
+    this.scores.draw(scores ? scores.between(view.begin, view.end) : [[], []], view);
+    this.motion.draw(speed.between(view.begin, view.end), view);
+  }
+
+  rebuild() {
+    for (const chart of [this.counts, this.scores, this.motion]) chart.rebuild();
+  }
+
+  // The threshold, dashed across.
+  #mark(plot) {
+    if (this.threshold === null) return;
+    const { ctx, bbox } = plot, y = plot.valToPos(this.threshold, "y", true);
+    ctx.save();
+    ctx.strokeStyle = colour("--slip");
+    ctx.lineWidth = 1.4 * devicePixelRatio;
+    ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+    ctx.beginPath();
+    ctx.moveTo(bbox.left, y);
+    ctx.lineTo(bbox.left + bbox.width, y);
+    ctx.stroke();
+    ctx.restore();
+  }
+}

@@ -1,0 +1,89 @@
+// The pressure map of each fingertip, in the layout of its sensor; choosing one chooses its curves.
+
+import { HUES } from "./charts.js";
+
+const LAYOUT = [[5, 4, 3], [0, 1, 2]]; // sensor frame: x right, y up
+const READABLE = 100; // ms between two figures in a cell: faster ones cannot be read
+
+export class Pads {
+  constructor(host, chosen) {
+    this.host = host;
+    this.pads = new Map();
+    this.written = 0;
+    host.addEventListener("change", ({ target }) => chosen(target.value));
+  }
+
+  // Have a map for each of these fingertips, in their order; tell which one is chosen.
+  have(fingers, selected) {
+    if (fingers.length === this.pads.size && fingers.every((finger) => this.pads.has(finger))) return;
+    this.pads.clear();
+    this.host.replaceChildren(...fingers.map((finger) => this.#pad(finger, finger === selected)));
+    this.host.classList.toggle("many", fingers.length > 1);
+  }
+
+  // Show values (6, null: no answer), each as its share of the ramp, what is wrong with cells, and whether it slips.
+  show(finger, values, share, faults, said) {
+    const pad = this.pads.get(finger);
+    if (!pad) return;
+    pad.box.classList.toggle("slips", said === "slip");
+    write(pad.now, said === "not known" ? "–" : said);
+    if (!pad.due) return; // a figure and its shade are of one instant
+    pad.cells.forEach((cell, k) => {
+      const value = values?.[k] ?? null, silent = values !== null && value === null;
+      const part = value === null ? 0 : Math.min(Math.max(share(value), 0), 1);
+      cell.td.style.setProperty("--share", part.toFixed(3));
+      cell.td.classList.toggle("deep", part > this.deep);
+      cell.td.classList.toggle("fault", k in faults || silent);
+      write(cell.fault, faults[k] ?? (silent ? "no answer" : ""));
+      write(cell.count, value === null ? "–" : String(Math.round(value)).replace("-", "−"));
+    });
+  }
+
+  // Let cells change if their last figures could be read; gives whether they may.
+  tick(now) {
+    const due = now - this.written >= READABLE;
+    if (due) {
+      this.written = now;
+      this.deep = Number(getComputedStyle(document.documentElement).getPropertyValue("--deep"));
+    }
+    for (const pad of this.pads.values()) pad.due = due;
+    return due;
+  }
+
+  #pad(finger, selected) {
+    const box = element("div", "finger"), who = element("label", "who"), now = element("span", "now");
+    const input = Object.assign(document.createElement("input"), { type: "radio", name: "finger", value: finger, checked: selected });
+    const name = element("b");
+    name.textContent = title(finger);
+    who.append(input, name, now);
+    const table = element("table", "pad"), cells = [];
+    table.setAttribute("aria-label", `Pressure of ${title(finger).toLowerCase()}`);
+    for (const row of LAYOUT) {
+      const tr = table.insertRow();
+      for (const k of row) {
+        const td = tr.insertCell(), count = element("span", "count"), fault = element("span", "fault-text");
+        const which = element("span", "which"), key = element("span", "key");
+        which.textContent = k;
+        key.style.setProperty("--hue", `var(${HUES[k]})`);
+        td.append(which, count, fault, key);
+        cells[k] = { td, count, fault };
+      }
+    }
+    box.append(who, table);
+    table.addEventListener("click", () => input.click());
+    this.pads.set(finger, { box, now, cells, due: true });
+    return box;
+  }
+}
+
+export const title = (finger) => (finger === "every" ? "The fingertip" : `Fingertip ${finger}`);
+
+export function write(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+export function element(tag, kind = "") {
+  const made = document.createElement(tag);
+  if (kind) made.className = kind;
+  return made;
+}

@@ -1,0 +1,147 @@
+// A recorded session: a slider chooses an instant; the window before it is drawn, or all.
+
+import { write } from "./pad.js";
+
+const $ = (id) => document.getElementById(id);
+const STRIDES = { PageUp: 10000, PageDown: -10000 }; // ms, by key
+const STEP = 100; // ms, of the arrows; ten times that with shift
+
+export function recorded(view, about) {
+  const slider = $("instant"), play = $("play"), canvas = $("overview");
+  let asking = false, again = false, playing = null;
+
+  document.body.dataset.link = "recorded";
+  $("scrub").hidden = false;
+  $("window").append(new Option("1 min", "60"), new Option("5 min", "300"), new Option("all", "Infinity"));
+  write($("session"), `session ${about.session}`);
+  write($("link"), "Recorded");
+  write($("no-events"), "None.");
+  $("notice").hidden = !about.about;
+  write($("notice"), about.about);
+  view.threshold = about.threshold;
+  view.deepest = about.zeroed && about.deepest < -100 ? nearest(-about.deepest) : 100;
+  view.events.add(about.events, Infinity);
+  slider.max = about.length;
+  slider.value = Math.min(about.length, Math.max(view.window, first(about.events)));
+
+  const begun = new Date(about.start);
+  const clock = (t) => new Date(begun.getTime() + t).toISOString().slice(11, 22);
+  const instant = () => Number(slider.value);
+  view.scene = () => ({ touch: view.touch, scores: view.scores, speed: view.speed, end: instant(), span: span() });
+  // What the curves show: the window before the instant, or the whole session.
+  const span = () => (view.window === Infinity ? [0, about.length] : [instant() - view.window, instant()]);
+  view.onchange = () => refresh();
+  view.events.show((t) => elapsed(t), (t) => go(t + 1000));
+
+  async function refresh() {
+    const t = instant();
+    write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
+    slider.setAttribute("aria-valuetext", elapsed(t));
+    view.slipping = slipping(about.events, t);
+    write($("axis"), view.window === Infinity ? "seconds before the end of the session" : "seconds before the instant chosen");
+    view.dirty();
+    again = asking;
+    if (asking) return;
+    asking = true;
+    try {
+      const [begin, end] = span(), answer = await fetch(`window?begin=${begin}&end=${end}`);
+      if (!answer.ok) throw new Error(await answer.text());
+      view.take(await answer.json(), "replace");
+      $("notice").hidden = !about.about;
+      write($("notice"), about.about);
+      view.dirty();
+    } catch {
+      stop();
+      $("notice").hidden = false;
+      write($("notice"), "The server of this recording does not answer: slipflow show serves it.");
+    } finally {
+      asking = false;
+      if (again) refresh();
+    }
+  }
+
+  function go(t) {
+    slider.value = Math.min(Math.max(t, 0), about.length);
+    refresh();
+  }
+
+  function stop() {
+    cancelAnimationFrame(playing);
+    playing = null;
+    write(play, "Play");
+  }
+
+  play.addEventListener("click", () => {
+    if (playing !== null) return stop();
+    write(play, "Stop");
+    if (instant() >= about.length) go(0);
+    let then = performance.now(), at = instant(); // the slider knows steps only
+    const step = (now) => {
+      at += now - then;
+      then = now;
+      go(at);
+      if (at >= about.length) stop();
+      else playing = requestAnimationFrame(step);
+    };
+    playing = requestAnimationFrame(step);
+  });
+  slider.addEventListener("input", () => { if (playing !== null) stop(); refresh(); });
+  slider.addEventListener("keydown", (event) => {
+    const arrow = { ArrowLeft: -STEP, ArrowDown: -STEP, ArrowRight: STEP, ArrowUp: STEP }[event.key];
+    const stride = arrow ? arrow * (event.shiftKey ? 10 : 1) : STRIDES[event.key];
+    if (!stride) return;
+    event.preventDefault();
+    if (playing !== null) stop();
+    go(instant() + stride);
+  });
+
+  // The whole session above its slider: how hard it was pressed, and where it slipped.
+  async function draw() {
+    const style = getComputedStyle(document.documentElement), ratio = devicePixelRatio;
+    const width = canvas.clientWidth, height = canvas.clientHeight, edge = 8; // px; the thumb's half
+    canvas.width = width * ratio;
+    canvas.height = height * ratio;
+    const pen = canvas.getContext("2d"), x = (t) => edge + ((width - 2 * edge) * t) / about.length;
+    pen.scale(ratio, ratio);
+    pen.fillStyle = style.getPropertyValue("--middle");
+    pen.globalAlpha = 0.55;
+    const touch = whole.touch[view.finger ?? Object.keys(whole.touch)[0]];
+    touch?.t.forEach((t, row) => {
+      const value = Math.max(0, ...touch.v[row].map((each) => (touch.zeroed ? -each : 1023 - each)));
+      const tall = Math.min(height - 8, ((height - 8) * value) / (touch.zeroed ? view.deepest : 1023));
+      pen.fillRect(x(t), height - tall, 1, tall);
+    });
+    pen.globalAlpha = 1;
+    pen.fillStyle = style.getPropertyValue("--slip");
+    for (const [from, to] of view.events.spans(view.finger, about.length)) pen.fillRect(x(from), 0, Math.max(1.5, x(to) - x(from)), 5);
+  }
+
+  let whole = { touch: {} };
+  refresh().then(async () => {
+    whole = await (await fetch(`window?begin=0&end=${about.length}`)).json();
+    new ResizeObserver(draw).observe(canvas);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+    $("fingers").addEventListener("change", draw);
+  });
+}
+
+function slipping(events, t) {
+  const now = new Set();
+  for (const event of events) {
+    if (event.t > t) break;
+    if (event.onset) now.add(event.finger);
+    else now.delete(event.finger);
+  }
+  return now;
+}
+
+const first = (events) => (events.find((event) => event.onset)?.t ?? 0) + 1000;
+
+// Rounded up to a hundred counts.
+const nearest = (value) => Math.ceil(value / 100) * 100;
+
+// Time since the beginning of the session, as m:ss.t.
+function elapsed(t) {
+  const tenths = Math.round(t / 100);
+  return `${Math.floor(tenths / 600)}:${String(Math.floor(tenths / 10) % 60).padStart(2, "0")}.${tenths % 10}`;
+}

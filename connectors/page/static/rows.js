@@ -1,0 +1,81 @@
+// The newest rows of a stream: times (ms since the start of the run) and, for each column, values to draw.
+
+const KEPT = 31000; // ms
+const PAUSE = 250; // ms; a longer one is drawn as a gap
+
+export class Rows {
+  constructor(columns) {
+    this.t = [];
+    this.columns = Array.from({ length: columns }, () => []);
+  }
+
+  get newest() {
+    return this.t.length ? this.t[this.t.length - 1] : null;
+  }
+
+  // Append rows as a frame has them; those that are there already fall away.
+  push({ t, v }, sign = 1) {
+    let last = this.newest ?? -Infinity;
+    for (let row = 0; row < t.length; row++) {
+      if (t[row] <= last) continue;
+      if (t[row] - last > PAUSE && last > -Infinity) this.#append(last + 1, null, sign);
+      this.#append(t[row], v[row], sign);
+      last = t[row];
+    }
+    this.#trim(last - KEPT);
+  }
+
+  // Everything anew, from a recording.
+  replace(rows, sign = 1) {
+    this.t = [];
+    for (const column of this.columns) column.length = 0;
+    for (let row = 0; row < rows.t.length; row++) this.#append(rows.t[row], rows.v[row], sign);
+  }
+
+  // [t, ...columns] between two instants, and one row beyond each, so that lines leave the picture.
+  between(begin, end) {
+    const from = Math.max(0, lowest(this.t, begin) - 1);
+    const to = lowest(this.t, end) + 1;
+    return [this.t, ...this.columns].map((values) => values.slice(from, to));
+  }
+
+  // The row at an instant, the newest up to it: a value for each column, or null.
+  at(instant) {
+    const row = lowest(this.t, instant + 0.001) - 1;
+    return row < 0 ? null : this.columns.map((column) => column[row]);
+  }
+
+  copy() {
+    const copy = new Rows(0);
+    copy.t = this.t.slice();
+    copy.columns = this.columns.map((column) => column.slice());
+    return copy;
+  }
+
+  #append(t, v, sign) {
+    this.t.push(t);
+    const single = this.columns.length === 1;
+    this.columns.forEach((column, k) => {
+      const value = v === null ? null : single ? v : v[k];
+      column.push(value === null || value === 0 ? value : sign * value);
+    });
+  }
+
+  #trim(before) {
+    if (!this.t.length || this.t[0] > before - KEPT / 2) return; // not each time: it moves all
+    const old = lowest(this.t, before);
+    this.t.splice(0, old);
+    for (const column of this.columns) column.splice(0, old);
+  }
+}
+
+// The first index whose value is at least `value`.
+function lowest(sorted, value) {
+  let low = 0, high = sorted.length;
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (sorted[middle] < value) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}

@@ -1,0 +1,94 @@
+"""The command that shows recorded sessions in a browser; `flows.command` registers it with one line."""
+
+import asyncio
+import signal
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flows.live_page import Listen, NoBrowser, listening, open_browser
+from flows.options import told
+
+if TYPE_CHECKING:
+    from connectors.page.recorded import Recorded
+    from operators.ports import Recording
+
+# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# ruff: noqa: PLC0415
+
+
+def show(
+    session: Annotated[
+        Path, typer.Argument(metavar="SESSION", help="A session's folder, or a dataset's that holds one.")
+    ],
+    *,
+    detector: Annotated[
+        str, typer.Option(metavar="NAME", help="Scores it: a built-in detector, or a file of weights.")
+    ] = "tcn",
+    listen: Listen = None,
+    no_browser: NoBrowser = False,
+) -> None:
+    """Show a recorded session in a browser, to scrub through it.
+
+    Its touch is scored again. Slip events are those that were recorded; where none were, those found now.
+    Ends at Ctrl-C.
+    """
+    from connectors.page.access import Access
+    from storage import Session
+
+    host, port = listening(listen)
+    Access.of(host, None)  # refused before a long session is read
+    recording = Session.open(session)
+    asyncio.run(_show(recording, detector, host, port, browse=not no_browser))
+
+
+async def _show(recording: "Recording", detector: str, host: str, port: int | None, *, browse: bool) -> None:
+    from connectors.page.scrubber import Scrubber
+
+    told(f"{recording.name}: reading it, and scoring it by {detector}")
+    recorded = await load(recording, detector)
+    scrubber = Scrubber(recorded, port, host)
+    url = await scrubber.open()
+    told(f"page: {url} (Ctrl-C ends it)")
+    if browse:
+        open_browser(url)
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with suppress(RuntimeError, ValueError):  # not in the main thread
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    try:
+        await stop.wait()
+    finally:
+        await scrubber.close()
+
+
+async def load(recording: "Recording", detector: str = "tcn") -> "Recorded":
+    """Take what the page shows of a recording into memory.
+
+    Raises:
+        InputError: if it holds no touch, is damaged, or is too long; or if there is no such detector.
+    """
+    from connectors import Replay
+    from connectors.page.recorded import Recorded
+    from flows.graph import Flow
+    from flows.replay_runner import ReplayRunner
+    from operators import Debounce, Motion, Score, Slips, Touch, Zero
+    from storage import load_debounce, load_detector
+
+    debounce = load_debounce(detector) or Debounce()
+    recalled = bool(recording.fingers(Slips))
+    found = "as recorded" if recalled else f"those that {detector} finds now"
+    about = f"A recorded session. Probability: scored again by {detector}. Slip events: {found}."
+    recorded = Recorded(threshold=debounce.threshold, about=about)
+    flow = Flow("show")
+    zeroed = flow.source(Replay(recording, Touch)) | Zero()
+    scores = zeroed | Score(load_detector(detector))
+    zeroed.to(recorded)
+    scores.to(recorded)
+    (flow.source(Replay(recording, Slips)) if recalled else scores | debounce).to(recorded)
+    if recording.fingers(Motion):
+        flow.source(Replay(recording, Motion)).to(recorded)
+    await ReplayRunner(flow, recording, recording.name).execute()
+    return recorded

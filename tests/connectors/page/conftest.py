@@ -1,0 +1,11 @@
+"""No test has the token of whoever runs it."""
+
+import pytest
+
+from connectors.page.access import TOKEN, TOKEN_FILE
+
+
+@pytest.fixture(autouse=True)
+def _no_token(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(TOKEN, raising=False)
+    monkeypatch.delenv(TOKEN_FILE, raising=False)

@@ -1,0 +1,42 @@
+import asyncio
+
+from aiohttp import ClientSession
+
+from connectors.page.recorded import Recorded
+from connectors.page.scrubber import Scrubber
+from connectors.testing import PATIENCE
+from operators.batch import ms, s
+from operators.ports import Run
+from tests.connectors.page.reading import felt, slip
+
+
+def test_a_browser_is_given_the_session_and_any_window_of_it(run: Run) -> None:
+    async def main() -> None:
+        recorded = Recorded()
+        await recorded.open(run)
+        for k in range(10):
+            await recorded.write(felt(90 * s + k * 10 * ms, -k))
+        await recorded.write(slip(90 * s + 50 * ms, 1))
+        await recorded.close()
+        scrubber = Scrubber(recorded, 0)
+        url = await scrubber.open()
+        async with asyncio.timeout(PATIENCE), ClientSession() as session:
+            async with session.get(f"{url}/about.json") as response:
+                about = await response.json()
+            assert (about["mode"], about["session"], about["length"]) == ("recorded", "run1", 90)
+            async with session.get(f"{url}/window?begin=20&end=40") as response:
+                assert (await response.json())["touch"]["0"]["t"] == [20, 30, 40]
+            for wrong in (
+                "",
+                "?begin=1",
+                "?begin=a&end=2",
+                "?begin=nan&end=nan",
+                "?begin=2&end=1",
+                "?begin=0&end=1e300",
+            ):
+                async with session.get(f"{url}/window{wrong}") as response:
+                    assert response.status == 400, wrong
+                    assert "begin=MS" in await response.text()
+        await scrubber.close()
+
+    asyncio.run(main())

@@ -1,0 +1,47 @@
+import numpy as np
+import pytest
+
+from connectors.events import encode
+from connectors.page.series import extremes, series, shown
+from operators.batch import Motion, Scores, Touch, ms, s
+
+
+def test_a_cell_that_did_not_answer_is_null() -> None:
+    counts, valid = np.arange(6, dtype=np.int16)[None], np.array([[True, True, True, False, True, True]])
+    touch = Touch(np.array([s]), counts, counts, valid)
+    assert encode(series(touch.time, shown(touch), s)) == b'{"t":[0.0],"v":[[0.0,1.0,2.0,null,4.0,5.0]]}'
+
+
+def test_speed_is_that_of_the_tcp_in_mm_per_second() -> None:
+    velocity = np.array([[0.003, 0.0, -0.004, 9.0, 9.0, 9.0]])
+    motion = Motion(np.array([s]), np.array([s]), velocity, np.full((1, 6), np.nan))
+    assert shown(motion) == pytest.approx([5.0])
+
+
+def test_a_probability_that_is_not_known_is_null() -> None:
+    scores = Scores(np.array([s, s + 10 * ms]), np.array([0.5, np.nan]))
+    assert encode(series(scores.time, shown(scores), s)) == b'{"t":[0.0,10.0],"v":[0.5,null]}'
+
+
+def test_thinning_loses_no_peak_of_any_column() -> None:
+    time, values = np.arange(10_001), np.zeros((10_001, 2))
+    values[3_333, 0], values[7_777, 1] = 9.0, -9.0
+    thin, kept = extremes(time, values, 200)
+    assert len(thin) == len(kept) == 200
+    assert kept.max(axis=0).tolist() == [9.0, 0.0]
+    assert kept.min(axis=0).tolist() == [0.0, -9.0]
+    assert (np.diff(thin) >= 0).all()
+    assert (thin[0], thin[-1]) == (0, 10_000)
+
+
+def test_a_few_rows_are_given_as_they_are() -> None:
+    time, values = np.arange(4), np.array([1.0, 2.0, 3.0, 4.0])
+    assert extremes(time, values, 4) == (time, values)
+
+
+def test_what_is_not_known_hides_nothing_beside_it() -> None:
+    values = np.full(100, np.nan)
+    values[51] = 7.0
+    _, kept = extremes(np.arange(100), values, 10)
+    assert np.nanmax(kept) == 7.0
+    assert np.isnan(kept[:4]).all()
