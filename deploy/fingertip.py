@@ -1,0 +1,42 @@
+"""One fingertip where it is mounted: score it, tell the broker of each slip, and record it if asked to.
+
+Run by the unit and the container in this folder. It is made to be copied and changed.
+"""  # noqa: INP001 - no package: it runs where it was copied to
+
+from pathlib import Path
+
+from connectors import Console, Mqtt, Rig, TakkTile
+from flows.graph import Flow
+from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero
+from storage import Dataset, load_debounce, load_detector
+
+
+def fingertip(
+    *,
+    bus: int | None = 1,
+    row: int = 0,
+    detector: str = "tcn",
+    broker: str | None = "mqtt://localhost",
+    site: str = "lab",
+    rig: str = "fingertip",
+    out: Path | None = None,
+) -> Flow:
+    """Score row `row` of I2C bus `bus`, none: of the simulated rig; record into `out`, none: nowhere."""
+    flow = Flow("fingertip")
+    touch = flow.source(Rig().touch if bus is None else TakkTile(bus, (row,)))
+    debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
+    slips = touch | Zero() | Score(load_detector(detector)) | debounce
+    faults = touch | Health()
+
+    sinks: list[Sink[Slips | Faults]] = [Console()]
+    if broker:
+        rules = debounce.threshold, debounce.consecutive
+        sinks.append(Mqtt(broker, site, rig, {"id": detector}, *rules))
+    if out:
+        dataset = Dataset(out)
+        touch.to(dataset)
+        sinks.append(dataset)
+    for sink in sinks:
+        slips.to(sink)
+        faults.to(sink)
+    return flow

@@ -1,0 +1,75 @@
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from flows.loading import load
+from flows.validate import problems
+from tests.deploy.shipped import DEPLOY
+
+FILES = ("compose.yaml", "compose.fingertip.yaml")
+
+
+def read(name: str) -> Any:  # noqa: ANN401 - YAML
+    parser: Any = YAML(typ="safe")
+    return parser.load(DEPLOY / name)
+
+
+def judge(path: Path) -> subprocess.CompletedProcess[str]:
+    """Hold a file against the schema of the compose specification."""
+    words = ["-m", "check_jsonschema", "--builtin-schema", "vendor.compose-spec", str(path)]
+    return subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_compose_file_keeps_to_the_schema_of_the_specification(name: str) -> None:
+    done = judge(DEPLOY / name)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_schema_refuses_a_key_that_is_misspelt(tmp_path: Path) -> None:
+    broken = tmp_path / "compose.yaml"
+    broken.write_text((DEPLOY / "compose.yaml").read_text().replace("stop_grace_period", "stop_grace_time"))
+    done = judge(broken)
+    assert done.returncode == 1
+    assert "stop_grace_time" in done.stdout
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_recorder_is_given_settings_that_its_flow_has(name: str) -> None:
+    run, file, *settings = read(name)["services"]["recorder"]["command"]
+    assert (run, file) == ("run", "/opt/slipflow/fingertip.py")
+    values = dict(setting.removeprefix("--set=").split("=", 1) for setting in settings)
+    flow = load(str(DEPLOY / "fingertip.py")).flow(values)
+    assert problems(flow) == []
+    assert {"Mqtt", "Dataset"} <= {type(node.part).__name__ for node in flow.sinks()}
+
+
+def test_no_port_is_open_to_other_machines_and_nothing_runs_with_rights() -> None:
+    services = read("compose.yaml")["services"]
+    for name, service in services.items():
+        assert all(port.startswith("127.0.0.1:") for port in service.get("ports", ())), name
+        assert service["read_only"], name
+        assert service["cap_drop"] == ["ALL"], name
+        assert service["security_opt"] == ["no-new-privileges:true"], name
+
+
+def test_what_is_mounted_is_shipped_or_a_password_that_its_owner_makes() -> None:
+    compose = read("compose.yaml")
+    mounts = [each for service in compose["services"].values() for each in service["volumes"]]
+    sources = {mount.split(":")[0] for mount in mounts} - set(compose["volumes"])
+    secret = compose["secrets"]["fingertip"]["file"]
+    missing = {source for source in {*sources, secret} if not (DEPLOY / source).exists()}
+    assert missing <= {"./mosquitto/passwords", "./mosquitto/fingertip.password"}
+    assert {"./mosquitto/mosquitto.conf", "./mosquitto/acl"} <= sources
+
+
+def test_the_mounts_are_where_the_broker_looks_for_them() -> None:
+    conf = (DEPLOY / "mosquitto" / "mosquitto.conf").read_text()
+    places = {mount.split(":")[1] for mount in read("compose.yaml")["services"]["broker"]["volumes"]}
+    for option in ("password_file", "acl_file", "persistence_location"):
+        [place] = [line.split()[1] for line in conf.splitlines() if line.startswith(f"{option} ")]
+        assert place.rstrip("/") in places

@@ -1,0 +1,65 @@
+import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.loading import load
+from flows.validate import problems
+from operators import Slips, Touch
+from storage import Session
+from tests.deploy.shipped import DEPLOY
+from tests.deploy.test_requirements import LEFT_OUT
+
+FLOW = str(DEPLOY / "fingertip.py")
+CHILD = DEPLOY.parent / "tests" / "benchmarks" / "edge_child.py"
+
+
+def test_by_default_it_scores_a_fingertip_on_the_bus_and_tells_the_broker() -> None:
+    flow = load(FLOW).flow()
+    assert problems(flow) == []
+    assert [type(node.part).__name__ for node in flow.sources()] == ["TakkTile"]
+    assert {type(node.part).__name__ for node in flow.sinks()} == {"Console", "Mqtt"}
+
+
+def test_it_records_where_it_is_told_to_and_publishes_only_to_a_broker(tmp_path: Path) -> None:
+    flow = load(FLOW).flow({"out": str(tmp_path), "broker": "none", "bus": "none"})
+    assert problems(flow) == []
+    assert {type(node.part).__name__ for node in flow.sinks()} == {"Console", "Dataset"}
+
+
+@pytest.mark.parametrize("without", [sorted(LEFT_OUT)])
+def test_it_feels_and_records_without_what_a_small_install_leaves_out(
+    tmp_path: Path, without: list[str]
+) -> None:
+    rng = np.random.default_rng(0)
+    counts = 500 + rng.integers(-1, 2, (600, 6)).astype(np.int16)
+    counts[200:] += rng.integers(-60, 30, (400, 6)).astype(
+        np.int16
+    )  # it is pressed and shakes, as if it slid
+    np.savez(tmp_path / "table.npz", counts=counts, temperature=np.full_like(counts, 498))
+    code = textwrap.dedent(f"""
+        import runpy, sys
+        sys.modules.update(dict.fromkeys({without!r}))
+        runpy.run_path({str(CHILD)!r}, run_name="__main__")
+    """)
+    out = tmp_path / "out"
+    words = [FLOW, tmp_path / "table.npz", "--seconds", "5", "--set", "broker=none", "--set", f"out={out}"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "NO_COLOR": "1"},
+    )
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    assert told["loaded"] == ["pyarrow"]
+    assert told["sinks"]["dataset"][1] == 0
+    session = Session.open(out / "sessions" / "edge")
+    assert sum(len(batch) for batch in session.read(Touch, 0)) == told["rows"] > 0
+    assert sum(len(batch) for batch in session.read(Slips, 0)) > 0

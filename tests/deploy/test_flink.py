@@ -1,0 +1,195 @@
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.deploy.shipped import DEPLOY
+
+ROOT, FLINK = DEPLOY.parent, DEPLOY / "flink"
+COMPOSE, KUBERNETES, DOCKERFILE = FLINK / "compose.yaml", FLINK / "kubernetes.yaml", FLINK / "Dockerfile"
+TEXT = DOCKERFILE.read_text()
+STEPS = [line for line in re.sub(r"\\\n\s*", "", TEXT).splitlines() if line and not line.startswith("#")]
+LAST = STEPS[max(n for n, step in enumerate(STEPS) if step.startswith("FROM")) :]
+
+
+def read(path: Path) -> list[Any]:
+    parser: Any = YAML(typ="safe")
+    return list(parser.load_all(path))
+
+
+def judged(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, check=False)
+
+
+def compose_judged(path: Path) -> subprocess.CompletedProcess[str]:
+    return judged("check_jsonschema", "--builtin-schema", "vendor.compose-spec", str(path))
+
+
+def kubernetes_judged(path: Path) -> subprocess.CompletedProcess[str]:
+    return judged("kubernetes_validate", "--strict", "--kubernetes-version", "1.30", str(path))
+
+
+def pods() -> dict[str, Any]:
+    return {
+        each["metadata"]["name"]: each["spec"]["template"]["spec"]
+        for each in read(KUBERNETES)
+        if each["kind"] == "Deployment"
+    }
+
+
+def test_the_compose_file_keeps_to_the_schema_of_the_specification() -> None:
+    done = compose_judged(COMPOSE)
+    assert done.returncode == 0, done.stdout
+
+
+def test_the_schema_refuses_a_service_key_that_is_misspelt(tmp_path: Path) -> None:
+    broken = tmp_path / "compose.yaml"
+    broken.write_text(COMPOSE.read_text().replace("mem_limit", "memory_limit"))
+    assert "memory_limit" in compose_judged(broken).stdout
+
+
+def test_the_kubernetes_file_keeps_to_the_schemas_of_its_kinds() -> None:
+    done = kubernetes_judged(KUBERNETES)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("passed for resource") == len(read(KUBERNETES))
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"), [("runAsNonRoot:", "runAsNonroot:"), ("periodSeconds: 2", "periodSeconds: two")]
+)
+def test_the_schemas_refuse_what_is_misspelt_or_of_another_type(
+    right: str, wrong: str, tmp_path: Path
+) -> None:
+    broken = tmp_path / "kubernetes.yaml"
+    broken.write_text(KUBERNETES.read_text().replace(right, wrong))
+    assert kubernetes_judged(broken).returncode == 1
+
+
+def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
+    program = Path(sys.executable).with_name("hadolint")
+    done = subprocess.run([program, "-t", "style", DOCKERFILE], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_the_image_has_java_17_and_pythons_of_full_versions_that_pyflink_takes() -> None:
+    images = [step.split()[1] for step in STEPS if step.startswith("FROM")]
+    assert [re.sub(r"-slim", "", image) for image in images] == ["python:3.11.13-bookworm"] * 2
+    assert any("openjdk-17-jre-headless" in step for step in LAST)
+
+
+def test_every_package_is_installed_by_its_hash() -> None:
+    installs = [part for step in STEPS for part in step.split("&&") if "pip install" in part]
+    *packages, ours = installs
+    assert len(packages) == 2
+    assert all("--require-hashes" in each for each in packages)
+    assert "--no-deps /wheels/slipflow-" in ours
+    pins = (FLINK / "requirements.txt").read_text().replace("\\\n", "").splitlines()[1:]
+    assert [
+        pin for pin in pins if not re.fullmatch(r"[\w.-]+==\S+( +--hash=sha256:[0-9a-f]{64})+", pin)
+    ] == []
+
+
+def test_flink_is_the_one_that_runs_on_one_machine_and_all_that_slipflow_needs_is_there() -> None:
+    pins = [line.split()[0] for line in (FLINK / "requirements.txt").read_text().splitlines() if "==" in line]
+    [flink] = re.findall(r"apache-flink==\S+", (DEPLOY / "cluster").read_text())
+    assert flink in pins
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = {re.split(r"[<>=~!]", each)[0].lower() for each in project["dependencies"]}
+    assert wanted <= {pin.split("==")[0] for pin in pins}
+
+
+def test_the_image_is_used_without_rights_and_has_nothing_that_installs() -> None:
+    assert not [step for step in LAST if re.search(r"\b(pip|gcc|curl)\b", step)]
+    assert [step for step in LAST if step.startswith("USER")] == ["USER 10001:10001"]
+
+
+def test_docker_is_sent_what_it_copies() -> None:
+    sent = (FLINK / "Dockerfile.dockerignore").read_text().splitlines()
+    steps = [step for step in STEPS if step.startswith("COPY") and "--from" not in step]
+    copied = [source for step in steps for source in step.split()[1:-1]]
+    assert "*" in sent
+    assert sorted(copied) == sorted(line[1:] for line in sent if line.startswith("!"))
+    assert [source for source in copied if not (ROOT / source).exists()] == []
+
+
+def test_all_find_the_job_manager_by_its_name_and_ports() -> None:
+    [settings] = read(FLINK / "config.yaml")
+    manager, server = settings["jobmanager"]["rpc"], settings["blob"]["server"]
+    ports = {"rpc": manager["port"], "blob": server["port"], "rest": settings["rest"]["port"]}
+    assert manager["address"] == settings["rest"]["address"] == "jobmanager"
+    assert manager["address"] in read(COMPOSE)[0]["services"]
+    [service] = [each for each in read(KUBERNETES) if each["kind"] == "Service"]
+    assert service["metadata"]["name"] == manager["address"]
+    assert {each["name"]: each["port"] for each in service["spec"]["ports"]} == ports
+    [container] = pods()["jobmanager"]["containers"]
+    assert {each["name"]: each["containerPort"] for each in container["ports"]} == ports
+    [container] = pods()["taskmanager"]["containers"]
+    assert container["ports"] == [{"name": "rpc", "containerPort": settings["taskmanager"]["rpc"]["port"]}]
+
+
+def test_a_service_finds_its_pods_and_a_deployment_its_own() -> None:
+    documents = read(KUBERNETES)
+    [service] = [each for each in documents if each["kind"] == "Service"]
+    labels = {
+        each["metadata"]["name"]: each["spec"]["template"]["metadata"]["labels"]
+        for each in documents
+        if each["kind"] == "Deployment"
+    }
+    wanted = service["spec"]["selector"].items()
+    assert [name for name, own in labels.items() if wanted <= own.items()] == ["jobmanager"]
+    for each in documents:
+        if each["kind"] == "Deployment":
+            assert each["spec"]["selector"]["matchLabels"] == labels[each["metadata"]["name"]]
+
+
+def test_recordings_and_checkpoints_are_on_the_volume_that_all_share() -> None:
+    [settings] = read(FLINK / "config.yaml")
+    assert settings["execution"]["checkpointing"]["dir"].startswith("file:///data/")
+    [compose] = read(COMPOSE)
+    assert all(service["volumes"] == ["data:/data"] for service in compose["services"].values())
+    [claim] = [each for each in read(KUBERNETES) if each["kind"] == "PersistentVolumeClaim"]
+    assert claim["spec"]["accessModes"] == ["ReadWriteMany"]
+    for pod in pods().values():
+        assert pod["volumes"][0]["persistentVolumeClaim"]["claimName"] == claim["metadata"]["name"]
+        assert {"name": "data", "mountPath": "/data"} in pod["containers"][0]["volumeMounts"]
+
+
+def test_nobody_from_outside_reaches_what_can_run_code() -> None:
+    services = read(COMPOSE)[0]["services"]
+    assert all(port.startswith("127.0.0.1:") for each in services.values() for port in each.get("ports", ()))
+    documents = read(KUBERNETES)
+    [service] = [each for each in documents if each["kind"] == "Service"]
+    assert "type" not in service["spec"]  # it has an address inside only
+    [policy] = [each["spec"] for each in documents if each["kind"] == "NetworkPolicy"]
+    everyone = policy["podSelector"]
+    assert policy["ingress"] == [{"from": [{"podSelector": everyone}]}]
+    assert [each for each in documents if each["kind"] == "Deployment"
+            and not everyone["matchLabels"].items() <= each["spec"]["template"]["metadata"]["labels"].items()
+            ] == []  # fmt: skip
+
+
+def test_containers_run_without_rights_and_are_looked_after() -> None:
+    for name, service in read(COMPOSE)[0]["services"].items():
+        assert service["read_only"], name
+        assert service["cap_drop"] == ["ALL"], name
+        assert service["security_opt"] == ["no-new-privileges:true"], name
+        assert {"healthcheck", "mem_limit", "pids_limit"} <= service.keys(), name
+    for name, pod in pods().items():
+        [container], own = pod["containers"], pod["securityContext"]
+        assert (own["runAsNonRoot"], own["runAsUser"], pod["automountServiceAccountToken"]) == (
+            True,
+            10001,
+            False,
+        )
+        assert container["securityContext"] == {
+            "allowPrivilegeEscalation": False,
+            "readOnlyRootFilesystem": True,
+            "capabilities": {"drop": ["ALL"]},
+        }, name
+        assert {"startupProbe", "livenessProbe"} <= container.keys(), name
+        assert {"requests", "limits"} == container["resources"].keys(), name

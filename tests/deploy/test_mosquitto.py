@@ -1,0 +1,140 @@
+import asyncio
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from connectors import Consumer, Mqtt
+from connectors.broker import PASSWORD, USER, Broker
+from connectors.link import connect
+from connectors.testing import TestBroker
+from operators.batch import Slips
+from operators.errors import EndpointError
+from operators.ports import Run
+from tests.deploy.shipped import DEPLOY, login, shipped_broker
+
+pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
+
+RIG = "slip/v1/lab/fingertip"
+
+
+@pytest.fixture
+def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestBroker]:
+    """The broker as shipped; whoever logged in is forgotten."""
+    for name in (USER, PASSWORD):
+        monkeypatch.setenv(name, "")
+    server = shipped_broker(tmp_path)
+    yield server
+    server.close()
+
+
+def slips(*states: int) -> Slips:
+    time = np.arange(len(states))
+    return Slips(time, np.array(states, np.int8), time, np.full(len(states), 0.9), finger=0)
+
+
+async def send(
+    broker: TestBroker, user: str, topic: str, payload: bytes = b"{}", *, retain: bool = False
+) -> None:
+    login(user)
+    link = await connect(Broker.parse(broker.url), f"test-{user}")
+    try:
+        await link.send(topic, payload, retain=retain)
+    finally:
+        await link.leave()
+
+
+def test_a_rig_publishes_and_a_reader_gets_what_it_missed_and_what_comes(
+    shipped: TestBroker, run: Run
+) -> None:
+    async def main() -> list[int]:
+        login("fingertip")
+        sink = Mqtt(shipped.url, "lab", "fingertip")
+        await sink.open(run)
+        try:
+            await sink.write(slips(1, 0))  # missed: to be asked for
+            login("reader")
+            async with asyncio.timeout(20), Consumer(shipped.url, since="start") as events:
+                seen = [(await anext(events)).seq for _ in range(2)]
+                await sink.write(slips(1))
+                return [*seen, (await anext(events)).seq]
+        finally:
+            await sink.close()
+
+    assert asyncio.run(main()) == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("user", "topic"),
+    [
+        ("fingertip", "slip/v1/lab/other/0/event"),
+        ("fingertip", "slip/v1/elsewhere/fingertip/status"),
+        ("fingertip", "slip/v1/lab/fingertip2/head"),
+        ("fingertip", "other"),
+        ("reader", f"{RIG}/0/event"),
+        ("reader", f"{RIG}/status"),
+        ("reader", f"{RIG}/replay/somebody"),
+        ("reader", "other"),
+    ],
+)
+def test_what_the_list_does_not_allow_is_refused(shipped: TestBroker, user: str, topic: str) -> None:
+    with pytest.raises(EndpointError, match=f"refuses to publish {topic}"):
+        asyncio.run(send(shipped, user, topic))
+
+
+@pytest.mark.parametrize(
+    ("user", "password"), [(None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "felt")]
+)
+def test_who_has_no_password_is_not_let_in(
+    shipped: TestBroker, user: str | None, password: str | None
+) -> None:
+    login(user, password)
+    with pytest.raises(EndpointError, match="cannot connect"):
+        asyncio.run(connect(Broker.parse(shipped.url), "stranger"))
+
+
+def test_a_rig_reads_requests_to_itself_and_nothing_else(shipped: TestBroker) -> None:
+    async def main() -> tuple[str, bytes]:
+        login("fingertip")
+        link = await connect(Broker.parse(shipped.url), "rig")
+        try:
+            await link.listen("#")
+            await link.send(f"{RIG}/0/event", b"{}")  # a reader would see it
+            await send(shipped, "reader", "slip/v1/lab/other/replay/request")
+            await send(shipped, "reader", f"{RIG}/replay/request")
+            async with asyncio.timeout(10):
+                return await link.receive()
+        finally:
+            await link.leave()
+
+    assert asyncio.run(main()) == (f"{RIG}/replay/request", b"{}")
+
+
+def test_what_is_retained_outlives_a_kill_of_the_broker(shipped: TestBroker, tmp_path: Path) -> None:
+    async def retained() -> tuple[str, bytes]:
+        login("reader")
+        link = await connect(Broker.parse(shipped.url), "test-reader")
+        try:
+            await link.listen(f"{RIG}/head")
+            async with asyncio.timeout(10):
+                return await link.receive()
+        finally:
+            await link.leave()
+
+    asyncio.run(send(shipped, "fingertip", f"{RIG}/head", b"remembered", retain=True))
+    saved = tmp_path / "data" / "mosquitto.db"
+    for _ in range(1000):
+        if saved.exists() and b"remembered" in saved.read_bytes():
+            break
+        time.sleep(0.01)
+    shipped.stop(signal.SIGKILL)
+    shipped.start()
+    assert asyncio.run(retained()) == (f"{RIG}/head", b"remembered")
+
+
+def test_no_password_is_kept_with_the_project() -> None:
+    ignored = (DEPLOY / ".gitignore").read_text().split()
+    assert {"/mosquitto/passwords", "/mosquitto/*.password"} <= set(ignored)

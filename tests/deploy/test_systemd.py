@@ -1,0 +1,74 @@
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from connectors.broker import PASSWORD_FILE
+from flows.loading import load
+from flows.validate import problems
+from tests.deploy.shipped import DEPLOY
+
+TEXT = (DEPLOY / "systemd" / "slipflow.service").read_text()
+PROGRAM = "/opt/slipflow/bin/slipflow"  # where an operator installs it
+EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
+
+
+def verify(folder: Path, text: str) -> str:
+    """What systemd-analyze has to say: it exits with 0 where a value is wrong, too."""
+    unit = folder / "slipflow.service"
+    unit.write_text(text.replace(PROGRAM, str(Path(sys.executable).with_name("slipflow"))))
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", unit], capture_output=True, text=True, check=False
+    )
+    return done.stdout + done.stderr
+
+
+def test_systemd_has_nothing_to_say_about_the_unit(tmp_path: Path) -> None:
+    assert PROGRAM in TEXT
+    assert verify(tmp_path, TEXT) == ""
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [("Restart=on-failure", "Restart=sometimes"), ("KillMode=mixed", "KilMode=mixed")],
+)
+def test_a_mistake_in_the_unit_would_be_told(tmp_path: Path, right: str, wrong: str) -> None:
+    assert right in TEXT
+    assert re.search(r"slipflow.service:\d+: ", verify(tmp_path, TEXT.replace(right, wrong)))
+
+
+def test_the_service_is_locked_down(tmp_path: Path) -> None:
+    unit = tmp_path / "slipflow.service"
+    unit.write_text(TEXT)
+    done = subprocess.run(
+        ["systemd-analyze", "security", "--offline=true", "--no-pager", unit],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    found = re.search(r"exposure level for slipflow.service: ([\d.]+)", done.stdout)
+    assert found
+    assert float(found[1]) <= EXPOSURE
+
+
+def test_the_password_reaches_the_sink_as_a_credential() -> None:
+    [source] = re.findall(r"^LoadCredential=(\S+):/etc/slipflow/mqtt-password$", TEXT, re.MULTILINE)
+    assert f"\nEnvironment={PASSWORD_FILE}=%d/{source}\n" in TEXT
+
+
+def test_the_outbox_can_see_which_start_of_the_system_this_is() -> None:
+    assert not re.search(r"^ProcSubset=pid", TEXT, re.MULTILINE)
+
+
+def test_the_shipped_settings_are_those_of_the_shipped_flow() -> None:
+    lines = (DEPLOY / "systemd" / "settings").read_text().splitlines()
+    settings = dict(line.split("=", 1) for line in lines if not line.startswith("#"))
+    assert set(settings) == {"SETTINGS", "SLIPFLOW_MQTT_USER"}
+    words = shlex.split(settings["SETTINGS"])
+    assert words[::2] == ["--set"] * (len(words) // 2)
+    values = dict(word.split("=", 1) for word in words[1::2])
+    assert problems(load(str(DEPLOY / "fingertip.py")).flow(values)) == []
+    assert values["rig"] == settings["SLIPFLOW_MQTT_USER"]  # as the broker's list has it
