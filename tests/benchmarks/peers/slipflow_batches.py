@@ -1,0 +1,81 @@
+"""slipflow: the flow in a plan, given batches of so many samples, as its runners give them."""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from flows.graph import Flow
+from flows.plan import Delivery, Entry, Plan
+from flows.testing import TestSink, TestSource
+from operators import Align, Label, Labelled, Motion, Scores, Touch, Zero, ms
+from operators.batch import Batch
+from tests.benchmarks.bench_engine import StepEnergy
+from tests.benchmarks.peers.job import LENGTH, MOTION, Chunk, Job, Judged, Meter, Run, carry_out
+
+
+def flow(fingers: int) -> Flow:
+    """The job as a flow: labels and scores are kept."""
+    job, sink = Flow("job"), TestSink()
+    zeroed = job.source(TestSource(Touch, fingers=tuple(range(fingers)))) | Zero(baseline=400)
+    aligned = zeroed & job.source(TestSource(Motion)) | Align(within=20 * ms, how="previous")
+    labelled = aligned | Label(speed=0.003)
+    labelled.to(sink)
+    (labelled | StepEnergy()).to(sink)
+    return job
+
+
+def batch(chunk: Chunk) -> Batch:
+    """A chunk as our type; what no peer is given is what a rig without it gives."""
+    finger, time, rows = chunk
+    if finger == MOTION:
+        return Motion(time, time, rows, np.full(rows.shape, np.nan))
+    return Touch(time, rows, rows, np.ones(rows.shape, np.bool_), finger=finger)
+
+
+def pushes(job: Job, entries: list[Entry], rows: int) -> list[dict[Entry, Batch]]:
+    """Each row by itself in the order of time, or spans of time as a replay gives them."""
+    entry = {finger: (node, finger) for node, finger in entries}  # the arm's is EVERY, which is MOTION
+    if rows > 1:
+        return [{entry[chunk[0]]: batch(chunk) for chunk in span} for span in job.spans(rows)]
+    streams = [(MOTION, job.motion_time, job.velocity)]
+    streams += [(finger, job.time[finger], job.counts[finger]) for finger in range(len(job.time))]
+    single: list[tuple[int, dict[Entry, Batch]]] = []
+    for finger, time, values in streams:
+        whole = batch((finger, time, values))
+        single += [(t, {entry[finger]: whole[i : i + 1]}) for i, t in enumerate(time.tolist())]
+    single.sort(key=lambda push: push[0])  # stable
+    return [push for _, push in single]
+
+
+def prepare(job: Job, rows: int) -> Run:
+    """Batches of `rows` samples of each fingertip."""
+    declared = flow(len(job.time))
+    given = pushes(job, Plan(declared).entries, rows)
+
+    def run(meter: Meter) -> Iterable[Judged]:
+        plan, out = Plan(declared), list[Delivery]()
+        with meter:
+            for push in given:
+                out += plan.push(push)
+            out += plan.flush()
+        labels: dict[int, list[Labelled]] = {finger: [] for finger in range(len(job.time))}
+        scores: dict[int, list[Scores]] = {finger: [] for finger in range(len(job.time))}
+        for _, each in out:
+            if isinstance(each, Labelled):
+                labels[each.finger].append(each)
+            elif isinstance(each, Scores):
+                scores[each.finger].append(each)
+        return [
+            (
+                finger,
+                np.concatenate([each.label for each in labels[finger]])[LENGTH - 1 :],
+                np.concatenate([each.probability for each in scores[finger]]),
+            )
+            for finger in labels
+        ]
+
+    return run
+
+
+if __name__ == "__main__":
+    carry_out(prepare)

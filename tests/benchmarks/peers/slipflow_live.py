@@ -1,0 +1,86 @@
+"""slipflow, live: the flow in its live runner, with the job's score or a detector that ships."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from time import perf_counter_ns
+
+import numpy as np
+
+from flows.graph import Flow
+from flows.live_runner import LiveRunner
+from operators import Clock, Run, Score, Scores, Sink, Source, Touch, Zero
+from operators.batch import BAROMETERS
+from storage import load_detector
+from tests.benchmarks.bench_engine import StepEnergy
+from tests.benchmarks.peers.job import BASELINE
+from tests.benchmarks.peers.live import Live, carry_out_live
+
+
+class Fingertips(Source[Touch]):
+    """Hands each sample over when it is due."""
+
+    def __init__(self, live: Live) -> None:
+        self._live = live
+        self.ahead = 0  # ns, by which the run's time is ahead of `perf_counter_ns`
+
+    @property
+    def kind(self) -> type[Touch]:
+        """Touch."""
+        return Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """All of the job."""
+        return tuple(range(len(self._live.job.time)))
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
+        """A batch of one for each sample, stamped in the run's time."""
+        live, rows, valid = (
+            self._live,
+            list[tuple[int, int, np.ndarray]](),
+            np.ones((1, BAROMETERS), np.bool_),
+        )
+        for finger, due, counts in live.records:
+            rows.append((finger, due, np.array([counts], np.int16)))
+        self.ahead = clock.now() - perf_counter_ns()
+        live.begin()
+        for finger, due, counts in rows:
+            if (wait := live.wait(due)) > 0:
+                await asyncio.sleep(wait)
+            stamp = perf_counter_ns()
+            yield Touch(np.array([stamp + self.ahead]), counts, counts, valid, finger=finger)
+
+
+class Told(Sink[Scores]):
+    """Takes the events."""
+
+    def __init__(self, live: Live, source: Fingertips) -> None:
+        self._live, self._source = live, source
+
+    @property
+    def place(self) -> str:
+        """Memory."""
+        return "told"
+
+    async def open(self, run: Run) -> None:
+        """Nothing is needed."""
+
+    async def write(self, batch: Scores) -> None:
+        """Take."""
+        self._live.told(batch.finger, batch.time.item(0) - self._source.ahead, batch.probability.item(0))
+
+
+def run(live: Live, detector: str) -> None:
+    """To the last event."""
+
+    async def carry() -> None:
+        flow, source = Flow("path"), Fingertips(live)
+        score = StepEnergy() if detector == "energy" else Score(load_detector(detector))
+        (flow.source(source) | Zero(baseline=BASELINE) | score).to(Told(live, source))
+        await LiveRunner(flow, "path").execute()
+
+    asyncio.run(carry())
+
+
+if __name__ == "__main__":
+    carry_out_live(run)
