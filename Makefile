@@ -1,16 +1,24 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow chaos check bench models clean
+.PHONY: demo test test-slow test-cluster cluster chaos check bench models clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
 	.venv/bin/slipflow demo --for 20s --out recordings
 
 test: check  ## everything that must hold: static checks, then the tests
-	.venv/bin/python -m pytest -n 2 -m "not slow"
+	.venv/bin/python -m pytest -n 2 -m "not slow and not rerun and not cluster"
 
-test-slow:  ## the tests that take longer than a minute
+test-slow:  ## the tests that take longer than a minute, or need half a gigabyte more
 	@deploy/prepare test
-	.venv/bin/python -m pytest -m slow
+	.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[rerun]'
+	.venv/bin/python -m pytest -m "slow or rerun"
+
+cluster:  ## a Flink cluster on this machine, reached only from here; deploy/cluster stop ends it
+	@deploy/cluster
+
+test-cluster:  ## jobs on a real Flink cluster, which is killed in parts: about six minutes
+	@deploy/prepare test
+	.venv/bin/python -m pytest -m cluster
 
 chaos:  ## break what can be broken while it records and publishes; prints each promise: about an hour
 	@deploy/prepare test
@@ -27,6 +35,9 @@ check:  ## format, lint, types, import contracts
 bench:  ## measure; prints tables
 	@deploy/prepare test
 	.venv/bin/python tests/benchmarks/bench_engine.py
+	.venv/bin/python tests/benchmarks/bench_replay.py
+	.venv/bin/python tests/benchmarks/bench_page.py
+	.venv/bin/python tests/benchmarks/bench_edge.py
 	.venv/bin/python tests/benchmarks/bench_scene.py
 	.venv/bin/python tests/benchmarks/bench_detectors.py
 	.venv/bin/python tests/benchmarks/bench_rtde.py
@@ -36,6 +47,9 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_label_delay.py
 	.venv/bin/python tests/benchmarks/bench_label_limit.py
 	.venv/bin/python tests/benchmarks/bench_training.py
+	.venv/bin/python tests/benchmarks/bench_peers.py
+	.venv/bin/python tests/benchmarks/bench_peers_live.py
+	.venv/bin/python tests/benchmarks/bench_peers_live.py --together
 
 models: export PATH := $(CURDIR)/.venv/bin:$(PATH)
 models:  ## train again what ships in storage/trained: two hours on two cores
@@ -54,4 +68,4 @@ models:  ## train again what ships in storage/trained: two hours on two cores
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 
 clean:  ## forget everything that was set up or built
-	rm -rf .venv dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv .cluster dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -5,8 +5,10 @@ from connectors.consumer import Consumer
 from connectors.csv_trace import CsvTrace
 from connectors.events import Event
 from connectors.gripper import Gripper
+from connectors.metrics.metrics import Metrics
 from connectors.mqtt import Mqtt
 from connectors.mqtt_signal import MqttSignal
+from connectors.page.page import Page
 from connectors.replay import Replay
 from connectors.rig.rig import Rig
 from connectors.takktile import TakkTile
@@ -18,8 +20,10 @@ __all__ = [
     "CsvTrace",
     "Event",
     "Gripper",
+    "Metrics",
     "Mqtt",
     "MqttSignal",
+    "Page",
     "Replay",
     "Rig",
     "TakkTile",

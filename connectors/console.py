@@ -1,12 +1,14 @@
-"""Printing slip events for people."""
+"""Printing slip events, for people or as JSON."""
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TextIO
+from typing import Literal, TextIO
 
-from connectors.events import faults, finger_name, timestamp
+from connectors.events import encode, faults, finger_name, timestamp
 from operators.batch import SLIP, Faults, Slips, ms
-from operators.ports import Run, Sink
+from operators.errors import ParameterError
+from operators.ports import Json, Run, Sink
 
 
 @dataclass(eq=False)
@@ -18,10 +20,25 @@ class Console(Sink[Slips | Faults]):
     >>> time, onset, probability = np.array([5_000_000_000]), np.array([1], np.int8), np.array([0.93])
     >>> asyncio.run(Console().write(Slips(time, onset, time, probability, finger=0)))
     1970-01-01 00:00:05.000  finger 0  slip onset  p 0.93
+
+    In the format json an event is one object, times in UTC, latency in ms, null where a number is unknown:
+
+    >>> asyncio.run(Console(format="json").write(Slips(time, onset, time, probability, finger=0)))
+    {"time":"1970-01-01T00:00:05.000000000Z","event":"slip_onset","finger":"0","p":0.93}
+
+    Raises:
+        ParameterError: on a format that is neither text nor json.
     """
 
+    shared = True  # who runs several processes puts their lines in order
+
     stream: TextIO = field(default_factory=lambda: sys.stdout, repr=False)
+    format: Literal["text", "json"] = "text"
     _run: Run | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.format not in ("text", "json"):
+            raise ParameterError("Console", "format", self.format, "text or json")
 
     @property
     def place(self) -> str:
@@ -36,16 +53,32 @@ class Console(Sink[Slips | Faults]):
         """Print the events of a batch."""
         if isinstance(batch, Faults):
             for time, fault, begins in faults(batch):
-                what = f"barometer {fault.barometer} {fault.kind} {'begins' if begins else 'ends'}"
-                self._print(time, batch.finger, what, "yellow")
+                ends = "begins" if begins else "ends"
+                if self.format == "json":
+                    about: dict[str, Json] = {"barometer": fault.barometer, "fault": fault.kind}
+                    self._tell(time, batch.finger, f"fault_{ends}", about)
+                else:
+                    self._print(
+                        time, batch.finger, f"barometer {fault.barometer} {fault.kind} {ends}", "yellow"
+                    )
             return
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
-            latency = ""
-            if self._run and self._run.live:
-                latency = f"  {(self._run.clock.now() - time) / ms:.1f} ms"
+            run = self._run if self._run and self._run.live else None
+            latency = (run.clock.now() - time) / ms if run else None
+            if self.format == "json":
+                known: dict[str, Json] = {} if latency is None else {"latency_ms": round(latency, 3)}
+                what = "slip_onset" if state == SLIP else "slip_end"
+                self._tell(time, batch.finger, what, {"p": probability, **known})
+                continue
+            late = "" if latency is None else f"  {latency:.1f} ms"
             what, style = ("slip onset", "bold red") if state == SLIP else ("slip end  ", "green")
-            self._print(time, batch.finger, f"{what}  p {probability:.2f}{latency}", style)
+            self._print(time, batch.finger, f"{what}  p {probability:.2f}{late}", style)
+
+    def _tell(self, time: int, finger: int, event: str, about: Mapping[str, Json]) -> None:
+        document = {"time": timestamp(time), "event": event, "finger": finger_name(finger), **about}
+        self.stream.write(f"{encode(document).decode()}\n")  # at once: others may print lines there
+        self.stream.flush()
 
     def _print(self, time: int, finger: int, what: str, style: str) -> None:
         line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {what}"

@@ -4,7 +4,7 @@ Pure: nothing here reads a clock or talks to anybody. Source: https://github.com
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
 from urllib.parse import quote, unquote
@@ -207,6 +207,6 @@ def _finite(value: Json) -> Json:
         return value if isfinite(value) else None
     if isinstance(value, dict):
         return {key: _finite(each) for key, each in value.items()}
-    if isinstance(value, list):
+    if isinstance(value, Sequence) and not isinstance(value, str):
         return [_finite(each) for each in value]
     return value

@@ -189,7 +189,10 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def _info(self) -> Message:
         document: dict[str, Json] = {
             "flow": self._run.flow,
-            "sources": {name: dict(description) for name, description in self._run.describe.items()},
+            "sources": {
+                name: {key: value for key, value in description.items() if key != "episodes"}  # they go on
+                for name, description in self._run.describe.items()
+            },
             "model": {"id": self._model, "sha256": self._sha256},
             "threshold": self.threshold,
             "consecutive": self.consecutive,

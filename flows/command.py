@@ -4,23 +4,28 @@ import asyncio
 import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from flows import (
+    cluster_commands,
     dataset_commands,
     detector_commands,
     exchange_commands,
     experiment_commands,
+    replay_commands,
     rig_commands,
+    show_commands,
+    watch_command,
 )
-from flows.options import AsJson, nanoseconds, progress_bar, told
+from flows.cluster_commands import Follow, OnCluster, WithPython
+from flows.event_log import Format, Log, begin_log, in_json, logged
+from flows.live_metrics import WithMetrics, add_metrics
+from flows.live_page import Listen, NoBrowser, WithPage, add_page
+from flows.options import AsJson, nanoseconds, told
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from connectors.events import Event
     from flows.graph import Flow
     from flows.node import Node
     from operators.ports import Recording, Run
@@ -40,7 +45,7 @@ Target = Annotated[
     str,
     typer.Argument(
         metavar="FILE[:FLOW]",
-        help="A Python file that declares a flow (run as code), or a ready-made one: live, record, lift.",
+        help="A Python file that declares a flow (run as code), or one of live, record, relabel, lift.",
     ),
 ]
 Settings = Annotated[
@@ -89,23 +94,70 @@ def run(
     settings: Settings = None,
     duration: Duration = None,
     replay: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="Run over a recorded session or a CSV trace instead.")
+        list[Path] | None,
+        typer.Option(metavar="PATH", help="Run over a session, all of a dataset or a CSV trace instead."),
+    ] = None,
+    more: Annotated[
+        list[Path] | None, typer.Argument(metavar="[PATH...]", help="With --replay: further recordings.")
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Processes that replay recordings; one for each core by default.")
     ] = None,
     pace: Annotated[
         float | None, typer.Option(min=0.01, help="Replay at this multiple of real time, not at full speed.")
     ] = None,
+    cluster: OnCluster = None,
+    python: WithPython = None,
+    follow: Follow = False,
+    page: WithPage = False,
+    listen: Listen = None,
+    metrics: WithMetrics = None,
+    log: Log = Format.TEXT,
     as_json: AsJson = False,
 ) -> None:
     """Run a flow: live, or over a recording with --replay.
 
     Ends when its sources end, after --for, or at Ctrl-C, and commits what it took; exits 1 if a source was
     down at the end or rows were lost.
+
+    Several recordings are replayed side by side, each to a session of its own; one that fails is reported,
+    the others go on, and it exits 1. With --json: {"sessions": [...]}, an object for each.
     """
+    from flows.parallel_replay import apart, open_recording, recordings
+
     flow = _flow(target, settings)
-    if pace is not None and replay is None:
-        raise typer.BadParameter("--pace needs --replay")
-    recording = None if replay is None else _recording(replay)
-    _finish(asyncio.run(_execute(flow, recording, duration, pace)), as_json=as_json)
+    if replay is None and (pace is not None or jobs is not None or more):
+        raise typer.BadParameter(
+            "--pace, --jobs and further recordings need --replay PATH: without it a flow runs live"
+        )
+    if not cluster and (follow or python):
+        raise typer.BadParameter("--follow and --cluster-python need --cluster URL")
+    given = [*(replay or ()), *(more or ())]
+    if cluster:
+        if metrics or log is not Format.TEXT:
+            raise typer.BadParameter(
+                "--metrics and --log are of a run on this machine: leave them out with --cluster"
+            )
+        at = cluster_commands.Place(cluster, python, follow=follow, duration=duration)
+        at.run(target, _settings(settings), given, _session(flow), as_json=as_json)
+        return
+    paths = recordings(given)
+    apart(flow, paths)
+    if len(paths) > 1:
+        if pace is not None or page or listen or metrics or log is not Format.TEXT:
+            raise typer.BadParameter(
+                "--pace, --page, --metrics and --log take one recording: leave them out, or give one"
+            )
+        replay_commands.replay(target, _settings(settings), paths, _session(flow), jobs, as_json=as_json)
+        return
+    recording = open_recording(paths[0], told) if paths else None
+    if log is Format.JSON:
+        flow = in_json(flow)
+    if page or listen:
+        add_page(flow, listen)
+    if metrics:
+        add_metrics(flow, metrics)
+    _finish(asyncio.run(_execute(flow, recording, duration, pace, log)), log, as_json=as_json)
 
 
 @app.command()
@@ -137,12 +189,15 @@ def graph(
     *,
     settings: Settings = None,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="As a Mermaid flowchart.")] = False,
+    svg: Annotated[bool, typer.Option("--svg", help="As an SVG picture.")] = False,
 ) -> None:
     """Draw a flow."""
-    from flows import drawing
+    from flows import diagram, drawing
 
+    if svg and mermaid:
+        raise typer.BadParameter("--svg or --mermaid, not both")
     flow = _flow(target, settings)
-    typer.echo(drawing.mermaid(flow.nodes) if mermaid else flow)
+    typer.echo(diagram.svg(flow) if svg else drawing.mermaid(flow.nodes) if mermaid else flow)
 
 
 @app.command()
@@ -154,71 +209,43 @@ def demo(
         str | None,
         typer.Option(metavar="URL", help="Publish to this broker; without, to one found on localhost."),
     ] = None,
+    rig: Annotated[
+        str, typer.Option(metavar="NAME", help="What it is called in topics; each its own outbox.")
+    ] = "demo",
+    outbox: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Keeps the events for the broker; by default one for each rig."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of the simulated rig.")] = 0,
+    page: WithPage = True,
+    listen: Listen = None,
+    no_browser: NoBrowser = False,
+    metrics: WithMetrics = None,
+    log: Log = Format.TEXT,
     as_json: AsJson = False,
 ) -> None:
     """Run the main job with nothing attached: a simulated rig, slip events, a labelled dataset."""
     from flows import demo as demonstration
+    from flows.summary import Summary
 
-    flow = demonstration.Demo(out, broker=mqtt or demonstration.local_broker(), seed=seed)
+    broker = mqtt or demonstration.local_broker()
+    flow = demonstration.Demo(out, broker=broker, rig=rig, outbox=outbox, seed=seed)
+    if log is Format.JSON:
+        flow.flow = in_json(flow.flow)
+    if page:
+        add_page(flow.flow, listen, browse=not (no_browser or as_json))
+    if metrics:
+        add_metrics(flow.flow, metrics)
     typer.echo(flow.flow, err=True)
     typer.echo("starting; the first time, the simulated physics is compiled for some seconds", err=True)
-    done = asyncio.run(_execute(flow.flow, None, duration, None))
+    done = asyncio.run(_execute(flow.flow, None, duration, None, log))
+    summary = Summary.of(done)
     if as_json:
-        typer.echo(json.dumps({**_summary(done), **flow.summary(done)}))
-    else:
+        typer.echo(json.dumps({**summary.as_dict(), **flow.summary(done)}))
+    elif log is Format.TEXT:
         typer.echo(flow.report(done))
-    _exit_if_lost(done)
-
-
-@app.command()
-def simulate(
-    out: Annotated[
-        Path | None, typer.Argument(metavar="OUT", help="The dataset's folder, new or empty.")
-    ] = None,
-    *,
-    plan: Annotated[
-        str, typer.Option(help="paper: 45 minutes; wide: 30, each on a material of its own; tiny: 2.")
-    ] = "paper",
-    seed: Annotated[int, typer.Option(help="Of everything random; the same seed gives the same bytes.")] = 0,
-    delay: Annotated[
-        str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
-    ] = "0s",
-    jobs: Annotated[int | None, typer.Option(help="Processes; one for each core by default.")] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Measure the scene instead: a page with figures, in minutes."),
-    ] = None,
-    judge: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="For the report: weights of the paper's TCN.")
-    ] = None,
-    trace: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="For the report: a real trace with labels, as CSV.")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Simulate a collection plan, split for training and testing, as a labelled dataset."""
-    if report is not None:
-        from flows.scene_report.measured import Size
-        from flows.scene_report.report import write_report
-
-        page = write_report(report, seed=seed, judge=judge, trace=trace, size=Size.of(plan), told=told)
-        typer.echo(json.dumps({"page": str(page)}) if as_json else f"written: {page}")
-        return
-    if out is None:
-        raise typer.BadParameter("give OUT, the dataset's folder, or --report DIR")
-    from flows import simulate as simulation
-
-    with progress_bar(f"simulating {plan}") as update:
-        done = simulation.simulate(
-            out,
-            plan,
-            seed,
-            delay=nanoseconds(delay) or 0,
-            jobs=jobs,
-            progress=update,
-        )
-    typer.echo(json.dumps(done.summary()) if as_json else done.report())
+    if summary.lost:
+        raise typer.Exit(1)
 
 
 for each in (
@@ -232,57 +259,13 @@ for each in (
     rig_commands.collect,
     rig_commands.rig,
     exchange_commands.export,
+    show_commands.show,
+    dataset_commands.simulate,
+    watch_command.watch,
 ):
     app.command()(each)
 app.command("import")(exchange_commands.import_)
 app.add_typer(experiment_commands.app, name="experiment")
-
-
-@app.command()
-def watch(
-    url: Annotated[str, typer.Argument(metavar="URL", help="The broker.")] = "mqtt://localhost",
-    *,
-    site: Annotated[str, typer.Option(help="Only this site.")] = "+",
-    rig: Annotated[str, typer.Option(help="Only this rig.")] = "+",
-    since: Annotated[
-        str, typer.Option(help="now: only what happens; start: first all that the rigs still keep.")
-    ] = "now",
-    remember: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Go on where the watch before with this file was stopped."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print each event as one JSON object.")] = False,
-) -> None:
-    """Print slip events as a broker delivers them, each once, and ask the rigs for those that were missed.
-
-    Stops at Ctrl-C. What is lost for good is reported, never passed over in silence.
-    """
-    from contextlib import suppress
-
-    from connectors import Consumer
-
-    if since not in ("now", "start"):
-        raise typer.BadParameter("--since: now or start")
-
-    async def show() -> None:
-        async with Consumer(
-            url, site, rig, remember=remember, since="start" if since == "start" else "now", report=told
-        ) as events:
-            async for event in events:
-                typer.echo(event.encode() if as_json else _line(event))
-
-    with suppress(KeyboardInterrupt):
-        asyncio.run(show())
-
-
-def _line(event: "Event") -> str:
-    from connectors.events import timestamp
-
-    where = f"{event.site}/{event.rig} finger {event.finger}"
-    sure = "" if event.probability is None else f"  p {event.probability:.2f}"
-    doubt = "".join(f"  barometer {fault.barometer} {fault.kind}" for fault in event.degraded)
-    when = timestamp(event.time)[:23].replace("T", " ")
-    return f"{when}  {where}  slip {event.state:5}{sure}  {event.latency:.1f} ms{doubt}"
 
 
 def _names(nodes: "list[Node]") -> str:
@@ -303,80 +286,44 @@ def _flow(target: str, settings: list[str] | None) -> "Flow":
     return load(target).flow(_settings(settings))
 
 
-def _recording(path: Path) -> "Recording":
-    if path.suffix == ".csv":
-        from connectors.csv_trace import CsvTrace
+def _session(flow: "Flow") -> str:
+    from datetime import UTC, datetime
 
-        trace = CsvTrace(path)
-        for each in trace.doubts:
-            told(f"warning: {path}: {each} (slipflow import knows --units)")
-        return trace
-    from storage import Session
-
-    return Session.open(path)
+    return f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
 
 
 async def _execute(
-    flow: "Flow", recording: "Recording | None", duration: str | None, pace: float | None
+    flow: "Flow", recording: "Recording | None", duration: str | None, pace: float | None, log: Format
 ) -> "Run":
-    import logging
-    from datetime import UTC, datetime
-
     from flows.clock import LoopClock
     from flows.live_runner import LiveRunner
     from flows.replay_runner import ReplayRunner, first_time, replayed
+    from flows.stopping import stopping
 
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
-    session = f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
+    begin_log(log)
+    session = _session(flow)
     if recording is not None and pace is None:
-        return await ReplayRunner(flow, recording, session).execute(_progress(recording))
+        replay, show = ReplayRunner(flow, recording, session), replay_commands.progress(recording)
+        with stopping() as stopped, logged(replay.run):
+            return await replay.execute(lambda run: replay.stop() if stopped() else show(run))
     clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
     flow = flow if recording is None else replayed(flow, recording)
-    return await LiveRunner(flow, session, clock=clock, duration=nanoseconds(duration)).execute()
+    limit = nanoseconds(duration)
+    live = LiveRunner(flow, session, clock=clock, duration=limit, whole=recording is not None)
+    with logged(live.run):
+        return await live.execute()
 
 
-def _progress(recording: "Recording") -> "Callable[[Run], None]":
-    """Say how far a replay is, where a person is looking."""
-    from rich.console import Console
-    from rich.status import Status
+def _finish(run: "Run", log: Format, *, as_json: bool) -> None:
+    from flows.summary import Summary
 
-    status = Status(f"replaying {recording.name}", console=Console(stderr=True))
-    if sys.stderr.isatty():
-        status.start()
-
-    def show(run: "Run") -> None:
-        rows = sum(source.rows for source in run.sources.values())
-        status.update(f"replaying {recording.name}: {(run.clock.now() - run.start) / 1e9:.1f} s, {rows} rows")
-
-    return show
-
-
-def _summary(run: "Run") -> dict[str, Any]:
-    from dataclasses import asdict
-
-    return {
-        "session": run.session,
-        "flow": run.flow,
-        "seconds": (run.clock.now() - run.start) / 1e9,
-        "sources": {name: asdict(status) for name, status in run.sources.items()},
-        "sinks": {name: asdict(status) for name, status in run.sinks.items()},
-    }
-
-
-def _finish(run: "Run", *, as_json: bool) -> None:
+    summary = Summary.of(run)
     if as_json:
-        typer.echo(json.dumps(_summary(run)))
-    else:
-        typer.echo(f"{run.session}: {(run.clock.now() - run.start) / 1e9:.1f} s")
-        for name, source in run.sources.items():
-            gaps = f"{len(source.gaps)} gaps {source.error}".rstrip()
-            typer.echo(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
-        for name, sink in run.sinks.items():
-            typer.echo(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped {sink.error}".rstrip())
-    _exit_if_lost(run)
-
-
-def _exit_if_lost(run: "Run") -> None:
-    lost = any(sink.dropped or sink.error for sink in run.sinks.values())
-    if lost or any(source.error for source in run.sources.values()):
+        typer.echo(json.dumps(summary.as_dict()))
+    elif log is Format.TEXT:  # else the log has told it
+        typer.echo(summary.report())
+    if run.error:
+        told(f"error: {run.error}")
+        raise typer.Exit(130)
+    if summary.lost:
         raise typer.Exit(1)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.options import AsJson, counted, progress_bar, told
+from flows.options import AsJson, counted, nanoseconds, progress_bar, told
 
 if TYPE_CHECKING:
     from storage import Recovery, Verified
@@ -19,7 +19,15 @@ Place = Annotated[
 ]
 
 
-def verify(place: Place, *, as_json: AsJson = False) -> None:
+def verify(
+    place: Place,
+    *,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", "-o", metavar="FILE.html", help="Write a page to keep as well."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
     """Read all of a dataset, or of one session, and say whether anything is missing or damaged.
 
     Every file is held against the manifest: sha256, checksums of its pages, rows, times. Nothing is changed,
@@ -29,17 +37,18 @@ def verify(place: Place, *, as_json: AsJson = False) -> None:
     missing, such as rows that were dropped; 1 if what had been recorded is lost or damaged, also once a
     recovery has made the best of it.
     """
-    from dataclasses import asdict
-
+    from flows import verification_page as pages
+    from flows.figures import lacking
     from storage import verify as check
 
+    if report is not None:
+        pages.claim(report)
     with progress_bar("verifying") as update:
         found = check(place, update)
-    typer.echo(
-        json.dumps({**asdict(found), "worst": found.worst, "code": found.code})
-        if as_json
-        else _verdict(place, found)
-    )
+    if report is not None:
+        pages.write(found, place, report)
+        told(f"written: {report}" + (f"; figures {reason}" if (reason := lacking()) else ""))
+    typer.echo(json.dumps(pages.summary(found)) if as_json else _verdict(place, found))
     if found.code:
         raise typer.Exit(found.code)
 
@@ -62,7 +71,9 @@ def recover(place: Place, *, as_json: AsJson = False) -> None:
     folders = [place] if single else [session_folder(place, name) for name in session_names(place)]
     beheaded = [place / SESSIONS / name for name in ([] if single else headless_names(place))]
     if not folders and not beheaded:
-        raise typer.BadParameter(f"{place} is no session and holds none")
+        raise typer.BadParameter(
+            f"{place} is no session and holds none: give a dataset's folder, or that of a session in it"
+        )
     done: list[Recovery] = []
     errors = [f"{folder}: its {SESSION} is gone: see slipflow verify" for folder in beheaded]
     with progress_bar("recovering") as update:
@@ -88,22 +99,66 @@ def recover(place: Place, *, as_json: AsJson = False) -> None:
         raise typer.Exit(1 if errors else 3)
 
 
+def simulate(
+    out: Annotated[
+        Path | None, typer.Argument(metavar="OUT", help="The dataset's folder, new or empty.")
+    ] = None,
+    *,
+    plan: Annotated[
+        str, typer.Option(help="paper: 45 minutes; wide: 30, each on a material of its own; tiny: 2.")
+    ] = "paper",
+    seed: Annotated[int, typer.Option(help="Of everything random; the same seed gives the same bytes.")] = 0,
+    delay: Annotated[
+        str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
+    ] = "0s",
+    jobs: Annotated[int | None, typer.Option(help="Processes; one for each core by default.")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Measure the scene instead: a page with figures, in minutes."),
+    ] = None,
+    judge: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="For the report: weights of the paper's TCN.")
+    ] = None,
+    trace: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="For the report: a real trace with labels, as CSV.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate a collection plan, split for training and testing, as a labelled dataset."""
+    if report is not None:
+        from flows.scene_report.measured import Size
+        from flows.scene_report.report import write_report
+
+        page = write_report(report, seed=seed, judge=judge, trace=trace, size=Size.of(plan), told=told)
+        typer.echo(json.dumps({"page": str(page)}) if as_json else f"written: {page}")
+        return
+    if out is None:
+        raise typer.BadParameter("give OUT, the dataset's folder, or --report DIR")
+    from flows import simulate as simulation
+
+    with progress_bar(f"simulating {plan}") as update:
+        done = simulation.simulate(
+            out,
+            plan,
+            seed,
+            delay=nanoseconds(delay) or 0,
+            jobs=jobs,
+            progress=update,
+        )
+    typer.echo(json.dumps(done.summary()) if as_json else done.report())
+
+
 def _verdict(place: Path, found: "Verified") -> str:
+    from flows.verification_page import SAID
+
     wide = max((len(each.weight) for each in found.findings), default=0)
     lines = [
         f"{each.weight:{wide}}  {each.session}: {each.text}".replace(" : ", " ") for each in found.findings
     ]
-    said = {
-        "note": "all is there",
-        "repairable": "something waits to be repaired, nothing is lost",
-        "repaired": "something was repaired, nothing is lost",
-        "lossy": "something is known to be missing",
-        "lost": "something is lost",
-    }
     size = (
         f"{counted(found.sessions, 'session')}, {counted(found.files, 'file')}, {counted(found.rows, 'row')}"
     )
-    return "\n".join([*lines, f"{place}: {size}: {said[found.worst]}"])
+    return "\n".join([*lines, f"{place}: {size}: {SAID[found.worst]}"])
 
 
 def _report(done: "Recovery") -> str:

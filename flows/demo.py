@@ -1,6 +1,7 @@
 """The main job with nothing attached: a simulated rig, slip events, a synchronized and labelled dataset."""
 
 import socket
+import sys
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,8 +48,16 @@ class Onsets(Sink[Slips]):
 class Demo:
     """The demonstration's flow and what came of it."""
 
-    def __init__(self, out: Path, *, broker: str | None, seed: int = 0) -> None:
-        """Record into `out`; publish to `broker` (a URL) if there is one."""
+    def __init__(
+        self,
+        out: Path,
+        *,
+        broker: str | None,
+        rig: str = "demo",
+        outbox: Path | None = None,
+        seed: int = 0,
+    ) -> None:
+        """Record into `out`; publish as `rig` to `broker` (a URL) if there is one, through `outbox`."""
         self.out, self.broker = out, broker
         self.rig = Rig(seed=seed)
         self.onsets = Onsets()
@@ -65,7 +74,8 @@ class Demo:
                 Mqtt(
                     broker,
                     "lab",
-                    "demo",
+                    rig,
+                    outbox=outbox,
                     model={"id": DETECTOR},
                     threshold=debounce.threshold,
                     consecutive=debounce.consecutive,
@@ -108,10 +118,12 @@ class Demo:
             lines.append(
                 f"published to {self.broker}; to see events as they come: slipflow watch {self.broker}"
             )
-        pattern = self.out / "sessions" / run.session / "samples" / "*.parquet"
+        session = self.out / "sessions" / run.session
+        python = Path(sys.executable)
         lines += [
-            f"dataset in {self.out}; open it with",
-            f"  python -c \"import polars; print(polars.read_parquet('{pattern}'))\"",
+            f"dataset in {self.out}; look at it, or open it in Python, with",
+            f"  {python.parent}/slipflow show {session}",
+            f"  {python} -c \"import polars; print(polars.read_parquet('{session}/samples/*.parquet'))\"",
         ]
         return "\n".join(lines)
 

@@ -36,8 +36,11 @@ def evaluate(
     from flows.evaluation import report
     from flows.evaluation.evaluate import evaluate as judge
     from flows.evaluation.written import claim
+    from flows.figures import lacking
 
     claim(out)
+    if reason := lacking():
+        told(f"the page will be without figures, which {reason}")
     models, names = model or [], method or []
     found = judge(dataset, split=split, models=models, names=names, budget=budget, told=told)
     options = f"--split {split}{_chosen(models, names)} --budget {budget:g}"
@@ -90,9 +93,14 @@ def train(
     from flows.training.train import train as learn
 
     after = nanoseconds(lag)
+    begun = set[str]()
     with progress_bar(f"training {method}") as update:
 
         def progress(part: str, done: int, of: int, check: Check | None) -> None:
+            if method == "tcn" and part not in begun and done > 1:
+                again = "remove the checkpoint beside the model to start anew"
+                told(f"{part}: goes on after step {done - 1:,} of {of:,}, where it was stopped; {again}")
+            begun.add(part)
             update(done, of, part)
             if check:
                 told(f"{part}, {check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
@@ -133,7 +141,9 @@ def onnx(
     from storage.models import shipped
 
     if not isinstance(load_detector(model), Tcn):
-        raise InputError(model, "is no tcn, the only detector that can be exported")
+        raise InputError(
+            model, "is no tcn, the only detector that can be exported: give tcn, or a file of its weights"
+        )
     export(load_weights(shipped(model) or Path(model))[0], out)
     typer.echo(f"written: {out}")
 

@@ -21,10 +21,16 @@ def export(
     dataset: Annotated[
         Path, typer.Argument(metavar="DATASET", help="A dataset, or the folder of one of its sessions.")
     ],
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="A new folder; of one session, FILE.mcap.")],
+    out: Annotated[
+        Path, typer.Argument(metavar="OUT", help="A new folder; of one session, FILE.mcap or FILE.rrd.")
+    ],
     *,
     to: Annotated[
-        str, typer.Option("--to", help="lerobot: LeRobot v3.0; mcap: a file for each session, for Foxglove.")
+        str,
+        typer.Option(
+            "--to",
+            help="lerobot: LeRobot v3.0; mcap, for Foxglove, or rrd, for Rerun: a file for each session.",
+        ),
     ],
     rate: Annotated[int, typer.Option(min=1, help="Frames per second, for lerobot.")] = 100,
     task: Annotated[
@@ -32,6 +38,10 @@ def export(
         typer.Option(
             help="What the arm does, for lerobot; by default what the recording says of its motion."
         ),
+    ] = None,
+    detector: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Scores the touch again, for rrd: built in, or a file of weights."),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
@@ -43,11 +53,19 @@ def export(
 
     mcap: every row of every stream, at its event time, under /touch/FINGER, /motion, /samples/FINGER,
     /slip/FINGER, /faults. Needs the mcap extra.
+
+    rrd: counts, speed and, with --detector, the probability of slip as time series; slips and faults as
+    a text log. Needs the rerun extra, which installs 490 MB.
     """
-    if to not in ("lerobot", "mcap"):
-        raise typer.BadParameter(f"--to {to}: lerobot or mcap")
+    if to not in ("lerobot", "mcap", "rrd"):
+        raise typer.BadParameter(f"--to {to}: lerobot, mcap or rrd")
+    if detector is not None and to != "rrd":
+        raise typer.BadParameter("--detector is for --to rrd: leave it out")
     sessions = _sessions(dataset)
-    found, text = _lerobot(sessions, out, rate, task) if to == "lerobot" else _mcap(sessions, out)
+    if to == "lerobot":
+        found, text = _lerobot(sessions, out, rate, task)
+    else:
+        found, text = _files(sessions, out, to, detector)
     typer.echo(json.dumps(found) if as_json else text)
 
 
@@ -164,10 +182,12 @@ def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) 
     return found, "\n".join(lines)
 
 
-def _mcap(sessions: "list[Session]", out: Path) -> tuple[dict[str, Any], str]:
-    from storage.mcap_file import export as write
+def _files(sessions: "list[Session]", out: Path, to: str, detector: str | None) -> tuple[dict[str, Any], str]:
+    """Write a file for each session, in the format that its ending names."""
+    from storage import load_detector, mcap_file, rrd_file
 
-    found, single = dict[str, Any](), len(sessions) == 1 and out.suffix == ".mcap"
+    judge = None if detector is None else load_detector(detector)
+    found, single = dict[str, Any](), len(sessions) == 1 and out.suffix == f".{to}"
     with progress_bar("exporting") as update:
         for number, session in enumerate(sessions):
             name = session.name
@@ -175,8 +195,13 @@ def _mcap(sessions: "list[Session]", out: Path) -> tuple[dict[str, Any], str]:
             def progress(rows: int, number: int = number, name: str = name) -> None:
                 update(number, len(sessions), f"{name}, {rows:,} rows")
 
-            path = out if single else out / f"{name}.mcap"
-            found[str(path)] = dict(write(session, path, progress))
+            path = out if single else out / f"{name}.{to}"
+            written = (
+                mcap_file.export(session, path, progress)
+                if to == "mcap"
+                else rrd_file.export(session, path, judge, progress)
+            )
+            found[str(path)] = dict(written)
     rows = sum(sum(topics.values()) for topics in found.values())
     return {
         "files": found

@@ -49,14 +49,19 @@ STYLE: Final[Any] = {
 }
 
 
+def lacking() -> str:
+    """Why no figure can be drawn, and what to do; empty where they can be."""
+    return "" if find_spec("matplotlib") else "need matplotlib: pip install 'slipflow[report]'"
+
+
 def require() -> None:
     """Make sure that figures can be drawn.
 
     Raises:
         InputError: if matplotlib is not installed.
     """
-    if find_spec("matplotlib") is None:
-        raise InputError("figures", "need matplotlib: pip install 'slipflow[report]'")
+    if reason := lacking():
+        raise InputError("figures", reason)
 
 
 def styled(draw: Callable[Given, Figure]) -> Callable[Given, Figure]:

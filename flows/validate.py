@@ -127,9 +127,11 @@ def _shared_places(flow: Flow) -> Iterator[FlowError]:
             continue
         first = places.setdefault(node.part.place, node)
         if first is not node:
-            other = _edge(first.inputs[0], first)
+            where, other = (
+                _edge(each.inputs[0], each) if each.inputs else each.name for each in (node, first)
+            )
             reason = f"writes to {node.part.place}, and so does {other}: use one sink for both"
-            yield FlowError(flow.name, _edge(node.inputs[0], node), reason)
+            yield FlowError(flow.name, where, reason)
 
 
 def _same_streams(flow: Flow) -> Iterator[FlowError]:

@@ -106,7 +106,9 @@ def chart(
     train, validation, test = ([each for each in trials if each.split == split] for split in SPLITS)
     for split, part in (("validation", validation), ("test", test)):
         if not part:
-            raise InputError(str(dataset), f"has no {split} split")
+            raise InputError(
+                str(dataset), f"has no {split} split: slipflow simulate makes datasets with all splits"
+            )
     with one_thread():
         chosen, skipped = methods(train, models, names, told)
     detectors = {method.name: method.detector for method in chosen}

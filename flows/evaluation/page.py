@@ -16,7 +16,7 @@ p { max-width: 46rem; } svg { width: 100%; height: auto; max-height: 36rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-size: .86rem; font-variant-numeric: tabular-nums; }
 div.table { overflow-x: auto; } caption { text-align: left; font-weight: 600; padding: .2rem 0; }
 th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed; white-space: nowrap; }
-th:first-child, td:first-child { text-align: left; padding-left: 0; }
+th.text, td.text { text-align: left; } th:first-child, td:first-child { padding-left: 0; }
 th { font-weight: 600; border-bottom-color: #9aa4b0; }
 pre { background: #f5f7f9; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; }
 footer { margin-top: 3rem; color: #5b6672; font-size: .85rem; }
@@ -25,7 +25,7 @@ footer { margin-top: 3rem; color: #5b6672; font-size: .85rem; }
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of text below a head; all columns but the first to the right."""
+    """Rows of text below a head; the first column and those of words to the left, numbers to the right."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -34,19 +34,22 @@ class Table:
     def markdown(self) -> str:
         """Padded, so that it reads as plain text too.
 
-        >>> print(Table(["method", "F1"], [["psd", "57.5"], ["tcn", "9"]]).markdown())
-        | method |   F1 |
-        | ------ | ---: |
-        | psd    | 57.5 |
-        | tcn    |    9 |
+        >>> print(Table(["method", "F1", "how"], [["psd", "57.5", "late"], ["tcn", "9", "-"]]).markdown())
+        | method |   F1 | how  |
+        | ------ | ---: | ---- |
+        | psd    | 57.5 | late |
+        | tcn    |    9 | -    |
         """
         lines = [self.head, *self.rows]
         wide = [max(3, *(len(line[column]) for line in lines)) for column in range(len(self.head))]
-        rule = ["-" * wide[0], *("-" * (width - 1) + ":" for width in wide[1:])]
+        left = self._left()
+        rule = [
+            "-" * width if text else "-" * (width - 1) + ":" for width, text in zip(wide, left, strict=True)
+        ]
         padded = [
             [
-                line[0].ljust(wide[0]),
-                *(cell.rjust(width) for cell, width in zip(line[1:], wide[1:], strict=True)),
+                cell.ljust(width) if text else cell.rjust(width)
+                for cell, width, text in zip(line, wide, left, strict=True)
             ]
             for line in (self.head, rule, *self.rows)
         ]
@@ -55,14 +58,39 @@ class Table:
 
     def html(self) -> str:
         """The same as an element."""
+        starts = [' class="text"' if text else "" for text in self._left()]
 
         def row(tag: str, cells: Sequence[str]) -> str:
-            return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+            told = zip(cells, starts, strict=True)
+            return f"<tr>{''.join(f'<{tag}{start}>{escape(cell)}</{tag}>' for cell, start in told)}</tr>"
 
         caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
         body = "\n".join(row("td", cells) for cells in self.rows)
         head = f"<thead>{row('th', self.head)}</thead>"
         return f'<div class="table"><table>{caption}{head}<tbody>\n{body}\n</tbody></table></div>'
+
+    def _left(self) -> list[bool]:
+        """Which columns stand to the left."""
+        columns = ([row[column] for row in self.rows] for column in range(len(self.head)))
+        return [not column or _worded(cells) for column, cells in enumerate(columns)]
+
+
+def _worded(cells: Sequence[str]) -> bool:
+    """Whether a column is of words: there are some, and each cell that says something has letters.
+
+    >>> _worded(["2 missed", "-"]), _worded(["1 (2)", "all"]), _worded(["1e-05"]), _worded(["-"])
+    (True, False, False, False)
+    """
+    known = [cell for cell in cells if cell not in {"", "-"}]
+    return bool(known) and not any(_numeric(cell) for cell in known)
+
+
+def _numeric(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return not any(letter.isalpha() for letter in cell)
+    return True
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,8 @@ from flows.trials import JUDGED, Trial
 from operators.batch import SLIP, UNKNOWN, Reals
 
 RATE: Final = 100.0  # Hz
-_EARLIEST, _LATEST = -0.4, 0.6  # s, lags that are tried
+LATEST: Final = 0.6  # s, of the lags that are tried
+_EARLIEST: Final = -0.4  # s, the same
 _SMOOTH: Final = 3  # samples
 _CLEAR: Final = 0.3  # correlation, below which a recording tells nothing by itself
 
@@ -55,7 +56,7 @@ def _peak(trial: Trial) -> tuple[float, float]:
     moving = np.log1p(np.sqrt(np.square(steps).sum(axis=1)))  # (n,)
     moving = np.convolve(moving, np.full(_SMOOTH, 1 / _SMOOTH), "same")
     slip = (trial.label == SLIP).astype(np.float64)
-    shifts = np.arange(round(_EARLIEST * RATE), round(_LATEST * RATE) + 1)
+    shifts = np.arange(round(_EARLIEST * RATE), round(LATEST * RATE) + 1)
     inner = np.arange(max(JUDGED, -int(shifts[0])), len(slip) - int(shifts[-1]))  # judged at every shift
     if len(inner) < 2 or slip[inner].std() == 0 or moving[inner].std() == 0:  # noqa: PLR2004 no correlation
         return 0.0, 0.0

@@ -20,7 +20,7 @@ from flows.networks.recipe import Recipe
 from flows.scoring import probabilities
 from flows.simulate import SPLITS
 from flows.training.curve import Check
-from flows.training.lag import relabelled
+from flows.training.lag import LATEST, relabelled
 from flows.training.paper import WINDOWED, Epoch, PaperRecipe, train_windowed
 from flows.trials import Trial, load
 from operators.batch import SLIP, UNKNOWN
@@ -102,7 +102,7 @@ def train(
         OSError: if the model cannot be written.
     """
     recipe = recipe or Recipe()
-    _check(out, method, seeds)
+    _check(out, method, seeds, lag)
     trials = {dataset: load(dataset) for dataset in datasets}
     parts = {split: [t for found in trials.values() for t in found if t.split == split] for split in SPLITS}
     for split in ("train", "validation"):
@@ -146,7 +146,7 @@ def train(
     return Outcome(models)
 
 
-def _check(out: Path, method: str, seeds: int) -> None:
+def _check(out: Path, method: str, seeds: int, lag: float | None) -> None:
     if find_spec("torch") is None:
         raise InputError("training", "needs PyTorch: pip install 'slipflow[train]'")
     if method not in METHODS:
@@ -154,9 +154,11 @@ def _check(out: Path, method: str, seeds: int) -> None:
     if out.suffix != ".safetensors":
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
     if not out.parent.is_dir():
-        raise InputError(str(out.parent), "is no folder")
+        raise InputError(str(out.parent), "is no folder: make it, or write the model elsewhere")
     if seeds < 1:
         raise ParameterError("train", "seeds", seeds, "at least 1")
+    if lag is not None and not 0 <= lag <= LATEST:
+        raise ParameterError("train", "lag", lag, f"from 0 to {LATEST} s: labels cannot foresee the signal")
 
 
 def _dense(

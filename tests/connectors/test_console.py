@@ -1,11 +1,14 @@
 import asyncio
 import io
+import json
+from typing import Any, Literal, cast
 
 import numpy as np
 import pytest
 
 from connectors import Console
 from operators.batch import EVERY, Faults, Slips, ms, s
+from operators.errors import ParameterError
 from operators.health import FaultKind
 from operators.ports import Run
 
@@ -29,9 +32,11 @@ FAULTS = Faults(
 )
 
 
-def printed(stream: io.StringIO, run: Run, *batches: Slips | Faults) -> list[str]:
+def printed(
+    stream: io.StringIO, run: Run, *batches: Slips | Faults, form: Literal["text", "json"] = "text"
+) -> list[str]:
     async def main() -> None:
-        sink = Console(stream)
+        sink = Console(stream, form)
         await sink.open(run)
         for batch in batches:
             await sink.write(batch)
@@ -74,3 +79,45 @@ def test_a_terminal_gets_the_same_lines_in_colour(run: Run, monkeypatch: pytest.
 def test_a_console_stands_for_its_stream() -> None:
     assert Console().place == Console().place
     assert Console(io.StringIO()).place != ""
+
+
+def objects(run: Run, *batches: Slips | Faults) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in printed(io.StringIO(), run, *batches, form="json")]
+
+
+def test_as_json_each_event_is_one_object_and_unknown_numbers_are_null(run: Run) -> None:
+    assert objects(run, slips(run.clock.now() - 12 * ms)) == [
+        {
+            "time": "1970-01-01T00:01:39.988000000Z",
+            "event": "slip_onset",
+            "finger": "0",
+            "p": 0.931,
+            "latency_ms": 12.0,
+        },
+        {
+            "time": "1970-01-01T00:01:39.998000000Z",
+            "event": "slip_end",
+            "finger": "0",
+            "p": None,
+            "latency_ms": 2.0,
+        },
+    ]
+
+
+def test_as_json_faults_are_events_too_and_a_replay_has_no_latency(run: Run) -> None:
+    run.live = False
+    begins, ends = objects(run, FAULTS)
+    assert begins == {
+        "time": "1970-01-01T00:00:01.000000000Z",
+        "event": "fault_begins",
+        "finger": "2",
+        "barometer": 3,
+        "fault": "stuck",
+    }
+    assert ends["event"] == "fault_ends"
+    assert "latency_ms" not in objects(run, slips(0))[0]
+
+
+def test_a_format_that_is_none_is_refused() -> None:
+    with pytest.raises(ParameterError, match="text or json"):
+        Console(format=cast("Literal['json']", "xml"))

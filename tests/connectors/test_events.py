@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from connectors.events import Event, Fault, encode, faults, topic
+from connectors.rig.moved import Moved
+from connectors.rig.scene import Move
 from operators.batch import Faults
 from operators.errors import InputError, ParameterError
 from operators.health import FaultKind
@@ -183,3 +185,10 @@ def test_faults_have_the_names_of_their_kinds() -> None:
         np.array([True, False]),
     )
     assert list(faults(batch)) == [(1, Fault(3, "dead"), True), (2, Fault(4, "stuck"), False)]
+
+
+def test_a_sequence_of_any_kind_becomes_an_array() -> None:
+    moved = Moved("plane")
+    moved.add(Move("tap", seconds=1.0, direction_deg=float("nan")), 0, 5)
+    [told] = json.loads(encode({"episodes": moved, "rows": ("one", 2)}))["episodes"]
+    assert (told["end"], told["direction_deg"]) == (5, None)

@@ -119,3 +119,17 @@ def test_mistakes_are_one_line_each(tmp_path: Path) -> None:
         assert done.returncode == 2
         assert "Traceback" not in done.stderr
         assert "nowhere" in done.stderr
+
+
+def test_verify_writes_a_page_to_keep_and_exits_as_without(dataset: Path, tmp_path: Path) -> None:
+    report = tmp_path / "kept" / "report.html"
+    done = slipflow("verify", dataset, "--report", report, "--json")
+    assert done.returncode == 3, done.stderr
+    assert json.loads(done.stdout)["worst"] == "repairable"
+    assert f"written: {report}" in done.stderr
+    text = report.read_text()
+    assert "something waits to be repaired, nothing is lost</h1>" in text
+    assert "crashed" in text
+    done = slipflow("verify", dataset, "-o", tmp_path / "report.txt")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "ends in .html" in done.stderr

@@ -5,6 +5,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from flows import detector_commands, figures
+from flows.evaluation import sections
+from flows.networks.recipe import Recipe
+from flows.training.curve import Check
+from flows.training.train import train
 from storage.models import shipped
 
 SLIPFLOW = [sys.executable, "-c", "from flows.command import main; main()"]
@@ -80,3 +87,40 @@ def test_only_a_tcn_can_be_exported_and_only_to_where_a_file_can_be(tmp_path: Pa
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "nowhere/tcn.onnx" in done.stderr
+
+
+def test_training_that_goes_on_says_so(tiny: Path, tmp_path: Path) -> None:
+    def stop(_part: str, done: int, _of: int, _check: Check | None) -> None:
+        if done == 10:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train([tiny], tmp_path / "m.safetensors", recipe=Recipe(filters=4, steps=20), progress=stop)
+    command = ("train", str(tiny), "--filters", "4", "--steps", "20", "-o", "m.safetensors")
+    done = slipflow(*command, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "seed 0: goes on after step 10 of 20, where it was stopped" in done.stderr
+    assert "goes on" not in slipflow(*command, cwd=tmp_path).stderr
+
+
+@pytest.mark.parametrize("lag", ["-20ms", "2s"])
+def test_labels_cannot_come_before_the_signal_or_much_after(tiny: Path, tmp_path: Path, lag: str) -> None:
+    done = slipflow("train", str(tiny), "--lag", lag, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert ("write it as" if lag[0] == "-" else "from 0 to 0.6 s") in done.stderr
+
+
+def test_evaluate_says_beforehand_that_it_cannot_draw(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def nothing(_: str) -> None:
+        return None
+
+    monkeypatch.setattr(figures, "find_spec", nothing)
+    monkeypatch.setattr(sections, "find_spec", nothing)
+    detector_commands.evaluate(tiny, method=["psd"], out=tmp_path / "out", as_json=True)
+    assert (
+        "the page will be without figures, which need matplotlib: pip install 'slipflow[report]'"
+        in capsys.readouterr().err
+    )

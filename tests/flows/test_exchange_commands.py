@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import polars as pl
@@ -35,7 +34,6 @@ def test_a_dataset_becomes_a_lerobot_dataset(tiny: Path, tmp_path: Path) -> None
     assert {"observation.state", "observation.pose", "action"} < set(found["features"])
 
 
-@pytest.mark.skipif(find_spec("mcap") is None, reason="needs the extra `mcap`")
 def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
     tiny: Path, tmp_path: Path
 ) -> None:
@@ -53,6 +51,17 @@ def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
         "/motion",
     ]
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "out" / f"{names[0]}.mcap").read_bytes()
+
+
+@pytest.mark.rerun
+def test_a_session_becomes_a_rerun_recording_with_its_probability(tiny: Path, tmp_path: Path) -> None:
+    session = tiny / "sessions" / session_names(tiny)[0]
+    arguments = ("export", str(session), "one.rrd", "--to", "rrd", "--detector", "tcn", "--json")
+    done = slipflow(*arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["files"]["one.rrd"]
+    assert set(found) == {"/touch/0", "/probability/0", "/motion/speed", "/samples/0/speed"}
+    assert 0 < found["/probability/0"] <= found["/touch/0"]
 
 
 def test_a_trace_is_looked_at_then_imported_then_judged(tmp_path: Path) -> None:
@@ -89,7 +98,8 @@ def test_a_trace_is_looked_at_then_imported_then_judged(tmp_path: Path) -> None:
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
         (["import", "lab.csv", "out", "--session", "../x"], "must be a file name"),
         (["export", "nowhere", "out", "--to", "lerobot"], "nowhere: there is no such folder"),
-        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: lerobot or mcap"),
+        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: lerobot, mcap or rrd"),
+        (["export", "nowhere", "out", "--to", "mcap", "--detector", "tcn"], "--detector is for --to rrd"),
     ],
 )
 def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], why: str, tmp_path: Path) -> None:

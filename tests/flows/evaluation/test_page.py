@@ -89,6 +89,14 @@ def test_a_section_without_a_figure_has_its_tables() -> None:
     assert section.markdown().startswith("## title\n\ntext\n\na > b\n\n| method")
 
 
+def test_words_stand_to_the_left_and_numbers_to_the_right() -> None:
+    table = Table(
+        ["method", "object", "delay", "how"], [["psd", "ball", "-", "1 missed"], ["tcn", "box", "9", "-"]]
+    )
+    assert table.markdown().splitlines()[1] == "| ------ | ------ | ----: | -------- |"
+    assert '<td class="text">ball</td><td>-</td><td class="text">1 missed</td>' in table.html()
+
+
 def test_markdown_holds_the_same_tables() -> None:
     markdown = page().markdown()
     assert markdown.startswith("# A <page>\n\nof & findings\n\n## one")

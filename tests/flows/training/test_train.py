@@ -77,6 +77,8 @@ def test_the_sha256_of_the_data_changes_with_the_data(dataset: Path, tmp_path: P
     [
         ({"method": "oracle"}, "method"),
         ({"seeds": 0}, "seeds"),
+        ({"lag": -0.02}, "lag"),
+        ({"lag": float("nan")}, "lag"),
         ({"out": "model.pt"}, r"ends in \.safetensors"),
     ],
 )

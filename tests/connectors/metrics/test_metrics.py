@@ -1,0 +1,69 @@
+import asyncio
+import socket
+
+import numpy as np
+import pytest
+from aiohttp import ClientSession
+from prometheus_client.parser import text_string_to_metric_families
+
+from connectors import Metrics
+from operators.batch import Slips
+from operators.errors import EndpointError, ParameterError
+from operators.ports import Run, SourceStatus
+
+
+async def asked(url: str, **headers: str) -> tuple[int, str, str]:
+    """Status, content type and text of what a server gives."""
+    async with ClientSession() as session, session.get(url, headers=headers) as response:
+        return response.status, response.headers["Content-Type"], await response.text()
+
+
+def test_a_run_is_measured_while_it_lasts_and_no_longer(run: Run) -> None:
+    run.sources["touch"] = SourceStatus(rows=5)
+    heard = list[str]()
+
+    async def main() -> str:
+        metrics = Metrics(0, opened=heard.append)
+        await metrics.open(run)
+        time = np.array([run.clock.now()])
+        await metrics.write(Slips(time, np.array([1], np.int8), time, np.array([0.9]), finger=0))
+        status, kind, text = await asked(metrics.url)
+        assert (status, kind) == (200, "text/plain; version=0.0.4; charset=utf-8")
+        assert heard == [metrics.url]
+        await metrics.close()
+        with pytest.raises(OSError, match="Cannot connect"):
+            await asked(metrics.url)
+        return text
+
+    families = {family.name: family for family in text_string_to_metric_families(asyncio.run(main()))}
+    assert families["slipflow_source_rows"].samples[0].value == 5
+    assert families["slipflow_slip_latency_seconds"].type == "histogram"
+
+
+def test_only_this_machine_reaches_it_and_no_page_in_disguise(run: Run) -> None:
+    async def main() -> None:
+        metrics = Metrics(0)
+        assert metrics.place == "http://127.0.0.1:0"
+        await metrics.open(run)
+        assert (await asked(metrics.url, Host="evil.example"))[0] == 421
+        assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404
+        await metrics.close()
+        wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
+        await wide.open(run)
+        assert (await asked(wide.url, Host="robot.example"))[0] == 200
+        await wide.close()
+
+    asyncio.run(main())
+
+
+def test_a_port_that_is_taken_is_one_clear_error(run: Run) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(EndpointError, match=rf"http://127\.0\.0\.1:{port}: cannot serve metrics there"):
+            asyncio.run(Metrics(port).open(run))
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_that_cannot_be_is_refused(port: int) -> None:
+    with pytest.raises(ParameterError, match="from 0 to 65535"):
+        Metrics(port)

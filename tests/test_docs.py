@@ -1,0 +1,127 @@
+"""The pages: their blocks run, their commands are those of the command line, their links lead somewhere."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer.main
+
+from flows.command import app
+from flows.diagram import svg
+from flows.loading import load
+from tests.pages import PAGES, ROOT, blocks, commands, spoken
+
+RUN = ["tutorial.md", "extending.md", "dataset.md", "mqtt.md"]
+SHOWN = re.compile(r"[\d.,:]+|\s+")  # what may differ from run to run: numbers, and how wide they are
+
+
+def run(command: list[str], folder: Path) -> str:
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    done = subprocess.run(
+        command,
+        cwd=folder,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    assert done.returncode == 0, f"{command[-1]}\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def same_but_for_numbers(line: str) -> str:
+    return SHOWN.sub(" ", line).strip()
+
+
+@pytest.mark.parametrize("name", RUN)
+def test_every_block_of_the_page_runs_in_order_and_prints_what_the_page_says(
+    name: str, tmp_path: Path
+) -> None:
+    printed, ran = "", 0
+    for block in blocks(ROOT / "docs" / name):
+        if block.language == "python" and block.name.endswith(".py"):
+            (tmp_path / block.name).write_text(block.body)
+            compile(block.body, block.name, "exec")
+        elif block.language == "python" and not block.name:
+            printed, ran = run([sys.executable, "-c", block.body], tmp_path), ran + 1
+        elif block.language == "sh":
+            printed, ran = run(["bash", "-euc", block.body], tmp_path), ran + 1
+        elif block.language == "json":
+            json.loads(block.body)
+        elif block.language == "text" and printed:
+            lines = {same_but_for_numbers(line) for line in printed.splitlines()}
+            assert {same_but_for_numbers(line) for line in block.body.splitlines()} <= lines, printed
+    assert ran or name == "mqtt.md"  # whose files are run by tests/test_docs_mqtt.py
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_block_of_python_compiles(page: Path) -> None:
+    for block in blocks(page):
+        if block.language == "python":
+            compile(block.body, page.name, "exec")
+
+
+# --- commands --------------------------------------------------------------------------------------------
+
+
+def resolved(words: list[str]) -> tuple[Any, list[str]]:
+    """The command that the first words name, and the rest."""
+    command: Any = typer.main.get_command(app)
+    while hasattr(command, "commands"):
+        assert words, f"{command.name} needs a command"
+        assert words[0] in command.commands, f"there is no command {words[0]!r}"
+        command, words = command.commands[words[0]], words[1:]
+    return command, words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_in_code_is_one_that_the_command_line_takes(page: Path) -> None:
+    for words in commands(page):
+        command, rest = resolved(words)
+        command.make_context(f"slipflow {' '.join(words)}", list(rest))  # which raises if it is not
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_command_in_prose_is_there_and_has_the_options(page: Path) -> None:
+    for words in spoken(page):
+        command, rest = resolved(words)
+        options = {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
+        assert {word for word in rest if word.startswith("-")} <= options, words
+
+
+def test_a_command_that_is_not_there_is_noticed(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("    slipflow simulate OUT --plann tiny  # no such option\n\n`slipflow dance`\n")
+    [words], [named] = commands(page), spoken(page)
+    command, rest = resolved(words)
+    with pytest.raises(Exception, match="--plann"):
+        command.make_context("slipflow", rest)
+    with pytest.raises(AssertionError, match="dance"):
+        resolved(named)
+
+
+# --- links, figures, index -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        assert re.match(r"https?://", target) or (page.parent / target).exists(), target
+
+
+def test_the_index_names_every_page() -> None:
+    index = (ROOT / "docs" / "README.md").read_text()
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "README.md" or f"({page.name})" in index, page.name
+
+
+@pytest.mark.parametrize(("name", "settings"), [("live", {}), ("record", {"out": "/data/recordings"})])
+def test_the_figures_of_flows_are_what_graph_draws(name: str, settings: dict[str, str]) -> None:
+    figure = (ROOT / "docs" / "figures" / f"flow-{name}.svg").read_text()
+    assert figure == svg(load(name).flow(settings)) + "\n"

@@ -1,0 +1,81 @@
+"""docs/dataset.md is the contract that the code keeps."""
+
+import asyncio
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from flows.graph import Flow
+from flows.live_runner import LiveRunner
+from flows.testing import TestSource
+from operators import Slips
+from operators.health import FaultKind
+from storage import Dataset
+from storage.episodes import SCHEMA
+from storage.layout import TABLES
+from storage.schema import schema
+from tests.pages import ROOT, table
+
+PAGE = ROOT / "docs" / "dataset.md"
+TIME = np.array([1_700_000_000_000_000_000])
+SLIPS = Slips(TIME, np.array([1], np.int8), TIME, np.array([0.9]), finger=0)
+SCHEMAS: dict[str, Any] = {each.name: schema(each) for each in TABLES} | {"episodes": SCHEMA}
+
+
+def told(kind: pa.DataType) -> str:
+    """A type as the page writes it."""
+    return re.sub(r"fixed_size_list<item: (\w+)>", r"\1", str(kind))
+
+
+def unit(metadata: dict[bytes, bytes] | None) -> str:
+    """The unit of a column, as the page writes it."""
+    return (metadata or {}).get(b"unit", b"").decode()
+
+
+@pytest.mark.parametrize("name", SCHEMAS)
+def test_the_page_has_each_column_with_its_type_and_unit(name: str) -> None:
+    rows = [(row["column"], row["type"], row["unit"]) for row in table(PAGE, f"### {name}")]
+    assert rows == [(each.name, told(each.type), unit(each.metadata)) for each in SCHEMAS[name]]
+
+
+def test_only_columns_of_episodes_may_be_null() -> None:
+    nullable = {name for name, each in SCHEMAS.items() for field in each if field.nullable}
+    assert nullable == {"episodes"}
+
+
+def test_the_page_names_every_table_and_every_kind_of_fault() -> None:
+    text = PAGE.read_text()
+    assert {f"### {name}" for name in SCHEMAS} == set(re.findall(r"^### .*", text, re.MULTILINE))
+    [kinds] = [row["meaning"] for row in table(PAGE, "### faults") if row["column"] == "kind"]
+    assert kinds == ", ".join(f"{kind} {kind.name.lower()}" for kind in FaultKind)
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Path:
+    """A session of a row."""
+    flow = Flow("short")
+    flow.source(TestSource(Slips, [SLIPS], fingers=(0,))).to(Dataset(tmp_path))
+
+    async def main() -> None:
+        await LiveRunner(flow, "first").execute()
+
+    asyncio.run(main())
+    return tmp_path / "sessions" / "first"
+
+
+def test_the_page_has_each_entry_of_the_descriptions(session: Path) -> None:
+    written: dict[str, Any] = json.loads((session / "session.json").read_text())
+    rows = table(PAGE, "## dataset.json, session.json, MANIFEST.json")
+    assert sorted(row["entry"] for row in rows) == sorted(written)
+    text = PAGE.read_text()
+    dataset = json.loads((session.parents[1] / "dataset.json").read_text())
+    assert f"`{json.dumps(dataset)}`" in text
+    manifest = json.loads((session / "MANIFEST.json").read_text())
+    assert f"Its `version` is {manifest['version']}" in text
+    for name in (*manifest, *manifest["parts"][0]):
+        assert f"`{name}`" in text, name
