@@ -16,7 +16,7 @@ test-slow:  ## the tests that take longer than a minute, or need half a gigabyte
 cluster:  ## a Flink cluster on this machine, reached only from here; deploy/cluster stop ends it
 	@deploy/cluster
 
-test-cluster:  ## jobs on a real Flink cluster, which is killed in parts: about six minutes
+test-cluster:  ## jobs on a real Flink cluster, which is killed in parts: about five minutes
 	@deploy/prepare test
 	.venv/bin/python -m pytest -m cluster
 
