@@ -9,12 +9,11 @@ real-time priority where that is allowed, so that what else the machine does cou
 
 import argparse
 import os
-import platform
-import subprocess
 from contextlib import nullcontext
 
 import numpy as np
 
+from tests.benchmarks.machine import commit, machine
 from tests.chaos.latency import measured, urgent
 
 
@@ -23,12 +22,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0, help="of each run")
     options = parser.parse_args()
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"{options.seconds:.0f} s each, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}")
+    print(f"{options.seconds:.0f} s each, commit {commit()}")
+    print(f"{machine()}")
     print(f"{'ms from sample to subscriber':30}{'priority':>10}{'load':>6}{'events':>8}", end="")
     print("".join(f"{name:>8}" for name in ("p50", "p99", "p99.9", "max")))
     for name, naive, record in (

@@ -8,8 +8,6 @@ several, and the difference counts. The rows of all must be those of the one pro
 import argparse
 import asyncio
 import os
-import platform
-import subprocess
 import tempfile
 from pathlib import Path
 from time import perf_counter
@@ -23,6 +21,7 @@ from operators.batch import Labelled, Motion, Slips, Touch, ms, s
 from operators.ports import Run
 from storage import Dataset, Session
 from storage.layout import session_folder, session_names
+from tests.benchmarks.machine import commit, machine
 
 START = 1_700_000_000 * s
 
@@ -81,13 +80,9 @@ def main() -> None:
         for number in range(options.sessions):
             asyncio.run(record(root / "in", f"s{number}", options.fingers, options.seconds, number))
         samples = options.fingers * options.seconds * 100
-        commit = subprocess.run(
-            ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-        )
         print(f"{options.sessions} sessions of {samples} samples, {options.fingers} fingertips, ", end="")
-        print(f"commit {commit.stdout.strip()}, load {os.getloadavg()[0]:.1f}")
-        machine = platform.processor() or platform.machine()
-        print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}")
+        print(f"commit {commit()}, load {os.getloadavg()[0]:.1f}")
+        print(f"{machine()}")
         print(f"{'':32}{'all, s':>10}{'one, s':>10}{'samples/s':>12}{'same':>6}")
         sessions = [session_folder(root / "in", name) for name in session_names(root / "in")]
         began, first = perf_counter(), 0.0

@@ -8,10 +8,7 @@ take turns, so that a change of the machine's speed hits all of them; the table 
 
 import argparse
 import gc
-import os
-import platform
 import statistics
-import subprocess
 import time
 from collections.abc import Callable
 
@@ -25,6 +22,7 @@ from operators import Score, Zeroed, ms
 from operators.batch import Counts
 from operators.detectors import Detector, Tcn
 from operators.detectors.tcn import shapes
+from tests.benchmarks.machine import commit, machine
 
 FILTERS = (4, 8, 12, 16, 24)
 FINGERS = 64
@@ -121,13 +119,9 @@ def main() -> None:
             if turn:
                 cost[key].append((time.process_time() - began) / samples * 1e6)
         gc.collect()
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    versions = f"Python {platform.python_version()}, numpy {np.__version__}, torch {torch.__version__}"
-    print(f"{machine}, {os.cpu_count()} cores, {versions}")
+    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
+    versions = f"numpy {np.__version__}, torch {torch.__version__}"
+    print(f"{machine()}, {versions}")
     print(f"{'us per sample, by filters':36}" + "".join(f"{filters:9}" for filters in FILTERS))
     for name in dict.fromkeys(name for name, _ in cost):
         medians = [statistics.median(cost[name, filters]) for filters in FILTERS]

@@ -9,9 +9,6 @@ last 120 s, which is left to who is told the clock's drift.
 """
 
 import argparse
-import os
-import platform
-import subprocess
 from collections.abc import Callable
 
 import numpy as np
@@ -19,6 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from operators import DeviceClock, Motion, ms, s
 from operators.batch import Reals, Times
+from tests.benchmarks.machine import commit, machine
 
 SECONDS = 600
 WINDOWS = (30, 120, 480)  # s
@@ -99,12 +97,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=3, help="of which the worst is told")
     options = parser.parse_args()
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"seeds 0 to {options.seeds - 1}, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"seeds 0 to {options.seeds - 1}, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"{'p99 of the error, ms':32}{'50 ppm':>24}{'45 to 55 ppm':>24}{'known':>8}")
     windows = "".join(f"{f'{window} s':>8}" for window in WINDOWS)
     print(f"{'rows late':24}{'Hz':>8}{windows}{windows}{'drift':>8}")

@@ -11,7 +11,6 @@ import argparse
 import asyncio
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,7 @@ from connectors import Rig
 from connectors.testing import TestBroker
 from flows.clock import LoopClock
 from operators import Touch, concat
+from tests.benchmarks.machine import commit, machine
 from tests.deploy.shipped import DEPLOY, PASSWORDS, shipped_broker
 
 ROOT: Final = DEPLOY.parent
@@ -112,12 +112,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=40.0, help="of each run")
     parser.add_argument("--python", type=Path, help="of an environment to measure instead of a fresh one")
     options = parser.parse_args()
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"{options.seconds:.0f} s each, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"{options.seconds:.0f} s each, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"load {os.getloadavg()[0]:.1f} at the beginning")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

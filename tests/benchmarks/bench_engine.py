@@ -9,9 +9,7 @@ flow up to the one before; what is left without any is the plan, which hands the
 import argparse
 import gc
 import os
-import platform
 import statistics
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -24,6 +22,7 @@ from flows.plan import Delivery, Entry, Plan
 from flows.testing import TestSink, TestSource
 from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Reals
+from tests.benchmarks.machine import commit, machine
 from tests.benchmarks.peers.job import Job, Meter
 from tests.benchmarks.peers.push_graph import prepare
 
@@ -197,13 +196,8 @@ def main() -> None:
             through_flow(rows, stages)(touch, motion)
             spent.append(timed.pop())
         gc.collect()
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    revision = commit.stdout.strip()
-    print(f"{options.samples} samples, {options.turns} turns, seed {options.seed}, commit {revision}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"{options.samples} samples, {options.turns} turns, seed {options.seed}, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"load {os.getloadavg()[0]:.1f} at the end")
     print(f"{'':28}{'us/sample':>10}{'ratio':>8}")
     reference = cost["polars join_asof + numpy"][1:]

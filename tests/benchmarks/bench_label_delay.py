@@ -4,7 +4,6 @@ The arm's stamps of the training and validation recordings are shifted by 100 ms
 are not. ``--lag`` of `slipflow train` shifts each recording's labels to come as late as in a good set.
 """
 
-import subprocess
 from argparse import ArgumentParser
 from dataclasses import replace
 from platform import machine, processor
@@ -20,6 +19,7 @@ from flows.training.lag import lags, relabelled
 from flows.trials import Trial, trial
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Tcn
+from tests.benchmarks.machine import commit
 
 RATE = 100.0  # Hz
 
@@ -49,12 +49,7 @@ def main() -> None:
         split[each.split].append(trial(each.scene, each.seed, each.session, each.split))
     usual = float(np.median(lags(split["train"])))
     recipe = Recipe(steps=given.steps, checks=4, seed=given.seed)
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(
-        f"{machine()} {processor()}, seed {given.seed}, {given.steps} steps, commit {commit.stdout.strip()}"
-    )
+    print(f"{machine()} {processor()}, seed {given.seed}, {given.steps} steps, commit {commit()}")
     print(f"labels of the plan come {1000 * usual:.0f} ms after the signal\n")
     print("| training labels off by | as they are | with --lag |")
     print("| ---: | ---: | ---: |")

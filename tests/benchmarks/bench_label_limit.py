@@ -4,7 +4,6 @@ Every recording of the plan has a latency of its own. The observer's answer is t
 shifted to one latency for all; the best one is the limit of every detector that feels the fingertip alone.
 """
 
-import subprocess
 from argparse import ArgumentParser
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from flows.simulate import SPLITS, recordings
 from flows.trials import JUDGED, trial
 from operators.batch import SLIP
+from tests.benchmarks.machine import commit
 
 RATE = 100.0  # Hz
 LATENCIES = (0.05, 0.06, 0.07, 0.08, 0.09)  # s
@@ -30,10 +30,7 @@ def main() -> None:
             shift = round((latency - each.scene.motion.latency) * RATE)
             same = (np.roll(slip, shift) == slip)[JUDGED:-EDGE]
             right.setdefault((each.split, latency), []).append(same)
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"paper plan, seed {given.seed}, commit {commit.stdout.strip()}; % of samples")
+    print(f"paper plan, seed {given.seed}, commit {commit()}; % of samples")
     print("| split | " + " | ".join(f"{1000 * latency:.0f} ms" for latency in LATENCIES) + " |")
     print("| --- |" + " ---: |" * len(LATENCIES))
     for split in SPLITS:

@@ -12,8 +12,6 @@ import argparse
 import asyncio
 import multiprocessing
 import os
-import platform
-import subprocess
 import sys
 import tempfile
 import threading
@@ -55,6 +53,7 @@ from operators import (
 )
 from operators.batch import Counts
 from storage import Dataset, load_debounce, load_detector
+from tests.benchmarks.machine import commit, machine
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -293,12 +292,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="that each of the two runs is measured")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"seed {options.seed}, {options.seconds:.0f} s, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"seed {options.seed}, {options.seconds:.0f} s, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"load {os.getloadavg()[0]:.1f} at the beginning")
     context = multiprocessing.get_context("spawn")
     over, seen = context.Event(), list[Seen]()

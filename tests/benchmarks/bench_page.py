@@ -30,6 +30,7 @@ from flows.demo import Demo
 from flows.live_page import add_page
 from flows.live_runner import LiveRunner
 from flows.options import told
+from tests.benchmarks.machine import commit
 from tests.chaos.latency import urgent
 from tests.connectors.page.browsing import FLAGS
 
@@ -176,11 +177,8 @@ def main() -> None:
         with urgent(), demo() as (_, address), chromium() as browser:
             figures(browser, address, options.figures)
         return
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
     machine = platform.processor() or platform.machine()
-    print(f"commit {commit.stdout.strip()}, {machine}, {os.cpu_count()} cores")
+    print(f"commit {commit()}, {machine}, {os.cpu_count()} cores")
     print(f"{'ms from sample to page':28}{'priority':>10}{'load':>6}{'frames':>8}", end="")
     print("".join(f"{name:>8}" for name in ("p50", "p90", "p99", "max")))
     for context in (nullcontext("normal"), urgent()):

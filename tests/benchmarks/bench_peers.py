@@ -9,8 +9,6 @@ engine is cheaper. What each program does is in the folder `peers`.
 
 import argparse
 import os
-import platform
-import subprocess
 import sys
 import tempfile
 from collections import defaultdict
@@ -22,6 +20,7 @@ import numpy as np
 
 from operators.batch import Codes, Motion, Reals, Touch, ms
 from tests.benchmarks.bench_engine import LENGTH, plain, streams
+from tests.benchmarks.machine import commit, machine
 from tests.benchmarks.peers.environments import PINS, PeerError, carry_out
 
 FINGERS = (1, 64)
@@ -152,15 +151,11 @@ def main() -> None:
                         cost.pop(key, None)  # an engine that fails once has no figure
                         print(f"{variant.name}, {fingers} fingertips: {error}", file=sys.stderr)
             print(f"turn {turn + 1} of {options.turns}", file=sys.stderr)
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
     print(
         f"{lengths[1]} samples of one fingertip, {lengths[64]} of each of 64; {options.turns} turns", end=""
     )
-    print(f", seed {options.seed}, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f", seed {options.seed}, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(
         f"load {load:.1f} at the beginning; {', '.join(pin for p in sorted(chosen) for pin in PINS[p][1:])}"
     )

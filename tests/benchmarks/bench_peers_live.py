@@ -8,8 +8,6 @@ TakkTile's scan gives them. The table shows medians of the turns.
 
 import argparse
 import os
-import platform
-import subprocess
 import sys
 import tempfile
 from collections import defaultdict
@@ -22,6 +20,7 @@ from operators import Score, Touch, Zero, ms
 from operators.batch import Reals
 from storage import load_detector
 from tests.benchmarks.bench_engine import LENGTH, plain, streams
+from tests.benchmarks.machine import commit, machine
 from tests.benchmarks.peers.environments import PINS, PeerError, carry_out
 
 FINGERS = 8
@@ -122,17 +121,13 @@ def main() -> None:
                     failed[variant.name] = str(error)
                     print(f"{variant.name}: {error}", file=sys.stderr)
             print(f"turn {turn + 1} of {options.turns}", file=sys.stderr)
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
     how = "together" if options.together else "in turn"
     print(
         f"{FINGERS} fingertips at 100 Hz, {how}, {options.seconds:.0f} s, medians of {options.turns} turns",
         end="",
     )
-    print(f", seed {options.seed}, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f", seed {options.seed}, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(
         f"load {load:.1f} at the beginning; {', '.join(pin for p in sorted(chosen) for pin in PINS[p][1:])}"
     )

@@ -11,7 +11,6 @@ import argparse
 import asyncio
 import json
 import os
-import platform
 import statistics
 import subprocess
 import sys
@@ -46,6 +45,7 @@ from storage.layout import TOUCH, session_folder
 from storage.manifest import Part, write_manifest
 from storage.parts import described, write_part
 from storage.schema import to_arrow
+from tests.benchmarks.machine import commit, machine
 
 RATE = 100  # Hz
 MINUTE = 60 * RATE  # rows
@@ -322,11 +322,8 @@ def main() -> None:
         first, path = options.one
         one(first, path, options.rows)
         return
-    command = ["git", "describe", "--always", "--dirty"]
-    commit = subprocess.run(command, capture_output=True, text=True, check=False).stdout.strip()
-    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)

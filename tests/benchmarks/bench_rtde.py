@@ -11,8 +11,6 @@ import argparse
 import asyncio
 import multiprocessing
 import os
-import platform
-import subprocess
 import time
 from collections.abc import Callable
 from contextlib import aclosing
@@ -30,6 +28,7 @@ from connectors.rtde import Version
 from flows.clock import LoopClock
 from operators import Motion, concat, ms, s
 from operators.batch import Times
+from tests.benchmarks.machine import commit, machine
 
 HOST = "127.0.0.5"
 VERSIONS = {125.0: Version(3, 15, 8, 1), 500.0: Version(5, 11, 0, 1)}
@@ -145,14 +144,8 @@ def main() -> None:
     readers: dict[str, Reader] = {"ours": ours}
     if find_spec("rtde_receive"):
         readers["ur-rtde"] = theirs
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(
-        f"seed {options.seed}, {options.seconds:.0f} s, {options.busy} busy, commit {commit.stdout.strip()}"
-    )
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"seed {options.seed}, {options.seconds:.0f} s, {options.busy} busy, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"load {os.getloadavg()[0]:.1f} at the beginning")
     head = f"{'packages':24}{'Hz':>6}{'sent':>10}{'lost':>8}{'':>9}{'CPU':>8}"
     print(f"{head}{'late p50':>10}{'p99':>10}{'max, ms':>10}")

@@ -7,10 +7,7 @@ change of the machine's speed hits all of them; the table shows medians.
 
 import argparse
 import gc
-import os
-import platform
 import statistics
-import subprocess
 import time
 from collections.abc import Callable
 from functools import partial
@@ -22,6 +19,7 @@ from connectors.rig.motion import Controller
 from connectors.rig.paper import Collection
 from connectors.rig.parameters import Parameters
 from connectors.rig.scene import Scene
+from tests.benchmarks.machine import commit, machine
 
 GRIDS = {24: (6, 4), 48: (8, 6), 96: (12, 8)}  # nodes: columns, rows
 TRIAL = 20.0  # s
@@ -100,12 +98,8 @@ def main() -> None:
             if turn:
                 speeds[name].append(simulated / (time.process_time() - began))
         gc.collect()
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit.stdout.strip()}")
-    machine = platform.processor() or platform.machine()
-    print(f"{machine}, {os.cpu_count()} cores, Python {platform.python_version()}, numpy {np.__version__}")
+    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
     print(f"{'simulated fingertip seconds per CPU second':44}{'median':>8}{'least':>8}{'most':>8}")
     for name, found in speeds.items():
         print(f"{name:44}{statistics.median(found):8.0f}{min(found):8.0f}{max(found):8.0f}")

@@ -1,6 +1,5 @@
 """What one label costs in training: dense crops against windows, the same network, by turns."""
 
-import subprocess
 from argparse import ArgumentParser
 from collections.abc import Callable
 from platform import machine, python_version
@@ -12,6 +11,7 @@ from torch import Tensor
 
 from flows.networks.recipe import Recipe
 from flows.networks.tcn import DenseTcn
+from tests.benchmarks.machine import commit
 
 WINDOWS = 256  # of a batch, as the paper has it
 SAMPLES = 266_000  # of the paper's plan: labels of one epoch
@@ -55,10 +55,7 @@ def main() -> None:
             run()
             if turn:  # the first one warms up
                 spent[name].append((process_time() - begin) / labels[name])
-    commit = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
-    print(f"seed none, medians of {given.turns} turns, one thread, commit {commit.stdout.strip()}")
+    print(f"seed none, medians of {given.turns} turns, one thread, commit {commit()}")
     print(f"{machine()}, Python {python_version()}, torch {torch.__version__}, {recipe.filters} filters")
     print(f"{'':10} {'us/label':>10} {'s/epoch of the plan':>20}")
     for name, values in spent.items():

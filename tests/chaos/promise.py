@@ -2,9 +2,10 @@
 
 import os
 import platform
-import subprocess
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+from tests.benchmarks.machine import commit
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,5 @@ def table(promises: Iterable[Promise]) -> str:
 
 def machine(seed: int) -> str:
     """Where it was measured."""
-    version = subprocess.run(
-        ["git", "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
-    )
     cores = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-    return f"seed {seed}, commit {version.stdout.strip()}\n{cores}"
+    return f"seed {seed}, commit {commit()}\n{cores}"
