@@ -2,21 +2,25 @@
 
 import json
 import shlex
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
 
 import typer
 
 from flows.options import AsJson, progress_bar, told
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from flows.experiment.experiment import Kind, Method
     from flows.experiment.setting import Conditions
 
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
+
+Found = TypeVar("Found")
+Of = TypeVar("Of", contravariant=True)
 
 app = typer.Typer(
     help="The paper's robot experiments on the simulated scene, closed loop.",
@@ -74,19 +78,21 @@ def tap(
     Prints success beside the paper's, how trials failed, and what is registered where nothing slips. Writes
     tap.html, .md, .json and .svg.
     """
-    _carry_out(
+    from flows.experiment import page
+    from flows.experiment.experiment import experiment
+
+    measure = partial(
+        experiment,
         "tap",
-        method,
-        None,
-        things=thing,
+        _methods("tap", method, None),
         trials=trials,
         seed=seed,
+        objects=_objects(thing),
         conditions=_conditions("direct", 0, rate),
         jobs=jobs,
-        out=out,
-        as_json=as_json,
-        command=_command("tap", *_given(method, None, thing), *_under(rate=rate), *_of(trials, seed)),
     )
+    command = _command("tap", *_given(method, None, thing), *_under(rate=rate), *_of(trials, seed))
+    _carry_out("tap", measure, page, command, out, as_json=as_json)
 
 
 @app.command()
@@ -121,93 +127,46 @@ def lift(
     if stress and ablation:
         raise typer.BadParameter("--stress or --ablation: give one")
     conditions = _conditions(path, delay, rate, locks=locks)
+    if ablation and conditions != _conditions("direct", 0, 100):
+        raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it tries its own")
+    from flows.experiment import ablation_page, page, stress_page
+    from flows.experiment.ablation import METHODS
+    from flows.experiment.ablation import ablation as ablate
+    from flows.experiment.experiment import experiment
+    from flows.experiment.stress import stress as strain
+
+    methods, objects = _methods("lift", method, rule), _objects(thing)
     given = [*_given(method, rule, thing), *_under(path, delay, rate, locks=locks), *_of(trials, seed)]
     if ablation:
-        if conditions != _conditions("direct", 0, 100):
-            raise typer.BadParameter(
-                "--ablation takes no --path, --delay, --rate or --locks: it tries its own"
-            )
-        _ablate(
-            method,
-            rule,
-            things=thing,
-            trials=trials,
-            seed=seed,
-            jobs=jobs,
-            out=out,
-            as_json=as_json,
-            command=_command("lift", "--ablation", *given),
-        )
+        tried = methods if method else METHODS
+        broken = partial(ablate, tried, trials=trials, seed=seed, objects=objects, jobs=jobs)
+        command = _command("lift", "--ablation", *given)
+        _carry_out("ablation", broken, ablation_page, command, out, as_json=as_json)
         return
-    if not stress:
-        _carry_out(
-            "lift",
-            method,
-            rule,
-            things=thing,
+    if stress:
+        strained = partial(
+            strain,
+            methods[0],
             trials=trials,
             seed=seed,
+            objects=objects,
             conditions=conditions,
             jobs=jobs,
-            out=out,
-            as_json=as_json,
-            command=_command("lift", *given),
         )
+        command = _command("lift", "--stress", *given)
+        _carry_out("stressing", strained, stress_page, command, out, drawn=False, as_json=as_json)
         return
-    from connectors.rig.objects import OBJECTS
-    from flows.evaluation.written import claim
-    from flows.experiment import stress_page
-    from flows.experiment.stress import stress as measure
-
-    claim(out)
-    chosen = _methods("lift", method, rule)[0]
-    with progress_bar("stressing") as update:
-        found = measure(
-            chosen,
-            trials=trials,
-            seed=seed,
-            objects=thing or tuple(OBJECTS),
-            conditions=conditions,
-            jobs=jobs,
-            progress=update,
-        )
-    paths = stress_page.write(found, out, _command("lift", "--stress", *given))
-    told(f"written: {', '.join(map(str, paths))}")
-    typer.echo(json.dumps(found.json(), allow_nan=False) if as_json else stress_page.text(found))
-
-
-def _ablate(
-    names: list[str] | None,
-    rules: list[str] | None,
-    *,
-    things: list[str] | None,
-    trials: int,
-    seed: int,
-    jobs: int | None,
-    out: Path,
-    as_json: bool,
-    command: str,
-) -> None:
-    from connectors.rig.objects import OBJECTS
-    from flows.evaluation.written import claim
-    from flows.experiment import ablation_page
-    from flows.experiment.ablation import METHODS, ablation
-
-    claim(out)
-    with progress_bar("ablation") as update:
-        found = ablation(
-            _methods("lift", names, rules) if names else METHODS,
-            trials=trials,
-            seed=seed,
-            objects=things or tuple(OBJECTS),
-            jobs=jobs,
-            progress=update,
-        )
-    paths = ablation_page.write(found, out, command)
-    _written(paths)
-    typer.echo(
-        json.dumps(ablation_page.summary(found), allow_nan=False) if as_json else ablation_page.text(found)
+    measure = partial(
+        experiment,
+        "lift",
+        methods,
+        trials=trials,
+        seed=seed,
+        objects=objects,
+        conditions=conditions,
+        jobs=jobs,
     )
+    _carry_out("lift", measure, page, _command("lift", *given), out, as_json=as_json)
 
 
 @app.command()
@@ -247,48 +206,43 @@ def learn(
     typer.echo(json.dumps(summary) if as_json else f"{model.path}: balanced accuracy {scores}")
 
 
+class _Pages(Protocol[Of]):
+    """A module that tells what was found."""
+
+    def write(self, of: Of, folder: Path, command: str) -> list[Path]: ...
+
+    def summary(self, of: Of) -> dict[str, Any]: ...
+
+    def text(self, of: Of) -> str: ...
+
+
 def _carry_out(
-    kind: "Kind",
-    names: list[str] | None,
-    rules: list[str] | None,
-    *,
-    things: list[str] | None,
-    trials: int,
-    seed: int,
-    conditions: "Conditions",
-    jobs: int | None,
-    out: Path,
-    as_json: bool,
+    what: str,
+    measure: "Callable[..., Found]",
+    pages: _Pages[Found],
     command: str,
+    out: Path,
+    *,
+    drawn: bool = True,
+    as_json: bool,
 ) -> None:
-    from connectors.rig.objects import OBJECTS
+    """Measure with a bar, write the page, say what was written and what it takes to have its figures."""
     from flows.evaluation.written import claim
-    from flows.experiment import page
-    from flows.experiment.experiment import experiment
-
-    claim(out)
-    methods = _methods(kind, names, rules)
-    with progress_bar(kind) as update:
-        found = experiment(
-            kind,
-            methods,
-            trials=trials,
-            seed=seed,
-            objects=things or tuple(OBJECTS),
-            conditions=conditions,
-            jobs=jobs,
-            progress=update,
-        )
-    paths = page.write(found, out, command)
-    _written(paths)
-    typer.echo(json.dumps(page.summary(found), allow_nan=False) if as_json else page.text(found))
-
-
-def _written(paths: "Sequence[Path]") -> None:
-    """Say what was written, and what it takes to have the figures that were left out."""
     from flows.figures import lacking
 
-    told(f"written: {', '.join(map(str, paths))}" + (f"; figures {reason}" if (reason := lacking()) else ""))
+    claim(out)
+    with progress_bar(what) as update:
+        found = measure(progress=update)
+    paths = pages.write(found, out, command)
+    lacks = f"; figures {reason}" if drawn and (reason := lacking()) else ""
+    told(f"written: {', '.join(map(str, paths))}{lacks}")
+    typer.echo(json.dumps(pages.summary(found), allow_nan=False) if as_json else pages.text(found))
+
+
+def _objects(things: list[str] | None) -> "Sequence[str]":
+    from connectors.rig.objects import OBJECTS
+
+    return things or tuple(OBJECTS)
 
 
 def _command(*arguments: str) -> str:

@@ -1,7 +1,7 @@
 """The lift under stress, as a page."""
 
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from flows.evaluation.page import Page, Section, Table
 from flows.evaluation.sections import number
@@ -26,12 +26,17 @@ def write(of: Stressed, folder: Path, command: str) -> list[Path]:
     Raises:
         EndpointError: if they cannot be written.
     """
-    return written(page(of, command), of.json(), folder, "lift-stress")
+    return written(page(of, command), summary(of), folder, "lift-stress")
 
 
 def text(of: Stressed) -> str:
     """What a person reads in a terminal."""
     return told([table(of)])
+
+
+def summary(of: Stressed) -> dict[str, Any]:
+    """For a program."""
+    return of.json()
 
 
 def table(of: Stressed) -> Section:
