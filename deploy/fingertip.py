@@ -31,7 +31,7 @@ def fingertip(
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        sinks.append(Mqtt(broker, site, rig, {"id": detector}, *rules))
+        sinks.append(Mqtt(broker, site, rig, {"id": detector}, *rules, patient=True))  # it records meanwhile
     if out:
         dataset = Dataset(out)
         touch.to(dataset)

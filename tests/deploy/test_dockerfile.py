@@ -1,3 +1,4 @@
+import json
 import re
 import subprocess
 import sys
@@ -48,6 +49,15 @@ def test_the_last_stage_installs_nothing_and_runs_as_a_user_without_rights() -> 
     users = [step for step in LAST if step.startswith("USER")]
     assert users == ["USER 10001:10001"]
     assert LAST.index(users[0]) < next(n for n, step in enumerate(LAST) if step.startswith("ENTRYPOINT"))
+
+
+def test_what_is_kept_can_be_written_where_the_image_is_read_only() -> None:
+    [volumes] = [json.loads(step.removeprefix("VOLUME")) for step in LAST if step.startswith("VOLUME")]
+    environment = " ".join(step for step in LAST if step.startswith("ENV"))
+    kept = re.findall(r"(?:XDG_STATE_HOME|NUMBA_CACHE_DIR)=(/\w+)", environment)
+    [start] = [step.split()[1] for step in LAST if step.startswith("WORKDIR")]
+    assert len(kept) == 2
+    assert {*kept, start} == set(volumes)
 
 
 def test_docker_is_sent_what_it_copies_and_no_password() -> None:

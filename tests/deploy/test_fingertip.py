@@ -1,8 +1,11 @@
 import json
 import os
+import re
+import socket
 import subprocess
 import sys
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +20,28 @@ from tests.deploy.test_requirements import LEFT_OUT
 
 FLOW = str(DEPLOY / "fingertip.py")
 CHILD = DEPLOY.parent / "tests" / "benchmarks" / "edge_child.py"
+
+
+def work(folder: Path, *settings: str, without: Sequence[str] = ()) -> subprocess.CompletedProcess[str]:
+    """Feel for 5 s what is pressed and shakes, as if it slid, without some packages; record into `out`."""
+    rng = np.random.default_rng(0)
+    counts = 500 + rng.integers(-1, 2, (600, 6)).astype(np.int16)
+    counts[200:] += rng.integers(-60, 30, (400, 6)).astype(np.int16)
+    np.savez(folder / "table.npz", counts=counts, temperature=np.full_like(counts, 498))
+    code = textwrap.dedent(f"""
+        import runpy, sys
+        sys.modules.update(dict.fromkeys({without!r}))
+        runpy.run_path({str(CHILD)!r}, run_name="__main__")
+    """)
+    words = [FLOW, folder / "table.npz", "--seconds", "5"]
+    words += [word for each in (*settings, f"out={folder / 'out'}") for word in ("--set", each)]
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, words)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "NO_COLOR": "1", "XDG_STATE_HOME": str(folder / "state")},
+    )
 
 
 def test_by_default_it_scores_a_fingertip_on_the_bus_and_tells_the_broker() -> None:
@@ -36,30 +61,23 @@ def test_it_records_where_it_is_told_to_and_publishes_only_to_a_broker(tmp_path:
 def test_it_feels_and_records_without_what_a_small_install_leaves_out(
     tmp_path: Path, without: list[str]
 ) -> None:
-    rng = np.random.default_rng(0)
-    counts = 500 + rng.integers(-1, 2, (600, 6)).astype(np.int16)
-    counts[200:] += rng.integers(-60, 30, (400, 6)).astype(
-        np.int16
-    )  # it is pressed and shakes, as if it slid
-    np.savez(tmp_path / "table.npz", counts=counts, temperature=np.full_like(counts, 498))
-    code = textwrap.dedent(f"""
-        import runpy, sys
-        sys.modules.update(dict.fromkeys({without!r}))
-        runpy.run_path({str(CHILD)!r}, run_name="__main__")
-    """)
-    out = tmp_path / "out"
-    words = [FLOW, tmp_path / "table.npz", "--seconds", "5", "--set", "broker=none", "--set", f"out={out}"]
-    done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, words)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "NO_COLOR": "1"},
-    )
+    done = work(tmp_path, "broker=none", without=without)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
     assert told["loaded"] == ["pyarrow"]
     assert told["sinks"]["dataset"][1] == 0
-    session = Session.open(out / "sessions" / "edge")
+    session = Session.open(tmp_path / "out" / "sessions" / "edge")
     assert sum(len(batch) for batch in session.read(Touch, 0)) == told["rows"] > 0
     assert sum(len(batch) for batch in session.read(Slips, 0)) > 0
+
+
+def test_it_records_while_its_broker_is_away_and_keeps_the_events(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]  # where nobody listens, once it is closed
+    done = work(tmp_path, f"broker=mqtt://127.0.0.1:{port}", without=sorted(LEFT_OUT))
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout.splitlines()[-1])
+    session = Session.open(tmp_path / "out" / "sessions" / "edge")
+    assert sum(len(batch) for batch in session.read(Touch, 0)) == told["rows"] > 0
+    assert "Connection refused" in done.stderr
+    assert re.search(r": [1-9]\d* events wait in \S+ for the next run", done.stderr)

@@ -12,6 +12,7 @@ from flows.validate import problems
 from tests.deploy.shipped import DEPLOY
 
 TEXT = (DEPLOY / "systemd" / "slipflow.service").read_text()
+PAGE = (DEPLOY.parent / "docs" / "deploy.md").read_text()
 PROGRAM = "/opt/slipflow/bin/slipflow"  # where an operator installs it
 EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
 
@@ -33,7 +34,7 @@ def test_systemd_has_nothing_to_say_about_the_unit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("right", "wrong"),
-    [("Restart=on-failure", "Restart=sometimes"), ("KillMode=mixed", "KilMode=mixed")],
+    [("Restart=always", "Restart=sometimes"), ("KillMode=mixed", "KilMode=mixed")],
 )
 def test_a_mistake_in_the_unit_would_be_told(tmp_path: Path, right: str, wrong: str) -> None:
     assert right in TEXT
@@ -52,6 +53,20 @@ def test_the_service_is_locked_down(tmp_path: Path) -> None:
     found = re.search(r"exposure level for slipflow.service: ([\d.]+)", done.stdout)
     assert found
     assert float(found[1]) <= EXPOSURE
+
+
+def test_it_is_started_again_however_it_ended() -> None:
+    assert (
+        "\nRestart=always\n" in TEXT
+    )  # a hang-up, which stops it before it can commit, is a clean end to systemd
+    assert "\nStartLimitIntervalSec=0\n" in TEXT
+
+
+def test_the_group_of_the_bus_comes_with_what_the_page_installs() -> None:
+    # Without the group the unit does not start, and Debian has it from this package only.
+    assert "\nSupplementaryGroups=i2c\n" in TEXT
+    [install] = re.findall(r"^    sudo apt-get install (python3-venv.*)$", PAGE, re.MULTILINE)
+    assert "i2c-tools" in install.split()
 
 
 def test_the_password_reaches_the_sink_as_a_credential() -> None:
