@@ -10,7 +10,11 @@ _STEPS: Final = 10  # of the host's clock, the newest, that a report tells of
 
 
 class HealthReports:
-    """Reports of one run; rates are those since the report before."""
+    """Reports of one run.
+
+    Rates are those since the report before, and not known in the first that tells of rows: nothing says when
+    these began to come.
+    """
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -25,10 +29,11 @@ class HealthReports:
         elapsed = (now - self._time) / s
         sources: dict[str, Json] = {}
         for name, source in run.sources.items():
-            rows = source.rows - self._rows.get(name, 0)
+            before = self._rows.get(name, 0)
+            rows, known = source.rows - before, before > 0 and elapsed > 0
             sources[name] = {
                 "state": ("up" if rows else "stale") if source.up else "down",
-                "rate_hz": round(rows / elapsed, 3) if elapsed > 0 else None,
+                "rate_hz": round(rows / elapsed, 3) if known else None,
                 "lag_ms": (now - source.newest) / ms if source.newest else None,
                 "rows": source.rows,
                 "late": source.late,

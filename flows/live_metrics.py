@@ -1,10 +1,10 @@
 """Measuring a flow as it runs: the option of the commands that can, and wiring it up."""
 
-import re
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from flows.listening import listening
 from flows.options import told
 
 if TYPE_CHECKING:
@@ -38,21 +38,9 @@ def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None
     from connectors import Metrics
     from operators import Clocks, Faults, Slips
 
-    host, port = listening(listen)
+    host, port = listening("--metrics", listen)
     inputs = [
         next((node for node in flow.nodes if node.gives is kind), None) for kind in (Slips, Faults, Clocks)
     ]
     metrics = Metrics(port, host, opened=opened or (lambda url: told(f"metrics: {url}")))
     flow.add("metrics", metrics, *filter(None, inputs))
-
-
-def listening(listen: str) -> tuple[str, int]:
-    """Host and port of the metrics.
-
-    >>> listening("9464"), listening("0.0.0.0:80"), listening("[::1]:0")
-    (('127.0.0.1', 9464), ('0.0.0.0', 80), ('::1', 0))
-    """
-    match = re.fullmatch(r"(?:(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+)):)?([0-9]{1,5})", listen)
-    if match is None or int(match[3]) >= 2**16:
-        raise typer.BadParameter(f"--metrics {listen}: write it as PORT or HOST:PORT, such as 9464")
-    return match[1] or match[2] or "127.0.0.1", int(match[3])

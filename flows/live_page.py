@@ -1,12 +1,12 @@
 """Showing a flow on the live page: options of the commands that can, and wiring it up."""
 
 import os
-import re
 import sys
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from flows.listening import listening
 from flows.options import told
 
 if TYPE_CHECKING:
@@ -19,17 +19,24 @@ if TYPE_CHECKING:
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
 
-WithPage = Annotated[bool, typer.Option("--page/--no-page", help="Show it live in a browser.")]
+WithPage = Annotated[
+    bool,
+    typer.Option("--page/--no-page", help="Show it live in a browser, which opens where there is a screen."),
+]
 Listen = Annotated[
     str | None,
     typer.Option(
-        metavar="HOST:PORT",
-        help="Where the page is served, which takes SLIPFLOW_PAGE_TOKEN unless that is this machine only. By"
-        " default 127.0.0.1:8765, or a free port where that is taken.",
+        metavar="[HOST:]PORT",
+        help="Where the page is served, on this machine only unless a host is given, which takes"
+        " SLIPFLOW_PAGE_TOKEN. By default 8765, or a free port where that is taken.",
     ),
 ]
 NoBrowser = Annotated[
-    bool, typer.Option("--no-browser", help="Print the page's address, but open no browser.")
+    bool,
+    typer.Option(
+        "--no-browser",
+        help="Print the page's address, but open no browser; none opens where a program reads the output.",
+    ),
 ]
 
 
@@ -46,8 +53,8 @@ def add_page(
 
     Args:
         flow: Gains a sink.
-        listen: As ``HOST:PORT``.
-        browse: Open a browser where there is a screen.
+        listen: As ``[HOST:]PORT``.
+        browse: Open a browser where a person sits before a screen.
         opened: Told the address; by default it is printed.
 
     Raises:
@@ -56,14 +63,12 @@ def add_page(
     from connectors import Page
     from operators import Debounce
 
-    host, port = listening(listen)
+    host, port = listening("--listen", listen) if listen else ("127.0.0.1", None)
     parts = [node.part for node in flow.nodes]
     thresholds = [part.threshold for part in parts if isinstance(part, Debounce)]
 
     def show(url: str) -> None:
-        told(f"live page: {url}")
-        if browse:
-            open_browser(url)
+        invite("live page", url, page.entrance, browse=browse)
 
     page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=opened or show)
     for node in shown(flow):
@@ -81,24 +86,26 @@ def shown(flow: "Flow") -> "list[Node]":
     return [first[kind] for kind in kinds if kind in first]
 
 
-def listening(listen: str | None) -> tuple[str, int | None]:
-    """Host and port of a page.
+def invite(what: str, url: str, entrance: str, *, browse: bool) -> None:
+    """Tell where a page is, and have a browser show it where a person sits before a screen.
 
-    >>> listening(None), listening("0.0.0.0:80"), listening("[::1]:8765")
-    (('127.0.0.1', None), ('0.0.0.0', 80), ('::1', 8765))
+    Args:
+        what: The page, as it is told.
+        url: Its address.
+        entrance: The same with the token, which a terminal is told, but no log. Nor is a browser given it,
+            as everybody on this machine sees the arguments of a process: its page asks for it.
+        browse: Open a browser.
     """
-    if listen is None:
-        return "127.0.0.1", None
-    match = re.fullmatch(r"(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+)):([0-9]{1,5})", listen)
-    if match is None or int(match[3]) >= 2**16:
-        raise typer.BadParameter(f"--listen {listen}: write it as HOST:PORT, such as 0.0.0.0:8765")
-    return match[1] or match[2], int(match[3])
+    asks = "" if entrance == url else " (asks for its token)"
+    told(f"{what}: {entrance if sys.stderr.isatty() else url + asks}")
+    if browse:
+        open_browser(url)
 
 
 def open_browser(url: str) -> None:
     """Show a page where a person sits before a screen; that it cannot be is no error."""
     screen = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    if not (screen and sys.stderr.isatty()):
+    if not (screen and sys.stdout.isatty() and sys.stderr.isatty()):  # else a program reads what is printed
         return
     import webbrowser
     from contextlib import suppress

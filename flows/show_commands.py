@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.live_page import Listen, NoBrowser, listening, open_browser
+from flows.listening import listening
+from flows.live_page import Listen, NoBrowser, invite
 from flows.options import told
 
 if TYPE_CHECKING:
@@ -30,15 +31,15 @@ def show(
     listen: Listen = None,
     no_browser: NoBrowser = False,
 ) -> None:
-    """Show a recorded session in a browser, to scrub through it.
+    """Show a recorded session in a browser: choose an instant, or play it.
 
     Its touch is scored again. Slip events are those that were recorded; where none were, those found now.
     Ends at Ctrl-C.
     """
-    from connectors.page.access import Access
+    from connectors.web_access import Access
     from storage import Session
 
-    host, port = listening(listen)
+    host, port = listening("--listen", listen) if listen else ("127.0.0.1", None)
     Access.of(host, None)  # refused before a long session is read
     recording = Session.open(session)
     asyncio.run(_show(recording, detector, host, port, browse=not no_browser))
@@ -50,10 +51,8 @@ async def _show(recording: "Recording", detector: str, host: str, port: int | No
     told(f"{recording.name}: reading it, and scoring it by {detector}")
     recorded = await load(recording, detector)
     scrubber = Scrubber(recorded, port, host)
-    url = await scrubber.open()
-    told(f"page: {url} (Ctrl-C ends it)")
-    if browse:
-        open_browser(url)
+    await scrubber.open()
+    invite("page, until Ctrl-C", scrubber.url, scrubber.entrance, browse=browse)
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         with suppress(RuntimeError, ValueError):  # not in the main thread
@@ -79,9 +78,11 @@ async def load(recording: "Recording", detector: str = "tcn") -> "Recorded":
 
     debounce = load_debounce(detector) or Debounce()
     recalled = bool(recording.fingers(Slips))
-    found = "as recorded" if recalled else f"those that {detector} finds now"
-    about = f"A recorded session. Probability: scored again by {detector}. Slip events: {found}."
-    recorded = Recorded(threshold=debounce.threshold, about=about)
+    found = "those that were recorded" if recalled else f"those that {detector} finds now: none were recorded"
+    about = f"Slip probability: computed now, by the detector {detector}. Slip events: {found}."
+    recorded = Recorded(
+        threshold=debounce.threshold, about=about, flow=_flow(recording), dataset=_dataset(recording)
+    )
     flow = Flow("show")
     zeroed = flow.source(Replay(recording, Touch)) | Zero()
     scores = zeroed | Score(load_detector(detector))
@@ -92,3 +93,19 @@ async def load(recording: "Recording", detector: str = "tcn") -> "Recorded":
         flow.source(Replay(recording, Motion)).to(recorded)
     await ReplayRunner(flow, recording, recording.name).execute()
     return recorded
+
+
+def _flow(recording: "Recording") -> str | None:
+    """The flow that recorded it, where it tells."""
+    name = recording.describe().get("flow")
+    return name if isinstance(name, str) else None
+
+
+def _dataset(recording: "Recording") -> str | None:
+    """The name of the dataset that holds it, where it is still in one."""
+    from storage import Session
+
+    if not isinstance(recording, Session):
+        return None
+    folder = recording.folder.resolve()
+    return folder.parent.parent.name if folder.parent.name == "sessions" else None

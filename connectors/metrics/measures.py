@@ -55,16 +55,17 @@ class Measures(Collector):
             self._clock = newest.offset.item() / s, newest.drift.item(), newest.residual.item()
 
     def _add_slips(self, batch: Slips) -> None:
-        finger, now = finger_name(batch.finger), self._run.clock.now()
+        finger = finger_name(batch.finger)
         for time, state in zip(batch.time.tolist(), batch.state.tolist(), strict=True):
             self._events.labels(finger, "onset" if state == SLIP else "end").inc()
-            if self._run.live:
-                self._latency.labels(finger).observe((now - time) / s)
+            if (latency := self._run.latency(time)) is not None:
+                self._latency.labels(finger).observe(latency / s)
 
     def collect(self) -> Iterator[Metric]:
         """What holds now; the registry asks."""
         run = self._run
         about = {"session": run.session, "flow": run.flow, "live": str(run.live).lower()}
+        about["recording"] = run.recording or ""  # empty: what is measured is new
         yield InfoMetricFamily("slipflow_run", "The run that is measured", about)
         yield GaugeMetricFamily("slipflow_run_start_time_seconds", "Since 1970 UTC", run.start / s)
         yield from self._sources()

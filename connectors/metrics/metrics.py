@@ -2,14 +2,18 @@
 
 import asyncio
 from collections.abc import Callable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from connectors.page.address import address
+from connectors.web_access import Access
+from connectors.web_address import METRICS_PORT, address, is_loopback
 from operators.batch import Clocks, Faults, Slips
 from operators.errors import ParameterError
 from operators.ports import Run, Sink
 
-PORT: Final = 9464  # unless another is asked for; usual for an application that exports its own metrics
+if TYPE_CHECKING:
+    from aiohttp import web
+
+PATH: Final = "/metrics"
 
 
 class Metrics(Sink[Slips | Faults | Clocks]):
@@ -34,7 +38,11 @@ class Metrics(Sink[Slips | Faults | Clocks]):
     lossless = False
 
     def __init__(
-        self, port: int = PORT, host: str = "127.0.0.1", *, opened: Callable[[str], None] | None = None
+        self,
+        port: int = METRICS_PORT,
+        host: str = "127.0.0.1",
+        *,
+        opened: Callable[[str], None] | None = None,
     ) -> None:
         if not 0 <= port < 2**16:
             raise ParameterError("Metrics", "port", port, "from 0 to 65535")
@@ -48,7 +56,7 @@ class Metrics(Sink[Slips | Faults | Clocks]):
     @property
     def url(self) -> str:
         """Where it is found on this machine, once it is open."""
-        return self._server.url
+        return self._server.url + PATH
 
     async def open(self, run: Run) -> None:
         """Serve.
@@ -57,13 +65,14 @@ class Metrics(Sink[Slips | Faults | Clocks]):
             EndpointError: if the address cannot be had.
         """
         from connectors.metrics.measures import Measures  # noqa: PLC0415 - prometheus_client takes its time
-        from connectors.metrics.server import MetricsServer  # noqa: PLC0415 - aiohttp too
+        from connectors.web_server import WebServer  # noqa: PLC0415 - aiohttp too
 
         self._run, self._measures = run, Measures(run)
-        self._server = MetricsServer(self._host, self._port, self._measures.text)
-        await self._server.open()
+        access = Access(any_name=not is_loopback(self._host))
+        self._server = WebServer(self._host, self._port, access, "metrics")
+        await self._server.open({PATH: self._give})
         if self._opened:
-            self._opened(self._server.url)
+            self._opened(self.url)
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
         """Take the rows of a batch into the numbers."""
@@ -74,3 +83,9 @@ class Metrics(Sink[Slips | Faults | Clocks]):
     async def close(self) -> None:
         """Stop serving: from then on Prometheus sees that the run is over."""
         await self._server.close()
+
+    async def _give(self, request: "web.Request") -> "web.Response":  # noqa: ARG002 - aiohttp's shape
+        from aiohttp import web  # noqa: PLC0415 - takes its time to import
+        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - the same
+
+        return web.Response(body=self._measures.text(), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4})

@@ -4,6 +4,7 @@ import asyncio
 import socket
 import struct
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Final
 
 from aiohttp import web
@@ -15,6 +16,7 @@ from operators.ports import Json
 VIEWERS: Final = 32
 STALLED: Final = 10.0  # s, after which a browser that takes nothing is dropped
 RETRY: Final = 1000  # ms, after which a browser comes back
+FAREWELL: Final = 0.5  # s, for browsers to take what is left when it closes
 _BUFFER: Final = 1 << 16  # bytes, that the kernel holds for one: what waits there cannot be thinned any more
 
 
@@ -28,7 +30,8 @@ class Feed:
     def __init__(self, hello: Callable[[], Awaitable[bytes]], *, stalled: float = STALLED) -> None:
         """Begin each stream with `hello`, which is what the later messages add to."""
         self._hello, self._stalled = hello, stalled
-        self._viewers: set[Viewer] = set()
+        self._viewers: dict[Viewer, web.Request] = {}
+        self._closed, self._nobody = False, asyncio.Event()  # looks any more, once it is closed
         self.dropped = 0  # browsers that took nothing
 
     def __len__(self) -> int:
@@ -46,19 +49,30 @@ class Feed:
             for viewer in self._viewers:
                 viewer.put(text)
 
-    def end(self) -> None:
-        """Close the streams once what waits is sent."""
+    async def close(self) -> None:
+        """End the streams once what waits is sent; who does not take it within 0.5 s is cut off."""
+        self._closed = True
+        if not self._viewers:
+            return
+        self._nobody.clear()
         for viewer in self._viewers:
             viewer.end()
+        with suppress(TimeoutError):
+            async with asyncio.timeout(FAREWELL):
+                await self._nobody.wait()
+        for request in self._viewers.values():
+            _cut(request)
 
     async def stream(self, request: web.Request) -> web.StreamResponse:
         """One browser's stream, as long as it stays."""
         if len(self._viewers) >= VIEWERS:
             return web.Response(status=503, text=f"{VIEWERS} pages are open already: close one.\n")
+        if self._closed:
+            return web.Response(status=503, text="The run has ended.\n")
         response = web.StreamResponse()
         response.content_type, response.charset = "text/event-stream", "utf-8"
         viewer = Viewer()
-        self._viewers.add(viewer)
+        self._viewers[viewer] = request
         try:
             await response.prepare(request)
             _keep_short(request)
@@ -68,7 +82,9 @@ class Feed:
             self.dropped += 1
             _cut(request)
         finally:
-            self._viewers.discard(viewer)
+            del self._viewers[viewer]
+            if not self._viewers:
+                self._nobody.set()
         return response
 
     async def _carry(self, viewer: Viewer, response: web.StreamResponse) -> None:

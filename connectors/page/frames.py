@@ -125,10 +125,10 @@ class Frames:
         return {**self._raw, **self._zeroed}
 
     def _add_slips(self, batch: Slips) -> None:
-        finger, now = finger_name(batch.finger), self._run.clock.now()
+        finger = finger_name(batch.finger)
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
-            onset = state == SLIP
+            onset, latency = state == SLIP, self._run.latency(time)
             (self._slipping.add if onset else self._slipping.discard)(finger)
             self._numbered += 1
             self._events.append(
@@ -138,7 +138,7 @@ class Frames:
                     "finger": finger,
                     "onset": onset,
                     "p": round(probability, 3),
-                    "latency": round((now - time) / ms, 3) if self._run.live else None,
+                    "latency": None if latency is None else round(latency / ms, 3),
                 }
             )
 

@@ -6,9 +6,9 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Final
 
 from connectors.health_report import HealthReports
-from connectors.page.address import address
 from connectors.page.frames import Frames, Rows
 from connectors.page.messages import message
+from connectors.web_address import PAGE_PORT, address
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.errors import ParameterError
 from operators.ports import Json, Run, Sink
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 FRAME_EVERY: Final = 0.025  # s, at least
 GATHER: Final = 0.002  # s, so that what one sample causes goes out together
 REPORT_EVERY: Final = 1.0  # s
-_SETTLE_EVERY: Final = 0.1  # s
-_SETTLE: Final = 20  # times that, at most
+_SETTLE_EVERY: Final = 0.02  # s
+_SETTLE: Final = 50  # times that, at most
 _TOLD_AGAIN: Final = 20  # events, with each report: a browser that lost frames has them then
 
 
@@ -37,7 +37,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     Args:
         port: Where it listens; 0: any that is free; None: 8765, or any that is free where that is taken.
         host: An address of this machine, 0.0.0.0 for all of them.
-        token: What a browser must have shown; None: that of the environment, see `connectors.page.access`.
+        token: What a browser must have shown; None: that of the environment, see `connectors.web_access`.
         threshold: The probability from which a slip is decided, for the page to mark.
         opened: Told the address once it can be looked at.
 
@@ -68,12 +68,17 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     @property
     def place(self) -> str:
         """Its address."""
-        return address(self._host, self._port)
+        return address(self._host, PAGE_PORT if self._port is None else self._port)
 
     @property
     def url(self) -> str:
         """Where a browser on this machine finds it, once it is open."""
         return self._server.url
+
+    @property
+    def entrance(self) -> str:
+        """The same with the token, if there is one: for nobody else to see."""
+        return self._server.entrance
 
     async def open(self, run: Run) -> None:
         """Serve the page.
@@ -83,7 +88,6 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             ParameterError: if it needs a token, or that is not one.
             InputError: if the file with the token cannot be read.
         """
-        from connectors.page.access import Access  # noqa: PLC0415 - with the server
         from connectors.page.feed import Feed  # noqa: PLC0415 - aiohttp takes its time to import
         from connectors.page.server import PageServer  # noqa: PLC0415 - the same
 
@@ -91,7 +95,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._health = self._reports.next()
         self._loop = asyncio.get_running_loop()
         self._feed = Feed(self._hello)
-        self._server = PageServer(self._host, self._port, Access.of(self._host, self._token))
+        self._server = PageServer(self._host, self._port, self._token)
         await self._server.open({"/about.json": _about, "/stream": self._feed.stream})
         self._reporting = asyncio.create_task(self._keep_reporting())
         if self._opened:
@@ -118,7 +122,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         report = self._report()
         final = {name: report[name] for name in ("sinks", "recorders")}
         self._feed.tell("end", {"error": self._run.error or None, **final})
-        self._feed.end()
+        await self._feed.close()
         await self._server.close()
 
     def _send(self) -> None:
@@ -133,6 +137,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             "session": run.session,
             "flow": run.flow,
             "live": run.live,
+            "recording": run.recording,
             "start": run.start / ms,
             "threshold": self.threshold,
             "events": self._frames.events(),

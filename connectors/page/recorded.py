@@ -1,5 +1,6 @@
 """A recorded session, to be scrubbed through in a browser."""
 
+from collections.abc import Callable
 from math import isnan, nan
 from operator import itemgetter
 from typing import Final
@@ -9,12 +10,12 @@ from numpy.typing import NDArray
 
 from connectors.events import finger_name
 from connectors.page.frames import FINGERS
-from connectors.page.series import extremes, series, shown
-from operators.batch import SLIP, Motion, Scores, Slips, Times, Touch, Zeroed, ms
+from connectors.page.series import drawn, series, shown
+from operators.batch import SLIP, Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Json, Run, Sink
 
-POINTS: Final = 2000  # of each curve in a window
+HELD: Final = 1 * s  # ns; a row that is older tells nothing of an instant
 ROWS: Final = 20_000_000  # of a session, all streams together: a GB at most
 EVENTS: Final = 20_000
 
@@ -25,10 +26,20 @@ class Recorded(Sink[Touch | Motion | Scores | Slips]):
     Args:
         threshold: The probability from which a slip is decided, for the page to mark.
         about: What else the page is to say of it.
+        flow: What recorded it.
+        dataset: The name of the dataset that holds it.
     """
 
-    def __init__(self, *, threshold: float | None = None, about: str = "") -> None:
+    def __init__(
+        self,
+        *,
+        threshold: float | None = None,
+        about: str = "",
+        flow: str | None = None,
+        dataset: str | None = None,
+    ) -> None:
         self.threshold, self.about = threshold, about
+        self._of: dict[str, Json] = {"flow": flow, "dataset": dataset}
         self.start = self.end = 0  # ns, of the first and the last row
         self._arriving: dict[
             tuple[str, str], list[tuple[Times, NDArray[np.float32]]]
@@ -85,6 +96,7 @@ class Recorded(Sink[Touch | Motion | Scores | Slips]):
         fingers = sorted({finger for stream, finger in self._curves if stream == "touch"})
         return {
             "session": self._session,
+            **self._of,
             "about": self.about,
             "start": self.start / ms,
             "length": (self.end - self.start) / ms,
@@ -105,21 +117,41 @@ class Recorded(Sink[Touch | Motion | Scores | Slips]):
             ],
         }
 
-    def window(self, begin: float, end: float) -> dict[str, Json]:
+    def window(self, begin: float, end: float, columns: int) -> dict[str, Json]:
         """The curves from `begin` to `end` (ms since `start`), as the streams of a frame.
 
-        A curve has 2000 points at most, the least and the greatest of as many rows each: no peak is lost.
+        They draw a picture that is `columns` pixels wide: the least and the greatest of each column, so that
+        no peak is lost.
         """
-        first, last = (self.start + round(max(0.0, each) * ms) for each in (begin, end))
+        first, last = (self.start + round(each * ms) for each in (begin, end))
+
+        def cut(time: Times, values: NDArray[np.float32]) -> dict[str, Json]:
+            rows = slice(*np.searchsorted(time, [first, last + 1]))
+            return series(*drawn(time[rows], values[rows], first, last, columns), self.start)
+
+        return self._streams(cut)
+
+    def figures(self, instant: float) -> dict[str, Json]:
+        """The rows that hold at an instant (ms since `start`), as streams of one row; of none after 1 s."""
+        at = self.start + round(instant * ms)
+
+        def newest(time: Times, values: NDArray[np.float32]) -> dict[str, Json]:
+            first, end = np.searchsorted(time, [at - HELD, at + 1])
+            rows = slice(max(first, end - 1), end)
+            return series(time[rows], values[rows], self.start)
+
+        return self._streams(newest)
+
+    def _streams(self, cut: Callable[[Times, NDArray[np.float32]], dict[str, Json]]) -> dict[str, Json]:
+        """What is cut out of each curve, as the streams of a frame."""
         document: dict[str, dict[str, Json]] = {"touch": {}, "scores": {}}
         speed: Json = None
-        for (stream, finger), (time, values) in self._curves.items():
-            rows = slice(*np.searchsorted(time, [first, last + 1]))
-            curve = series(*extremes(time[rows], values[rows], POINTS), self.start)
+        for (stream, finger), curve in self._curves.items():
             if stream == "speed":
-                speed = curve
+                speed = cut(*curve)
             else:
-                document[stream][finger] = {**curve, "zeroed": self._zeroed} if stream == "touch" else curve
+                zeroed: dict[str, Json] = {"zeroed": self._zeroed} if stream == "touch" else {}
+                document[stream][finger] = {**cut(*curve), **zeroed}
         return {**document, "speed": speed}
 
     def _deepest(self) -> float | None:

@@ -2,22 +2,21 @@
 
 import asyncio
 from collections.abc import Callable
-from math import isfinite
 from typing import Final
 
 from aiohttp import web
 
 from connectors.events import encode
-from connectors.page.access import Access
 from connectors.page.recorded import Recorded
 from connectors.page.server import PageServer
 from operators.ports import Json
 
 _LONGEST: Final = 1e12  # ms
+_WIDEST: Final = 8192  # columns of a picture
 
 
 class Scrubber:
-    """The page of a recorded session: ``/about.json`` tells of it, ``/window?begin=..&end=..`` has curves."""
+    """The page of a recorded session: ``/about.json`` tells of it, ``/window`` has its curves and figures."""
 
     def __init__(
         self, recorded: Recorded, port: int | None = None, host: str = "127.0.0.1", token: str | None = None
@@ -29,19 +28,25 @@ class Scrubber:
             InputError: if the file with the token cannot be read.
         """
         self._recorded = recorded
-        self._server = PageServer(host, port, Access.of(host, token))
+        self._server = PageServer(host, port, token)
 
-    async def open(self) -> str:
+    @property
+    def url(self) -> str:
+        """Where a browser on this machine finds it, once it is open."""
+        return self._server.url
+
+    @property
+    def entrance(self) -> str:
+        """The same with the token, if there is one: for nobody else to see."""
+        return self._server.entrance
+
+    async def open(self) -> None:
         """Serve it.
 
-        Returns:
-            Its address.
-
         Raises:
-            EndpointError: if that cannot be had.
+            EndpointError: if the address cannot be had.
         """
         await self._server.open({"/about.json": self._about, "/window": self._window})
-        return self._server.url
 
     async def close(self) -> None:
         """Serve it no more."""
@@ -52,12 +57,19 @@ class Scrubber:
 
     async def _window(self, request: web.Request) -> web.Response:
         try:
-            begin, end = (float(request.query[name]) for name in ("begin", "end"))
+            begin, end, at = (float(request.query[name]) for name in ("begin", "end", "at"))
+            columns = int(request.query["columns"])
         except (KeyError, ValueError):
-            begin = end = float("nan")
-        if not (isfinite(begin) and isfinite(end) and abs(begin) <= _LONGEST and begin <= end <= _LONGEST):
-            return web.Response(status=400, text="/window?begin=MS&end=MS: since the start of the session\n")
-        return await _json(lambda: self._recorded.window(begin, end))
+            return _refused()
+        if not (-_LONGEST <= begin <= end <= _LONGEST and abs(at) <= _LONGEST and 0 < columns <= _WIDEST):
+            return _refused()  # as is what is no number
+        recorded = self._recorded
+        return await _json(lambda: {**recorded.window(begin, end, columns), "at": recorded.figures(at)})
+
+
+def _refused() -> web.Response:
+    asked = "/window?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session"
+    return web.Response(status=400, text=f"{asked}; 1 to {_WIDEST} columns\n")
 
 
 async def _json(document: Callable[[], dict[str, Json]]) -> web.Response:

@@ -1,6 +1,6 @@
 """What a page shows of a stream's rows, and how it is written down as JSON."""
 
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from operators.batch import Motion, Reals, Scores, Times, Touch, ms
 from operators.ports import Json
 
 Real = TypeVar("Real", bound=np.floating[Any])
+PAUSE: Final = 250 * ms  # ns; a longer one is drawn as a gap, as the page does it with live rows
 
 
 def shown(batch: Touch | Motion | Scores) -> Reals:
@@ -35,25 +36,38 @@ def series(time: Times, values: NDArray[np.floating[Any]], origin: int) -> dict[
     return {"t": ((time - origin) / ms).round(3).tolist(), "v": values.astype(np.float64).round(3).tolist()}
 
 
-def extremes(time: Times, values: NDArray[Real], points: int) -> tuple[Times, NDArray[Real]]:
-    """At most `points` rows that draw the same picture: the least and the greatest of equally many rows each.
+def drawn(
+    time: Times, values: NDArray[Real], begin: int, end: int, columns: int
+) -> tuple[Times, NDArray[Real]]:
+    """Rows that draw the same picture: those of a column of pixels become their least and their greatest.
 
-    >>> time, values = extremes(np.arange(8), np.array([0.0, 1, 9, 1, 0, 0, -5, 0]), 4)
+    Where nothing came for 250 ms there is a row of NaN, so that no line bridges it.
+
+    >>> time, values = drawn(np.arange(8), np.array([0.0, 1, 9, 1, 0, 0, -5, 0]), 0, 7, 2)
     >>> time.tolist(), values.tolist()
     ([0, 3, 4, 7], [0.0, 9.0, -5.0, 0.0])
 
     Args:
-        time: (n,) ns.
+        time: (n,) ns, increasing, from `begin` to `end`.
         values: (n, ...) each column on its own; NaN stays only where there is nothing else.
-        points: an even number.
+        begin: ns, the left edge of the picture.
+        end: ns, its right edge.
+        columns: Of pixels, in the picture.
+
+    Returns:
+        At most two rows for each column of pixels, and as many of NaN; all of fewer rows.
     """
-    if len(time) <= points:
-        return time, values
-    starts = np.linspace(0, len(time), points // 2, endpoint=False).astype(np.intp)  # (points / 2,)
-    ends = np.append(starts[1:], len(time)) - 1
-    least = np.fmin.reduceat(values, starts)  # (points / 2, ...)
-    greatest = np.fmax.reduceat(values, starts)
-    return (
-        np.stack((time[starts], time[ends]), axis=1).reshape(-1),
-        np.stack((least, greatest), axis=1).reshape(-1, *values.shape[1:]),
-    )
+    thinned = len(time) > 2 * columns
+    if thinned:
+        edges = np.linspace(0, end - begin, columns, endpoint=False)  # (columns,) ns after the left one
+        starts = np.unique(np.searchsorted(time - begin, edges))  # rows, of the columns that have some
+        starts = starts[starts < len(time)]
+        ends = np.append(starts[1:], len(time)) - 1
+        least, greatest = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+        time = np.stack((time[starts], time[ends]), axis=1).reshape(-1)
+        values = np.stack((least, greatest), axis=1).reshape(-1, *values.shape[1:])
+    after = np.diff(time)  # (rows - 1,) ns
+    if thinned:
+        after[::2] = 0  # from the first row of a column to its last, between which others came
+    pauses = np.flatnonzero(after > PAUSE) + 1
+    return np.insert(time, pauses, time[pauses - 1] + 1), np.insert(values, pauses, np.nan, axis=0)

@@ -40,10 +40,24 @@ def touch_of(reports: HealthReports) -> dict[str, Json]:
 def test_a_rate_is_that_since_the_report_before(run: Run, clock: Present) -> None:
     run.sources["touch"] = touch = SourceStatus(rows=1000, up=True)
     reports = HealthReports(run)
-    assert touch_of(reports)["rate_hz"] == 100
+    reports.next()
     clock.time += 2 * s
     touch.rows += 100
     assert touch_of(reports)["rate_hz"] == 50
+
+
+def test_a_rate_does_not_count_the_time_before_a_source_gave_anything(run: Run, clock: Present) -> None:
+    run.sources["touch"] = touch = SourceStatus(up=True)
+    reports = HealthReports(run)
+    assert touch_of(reports)["rate_hz"] is None
+    clock.time += s
+    touch.rows += 83  # it began 0.17 s late
+    assert touch_of(reports)["rate_hz"] is None
+    clock.time += s
+    touch.rows += 100
+    assert touch_of(reports)["rate_hz"] == 100
+    clock.time += s
+    assert touch_of(reports)["rate_hz"] == 0  # it gives nothing any more
 
 
 def test_a_rate_in_no_time_is_not_known(run: Run) -> None:

@@ -3,14 +3,12 @@ from collections.abc import AsyncIterator
 from itertools import count
 
 import numpy as np
-import pytest
-import typer
 from aiohttp import ClientSession
 from prometheus_client.parser import text_string_to_metric_families
 
 from connectors import Metrics
 from flows.graph import Flow
-from flows.live_metrics import add_metrics, listening
+from flows.live_metrics import add_metrics
 from flows.live_runner import LiveRunner
 from flows.testing import TestSink, TestSource
 from flows.validate import problems
@@ -100,9 +98,3 @@ def test_a_live_run_tells_its_numbers_to_who_asks() -> None:
     assert found["slipflow_source_failures_total"] == 1
     assert found["slipflow_source_gaps_total"] == 1
     assert found["slipflow_slip_latency_seconds_count"] == 1
-
-
-@pytest.mark.parametrize("listen", ["", "host:", "a b:80", "99999", ":9464", "::1:80"])
-def test_a_place_that_is_none_is_wrong_usage(listen: str) -> None:
-    with pytest.raises(typer.BadParameter, match="PORT or HOST:PORT"):
-        listening(listen)

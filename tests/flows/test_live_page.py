@@ -4,16 +4,20 @@ import signal
 import subprocess
 import sys
 from http.client import HTTPConnection
+from io import StringIO
 from pathlib import Path
+from queue import Queue
+from typing import get_type_hints
 
 import pytest
-import typer
 
 from connectors import Page
-from flows import live_page
+from connectors.testing import PATIENCE
+from flows.command import demo, run
 from flows.demo import Demo
 from flows.graph import Flow
-from flows.live_page import add_page, listening, shown
+from flows.live_page import NoBrowser, add_page, invite, shown
+from flows.show_commands import show
 from flows.testing import TestSink, TestSource
 from flows.validate import problems
 from operators import Debounce, Touch, Zero
@@ -31,13 +35,13 @@ def page_of(flow: Flow) -> Page:
 
 
 def test_the_page_takes_what_it_can_show_of_the_demo(tmp_path: Path) -> None:
-    demo = Demo(tmp_path, broker=None)
-    assert names(demo.flow) == ["Zeroed", "Motion", "Scores", "Slips"]
-    add_page(demo.flow)
-    assert problems(demo.flow) == []
-    [debounce] = [node.part for node in demo.flow.nodes if isinstance(node.part, Debounce)]
-    assert page_of(demo.flow).threshold == debounce.threshold
-    assert page_of(demo.flow).place == "http://127.0.0.1:8765"
+    flow = Demo(tmp_path, broker=None).flow
+    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips"]
+    add_page(flow)
+    assert problems(flow) == []
+    [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
+    assert page_of(flow).threshold == debounce.threshold
+    assert page_of(flow).place == "http://127.0.0.1:8765"
 
 
 def test_raw_touch_is_shown_where_none_is_zeroed_and_each_type_once() -> None:
@@ -53,26 +57,52 @@ def test_raw_touch_is_shown_where_none_is_zeroed_and_each_type_once() -> None:
     assert problems(flow) == []
 
 
-@pytest.mark.parametrize("listen", ["8765", "host", "host:", ":80", "host:99999", "::1:80", "a b:80"])
-def test_a_place_that_is_none_is_wrong_usage(listen: str) -> None:
-    with pytest.raises(typer.BadParameter, match="HOST:PORT"):
-        listening(listen)
+class Terminal(StringIO):
+    """What a person reads."""
+
+    def isatty(self) -> bool:
+        return True
 
 
-def test_no_browser_is_opened_where_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened = list[str]()
-    monkeypatch.setattr("webbrowser.open", opened.append)
+def test_the_token_is_told_to_a_terminal_and_to_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    url, entrance = "http://127.0.0.1:8765", "http://127.0.0.1:8765/?token=0123456789abcdef"
+    for stream, text in (
+        (Terminal(), f"live page: {entrance}\n"),
+        (StringIO(), f"live page: {url} (asks for its token)\n"),
+    ):
+        monkeypatch.setattr(sys, "stderr", stream)
+        invite("live page", url, entrance, browse=False)
+        assert stream.getvalue() == text
+
+
+@pytest.mark.parametrize("program", ["stdout", "stderr"])
+def test_a_browser_is_opened_for_a_person_and_for_no_program(
+    monkeypatch: pytest.MonkeyPatch, program: str
+) -> None:
+    opened = Queue[str]()
+    monkeypatch.setattr("webbrowser.open", opened.put)
     monkeypatch.setenv("DISPLAY", ":0")
-    live_page.open_browser("http://localhost")  # stderr is no terminal here
-    assert opened == []
+    for stream in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, stream, Terminal())
+    monkeypatch.setattr(sys, program, StringIO())
+    invite("page", "http://one", "http://one", browse=True)
+    monkeypatch.setattr(sys, program, Terminal())
+    invite("page", "http://two", "http://two", browse=False)
+    invite("page", "http://three", "http://three/?token=secret", browse=True)
+    assert opened.get(timeout=PATIENCE) == "http://three"  # the first, and without its token
 
 
-def test_the_demo_serves_its_page_says_where_and_ends_well(tmp_path: Path) -> None:
-    command = [*SLIPFLOW, "demo", "--out", str(tmp_path / "data"), "--for", "60s", "--json"]
-    demo = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert demo.stderr
+def test_run_demo_and_show_have_one_rule_of_when_a_browser_is_opened() -> None:
+    for command in (run, demo, show):
+        assert get_type_hints(command, include_extras=True)["no_browser"] is NoBrowser
+
+
+def test_a_live_run_serves_its_page_says_where_and_ends_well() -> None:
+    command = [*SLIPFLOW, "run", "live", "--listen", "127.0.0.1:0", "--for", "60s", "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr
     address = next(
-        filter(None, (re.search(r"live page: http://(127\.0\.0\.1):(\d+)", line) for line in demo.stderr))
+        filter(None, (re.search(r"live page: http://(127\.0\.0\.1):(\d+)", line) for line in process.stderr))
     )
     connection = HTTPConnection(address[1], int(address[2]), timeout=30)
     connection.request("GET", "/stream")
@@ -80,14 +110,14 @@ def test_the_demo_serves_its_page_says_where_and_ends_well(tmp_path: Path) -> No
     lines = iter(stream.readline, b"")
     assert any(line == b"event: hello\n" for line in lines)
     hello = json.loads(next(lines).removeprefix(b"data: "))
-    assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("demo", True, True)
+    assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("live", True, True)
     frames = (json.loads(line[6:]) for line in lines if line.startswith(b"data: {") and b'"scores"' in line)
     assert "0" in next(frames)["touch"]
-    demo.send_signal(signal.SIGTERM)
+    process.send_signal(signal.SIGTERM)
     assert any(line == b"event: end\n" for line in lines)
     connection.close()
-    output, _ = demo.communicate(timeout=30)
-    assert demo.returncode == 0
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 0
     assert json.loads(output.splitlines()[-1])["sinks"]["page"]["dropped"] == 0
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from connectors.page.access import TOKEN, TOKEN_FILE
+from connectors.web_access import TOKEN, TOKEN_FILE
 from flows.clock import LoopClock
 from flows.demo import Demo
 from flows.live_runner import LiveRunner
@@ -40,19 +40,20 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 def test_a_session_is_shown_with_its_slips_and_scored_again(session: Session) -> None:
     recorded = asyncio.run(load(session))
     contents: dict[str, Any] = {**recorded.contents()}
-    assert contents["session"] == "test"
+    assert (contents["flow"], contents["session"]) == ("demo", "test")
+    assert contents["dataset"] == session.folder.parent.parent.name
     assert contents["length"] == pytest.approx(12_000, abs=200)
-    assert "Slip events: as recorded" in contents["about"]
+    assert "Slip events: those that were recorded" in contents["about"]
     assert [event["t"] for event in contents["events"]] == [
         (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
     ]
-    window: dict[str, Any] = {**recorded.window(2_000, 3_000)}
+    window: dict[str, Any] = {**recorded.window(2_000, 3_000, 1000)}
     assert window["touch"]["0"]["zeroed"]
     assert len(window["touch"]["0"]["t"]) == pytest.approx(100, abs=2)
     assert len(window["scores"]["0"]["t"]) == pytest.approx(100, abs=2)
     assert len(window["speed"]["t"]) == pytest.approx(125, abs=2)
     onset = next(event["t"] for event in contents["events"] if event["onset"])
-    seen: dict[str, Any] = {**recorded.window(onset, onset)}
+    seen: dict[str, Any] = {**recorded.figures(onset)}
     assert seen["scores"]["0"]["v"][0] >= recorded.threshold
 
 
@@ -73,7 +74,7 @@ def test_the_command_serves_the_session_until_it_is_stopped(session: Session) ->
     command = [*SLIPFLOW, "show", str(session.folder), "--listen", "127.0.0.1:0", "--no-browser"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr
-    address = next(filter(None, (re.search(r"http://(.*):(\d+) ", line) for line in process.stderr)))
+    address = next(filter(None, (re.search(r"http://(.*):(\d+)$", line) for line in process.stderr)))
     connection = HTTPConnection(address[1], int(address[2]), timeout=30)
     connection.request("GET", "/about.json")
     about = json.loads(connection.getresponse().read())

@@ -2,7 +2,7 @@
 
 /* global uPlot */
 
-const LEFT = 52; // px, the same for all, so that instants stand below each other
+const LEFT = 52, RIGHT = 10; // px, the same for all, so that instants stand below each other
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
@@ -51,13 +51,13 @@ class Chart {
         height: this.host.clientHeight || 120,
         legend: { show: false },
         cursor: { show: false },
-        padding: [10, 10, 0, 0],
+        padding: [10, RIGHT, 0, 0],
         scales: {
           x: { time: false, range: () => [this.view.begin, this.view.end] },
           y: { range: (_, low, high) => this.range(low, high) },
         },
         axes: [
-          { ...axis, size: () => (this.carries ? 24 : 5), gap: 4, splits: () => this.#instants(), values: (_, at) => at.map((t) => (this.carries ? this.#ago(t) : "")) },
+          { ...axis, size: () => (this.carries ? 24 : 5), gap: 4, splits: () => this.#instants(), values: (_, at) => at.map((t) => (this.carries ? this.#label(t) : "")) },
           { ...axis, size: LEFT, gap: 6, space: 24 },
         ],
         series: [
@@ -81,11 +81,14 @@ class Chart {
     const steps = [1000, 2000, 5000, 10000, 30000, 60000, 120000, 300000, 600000, 1800000];
     const step = steps.find((each) => span / each <= (this.host.clientWidth < 480 ? 5 : 10)) ?? steps.at(-1);
     const instants = [];
-    for (let t = end; t >= begin - 1; t -= step) instants.unshift(t);
+    if (this.view.whole) for (let t = begin; t <= end; t += step) instants.push(t);
+    else for (let t = end; t >= begin - 1; t -= step) instants.unshift(t);
     return instants;
   }
 
-  #ago(t) {
+  // Seconds before the end; of a whole session, since its beginning.
+  #label(t) {
+    if (this.view.whole) return t === this.view.begin ? "0 s" : String(Math.round((t - this.view.begin) / 1000));
     const seconds = Math.round((t - this.view.end) / 1000);
     return seconds === 0 ? "0 s" : `−${-seconds}`;
   }
@@ -154,6 +157,11 @@ export class Charts {
     if (figure.hidden !== moves) return;
     figure.hidden = !moves;
     this.scores.last = !moves;
+  }
+
+  // How many pixels wide the curves are.
+  get columns() {
+    return Math.max(100, Math.round((this.counts.host.clientWidth - LEFT - RIGHT) * devicePixelRatio));
   }
 
   draw({ touch, scores, speed }, view) {

@@ -3,12 +3,14 @@
 import { element, write } from "./pad.js";
 
 const SHOWN = 100; // events
+const LISTED = 1000; // of a recording
 const number = new Intl.NumberFormat("en");
 
 export class Events {
   constructor() {
     this.body = document.getElementById("events");
     this.none = document.getElementById("no-events");
+    this.some = document.getElementById("some-events");
     this.all = []; // in the order of their numbers
     this.changed = false;
   }
@@ -54,7 +56,9 @@ export class Events {
     if (!this.changed) return;
     this.changed = false;
     this.none.hidden = this.all.length > 0;
-    const shown = go ? this.all.slice(0, 1000) : this.all.slice().reverse();
+    const shown = go ? this.all.slice(0, LISTED) : this.all.slice().reverse();
+    this.some.hidden = shown.length === this.all.length;
+    write(this.some, `The first ${number.format(shown.length)} of ${number.format(this.all.length)} events are listed.`);
     this.body.replaceChildren(...shown.map((event) => row(event, when(event.t), go)));
   }
 }
@@ -65,6 +69,7 @@ function row(event, time, go) {
     const button = element("button");
     button.type = "button";
     button.textContent = time;
+    button.setAttribute("aria-label", `Go to ${time}`);
     button.addEventListener("click", () => go(event.t));
     first.append(button);
   } else first.textContent = time;

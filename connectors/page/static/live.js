@@ -15,7 +15,7 @@ export function live(view) {
   const when = (t) => clock.format(new Date(hello.start + t));
   const pause = $("pause");
 
-  view.scene = () => paused ?? { touch: view.touch, scores: view.scores, speed: view.speed, end: view.newest };
+  view.scene = () => paused ?? { streams: view.streams, figures: view.streams, end: view.newest };
   pause.addEventListener("click", () => {
     paused = paused ? null : still(view);
     pause.setAttribute("aria-pressed", String(paused !== null));
@@ -26,12 +26,12 @@ export function live(view) {
 
   function tellLink() {
     const lost = document.body.dataset.link === "lost", at = paused?.end;
-    const text = ended ? "Ended" : lost ? "Not connected" : paused ? "Paused" : hello?.live ? "Live" : "Replay";
+    const text = ended ? "Ended" : lost ? "Not connected" : paused ? "Paused" : hello?.recording === null ? "Live" : "Replay";
     write($("link"), text);
     $("link").className = ended || paused ? "" : lost ? "bad" : "on";
     const notice = lost && !ended ? "No flow is connected. This page asks again every second and goes on by itself."
       : ended ? `The run has ended${ended.error ? `: ${ended.error}` : ""}. This page waits for the next one.`
-      : paused && at !== null ? `The picture stands at ${when(at)}. Slips are still told.` : "";
+      : paused && at !== null ? `The picture is held at ${when(at)}. Slips are still listed.` : "";
     $("notice").hidden = !notice;
     write($("notice"), notice);
   }
@@ -43,7 +43,7 @@ export function live(view) {
       $("state").dataset.slip = false;
       write($("felt"), "No flow is connected");
       $("felt").dataset.said = "";
-      document.title = "Not connected · slipflow";
+      view.entitle("Not connected");
     }
     tellLink();
   }
@@ -60,7 +60,10 @@ export function live(view) {
       write(pause, "Pause");
     }
     view.threshold = hello.threshold;
-    write($("session"), `${hello.flow}, session ${hello.session}`);
+    view.name = hello.flow;
+    $("felt").dataset.said = ""; // the title names the flow
+    const replay = hello.recording === null ? "" : ` · replay of ${hello.recording}`;
+    write($("session"), `Flow ${hello.flow} · session ${hello.session}${replay}`);
     link("live");
     tellLink();
     frame(hello, false);
@@ -112,15 +115,22 @@ export function live(view) {
     const dead = performance.now() - heard > SILENCE || source.readyState !== EventSource.OPEN;
     if (!dead) return;
     if (!ended || performance.now() - heard > SILENCE) link("lost");
+    if (source.readyState === EventSource.CLOSED) askForToken();
     if (source.readyState === EventSource.CLOSED || performance.now() - heard > SILENCE) open();
   }, AGAIN);
   open();
 }
 
+// A server that came back with another token says so to a page that is opened anew.
+async function askForToken() {
+  const answer = await fetch("about.json", { cache: "no-store" }).catch(() => null);
+  if (answer?.status === 401) location.reload();
+}
+
 // The picture as it is, whatever comes.
-function still({ touch, scores, speed, newest }) {
-  const copied = (rows) => new Map([...rows].map(([finger, each]) => [finger, each.copy()]));
-  return { touch: copied(touch), scores: copied(scores), speed: speed.copy(), end: newest };
+function still({ streams, newest }) {
+  const copy = streams.copy();
+  return { streams: copy, figures: copy, end: newest };
 }
 
 // Say something to who cannot see it: not more often than it can be heard.

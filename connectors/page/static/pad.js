@@ -62,10 +62,11 @@ export class Pads {
       const tr = table.insertRow();
       for (const k of row) {
         const td = tr.insertCell(), count = element("span", "count"), fault = element("span", "fault-text");
-        const which = element("span", "which"), key = element("span", "key");
+        const barometer = element("span", "unseen"), which = element("span", "which"), key = element("span", "key");
+        barometer.textContent = "barometer ";
         which.textContent = k;
         key.style.setProperty("--hue", `var(${HUES[k]})`);
-        td.append(which, count, fault, key);
+        td.append(barometer, which, count, fault, key);
         cells[k] = { td, count, fault };
       }
     }

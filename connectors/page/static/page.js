@@ -5,7 +5,7 @@ import { Events } from "./lists.js";
 import { Pads, title, write } from "./pad.js";
 import { live } from "./live.js";
 import { recorded } from "./recorded.js";
-import { Rows } from "./rows.js";
+import { Streams } from "./rows.js";
 
 const $ = (id) => document.getElementById(id);
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
@@ -25,14 +25,12 @@ class View {
       this.window = 1000 * Number(target.value);
       this.onchange();
     });
+    this.name = ""; // of the flow, or of the recorded session
     this.clear();
   }
 
   clear() {
-    this.touch = new Map();
-    this.zeroed = new Map();
-    this.scores = new Map();
-    this.speed = new Rows(1);
+    this.streams = new Streams();
     this.faults = {};
     this.slipping = new Set();
     this.events.clear();
@@ -47,33 +45,21 @@ class View {
 
   // Take the streams of a frame; `put` is "push" or "replace".
   take(frame, put = "push") {
-    for (const [finger, rows] of Object.entries(frame.touch ?? {})) {
-      if (this.zeroed.get(finger) !== rows.zeroed) this.touch.delete(finger); // raw until now
-      this.zeroed.set(finger, rows.zeroed);
-      if (!this.touch.has(finger)) this.touch.set(finger, new Rows(6));
-      this.touch.get(finger)[put](rows, rows.zeroed ? -1 : 1);
-    }
-    for (const [finger, rows] of Object.entries(frame.scores ?? {})) {
-      if (!this.scores.has(finger)) this.scores.set(finger, new Rows(1));
-      this.scores.get(finger)[put](rows);
-    }
-    if (frame.speed) {
-      this.speed[put](frame.speed);
-      this.moves ||= frame.speed.t.length > 0 || put === "replace";
-    }
-    const fingers = [...this.touch.keys()].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
-    if (!this.touch.has(this.finger)) this.finger = fingers[0] ?? null;
+    this.streams.take(frame, put);
+    if (frame.speed) this.moves ||= frame.speed.t.length > 0 || put === "replace";
+    const fingers = [...this.streams.touch.keys()].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
+    if (!this.streams.touch.has(this.finger)) this.finger = fingers[0] ?? null;
     this.pads.have(fingers, this.finger);
   }
 
   set threshold(value) {
     this.charts.threshold = value;
-    write($("scores-unit"), value === null ? "" : `dashed: decided from ${value}`);
+    write($("scores-unit"), value === null ? "" : `dashed: the threshold of a slip, ${value}`);
   }
 
   // The newest instant of the chosen fingertip, ms; of the arm where there is none.
   get newest() {
-    return this.touch.get(this.finger)?.newest ?? this.speed.newest;
+    return this.streams.touch.get(this.finger)?.newest ?? this.streams.speed.newest;
   }
 
   slips(finger) {
@@ -81,8 +67,8 @@ class View {
   }
 
   // Whether anything tells if a fingertip slips: a score, or an event; in a recording, up to its instant.
-  knows(finger, { scores, end, span }) {
-    const score = (scores.get(finger) ?? scores.get("every"))?.at(end ?? -Infinity)?.[0] ?? null;
+  knows(finger, { figures, end, at = end, span }) {
+    const score = figures.scoring(finger)?.at(at ?? -Infinity)?.[0] ?? null;
     return score !== null || this.slips(finger) || this.events.tell(finger, span ? end : Infinity);
   }
 
@@ -107,18 +93,20 @@ class View {
     this.later = setTimeout(() => this.dirty(), wait);
   }
 
-  // Override: what is drawn, and up to when; `span`: [begin, end] of the curves, unless it is the window before.
+  // Override: what is drawn, and up to when; what has the figures, as curves may be thinned, and `at` which
+  // instant, unless that is the end; `span`: [begin, end] of the curves, unless it is the window before the end,
+  // and whether that is the `whole` session.
   scene() {
-    return { touch: this.touch, scores: this.scores, speed: this.speed, end: this.newest };
+    return { streams: this.streams, figures: this.streams, end: this.newest };
   }
 
   draw(now) {
-    const scene = this.scene(), { touch, scores, speed, end } = scene;
+    const scene = this.scene(), { streams, figures, end, at = end } = scene;
     this.showState(scene);
     this.charts.moves = this.moves;
     $("speed").parentElement.hidden = !this.moves;
     if (end === null) return;
-    const raw = this.zeroed.get(this.finger) === false;
+    const raw = streams.zeroed.get(this.finger) === false;
     if (raw !== this.charts.raw) {
       this.charts.raw = raw;
       write($("counts-title"), raw ? "Reading of each barometer" : "Pressure of each barometer");
@@ -127,19 +115,21 @@ class View {
     }
     const readable = this.pads.tick(now);
     if (!readable) this.redraw(100); // so that the last figures are written too
-    for (const [finger, rows] of touch) {
-      const values = rows.at(end), deep = this.zeroed.get(finger) ? Math.max(0, ...(values ?? [])) : 0;
+    for (const finger of streams.touch.keys()) {
+      const values = figures.touch.get(finger)?.at(at) ?? null, zeroed = streams.zeroed.get(finger);
+      const deep = zeroed ? Math.max(0, ...(values ?? [])) : 0;
       if (deep > this.deepest) this.deepest = nice(deep);
-      const share = this.zeroed.get(finger) ? (v) => v / this.deepest : (v) => (1023 - v) / 1023;
+      const share = zeroed ? (v) => v / this.deepest : (v) => (1023 - v) / 1023;
       this.pads.show(finger, values, share, this.faults[finger] ?? {}, this.said(finger, scene));
     }
     write($("ramp-from"), raw ? "1023" : "0");
     write($("ramp-to"), raw ? "0" : String(this.deepest));
-    const [from, to] = scene.span ?? [end - this.window, end];
+    const [from, to] = scene.span ?? [end - this.window, end], whole = scene.whole ?? false;
     const slips = this.events.spans(this.finger, to);
-    const streams = { touch: touch.get(this.finger), scores: scores.get(this.finger) ?? scores.get("every"), speed };
-    this.charts.draw(streams, { begin: from, end: to, at: end, slips });
-    if (readable) this.#figures(streams, end);
+    const { touch, speed } = streams;
+    const shown = { touch: touch.get(this.finger), scores: streams.scoring(this.finger), speed };
+    this.charts.draw(shown, { begin: from, end: to, at: end, slips, whole });
+    if (readable) this.#tell(figures, at);
   }
 
   said(finger, scene) {
@@ -147,7 +137,10 @@ class View {
   }
 
   showState(scene) {
-    if (this.finger === null) return;
+    if (this.finger === null) {
+      this.entitle();
+      return;
+    }
     const said = this.said(this.finger, scene), heading = $("felt");
     $("state").dataset.slip = said === "slip";
     const state = said[0].toUpperCase() + said.slice(1);
@@ -156,17 +149,23 @@ class View {
       const small = document.createElement("small");
       small.textContent = title(this.finger);
       heading.replaceChildren(small, state);
-      document.title = `${state} · ${title(this.finger)} · slipflow`;
+      this.entitle(state, title(this.finger));
     }
   }
 
-  #figures({ scores, speed }, end) {
+  // Name the page: what is felt first, then `name`, of what it shows, the program last.
+  entitle(...felt) {
+    const text = [...felt, this.name, "slipflow"].filter(Boolean).join(" · ");
+    if (document.title !== text) document.title = text;
+  }
+
+  #tell(figures, instant) {
     const near = (rows, digits) => {
-      const at = rows?.at(end)?.[0] ?? null;
+      const at = rows?.at(instant)?.[0] ?? null;
       return at === null ? "–" : at.toFixed(digits);
     };
-    write($("probability"), near(scores, 2));
-    write($("speed"), near(speed, 1));
+    write($("probability"), near(figures.scoring(this.finger), 2));
+    write($("speed"), near(figures.speed, 1));
   }
 }
 

@@ -1,10 +1,12 @@
 // A recorded session: a slider chooses an instant; the window before it is drawn, or all.
 
 import { write } from "./pad.js";
+import { Streams } from "./rows.js";
 
 const $ = (id) => document.getElementById(id);
 const STRIDES = { PageUp: 10000, PageDown: -10000 }; // ms, by key
 const STEP = 100; // ms, of the arrows; ten times that with shift
+const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabindex]"; // what does something with it
 
 export function recorded(view, about) {
   const slider = $("instant"), play = $("play"), canvas = $("overview");
@@ -13,7 +15,9 @@ export function recorded(view, about) {
   document.body.dataset.link = "recorded";
   $("scrub").hidden = false;
   $("window").append(new Option("1 min", "60"), new Option("5 min", "300"), new Option("all", "Infinity"));
-  write($("session"), `session ${about.session}`);
+  const of = [["Flow", about.flow], ["dataset", about.dataset], ["session", about.session]].filter(([, name]) => name);
+  write($("session"), of.map((each) => each.join(" ")).join(" · "));
+  view.name = about.session;
   write($("link"), "Recorded");
   write($("no-events"), "None.");
   $("notice").hidden = !about.about;
@@ -21,13 +25,16 @@ export function recorded(view, about) {
   view.threshold = about.threshold;
   view.deepest = about.zeroed && about.deepest < -100 ? nearest(-about.deepest) : 100;
   view.events.add(about.events, Infinity);
+  const slips = about.events.filter((event) => event.onset).length;
+  write($("events-count"), slips ? `${slips.toLocaleString("en")} ${slips === 1 ? "slip" : "slips"}` : "");
   slider.max = about.length;
   slider.value = Math.min(about.length, Math.max(view.window, first(about.events)));
 
   const begun = new Date(about.start);
   const clock = (t) => new Date(begun.getTime() + t).toISOString().slice(11, 22);
   const instant = () => Number(slider.value);
-  view.scene = () => ({ touch: view.touch, scores: view.scores, speed: view.speed, end: instant(), span: span() });
+  let figures = new Streams(); // of the newest instant that was asked for; curves are thinned to their pixels
+  view.scene = () => ({ streams: view.streams, figures, at: Infinity, end: instant(), span: span(), whole: view.window === Infinity });
   // What the curves show: the window before the instant, or the whole session.
   const span = () => (view.window === Infinity ? [0, about.length] : [instant() - view.window, instant()]);
   view.onchange = () => refresh();
@@ -36,28 +43,34 @@ export function recorded(view, about) {
   async function refresh() {
     const t = instant();
     write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
-    slider.setAttribute("aria-valuetext", elapsed(t));
     view.slipping = slipping(about.events, t);
-    write($("axis"), view.window === Infinity ? "seconds before the end of the session" : "seconds before the instant chosen");
+    tellInstant(t);
+    write($("axis"), view.window === Infinity ? "seconds since the session began" : "seconds before the instant chosen");
     view.dirty();
     again = asking;
     if (asking) return;
     asking = true;
     try {
-      const [begin, end] = span(), answer = await fetch(`window?begin=${begin}&end=${end}`);
-      if (!answer.ok) throw new Error(await answer.text());
-      view.take(await answer.json(), "replace");
+      const answer = await ask(...span(), t, view.charts.columns);
+      figures = new Streams();
+      figures.take(answer.at);
+      view.take(answer, "replace");
+      tellInstant(instant()); // now it is known of which fingertip
       $("notice").hidden = !about.about;
       write($("notice"), about.about);
       view.dirty();
     } catch {
       stop();
       $("notice").hidden = false;
-      write($("notice"), "The server of this recording does not answer: slipflow show serves it.");
+      write($("notice"), "The server of this recording does not answer. Start it again: slipflow show SESSION");
     } finally {
       asking = false;
       if (again) refresh();
     }
+  }
+
+  function tellInstant(t) {
+    slider.setAttribute("aria-valuetext", `${elapsed(t)}${view.slips(view.finger) ? ", slip" : ""}`);
   }
 
   function go(t) {
@@ -71,7 +84,15 @@ export function recorded(view, about) {
     write(play, "Play");
   }
 
-  play.addEventListener("click", () => {
+  play.addEventListener("click", () => toggle());
+  document.addEventListener("keydown", (event) => {
+    if (event.key !== " " || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
+    if (event.target.closest(TAKES_SPACE)) return;
+    event.preventDefault(); // nothing scrolls
+    if (!event.repeat) toggle();
+  });
+
+  function toggle() {
     if (playing !== null) return stop();
     write(play, "Stop");
     if (instant() >= about.length) go(0);
@@ -84,7 +105,8 @@ export function recorded(view, about) {
       else playing = requestAnimationFrame(step);
     };
     playing = requestAnimationFrame(step);
-  });
+  }
+
   slider.addEventListener("input", () => { if (playing !== null) stop(); refresh(); });
   slider.addEventListener("keydown", (event) => {
     const arrow = { ArrowLeft: -STEP, ArrowDown: -STEP, ArrowRight: STEP, ArrowUp: STEP }[event.key];
@@ -118,11 +140,18 @@ export function recorded(view, about) {
 
   let whole = { touch: {} };
   refresh().then(async () => {
-    whole = await (await fetch(`window?begin=0&end=${about.length}`)).json();
+    whole = await ask(0, about.length, 0, Math.max(1, canvas.clientWidth));
     new ResizeObserver(draw).observe(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
     $("fingers").addEventListener("change", draw);
   });
+}
+
+// The curves between two instants in so many columns of pixels, and the figures at an instant.
+async function ask(begin, end, at, columns) {
+  const answer = await fetch(`window?${new URLSearchParams({ begin, end, at, columns })}`);
+  if (!answer.ok) throw new Error(await answer.text());
+  return answer.json();
 }
 
 function slipping(events, t) {

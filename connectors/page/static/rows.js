@@ -1,4 +1,4 @@
-// The newest rows of a stream: times (ms since the start of the run) and, for each column, values to draw.
+// The streams of a run. Rows of one: times (ms since the start of the run) and, for each column, values to draw.
 
 const KEPT = 31000; // ms
 const PAUSE = 250; // ms; a longer one is drawn as a gap
@@ -25,7 +25,7 @@ export class Rows {
     this.#trim(last - KEPT);
   }
 
-  // Everything anew, from a recording.
+  // Everything anew, from a recording, which says itself where nothing came.
   replace(rows, sign = 1) {
     this.t = [];
     for (const column of this.columns) column.length = 0;
@@ -66,6 +66,41 @@ export class Rows {
     const old = lowest(this.t, before);
     this.t.splice(0, old);
     for (const column of this.columns) column.splice(0, old);
+  }
+}
+
+// Touch and scores by fingertip, and the speed of the arm.
+export class Streams {
+  constructor() {
+    this.touch = new Map();
+    this.zeroed = new Map(); // by fingertip: whether its touch is
+    this.scores = new Map();
+    this.speed = new Rows(1);
+  }
+
+  // Take the streams of a frame; `put` is "push" or "replace".
+  take({ touch, scores, speed }, put = "push") {
+    for (const [finger, rows] of Object.entries(touch ?? {})) {
+      if (this.zeroed.get(finger) !== rows.zeroed) this.touch.delete(finger); // raw until now
+      this.zeroed.set(finger, rows.zeroed);
+      if (!this.touch.has(finger)) this.touch.set(finger, new Rows(6));
+      this.touch.get(finger)[put](rows, rows.zeroed ? -1 : 1);
+    }
+    for (const [finger, rows] of Object.entries(scores ?? {})) {
+      if (!this.scores.has(finger)) this.scores.set(finger, new Rows(1));
+      this.scores.get(finger)[put](rows);
+    }
+    if (speed) this.speed[put](speed);
+  }
+
+  // The scores that tell of a fingertip.
+  scoring(finger) {
+    return this.scores.get(finger) ?? this.scores.get("every");
+  }
+
+  copy() {
+    const copy = new Streams(), copied = (rows) => new Map([...rows].map(([finger, each]) => [finger, each.copy()]));
+    return Object.assign(copy, { touch: copied(this.touch), zeroed: new Map(this.zeroed), scores: copied(this.scores), speed: this.speed.copy() });
   }
 }
 

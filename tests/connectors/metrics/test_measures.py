@@ -116,4 +116,18 @@ def test_clocks_are_told_by_their_newest_row(run: Run) -> None:
 def test_a_name_with_quotes_and_line_ends_is_read_back(run: Run) -> None:
     run.sources['a "b"\n\\c'] = SourceStatus(rows=1)
     assert at(read(Measures(run)), "slipflow_source_rows_total", source='a "b"\n\\c') == 1
-    assert at(read(Measures(run)), "slipflow_run_info", session="run1", flow="live", live="true") == 1
+    assert (
+        at(read(Measures(run)), "slipflow_run_info", session="run1", flow="live", live="true", recording="")
+        == 1
+    )
+
+
+def test_a_replay_says_what_of_and_measures_no_latency_though_it_is_paced(run: Run) -> None:
+    run.recording = "stroke-9"
+    measures = Measures(run)
+    measures.add(slips(NOW - 10 * ms))
+    found = read(measures)
+    assert at(found, "slipflow_slip_events_total", finger="0", state="onset") == 1
+    assert not [name for name, _ in found if name.startswith("slipflow_slip_latency")]
+    about = {"session": "run1", "flow": "live", "live": "true", "recording": "stroke-9"}
+    assert at(found, "slipflow_run_info", **about) == 1

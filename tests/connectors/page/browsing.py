@@ -6,6 +6,7 @@ from threading import Thread
 from typing import Any, Self
 
 from connectors import Page
+from connectors.page.recorded import Recorded
 from connectors.page.scrubber import Scrubber
 from flows.clock import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
@@ -92,13 +93,15 @@ class ServedPage(Served):
 class ServedRecording(Served):
     """A recorded session's page."""
 
-    def __init__(self, scrubber: Scrubber) -> None:
+    def __init__(self, recorded: Coroutine[Any, Any, Recorded]) -> None:
         super().__init__()
-        self._scrubber = scrubber
+        self._recorded = recorded
 
     def __enter__(self) -> Self:
         super().__enter__()
-        self.url: str = self.do(self._scrubber.open())
+        self._scrubber = Scrubber(self.do(self._recorded), 0)
+        self.do(self._scrubber.open())
+        self.url = self._scrubber.url
         return self
 
     def __exit__(self, *_: object) -> None:

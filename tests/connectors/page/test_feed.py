@@ -5,12 +5,12 @@ import pytest
 from aiohttp import ClientSession
 
 from connectors.page import feed as module
-from connectors.page.access import Access
 from connectors.page.feed import Feed
 from connectors.page.messages import message
-from connectors.page.server import PageServer
 from connectors.page.viewer import WAITING
 from connectors.testing import PATIENCE
+from connectors.web_access import Access
+from connectors.web_server import WebServer
 from tests.connectors.page.reading import events, listening
 
 
@@ -18,13 +18,13 @@ async def hello() -> bytes:
     return message("hello", {})
 
 
-async def served(feed: Feed) -> PageServer:
-    server = PageServer("127.0.0.1", 0, Access())
+async def served(feed: Feed) -> WebServer:
+    server = WebServer("127.0.0.1", 0, Access(), "a feed")
     await server.open({"/stream": feed.stream})
     return server
 
 
-def port(server: PageServer) -> int:
+def port(server: WebServer) -> int:
     return int(server.url.rpartition(":")[2])
 
 
@@ -61,6 +61,35 @@ def test_a_browser_that_takes_nothing_is_dropped_and_costs_little_until_then() -
     asyncio.run(main())
 
 
+def test_a_browser_that_takes_nothing_holds_up_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "FAREWELL", 0.05)
+
+    async def main() -> None:
+        feed = Feed(hello, stalled=PATIENCE)
+        server = await served(feed)
+        async with asyncio.timeout(PATIENCE), listening(server.url) as heard:
+            assert (await anext(heard))[0] == "hello"
+            with socket.socket() as silent:
+                silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                silent.connect(("127.0.0.1", port(server)))
+                silent.sendall(b"GET /stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+                while len(feed) < 2:  # noqa: ASYNC110 - nobody tells
+                    await asyncio.sleep(0)
+                for k in range(20):
+                    feed.tell("frame", "x" * 100_000)
+                    assert await anext(heard) == ("frame", "x" * 100_000), k
+                feed.tell("end", None)
+                await feed.close()
+                assert await anext(heard) == ("end", None)  # who reads has all of it
+                await server.close()
+                silent.setblocking(False)  # noqa: FBT003 - socket's own
+                with pytest.raises(ConnectionResetError):
+                    await read_all(silent)
+            assert not feed
+
+    asyncio.run(main())
+
+
 def test_a_browser_that_goes_is_forgotten_at_once() -> None:
     async def main() -> None:
         feed = Feed(hello)
@@ -93,8 +122,11 @@ def test_what_is_told_meanwhile_comes_after_the_hello() -> None:
             feed.tell("frame", 1)
             go.set()
             assert [await anext(heard), await anext(heard)] == [("hello", {}), ("frame", 1)]
-            feed.end()
-            assert [each async for each in heard] == []
+            feed.tell("end", 2)
+            await feed.close()
+            assert [each async for each in heard] == [("end", 2)]
+        async with ClientSession() as session, session.get(f"{server.url}/stream") as late:
+            assert (late.status, await late.text()) == (503, "The run has ended.\n")
         await server.close()
 
     asyncio.run(main())

@@ -42,7 +42,7 @@ def test_who_comes_late_hears_what_was_before_and_then_what_comes(run: Run) -> N
         async with listening(page.url) as heard:
             hello = await next_of(heard, "hello")
             assert (hello["session"], hello["flow"], hello["threshold"]) == ("run1", "live", 0.78)
-            assert hello["start"] == 90_000
+            assert (hello["live"], hello["recording"], hello["start"]) == (True, None, 90_000)
             assert hello["touch"]["0"]["v"] == [[-5] * 6]
             assert hello["slipping"] == ["0"]
             assert [event["latency"] for event in hello["events"]] == [10.0]
@@ -135,6 +135,20 @@ def test_without_a_browser_nothing_is_sent_and_closing_is_clean(run: Run) -> Non
         await page.close()
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection(*re.findall(r"//(.*):(\d+)", page.url)[0])
+
+    asyncio.run(main())
+
+
+def test_without_a_browser_closing_waits_for_no_recorder(run: Run) -> None:
+    run.sinks["dataset"] = SinkStatus(rows=7, queued=1)  # never done
+
+    async def main() -> None:
+        page = Page(port=0)
+        await page.open(run)
+        closing = asyncio.create_task(page.close())
+        for _ in range(50):  # turns of the event loop, in which no time is waited
+            await asyncio.sleep(0)
+        assert closing.done()
 
     asyncio.run(main())
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from connectors.page import recorded as module
-from connectors.page.recorded import POINTS, Recorded
+from connectors.page.recorded import Recorded
 from operators.batch import Motion, Scores, Slips, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Run
@@ -16,7 +16,7 @@ START = 90 * s
 
 def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips) -> Recorded:
     async def main() -> Recorded:
-        recorded = Recorded(threshold=0.5, about="A recorded session.")
+        recorded = Recorded(threshold=0.5, about="A recorded session.", flow="record", dataset="lab")
         await recorded.open(run)
         for batch in batches:
             await recorded.write(batch)
@@ -27,7 +27,7 @@ def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips) -> Recorded:
 
 
 def cut(recorded: Recorded, begin: float, end: float) -> dict[str, Any]:
-    return {**recorded.window(begin, end)}
+    return {**recorded.window(begin, end, 1000)}
 
 
 def test_a_window_has_the_rows_between_its_ends(run: Run) -> None:
@@ -38,17 +38,30 @@ def test_a_window_has_the_rows_between_its_ends(run: Run) -> None:
     assert window["touch"]["0"]["zeroed"]
     assert window["speed"] is None
     assert cut(recorded, 5000, 6000)["touch"]["0"]["t"] == []
-    assert cut(recorded, -500, -100)["touch"]["0"]["t"] == [0.0]
+    assert cut(recorded, -500, -100)["touch"]["0"]["t"] == []
 
 
-def test_a_long_window_is_thinned_and_keeps_its_peak(run: Run) -> None:
+def test_a_long_window_is_thinned_to_the_pixels_and_keeps_its_peak(run: Run) -> None:
     rows = 100_000
     time = START + np.arange(rows) * 10 * ms
     probability = np.zeros(rows)
     probability[54_321] = 0.875
-    window = cut(kept(run, Scores(time, probability, finger=0)), 0, 1e9)
-    assert len(window["scores"]["0"]["t"]) == POINTS
-    assert max(window["scores"]["0"]["v"]) == 0.875
+    scores = cut(kept(run, Scores(time, probability, finger=0)), 0, 1e6)["scores"]["0"]
+    assert len(scores["t"]) == 2000
+    assert max(scores["v"]) == 0.875
+    at = scores["v"].index(0.875)
+    assert scores["t"][at - 1] <= 543_210 <= scores["t"][at]
+
+
+def test_the_figures_of_an_instant_are_those_recorded_however_the_curves_are_thinned(run: Run) -> None:
+    time = START + np.arange(100_000) * 10 * ms
+    recorded = kept(run, Scores(time, np.arange(100_000) % 100 / 100, finger=0), felt(START, -7))
+    seen: dict[str, Any] = {**recorded.figures(543_215)}
+    assert seen["scores"]["0"] == {"t": [543_210], "v": [pytest.approx(0.21)]}
+    assert seen["touch"]["0"]["t"] == []  # its last row is too old to tell anything
+    assert seen["speed"] is None
+    before: dict[str, Any] = {**recorded.figures(-1)}
+    assert before["scores"]["0"]["t"] == []
 
 
 def test_what_is_told_first_are_the_span_the_fingertips_and_all_events(run: Run) -> None:
@@ -60,6 +73,7 @@ def test_what_is_told_first_are_the_span_the_fingertips_and_all_events(run: Run)
     contents: dict[str, Any] = {**kept(run, *batches).contents()}
     assert contents["fingers"] == ["0", "1"]
     assert (contents["start"], contents["length"]) == (90_000, 20)
+    assert (contents["flow"], contents["dataset"], contents["session"]) == ("record", "lab", "run1")
     assert (contents["threshold"], contents["deepest"], contents["zeroed"]) == (0.5, -300, True)
     [event] = contents["events"]
     assert (event["t"], event["finger"], event["onset"], event["latency"]) == (20, "1", True, None)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from connectors.events import encode
-from connectors.page.series import extremes, series, shown
+from connectors.page.series import PAUSE, drawn, series, shown
 from operators.batch import Motion, Scores, Touch, ms, s
 
 
@@ -26,7 +26,7 @@ def test_a_probability_that_is_not_known_is_null() -> None:
 def test_thinning_loses_no_peak_of_any_column() -> None:
     time, values = np.arange(10_001), np.zeros((10_001, 2))
     values[3_333, 0], values[7_777, 1] = 9.0, -9.0
-    thin, kept = extremes(time, values, 200)
+    thin, kept = drawn(time, values, 0, 10_000, 100)
     assert len(thin) == len(kept) == 200
     assert kept.max(axis=0).tolist() == [9.0, 0.0]
     assert kept.min(axis=0).tolist() == [0.0, -9.0]
@@ -34,14 +34,35 @@ def test_thinning_loses_no_peak_of_any_column() -> None:
     assert (thin[0], thin[-1]) == (0, 10_000)
 
 
+def test_each_column_of_pixels_has_its_own_rows_however_unevenly_they_came() -> None:
+    time = np.concatenate(
+        (np.arange(0, 100), np.arange(900, 1000, 10))
+    )  # of 10 columns the first and the last
+    thin, kept = drawn(time, time.astype(np.float64), 0, 1000, 10)
+    assert thin.tolist() == [0, 99, 900, 990]
+    assert kept.tolist() == [0, 99, 900, 990]
+
+
+@pytest.mark.parametrize("columns", [2, 1000])
+def test_no_line_bridges_a_pause(columns: int) -> None:
+    before = np.arange(10) * ms
+    after = before[-1] + PAUSE + 1 + before
+    time, values = drawn(np.concatenate((before, after)), np.ones((20, 6)), 0, 2 * PAUSE, columns)
+    [gap] = np.flatnonzero(np.isnan(values).any(axis=1)).tolist()
+    assert (time[gap - 1], time[gap], time[gap + 1]) == (before[-1], before[-1] + 1, after[0])
+    assert np.isnan(values[gap]).all()
+
+
 def test_a_few_rows_are_given_as_they_are() -> None:
     time, values = np.arange(4), np.array([1.0, 2.0, 3.0, 4.0])
-    assert extremes(time, values, 4) == (time, values)
+    thin, kept = drawn(time, values, 0, 3, 2)
+    assert (thin.tolist(), kept.tolist()) == ([0, 1, 2, 3], [1, 2, 3, 4])
+    assert len(drawn(time[:0], values[:0], 0, 3, 2)[0]) == 0
 
 
 def test_what_is_not_known_hides_nothing_beside_it() -> None:
     values = np.full(100, np.nan)
     values[51] = 7.0
-    _, kept = extremes(np.arange(100), values, 10)
+    _, kept = drawn(np.arange(100), values, 0, 99, 5)
     assert np.nanmax(kept) == 7.0
     assert np.isnan(kept[:4]).all()

@@ -1,4 +1,4 @@
-"""Who may see the page."""
+"""Who may see what is served over HTTP."""
 
 import hmac
 import os
@@ -11,7 +11,7 @@ from pathlib import Path
 from socket import gethostname
 from typing import Final, Self
 
-from connectors.page.address import is_loopback
+from connectors.web_address import is_loopback
 from operators.errors import InputError, ParameterError
 
 TOKEN: Final = "SLIPFLOW_PAGE_TOKEN"  # noqa: S105 - the variable's name
@@ -33,6 +33,7 @@ class Access:
     """
 
     token: str | None = None  # 16 to 256 letters, digits, '.', '_', '~' or '-'; None: everybody may
+    any_name: bool = False  # whether the Host header may be anything: for what no browser is to read
 
     @classmethod
     def of(cls, host: str, token: str | None) -> Self:
@@ -66,6 +67,8 @@ class Access:
         >>> [Access().is_named(host) for host in ("127.0.0.1:8765", "[::1]", "localhost:80", "evil.example")]
         [True, True, True, False]
         """
+        if self.any_name:
+            return True
         match = _NAMED.fullmatch(host)
         if match is None:
             return False

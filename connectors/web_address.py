@@ -1,19 +1,20 @@
-"""Where the page is."""
+"""Addresses of what is served over HTTP."""
 
 from contextlib import suppress
 from ipaddress import ip_address
 from typing import Final
 
-PORT: Final = 8765  # unless another is asked for
+PAGE_PORT: Final = 8765  # unless another is asked for, as is the next
+METRICS_PORT: Final = 9464  # usual for an application that exports its own metrics
 
 
-def address(host: str, port: int | None) -> str:
-    """The address of a page; None: on the usual port.
+def address(host: str, port: int) -> str:
+    """An address as it is written.
 
-    >>> address("::1", None)
+    >>> address("::1", 8765)
     'http://[::1]:8765'
     """
-    return f"http://{f'[{host}]' if ':' in host else host}:{PORT if port is None else port}"
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}"
 
 
 def is_loopback(host: str) -> bool:

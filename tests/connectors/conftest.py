@@ -2,7 +2,7 @@
 
 import pytest
 
-from connectors.page.access import TOKEN, TOKEN_FILE
+from connectors.web_access import TOKEN, TOKEN_FILE
 
 
 @pytest.fixture(autouse=True)

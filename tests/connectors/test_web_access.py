@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from connectors.page.access import TOKEN, TOKEN_FILE, Access
+from connectors.web_access import TOKEN, TOKEN_FILE, Access
 from operators.errors import InputError, ParameterError
 
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
@@ -76,3 +76,7 @@ def test_addresses_and_names_of_this_machine_are_ours() -> None:
         socket.gethostname(),
     ):
         assert Access().is_named(host), host
+
+
+def test_what_no_browser_is_to_read_goes_by_any_name() -> None:
+    assert Access(any_name=True).is_named("robot.example")
