@@ -101,7 +101,11 @@ def grid(
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the form that the path's ending names."""
+    """Write a figure in the format that the path's ending names: .svg or .png.
+
+    Raises:
+        OSError: if it cannot be written.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     with _style():
         figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=110)

@@ -1,4 +1,4 @@
-"""Holding slip onsets that were raised against the slips that there were."""
+"""Matching the onsets that were raised with the slips that there were."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ AFTER: Final = 150 * ms  # ns, how long after its end a slip may still ring
 
 @dataclass(frozen=True)
 class Onsets:
-    """How onsets answer to true slips."""
+    """Onsets, held against true slips."""
 
     delays: Times  # (caught,) ns from the start of each slip that was caught to its first onset
     missed: int  # slips without an onset

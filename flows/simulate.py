@@ -7,20 +7,15 @@ recording, never by window, about 70/10/20 of every surface, speed and kind of m
 
 import asyncio
 import os
-import signal
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, astuple, dataclass
 from functools import partial
-from multiprocessing import get_context, parent_process
 from operator import add
 from pathlib import Path
-from threading import Thread
 from time import perf_counter
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -30,27 +25,24 @@ from connectors.rig.scene import Scene
 from connectors.rig.variety import varied
 from flows.clock import EventClock
 from flows.graph import Flow
+from flows.process_map import process_map
 from flows.record import collect
 from flows.replay_runner import ReplayRunner
-from flows.trials import TURNS
+from flows.splits import SPLITS, TURNS
 from operators import Label, Source
 from operators.batch import SLIP, STATIC, Batch, Labelled, Motion, Touch, concat, s
-from operators.errors import ParameterError, SlipflowError
+from operators.errors import ParameterError
 from operators.ports import Description, Json, SomeBatch
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.layout import session_folder
 from storage.partial import partial_folder
 
-T = TypeVar("T")
-R = TypeVar("R")
-
 PLANS: Final[Mapping[str, Collection]] = {
     "paper": Collection(),
     "wide": Collection(repeats=6, rotations=4, vary=varied),
     "tiny": Collection(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
 }
-SPLITS: Final[tuple[str, ...]] = ("train", "validation", "test")
 
 _APART: Final = {"tiny": 1_000_000}  # of seeds: a small plan repeats no recording of a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
@@ -206,7 +198,7 @@ def simulate(
     tallies = {split: Tally() for split in SPLITS}
     with (
         partial_folder(out.resolve()) as root,
-        closing(results(partial(_record, root, delay), planned, jobs)) as each,
+        closing(process_map(partial(_record, root, delay), planned, jobs)) as each,
     ):
         describe_dataset(root)
         progress(0, len(planned))
@@ -214,33 +206,6 @@ def simulate(
             tallies[split] += tally
             progress(done, len(planned))
     return Collected(out, plan, seed, tallies, perf_counter() - began)
-
-
-def results(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Generator[R]:
-    """What comes of each item, in order; more than one job: from processes that end with this one."""
-    if jobs == 1:
-        yield from map(work, items)
-        return
-    try:
-        with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_follow_parent) as pool:
-            yield from pool.map(work, items)
-    except BrokenProcessPool as error:
-        raise SlipflowError(
-            "simulate: a process ended early, perhaps killed for memory; use fewer jobs"
-        ) from error
-
-
-def _follow_parent() -> None:
-    """Leave Ctrl-C to the parent, and end when it ends, even killed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    assert parent, "runs in a worker"
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    Thread(target=follow, daemon=True).start()
 
 
 def _record(root: Path, delay: int, planned: Planned) -> tuple[str, Tally]:

@@ -1,6 +1,6 @@
 """What a detector is trained and judged on: recordings of one fingertip as counts and labels."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -14,6 +14,7 @@ from connectors.rig.motion import Controller
 from connectors.rig.paper import Collection
 from connectors.rig.scene import Move, Scene, Timing
 from connectors.rig.truth import SLIDING, Truth
+from flows.splits import SPLITS, TURNS
 from operators import Align, Health, Label, Zero, ms
 from operators.batch import (
     BAROMETERS,
@@ -35,7 +36,6 @@ from operators.hold import hold
 from storage import Session
 from storage.layout import session_folder, session_names
 
-TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 JUDGED: Final = 99  # samples before the first that is judged: what the longest window needs
 _STRETCH: Final = 3000  # samples simulated at once
 _STROKES: Final = ("translation", "rotation")
@@ -123,7 +123,11 @@ def load(dataset: Path) -> list[Trial]:
     Raises:
         InputError: if there is no dataset there, a file of it is damaged, or it holds no labelled samples.
     """
-    names = session_names(dataset) if dataset.is_dir() else []
+    if not dataset.is_dir():
+        raise InputError(
+            str(dataset), "there is no such folder; `slipflow simulate` or `run record` make one"
+        )
+    names = session_names(dataset)
     trials = [
         _of_session(session, finger)
         for session in (Session.open(session_folder(dataset, name)) for name in names)
@@ -139,6 +143,12 @@ def load(dataset: Path) -> list[Trial]:
     return trials
 
 
+def by_split(trials: Iterable[Trial]) -> dict[str, list[Trial]]:
+    """The trials of each of `SPLITS`; those of no split are left out."""
+    trials = list(trials)
+    return {split: [each for each in trials if each.split == split] for split in SPLITS}
+
+
 def read(path: Path) -> Trial:
     """A real trace.
 
@@ -147,7 +157,7 @@ def read(path: Path) -> Trial:
     """
     trace = CsvTrace(path, zeroed=True)
     if (trace.labels == UNKNOWN).any():
-        raise InputError(str(path), "has no label in every row")
+        raise InputError(str(path), "has rows without a label; a trace to judge by needs one in each")
     return Trial(trace.touch.counts, trace.labels, path.stem, name=path.stem)
 
 

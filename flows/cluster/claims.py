@@ -5,13 +5,14 @@ them. Claims are lines, in files that the cluster reads: who it is dealt to, a t
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple, Self
 
 from operators.errors import InputError
 
-LIMIT: Final = 4_000_000  # characters of a claim
+LIMIT: Final = 4_000_000  # characters of a line
 _TAB: Final = "\t"  # JSON has none
 
 
@@ -41,8 +42,18 @@ class End(NamedTuple):
     shares: tuple[tuple[int, ...], ...]  # the fingertips of each
 
 
+class _Line:
+    """What travels as a line of text: whose turn it is, a tab, and the fields of a dataclass as JSON."""
+
+    deal: int
+
+    def line(self) -> str:
+        """It as one line of text."""
+        return f"{self.deal}{_TAB}{json.dumps(vars(self), separators=(',', ':'))}"
+
+
 @dataclass(frozen=True)
-class Claim:
+class Claim(_Line):
     """The next slices of a recording for a share of its fingertips.
 
     >>> claim = Claim("one", "/data/one", 0, 1, (2,), 5, 0, {"touch": (0, 1, 2)}, (Slice(0, ()),))
@@ -66,10 +77,6 @@ class Claim:
         """What shares one state: a path."""
         return f"{self.session}/{self.turn}/{self.share}"
 
-    def line(self) -> str:
-        """It as one line of text."""
-        return _line(vars(self))
-
     @classmethod
     def read(cls, line: str) -> Self:
         """The claim that a line tells.
@@ -77,26 +84,20 @@ class Claim:
         Raises:
             InputError: if it tells none.
         """
-        if len(line) > LIMIT:
-            raise InputError("claim", f"is longer than {LIMIT} characters")
-        try:
-            told: dict[str, Any] = json.loads(line.partition(_TAB)[2])
+        with _reading("claim", line) as told:
             slices: list[Any] = told.pop("slices")
             fingers: list[int] = told.pop("fingers")
             sources: dict[str, list[int]] = told.pop("sources")
-            told["end"] = _end(told["end"])
             return cls(
                 **told,
                 fingers=tuple(fingers),
                 sources={name: tuple(each) for name, each in sources.items()},
                 slices=tuple(Slice(number, tuple(Rows(*each) for each in rows)) for number, rows in slices),
             )
-        except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-            raise InputError("claim", f"cannot be read: {error!r} in {line[:80]!r}") from error
 
 
 @dataclass(frozen=True)
-class Done:
+class Done(_Line):
     """That all claims of a share are worked off, or that one of them cannot be."""
 
     session: str
@@ -112,16 +113,15 @@ class Done:
         """What shares one state: a path."""
         return f"{self.session}/{self.turn}"
 
-    def line(self) -> str:
-        """It as one line of text."""
-        return _line(vars(self))
-
     @classmethod
     def read(cls, line: str) -> Self:
-        """What a line of `line` tells."""
-        told: dict[str, Any] = json.loads(line.partition(_TAB)[2])
-        told["end"] = _end(told["end"])
-        return cls(**told)
+        """What a line tells.
+
+        Raises:
+            InputError: if it does not tell that a share is done.
+        """
+        with _reading("done", line) as told:
+            return cls(**told)
 
 
 def deal_of(line: str) -> int:
@@ -133,8 +133,17 @@ def deal_of(line: str) -> int:
     return int(line.partition(_TAB)[0])
 
 
-def _line(told: Mapping[str, Any]) -> str:
-    return f"{told['deal']}{_TAB}{json.dumps(told, separators=(',', ':'))}"
+@contextmanager
+def _reading(what: str, line: str) -> Generator[dict[str, Any]]:
+    """The fields that a line holds, for a block that makes `what` of them; errors of both are told alike."""
+    if len(line) > LIMIT:
+        raise InputError(what, f"is longer than {LIMIT} characters")
+    try:
+        told: dict[str, Any] = json.loads(line.partition(_TAB)[2])
+        told["end"] = _end(told["end"])
+        yield told
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(what, f"cannot be read: {error!r} in {line[:80]!r}") from error
 
 
 def _end(told: tuple[int, int, list[list[int]]] | None) -> End | None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import cast
 
 from flows.cluster.claims import Claim, End, Rows, Slice
-from flows.cluster.parts import Stamps, read_stamps
+from flows.cluster.part_files import Stamps, read_stamps
 from flows.cluster.segment import needed, tapped
 from flows.graph import Flow
 from flows.plan import Entry, Plan
@@ -74,7 +74,7 @@ class Cutter:
         self._sources = sources
         found = list(self._cut(stamped, flow, closed=closed))
         if closed and not found:
-            raise InputError(str(self.folder), "is empty")
+            raise InputError(str(self.folder), "holds no rows, so there is nothing to work out")
         self.ended = closed
         return self._claimed(session, flow, found, closed=closed)
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from flows.cluster.cutting import Cutter
 from flows.cluster.job_folder import JobFolder
-from flows.cluster.rest import ENDED, JobManager
+from flows.cluster.job_manager import ENDED, JobManager
 from flows.cluster.segment import check_flow
 from flows.graph import Flow
 from flows.loading import Declaration
@@ -80,7 +80,10 @@ class Cluster:
         manager, python = JobManager(self.url), self._python()
         workers = manager.slots() if self.workers is None else self.workers
         if workers < 1:
-            raise EndpointError(self.url, "has no task manager")
+            raise EndpointError(
+                self.url,
+                "has no task manager, so nothing can run: start one, or try again when it has joined",
+            )
         shares = _SHARES * workers
         feed = Feed(flow, paths, follow=follow, slices=self.slices, shares=shares)
         feed.look()
@@ -171,7 +174,10 @@ class Feed:
             name = folder.name
             if name in self.cutters:
                 if self.cutters[name].folder != folder.resolve():
-                    raise InputError(str(folder), f"{self.cutters[name].folder} has the same name")
+                    raise InputError(
+                        str(folder),
+                        f"{self.cutters[name].folder} has the same name: run over them one after the other",
+                    )
                 continue
             there = [place for place in places if session_folder(place, name).exists()]
             if there and not self.follow:

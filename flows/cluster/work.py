@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from flows.cluster.claims import Claim, Done, Slice
-from flows.cluster.parts import PartReader
+from flows.cluster.part_files import PartReader
 from flows.cluster.segment import Tap, segment
 from flows.cluster.staging import Given, stage, staged_name
 from flows.graph import Flow

@@ -1,1 +1,1 @@
-"""Detectors, judged beside each other: how right they are, what their users feel, how sure they may be."""
+"""Judging detectors beside each other: their samples, events, motions and speed, and where each one fails."""

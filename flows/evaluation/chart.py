@@ -1,7 +1,7 @@
 """Speed against accuracy: every detector and size, timed and judged in one run.
 
-Beside them stand what a user would otherwise run: the default detector by torch, eagerly, and by onnxruntime,
-both on windows.
+Beside them stands the default detector as a user would otherwise run it: on windows, by torch, eagerly, and
+by onnxruntime.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -11,16 +11,16 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Final
 
+from flows.evaluation import published
+from flows.evaluation.chart_points import Goal, Point, with_front
 from flows.evaluation.events import Slips
-from flows.evaluation.judged import Judged
+from flows.evaluation.judgement import Judgement
 from flows.evaluation.methods import methods
 from flows.evaluation.one_thread import one_thread
-from flows.evaluation.points import PAPER, Goal, Point, with_front
 from flows.evaluation.speed import costs
 from flows.evaluation.tuning import BUDGET, tuned
 from flows.scoring import probabilities
-from flows.simulate import SPLITS
-from flows.trials import load
+from flows.trials import by_split, load
 from operators.detectors.detector import Detector, Streaming
 from operators.detectors.tcn import Tcn
 from operators.errors import InputError
@@ -66,7 +66,9 @@ class Chart:
             "dataset": self.dataset,
             "recordings": self.recordings,
             "points": [point.json() for point in self.points],
-            "paper": {name: {"accuracy": accuracy, "us": None} for name, accuracy in PAPER.items()},
+            "paper": {
+                name: {"accuracy": accuracy, "us": None} for name, accuracy in published.ACCURACY.items()
+            },
             "goals": [
                 {"goal": goal.text, "wanted": goal.wanted, "reached": goal.reached, "met": goal.met}
                 for goal in self.goals()
@@ -102,8 +104,7 @@ def chart(
     """
     began = perf_counter()
     told(f"reading {dataset.name}")
-    trials = load(dataset)
-    train, validation, test = ([each for each in trials if each.split == split] for split in SPLITS)
+    train, validation, test = by_split(load(dataset)).values()
     for split, part in (("validation", validation), ("test", test)):
         if not part:
             raise InputError(
@@ -119,7 +120,7 @@ def chart(
         told(f"SKIPPED: {name}, because {reason}")
     detectors |= beside
     slips = [Slips.labelled(trial) for trial in validation]
-    judged = dict[str, Judged]()
+    judged = dict[str, Judgement]()
     with one_thread():
         for name, detector in detectors.items():
             told(f"judging {name}")
@@ -127,7 +128,7 @@ def chart(
             if rule is None:
                 rule = tuned([probabilities(detector, trial) for trial in validation], slips, budget)
             rules[name] = rule
-            judged[name] = Judged.of(test, [probabilities(detector, trial) for trial in test], rule)
+            judged[name] = Judgement.of(test, [probabilities(detector, trial) for trial in test], rule)
         told("timing all of them by turns")
         counts = max((trial.counts for trial in test), key=len)[-_TIMED:]
         one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
@@ -142,7 +143,7 @@ def chart(
 
 
 def _beside(default: Detector | None) -> tuple[dict[str, Detector], dict[str, str]]:
-    """The default detector as a user would otherwise run it, and by name why not."""
+    """The default detector run by other libraries, by name; and for those that cannot, the reason."""
     if not isinstance(default, Tcn):
         return {}, dict.fromkeys(_NEEDED, f"there is no {DEFAULT}")
     result, missing = dict[str, Detector](), dict[str, str]()

@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.evaluation.points import PAPER, Point
+from flows.evaluation import published
+from flows.evaluation.chart_points import Point
 from flows.figures import FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
 
 _SIZE: Final = (12.0, 5.4)  # inches
@@ -41,7 +42,7 @@ def chart(points: Sequence[Point]) -> Figure:
 
 def _speed(axis: Axes, points: Sequence[Point]) -> None:
     low, high = min(point.us for point in points) / 2, max(point.us for point in points) * 8
-    values = [*PAPER.values(), *(point.judged.accuracy for point in points)]
+    values = [*published.ACCURACY.values(), *(point.judged.accuracy for point in points)]
     bottom, top = _stretch([min(values) - 4, min(max(values) + 1, 99.5)])
     axis.set_xscale("log")
     axis.set_yscale("function", functions=(_stretch, _shrink))
@@ -63,7 +64,7 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
         zorder=1,
         label="Pareto front",
     )
-    for name, accuracy in PAPER.items():
+    for name, accuracy in published.ACCURACY.items():
         axis.axhline(accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
         axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=FAINT, fontsize=7,
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
@@ -136,5 +137,5 @@ def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.floa
 
 
 def _shrink(stretched: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Back."""
+    """The inverse of `_stretch`: accuracy, %."""
     return 100 - np.exp(-np.asarray(stretched, np.float64))

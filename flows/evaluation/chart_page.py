@@ -4,12 +4,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from flows.evaluation import chart_figure
+from flows.evaluation import chart_figure, published
 from flows.evaluation.chart import DEFAULT, Chart
-from flows.evaluation.page import Page, Section, Table
-from flows.evaluation.points import PAPER, Point
-from flows.evaluation.sections import NONE, drawn, number
-from flows.evaluation.written import told, written
+from flows.evaluation.chart_points import Point
+from flows.evaluation.page import NONE, Page, Section, Table, drawn, number, terminal_text
+from flows.evaluation.page_files import write_page
 
 
 def page(of: Chart, command: str) -> Page:
@@ -28,19 +27,22 @@ def write(of: Chart, folder: Path, command: str) -> list[Path]:
     Raises:
         EndpointError: if they cannot be written.
     """
-    return written(page(of, command), of.json(), folder, "chart")
+    return write_page(page(of, command), of.json(), folder, "chart")
 
 
 def text(of: Chart) -> str:
     """What a person reads in a terminal."""
-    return told([points(of), *goals(of)])
+    return terminal_text([points(of), *goals(of)])
 
 
 def points(of: Chart) -> Section:
     """All of them, from fast to slow."""
     front = sorted((point for point in of.points if point.pareto), key=lambda point: point.us)
     rows = [_row(point) for point in sorted(of.points, key=lambda point: point.us)]
-    rows += [[f"paper's {name}", NONE, NONE, number(share), *[NONE] * 6] for name, share in PAPER.items()]
+    rows += [
+        [f"paper's {name}", NONE, NONE, number(share), *[NONE] * 6]
+        for name, share in published.ACCURACY.items()
+    ]
     head = ["detector", "runs on", "us/sample", "accuracy %", "balanced %", "false/min", "missed %",
             "delay ms", "64 fingertips, % of a core", "Pareto front"]  # fmt: skip
     return Section(

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from connectors.rig.truth import STICK
-from flows.evaluation.events import Felt, Slips, filled
+from flows.evaluation.events import EventMetrics, Slips, filled
 from flows.evaluation.label_changes import LabelChanges
 from flows.evaluation.methods import Method, methods
-from flows.evaluation.metrics import Confusion, Reliability, Roc
+from flows.evaluation.metrics import Confusion, Reliability, Roc, known
 from flows.evaluation.motions import Cells
-from flows.evaluation.truth import with_truth
+from flows.evaluation.simulated_truth import with_truth
 from flows.evaluation.tuning import BUDGET, tuned
 from flows.scoring import probabilities
 from flows.trials import Trial, load
@@ -39,10 +39,10 @@ class Result:
     cells: Cells  # by kind of motion
     debounce: Debounce
     chosen: str  # what the settings of the debounce rest on
-    felt: Felt  # against the label
-    paper_rule: Felt  # the same as the paper's robot tests register slip
+    events: EventMetrics  # against the label
+    paper_rule: EventMetrics  # the same as the paper's robot tests register slip
     sliding: Confusion | None  # against true sliding, where that is known
-    felt_sliding: Felt | None
+    sliding_events: EventMetrics | None
     seconds: float  # that scoring took
 
     def summary(self) -> dict[str, Any]:
@@ -51,18 +51,18 @@ class Result:
             **_shares(self.confusion),
             "auc": 100 * self.roc.area,
             "ece": self.reliability.error,
-            **_users(self.felt),
+            **_event_numbers(self.events),
         }
         debounce = {name: getattr(self.debounce, name) for name in ("threshold", "consecutive", "release")}
         more: dict[str, Any] = {
             "debounce": {**debounce, "chosen": self.chosen},
-            "paper_rule": _plain(_users(self.paper_rule)),
+            "paper_rule": _plain(_event_numbers(self.paper_rule)),
             "confusion": self.confusion.counts.astype(int).tolist(),
             "far_from_changes": _plain({"accuracy": self.changes.far(100)})["accuracy"],
             "origin": self.method.origin,
         }
-        if self.sliding is not None and self.felt_sliding is not None:
-            more["sliding"] = _plain({**_shares(self.sliding), **_users(self.felt_sliding)})
+        if self.sliding is not None and self.sliding_events is not None:
+            more["sliding"] = _plain({**_shares(self.sliding), **_event_numbers(self.sliding_events)})
         return {**_plain(told), **more}
 
 
@@ -176,10 +176,10 @@ class _Judge:
             Cells.of(self.trials, at, called),
             debounce,
             chosen,
-            Felt.of(scores, self.slips, debounce),
-            Felt.of(scores, self.slips, PAPER_RULE),
+            EventMetrics.of(scores, self.slips, debounce),
+            EventMetrics.of(scores, self.slips, PAPER_RULE),
             self._against_sliding(at, called),
-            Felt.of(scores, self.slid, debounce) if self.whole else None,
+            EventMetrics.of(scores, self.slid, debounce) if self.whole else None,
             seconds,
         )
 
@@ -228,11 +228,11 @@ def _shares(confusion: Confusion) -> dict[str, float]:
     return {key: float(getattr(confusion, key)) for key in keys}
 
 
-def _users(felt: Felt) -> dict[str, float]:
+def _event_numbers(events: EventMetrics) -> dict[str, float]:
     keys = ("false_alarms_per_min", "missed", "onset_ms", "late_ms", "repeated")
-    return {key: float(getattr(felt, key)) for key in keys}
+    return {key: float(getattr(events, key)) for key in keys}
 
 
 def _plain(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Rounded as far as they mean anything; JSON knows no NaN."""
-    return {key: None if np.isnan(value) else round(value, 3) for key, value in values.items()}
+    """Rounded to what they mean."""
+    return {key: known(value, 3) for key, value in values.items()}

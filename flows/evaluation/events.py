@@ -9,6 +9,7 @@ import numpy as np
 from connectors.rig.truth import STICK
 from flows.evaluation.metrics import percent
 from flows.onsets import match_onsets
+from flows.runs import runs
 from flows.trials import JUDGED, Trial
 from operators import Debounce, ms, s
 from operators.batch import SLIP, STATIC, Flags, Reals, Scores, Times
@@ -20,7 +21,7 @@ BRIEF: Final = 50 * ms  # ns; labels are no surer than that (paper, Fig. 6)
 
 @dataclass(frozen=True, slots=True)
 class Slips:
-    """What onsets in a recording should answer to; ns from its first sample.
+    """The slips that onsets in a recording are held against; ns from its first sample.
 
     A slip that pauses for less than `PAUSE` goes on: nobody wants two events of it. One that is shorter than
     `BRIEF`, or that began before anything is judged, need not be found; an onset there is not false either.
@@ -43,7 +44,7 @@ class Slips:
 
     @classmethod
     def of(cls, slip: Flags, pause: int, unknown: Flags | None = None) -> Self:
-        """Of samples (n,) that are slip; those that are unknown (n,) are neither.
+        """From the samples (n,) that are slip; those that are `unknown` (n,) are neither slip nor static.
 
         >>> slip = np.arange(300) // 50 == 3
         >>> Slips.of(slip, PAUSE).found == ((1500 * ms, 1990 * ms),)
@@ -60,12 +61,11 @@ class Slips:
 
 def bridged(flags: Flags, pause: int) -> tuple[Times, Times]:
     """First and last sample of each run of True, runs closer than `pause` ns joined; (k,) and (k,)."""
-    turns = np.diff(np.concatenate(([0], flags, [0])).astype(np.int8))
-    starts, ends = np.flatnonzero(turns == 1), np.flatnonzero(turns == -1) - 1
+    starts, ends = runs(flags).T
     if not len(starts):
         return starts, ends
-    apart = (starts[1:] - ends[:-1] - 1) * PERIOD >= max(pause, 1)
-    return starts[np.append(True, apart)], ends[np.append(apart, True)]
+    apart = (starts[1:] - ends[:-1]) * PERIOD >= max(pause, 1)
+    return starts[np.append(True, apart)], ends[np.append(apart, True)] - 1
 
 
 def filled(flags: Flags, pause: int) -> Flags:
@@ -82,8 +82,8 @@ def _stretches(starts: Times, ends: Times) -> tuple[tuple[int, int], ...]:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Felt:
-    """How the onsets of some recordings answer to their slips.
+class EventMetrics:
+    """The onsets of some recordings, held against their slips.
 
     An onset from 50 ms before a slip to 150 ms after it is an answer. A slip needs an onset of its own: one
     that begins while the slip before it is still reported is missed.
@@ -131,12 +131,12 @@ class Felt:
 
     @property
     def onset_ms(self) -> float:
-        """Median delay of the onsets."""
+        """Median delay of the onsets, ms."""
         return self.quantile(0.5)
 
     @property
     def late_ms(self) -> float:
-        """Delay that one onset in ten exceeds."""
+        """Delay that one onset in ten exceeds, ms."""
         return self.quantile(0.9)
 
     def quantile(self, share: float) -> float:

@@ -8,7 +8,8 @@ import numpy as np
 
 from flows.evaluation.evaluate import Result
 from flows.evaluation.label_changes import EDGES
-from flows.evaluation.motions import PAPER, SPEEDS, SURFACES, Cell, Cells
+from flows.evaluation.motions import Cell, Cells
+from flows.evaluation.published import SPEEDS, SURFACES, TABLE_3
 from flows.figures import CELLS, FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
 
 _LINES: Final = ("-", "--", ":")
@@ -69,13 +70,13 @@ def delays(results: Sequence[Result]) -> Figure:
     """How many slips have an onset how soon, and what that costs in false alarms."""
     figure, (found, cost) = grid(1, 2, (11, 4.4), widths=[1.6, 1])
     for result, look in _looks(results):
-        felt = result.felt
-        late = np.sort(felt.delays)  # (caught,) ms
+        events = result.events
+        late = np.sort(events.delays)  # (caught,) ms
         late = late[late <= _LATEST]
-        share = 100 * np.arange(len(late) + 1) / max(felt.slips, 1)
+        share = 100 * np.arange(len(late) + 1) / max(events.slips, 1)
         found.step([-50, *late, _LATEST], [*share, share[-1]], where="post", label=result.method.name, **look)
-        cost.plot(felt.false_alarms_per_min, felt.onset_ms, "o", color=look["color"], markersize=6)
-        cost.annotate(result.method.name, (felt.false_alarms_per_min, felt.onset_ms), (6, 4),
+        cost.plot(events.false_alarms_per_min, events.onset_ms, "o", color=look["color"], markersize=6)
+        cost.annotate(result.method.name, (events.false_alarms_per_min, events.onset_ms), (6, 4),
                       textcoords="offset points", fontsize=8)  # fmt: skip
     found.axvline(0, color=FAINT, linewidth=0.8)
     found.set(title="Slips with an onset", xlabel="ms after the label says slip", ylabel="slips, %",
@@ -118,14 +119,14 @@ def motion(found: Mapping[str, Cells]) -> Figure:
     styles = dict(zip(found, ((MAIN, "o"), (SECOND, "s")), strict=False))
     for column, (axis, surface) in enumerate(zip(axes, SURFACES, strict=True)):
         for kind, line in (("primary", "-"), ("oblique", ":")):
-            paper = [PAPER[kind, speed][column] for speed in SPEEDS]
+            paper = [TABLE_3[kind, speed][column] for speed in SPEEDS]
             axis.plot(range(turn), paper, line, color=FAINT, label=f"paper, {kind}")
             for name, cells in found.items():
                 colour, mark = styles[name]
                 values = [cells.at(Cell(kind, speed, surface)).f1 for speed in SPEEDS]
                 label = f"{name}, {kind}"
                 axis.plot(range(turn), values, line, marker=mark, markersize=4, color=colour, label=label)
-        axis.plot(turn, PAPER["rotation", None][column], "D", color=FAINT, markersize=5)
+        axis.plot(turn, TABLE_3["rotation", None][column], "D", color=FAINT, markersize=5)
         for name, cells in found.items():
             colour, mark = styles[name]
             axis.plot(turn, cells.at(Cell("rotation", None, surface)).f1, mark, color=colour, markersize=5)

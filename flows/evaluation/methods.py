@@ -18,7 +18,7 @@ from operators.errors import InputError
 from storage import load_debounce, load_detector
 from storage.models import shipped
 
-_HOP: Final = 5  # samples from one window that is fitted to to the next
+_HOP: Final = 5  # samples from one window to the next, of those that detectors are fitted to
 
 
 @dataclass(frozen=True, slots=True)

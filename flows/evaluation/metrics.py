@@ -1,5 +1,6 @@
-"""How sample by sample decisions are counted: confusion, ROC, reliability."""
+"""Measures of decisions that are made sample by sample: confusion, ROC, reliability."""
 
+import math
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -14,7 +15,7 @@ _POINTS: Final = 201  # that an ROC is kept at
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Confusion:
-    """How often slip and static were called slip.
+    """How many samples of static and of slip were called what.
 
     >>> confusion = Confusion.of(np.array([True, True, False, False]), np.array([True, False, False, False]))
     >>> confusion.accuracy, confusion.recalls
@@ -41,7 +42,7 @@ class Confusion:
 
     @property
     def balanced(self) -> float:
-        """Mean of the two, %."""
+        """Mean of the two recalls, %."""
         return sum(self.recalls) / 2
 
     @property
@@ -91,7 +92,7 @@ class Roc:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reliability:
-    """How often it is slip where a detector is so sure of it, in bins of equal width."""
+    """The share of slip among samples of about equal probability, in ten bins of equal width."""
 
     number: NDArray[np.intp]  # (10,) samples of each bin
     sure: Reals  # (10,) their mean probability; NaN where there are none
@@ -114,5 +115,16 @@ class Reliability:
 
 
 def percent(part: float, whole: float) -> float:
-    """Part of the whole, NaN of nothing."""
+    """The part of a whole in %; NaN if the whole is 0."""
     return 100 * float(part) / float(whole) if whole else float("nan")
+
+
+def known(value: float, digits: int | None = None) -> float | None:
+    """A number for JSON: None for NaN and infinity, which it lacks; rounded if `digits` are given.
+
+    >>> known(1.5), known(math.nan), known(93.14159, 3)
+    (1.5, None, 93.142)
+    """
+    if not math.isfinite(value):
+        return None
+    return value if digits is None else round(value, digits)

@@ -1,8 +1,8 @@
-"""How well slip is recognised in each kind of motion, beside the paper's Table III."""
+"""How well slip is recognised in each kind of motion on each surface, as in the paper's Table III."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,19 +10,6 @@ from numpy.typing import NDArray
 from flows.evaluation.metrics import Confusion
 from flows.trials import Trial
 from operators.batch import Flags, Reals
-
-SURFACES: Final = ("plane", "sphere", "cylinder_y", "cylinder_x")
-SPEEDS: Final = (0.05, 0.075, 0.1)  # m/s
-PAPER: Final[Mapping[tuple[str, float | None], tuple[float, ...]]] = {
-    ("primary", 0.05): (92.5, 88.8, 78.7, 94.0, 89.7),
-    ("primary", 0.075): (94.9, 88.0, 90.0, 90.3, 91.6),
-    ("primary", 0.1): (95.7, 84.5, 87.8, 92.1, 93.1),
-    ("oblique", 0.05): (94.0, 88.9, 87.1, 93.2, 91.5),
-    ("oblique", 0.075): (96.6, 89.3, 93.7, 92.2, 93.1),
-    ("oblique", 0.1): (96.4, 88.6, 93.5, 93.4, 93.8),
-    ("rotation", None): (84.6, 74.5, 84.0, 86.1, 81.5),
-}  # F1, %, on each of `SURFACES` and on all
-PAPER_SURFACES: Final = (94.0, 88.9, 88.0, 91.9)  # F1, %, any motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +21,7 @@ class Cell:
     surface: str
 
 
-Chosen = Callable[[Cell], bool]
+Chosen: TypeAlias = Callable[[Cell], bool]  # whether a cell belongs to a group
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,11 +54,11 @@ class Cells:
         return cls(tuple(cells), np.array(numbers, np.intp), np.array(counts).reshape(-1, 2, 2))
 
     def confusion(self, chosen: Chosen = lambda _: True) -> Confusion:
-        """All the chosen together."""
+        """The answers in all chosen cells together."""
         return Confusion(self.counts[[chosen(cell) for cell in self.cells]].sum(axis=0))
 
     def at(self, cell: Cell) -> Confusion:
-        """One cell."""
+        """The answers in one cell."""
         return self.confusion(cell.__eq__)
 
     def gap(self, first: Chosen, second: Chosen, seed: int = 0, draws: int = 300) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Libraries kept to one thread: what one core costs, and no fight for it between processes."""
+"""Keeping numerical libraries to one thread: to time one core, or to run one process on each."""
 
 import sys
 from collections.abc import Generator
@@ -10,7 +10,7 @@ from typing import Any
 
 @contextmanager
 def one_thread() -> Generator[None]:
-    """Let those that would use more use one: torch, if it runs, and what scikit-learn and numpy stand on."""
+    """Limit torch, if it is imported, and the libraries below scikit-learn and numpy, within a block."""
     with ExitStack() as stack:
         if torch := sys.modules.get("torch"):
             stack.callback(torch.set_num_threads, torch.get_num_threads())

@@ -1,12 +1,14 @@
-"""A page of findings: each a title that says it, its figure, its tables; as HTML and as Markdown."""
+"""A page of findings as HTML and Markdown; each has a title that states it, a figure, and tables."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from html import escape
+from math import isfinite
 from typing import Final
 
-from flows.figures import Figure, inline
+from flows.figures import Figure, inline, lacking
 
+NONE: Final = "-"  # in tables, where there is no number
 _STYLE: Final = """
 :root { color-scheme: light; }
 body { margin: 2.5rem auto; max-width: 66rem; padding: 0 1.5rem; background: #fff; color: #22272e;
@@ -25,7 +27,7 @@ footer { margin-top: 3rem; color: #5b6672; font-size: .85rem; }
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of text below a head; the first column and those of words to the left, numbers to the right."""
+    """Rows of text below a head. The first column and columns of words are aligned left, numbers right."""
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -81,7 +83,7 @@ def _worded(cells: Sequence[str]) -> bool:
     >>> _worded(["2 missed", "-"]), _worded(["1 (2)", "all"]), _worded(["1e-05"]), _worded(["-"])
     (True, False, False, False)
     """
-    known = [cell for cell in cells if cell not in {"", "-"}]
+    known = [cell for cell in cells if cell not in {"", NONE}]
     return bool(known) and not any(_numeric(cell) for cell in known)
 
 
@@ -145,3 +147,26 @@ class Page:
         """The same for a file of that name, its figures beside it; without a name, without figures."""
         parts = [f"# {self.title}", self.text, *(section.markdown(name) for section in self.sections)]
         return "\n\n".join([*parts, f"    {self.command}"]) + "\n"
+
+
+def number(value: float, decimals: int = 1) -> str:
+    """A number as tables show it; `NONE` for NaN and infinity.
+
+    >>> number(93.14), number(1.656, 2), number(float("nan"))
+    ('93.1', '1.66', '-')
+    """
+    return f"{value:.{decimals}f}" if isfinite(value) else NONE
+
+
+def drawn(draw: Callable[[], Figure]) -> Figure | None:
+    """The figure that `draw` makes; None where matplotlib is not installed."""
+    return None if lacking() else draw()
+
+
+def terminal_text(sections: Sequence[Section]) -> str:
+    """The titles and tables of sections as text for a terminal."""
+    return "\n\n".join(
+        part
+        for section in sections
+        for part in (section.title, *(table.markdown() for table in section.tables))
+    )

@@ -1,14 +1,15 @@
 """What an evaluation leaves: one HTML page, the same tables as Markdown, all numbers as JSON."""
 
-from math import isnan
 from pathlib import Path
 from typing import Any
 
 from flows.evaluation import sections
 from flows.evaluation.evaluate import Evaluation
-from flows.evaluation.motions import PAPER, SURFACES, Cell, Cells
+from flows.evaluation.metrics import known
+from flows.evaluation.motions import Cell, Cells
 from flows.evaluation.page import Page
-from flows.evaluation.written import written
+from flows.evaluation.page_files import write_page
+from flows.evaluation.published import SURFACES, TABLE_3
 
 
 def page(of: Evaluation, command: str) -> Page:
@@ -31,7 +32,7 @@ def write(of: Evaluation, folder: Path, command: str) -> list[Path]:
     Raises:
         EndpointError: if they cannot be written.
     """
-    return written(page(of, command), summary(of), folder, "evaluation")
+    return write_page(page(of, command), summary(of), folder, "evaluation")
 
 
 def text(of: Evaluation) -> str:
@@ -63,11 +64,7 @@ def _motions(cells: Cells) -> dict[str, dict[str, float | None]]:
     """F1 by motion and surface."""
     return {
         sections.motion_name(kind, speed): {
-            surface: _plain(cells.at(Cell(kind, speed, surface)).f1) for surface in SURFACES
+            surface: known(cells.at(Cell(kind, speed, surface)).f1, 3) for surface in SURFACES
         }
-        for kind, speed in PAPER
+        for kind, speed in TABLE_3
     }
-
-
-def _plain(value: float) -> float | None:
-    return None if isnan(value) else round(value, 3)

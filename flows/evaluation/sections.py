@@ -1,7 +1,6 @@
-"""The sections of an evaluation's page: each a finding, its tables, and the figure that shows it."""
+"""The sections of an evaluation's page; each has a finding as its title, its tables, and a figure."""
 
-from collections.abc import Callable, Mapping, Sequence
-from importlib.util import find_spec
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from math import isnan
 from typing import Final
@@ -10,33 +9,27 @@ import numpy as np
 
 from flows.evaluation import figures
 from flows.evaluation.evaluate import Evaluation, Result
-from flows.evaluation.events import Felt
+from flows.evaluation.events import EventMetrics
 from flows.evaluation.label_changes import EDGES
 from flows.evaluation.metrics import Confusion
-from flows.evaluation.motions import PAPER, PAPER_SURFACES, SURFACES, Cell, Cells
-from flows.evaluation.page import Section, Table
-from flows.figures import Figure
+from flows.evaluation.motions import Cell, Cells
+from flows.evaluation.page import NONE, Section, Table, drawn, number
+from flows.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 
-TABLE_1: Final[Mapping[str, tuple[float, float, float, float]]] = {
-    "PSD threshold": (57.4, 57.9, 57.4, 57.5),
-    "frequency CNN": (86.0, 86.0, 86.0, 86.0),
-    "TCN": (91.3, 91.4, 91.4, 91.4),
-}  # the paper's: accuracy, precision, recall, F1; weighted, %, on real recordings
-SAME: Final[Mapping[str, str]] = {
+_PAPER_ROW: Final[Mapping[str, str]] = {
     "psd": "PSD threshold",
     "psd_1s": "PSD threshold",
     "frequency_cnn": "frequency CNN",
     "frequency_cnn_interleaved": "frequency CNN",
     "paper_tcn": "TCN",
     "tcn": "TCN",
-}  # what each method stands beside
-NONE: Final = "-"  # in tables, where there is no number
+}  # the row of Table I that each method stands beside
 NEAR: Final = 60  # ms
 FAR: Final = 100  # ms
 
 
 def sections(of: Evaluation) -> list[Section]:
-    """All of them that the evaluation has something to say to."""
+    """The sections that have something to show."""
     made = [accuracy(of), confusions(of), curves(of), users(of), *motions(of), changes(of), *sliding(of)]
     return [section for section in made if section.tables]
 
@@ -117,12 +110,12 @@ def curves(of: Evaluation) -> Section:
 def users(of: Evaluation) -> Section:
     """What users of slip events feel."""
     first = leader(of)
-    felt = first.felt
+    events = first.events
     rows = [
         [
             result.method.name,
-            *_felt(result.felt),
-            *_felt(result.paper_rule)[:3],
+            *_event_cells(result.events),
+            *_event_cells(result.paper_rule)[:3],
             f"{result.debounce.threshold:g} / {result.debounce.consecutive} / {result.debounce.release}",
             result.chosen,
         ]
@@ -132,14 +125,14 @@ def users(of: Evaluation) -> Section:
     head += ["paper rule: false/min", "missed %", "delay ms", "threshold / on / off", "chosen on"]
     return Section(
         "users",
-        f"{first.method.name} raises {felt.false_alarms_per_min:.1f} false alarms per static minute, "
-        + _missed(felt),
-        f"{felt.slips} slips by the label in {felt.minutes:.1f} static minutes. An onset from 50 ms before a "
-        "slip to 150 ms after it answers it; others are false alarms. A slip needs an onset of its own. "
-        "Repeated are onsets of a slip after its first, of all slips. Settings: the probability that is a "
-        "slip decision, how many in a row begin a slip, how many static ones end it; where nothing else is "
-        f"said, they are chosen on the validation split for at most {of.budget:g} false alarms per static "
-        "minute, 2 % missed, and among these for the least delay. The paper's rule is 0.5 / 2 / 2.",
+        f"{first.method.name} raises {events.false_alarms_per_min:.1f} false alarms per static minute, "
+        + _missed(events),
+        f"{events.slips} slips by the label in {events.minutes:.1f} static minutes. An onset from 50 ms "
+        "before a slip to 150 ms after it answers it; others are false alarms. A slip needs an onset of its "
+        "own. Repeated are onsets of a slip after its first, of all slips. Settings: the probability that "
+        "is a slip decision, how many in a row begin a slip, how many static ones end it; where nothing "
+        f"else is said, they are chosen on the validation split for at most {of.budget:g} false alarms per "
+        "static minute, 2 % missed, and among these for the least delay. The paper's rule is 0.5 / 2 / 2.",
         [Table(head, rows)],
         drawn(lambda: figures.delays(of.results)),
     )
@@ -155,7 +148,7 @@ def motions(of: Evaluation) -> list[Section]:
     order = [first, *(result for result in of.results if result is not first)]
     pairs = [
         (first.cells.at(Cell(kind, pace, surface)).f1, theirs)
-        for (kind, pace), row in PAPER.items()
+        for (kind, pace), row in TABLE_3.items()
         for surface, theirs in zip(SURFACES, row, strict=False)
     ]
     known = [(ours, theirs) for ours, theirs in pairs if not isnan(ours)]
@@ -177,12 +170,12 @@ def motions(of: Evaluation) -> list[Section]:
 def cells_table(cells: Cells) -> tuple[list[str], list[list[str]]]:
     """Head and rows of Table III for one method."""
     rows = list[list[str]]()
-    for (kind, pace), paper in PAPER.items():
+    for (kind, pace), paper in TABLE_3.items():
         found = [cells.at(Cell(kind, pace, surface)).f1 for surface in SURFACES]
         found.append(_of_motion(cells, kind, pace).f1)
         rows.append([motion_name(kind, pace), *map(_beside, found, paper)])
     every = [_on_surface(cells, surface).f1 for surface in SURFACES]
-    rows.append(["any", *map(_beside, every, PAPER_SURFACES), number(cells.confusion().f1)])
+    rows.append(["any", *map(_beside, every, TABLE_3_ANY), number(cells.confusion().f1)])
     return ["motion", *(surface.replace("_", " ") for surface in SURFACES), "all"], rows
 
 
@@ -219,9 +212,13 @@ def sliding(of: Evaluation) -> list[Section]:
     first, rows = leader(of), [["the label itself", *map(number, _against(of.label)), *[NONE] * 4]]
     for result in of.results:
         assert result.sliding, "the truth is known for all methods or for none"
-        assert result.felt_sliding, "the same"
+        assert result.sliding_events, "the same"
         rows.append(
-            [result.method.name, *map(number, _against(result.sliding)), *_felt(result.felt_sliding)[:4]]
+            [
+                result.method.name,
+                *map(number, _against(result.sliding)),
+                *_event_cells(result.sliding_events)[:4],
+            ]
         )
     assert first.sliding, "as above"
     head = ["method", "accuracy", "balanced", "F1", "false/min", "missed %", "delay ms", "90 % ms"]
@@ -241,21 +238,7 @@ def sliding(of: Evaluation) -> list[Section]:
 
 def paper_of(name: str) -> tuple[float, ...]:
     """The paper's row of Table I for a method; NaN where it has none."""
-    return TABLE_1[SAME[name]] if name in SAME else (float("nan"),) * 4
-
-
-def drawn(draw: Callable[[], Figure]) -> Figure | None:
-    """The figure, where matplotlib is installed."""
-    return draw() if find_spec("matplotlib") else None
-
-
-def number(value: float) -> str:
-    """With one decimal.
-
-    >>> number(93.14), number(float("nan"))
-    ('93.1', '-')
-    """
-    return NONE if isnan(value) else f"{value:.1f}"
+    return TABLE_1[_PAPER_ROW[name]] if name in _PAPER_ROW else (float("nan"),) * 4
 
 
 def _beside(ours: float, paper: float) -> str:
@@ -270,19 +253,19 @@ def _against(confusion: Confusion) -> Sequence[float]:
     return confusion.accuracy, confusion.balanced, confusion.f1
 
 
-def _missed(felt: Felt) -> str:
+def _missed(events: EventMetrics) -> str:
     """What becomes of the slips, in words; there may be none, or none that is answered."""
-    if isnan(felt.missed):
+    if isnan(events.missed):
         return "and there are no slips"
-    if isnan(felt.onset_ms):
-        return f"and misses {felt.missed:.1f} % of slips"
-    return f"misses {felt.missed:.1f} % of slips, and is {felt.onset_ms:.0f} ms late (median)"
+    if isnan(events.onset_ms):
+        return f"and misses {events.missed:.1f} % of slips"
+    return f"misses {events.missed:.1f} % of slips, and is {events.onset_ms:.0f} ms late (median)"
 
 
-def _felt(felt: Felt) -> list[str]:
-    shares = [number(felt.false_alarms_per_min), number(felt.missed)]
-    times = [NONE if isnan(time) else f"{time:.0f}" for time in (felt.onset_ms, felt.late_ms)]
-    return [*shares, *times, number(felt.repeated)]
+def _event_cells(events: EventMetrics) -> list[str]:
+    shares = [number(events.false_alarms_per_min), number(events.missed)]
+    times = [number(time, 0) for time in (events.onset_ms, events.late_ms)]
+    return [*shares, *times, number(events.repeated)]
 
 
 def _of_motion(cells: Cells, kind: str, speed: float | None) -> Confusion:

@@ -18,15 +18,15 @@ import numpy as np
 from connectors.rig.paper import Collection as Plan
 from connectors.rig.stress import stressed
 from flows.evaluation.events import Slips
-from flows.evaluation.judged import TRUTHS, Judged, Truth
+from flows.evaluation.judgement import TRUTHS, Judgement, Truth
 from flows.evaluation.methods import methods
 from flows.evaluation.metrics import percent
 from flows.evaluation.one_thread import one_thread
 from flows.evaluation.stress_fields import GRIDS, plan_of
 from flows.evaluation.stress_result import Condition, Outcome, Stress
 from flows.evaluation.tuning import tuned
+from flows.process_map import process_map
 from flows.scoring import probabilities
-from flows.simulate import results
 from flows.trials import JUDGED, Trial, simulate
 from operators import Debounce
 from operators.batch import Flags
@@ -104,7 +104,7 @@ def judged(
     jobs = min(os.cpu_count() or 1 if jobs is None else jobs, len(distinct))
     progress(0, len(distinct))
     outcomes: dict[Condition, Outcome] = {}
-    with closing(results(_Judge(subjects, plan, seed), distinct, jobs)) as each:
+    with closing(process_map(_Judge(subjects, plan, seed), distinct, jobs)) as each:
         for done, (condition, outcome) in enumerate(zip(distinct, each, strict=True), 1):
             outcomes[condition] = outcome
             progress(done, len(distinct))
@@ -134,12 +134,12 @@ class _Judge:
     def _outcome(self, condition: Condition) -> Outcome:
         field, value = condition.field, condition.value
         trials = simulate(plan_of(field, self.plan), self.seed, lambda scene: stressed(scene, field, value))
-        unscored, judged = dict[str, float](), dict[tuple[str, Truth], Judged]()
+        unscored, judged = dict[str, float](), dict[tuple[str, Truth], Judgement]()
         for name, (detector, debounce) in self.subjects.items():
             found = [probabilities(detector, trial) for trial in trials]
             unscored[name] = _share([np.isnan(each)[JUDGED:] for each in found])
             for truth in TRUTHS:
-                judged[name, truth] = Judged.of(trials, found, debounce, truth)
+                judged[name, truth] = Judgement.of(trials, found, debounce, truth)
         return Outcome(_share([_degraded(trial)[JUDGED:] for trial in trials]), unscored, judged)
 
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Final
 
-from flows.evaluation.judged import Truth
+from flows.evaluation.judgement import Truth
 from flows.evaluation.stress_fields import GRIDS, Grid
 from flows.evaluation.stress_result import Stress
 from flows.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
@@ -21,7 +21,7 @@ _LATEST: Final = 400.0  # ms, delays that are shown
 class Measure:
     """What is drawn against the fields."""
 
-    key: str  # of `Judged`
+    key: str  # of `Judgement`
     text: str  # of its axis
     limits: tuple[float, float]
     log: bool = False  # near 0 linear

@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Final
 
 from flows.evaluation import stress_figure
-from flows.evaluation.judged import Judged, Truth
-from flows.evaluation.page import Page, Section, Table
-from flows.evaluation.sections import NONE, drawn, number
+from flows.evaluation.judgement import Judgement, Truth
+from flows.evaluation.page import NONE, Page, Section, Table, drawn, number, terminal_text
+from flows.evaluation.page_files import write_page
 from flows.evaluation.stress_fields import FALL, GOALS, GRIDS
 from flows.evaluation.stress_figure import MEASURES
 from flows.evaluation.stress_result import Stress
-from flows.evaluation.written import told, written
 
 _AGAINST: Final[dict[Truth, str]] = {
     "label": "by the arm's speed, as the paper labels",
@@ -47,12 +46,12 @@ def write(of: Stress, folder: Path, command: str) -> list[Path]:
     Raises:
         EndpointError: if they cannot be written.
     """
-    return written(page(of, command), of.json(), folder, "stress")
+    return write_page(page(of, command), of.json(), folder, "stress")
 
 
 def text(of: Stress) -> str:
     """What a person reads in a terminal."""
-    return told([goals(of), breaking(of)])
+    return terminal_text([goals(of), breaking(of)])
 
 
 def goals(of: Stress) -> Section:
@@ -167,7 +166,7 @@ def _first() -> tuple[str, float]:
     return field, GRIDS[field].values[0]
 
 
-def _nominal(of: Stress, name: str, truth: Truth = "label") -> Judged:
+def _nominal(of: Stress, name: str, truth: Truth = "label") -> Judgement:
     return of.at(name, *_first(), truth)
 
 

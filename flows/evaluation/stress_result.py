@@ -2,10 +2,10 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isnan
 from typing import Any, Final
 
-from flows.evaluation.judged import TRUTHS, Judged, Truth
+from flows.evaluation.judgement import TRUTHS, Judgement, Truth
+from flows.evaluation.metrics import known
 from flows.evaluation.stress_fields import GOALS, GRIDS, breaking_point
 from operators import Debounce
 
@@ -26,7 +26,7 @@ class Outcome:
 
     degraded: float  # % of samples during which `Health` reports a fault
     unscored: Mapping[str, float]  # % of samples, by detector
-    judged: Mapping[tuple[str, Truth], Judged]  # by detector
+    judged: Mapping[tuple[str, Truth], Judgement]  # by detector
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class Stress:
     outcomes: Mapping[Condition, Outcome]
     seconds: float  # that it took
 
-    def at(self, name: str, field: str, value: float, truth: Truth = "label") -> Judged:
+    def at(self, name: str, field: str, value: float, truth: Truth = "label") -> Judgement:
         """One detector under one condition."""
         return self.outcome(field, value).judged[name, truth]
 
@@ -77,7 +77,7 @@ class Stress:
                     "least": goal.least,
                     **{
                         truth: {
-                            name: _number(self.at(name, goal.field, goal.value, truth).balanced)
+                            name: known(self.at(name, goal.field, goal.value, truth).balanced)
                             for name in self.names
                         }
                         for truth in TRUTHS
@@ -96,7 +96,7 @@ class Stress:
                 **{
                     truth: {
                         **{
-                            key: [_number(getattr(each.judged[name, truth], key)) for each in outcomes]
+                            key: [known(getattr(each.judged[name, truth], key)) for each in outcomes]
                             for key in _MEASURES
                         },
                         "breaking": self.breaking(name, field, truth),
@@ -111,7 +111,3 @@ class Stress:
             "degraded": [each.degraded for each in outcomes],
             "methods": by_method,
         }
-
-
-def _number(value: float) -> float | None:
-    return None if isnan(value) else value

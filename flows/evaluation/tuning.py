@@ -1,4 +1,4 @@
-"""Debounce tuned to users: the least delay that a budget of false alarms allows."""
+"""Tuning the debounce of slip events: the least delay within a budget of false alarms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -45,7 +45,8 @@ def tuned(
     joined = Joined.of(probabilities, slips)
     best, settings = (np.inf, np.inf, np.inf), (0.5, 2, 2)
     for threshold in THRESHOLDS:
-        slip, static = runs(joined.probability >= threshold), runs(joined.probability < threshold)
+        slip = run_lengths(joined.probability >= threshold)
+        static = run_lengths(joined.probability < threshold)
         for consecutive in CONSECUTIVE:
             for release in RELEASE:
                 found = joined.judged(slip >= consecutive, static >= release)
@@ -59,7 +60,7 @@ def tuned(
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What comes of some settings."""
+    """What some settings of the debounce come to."""
 
     false: int  # onsets
     missed: float  # %
@@ -71,7 +72,7 @@ class Found:
 class Joined:
     """Recordings one after the other, so that a setting is judged at once; (n,) samples in all.
 
-    A sample that nobody knows of stands between them, because no run goes on from one to the next.
+    One sample without a score stands between them, so that no run goes on from one to the next.
     """
 
     probability: Reals  # (n,)
@@ -106,7 +107,7 @@ class Joined:
         return cls(values, first[:-1], early, late, np.array(starts, np.intp), answer, excused, minutes)
 
     def judged(self, slip: Flags, static: Flags) -> Found:
-        """What comes of slips that begin and end where these are so; (n,) each."""
+        """What comes of slips that may begin where `slip` and end where `static`; (n,) each."""
         turn = np.where(slip, 1, np.where(static, -1, 0)).astype(np.int8)
         turn[self.first] = -1
         at = np.flatnonzero(turn)
@@ -123,8 +124,8 @@ class Joined:
         return Found(false, missed, percent(repeats, len(caught)), float(delay.mean()))
 
 
-def runs(decided: Flags) -> NDArray[np.intp]:
-    """How many True there are in a row up to each; (n,)."""
+def run_lengths(decided: Flags) -> NDArray[np.intp]:
+    """How many True stand in a row up to each sample, and with it; (n,)."""
     number = np.arange(len(decided))
     length: NDArray[np.intp] = number - np.maximum.accumulate(np.where(decided, -1, number))
     return length

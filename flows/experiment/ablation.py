@@ -87,7 +87,7 @@ class Ablation:
 
 
 def _spare(left: Budget, trial: Lifting, *, lost: bool) -> float:
-    """The delay (ms) that a trial without one still has to spare; infinite: nothing has to hold it."""
+    """The delay (ms) that could be added to a trial before it fails; infinite: nothing has to hold it."""
     if trial.lost if lost else not trial.success:
         return 0.0
     if not trial.firm > 0:  # held before it was lifted, or by a place that holds better

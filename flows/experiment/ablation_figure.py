@@ -8,7 +8,7 @@ import numpy as np
 from connectors.rig.objects import OBJECTS
 from flows.experiment.ablation import GOOD, Ablation
 from flows.experiment.lifting import LAGS, LIFT
-from flows.experiment.page import median
+from flows.experiment.measures import median
 from flows.figures import CELLS, FAINT, INK, Axes, Figure, grid, styled
 
 COLOURS: Final = dict(zip(OBJECTS, CELLS, strict=True))  # by object

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from connectors.rig.objects import OBJECTS
-from flows.evaluation.page import Page
-from flows.evaluation.sections import drawn
-from flows.evaluation.written import told, written
+from flows.evaluation.metrics import known
+from flows.evaluation.page import Page, drawn, terminal_text
+from flows.evaluation.page_files import write_page
 from flows.experiment import ablation_figure
 from flows.experiment.ablation import Ablation
 from flows.experiment.ablation_tables import NAME, sections, title
-from flows.experiment.page import known, median, tried
+from flows.experiment.measures import median, tried
 
 
 def page(of: Ablation, command: str) -> Page:
@@ -32,12 +32,12 @@ def write(of: Ablation, folder: Path, command: str) -> list[Path]:
     Raises:
         EndpointError: if they cannot be written.
     """
-    return written(page(of, command), summary(of), folder, NAME)
+    return write_page(page(of, command), summary(of), folder, NAME)
 
 
 def text(of: Ablation) -> str:
     """What a person reads in a terminal."""
-    return told(sections(of))
+    return terminal_text(sections(of))
 
 
 def summary(of: Ablation) -> dict[str, Any]:

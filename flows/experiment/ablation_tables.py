@@ -7,12 +7,11 @@ from typing import Final
 import numpy as np
 
 from connectors.rig.objects import OBJECTS
-from flows.evaluation.page import Section, Table
-from flows.evaluation.sections import NONE, number
+from flows.evaluation.page import Section, Table, number
 from flows.experiment.ablation import ENOUGH, GOOD, Ablation
 from flows.experiment.budget import falling
 from flows.experiment.experiment import Found
-from flows.experiment.page import median, numbers, ratio, tried
+from flows.experiment.measures import median, numbers, tried
 from flows.options import counted
 
 NAME: Final = "lift-ablation"
@@ -64,10 +63,10 @@ def spent(of: Ablation) -> Section:
             [
                 thing.replace("_", " "),
                 f"{1000 * median([each.firm for each in of.lifts(of.nominal, method, thing)]):.0f}",
-                _ms(of.breaks(method, thing)),
-                _ms(of.predicted(method, thing)),
-                _ms(of.loses(method, thing)),
-                _ms(of.predicted(method, thing, lost=True)),
+                _whole(of.breaks(method, thing)),
+                _whole(of.predicted(method, thing)),
+                _whole(of.loses(method, thing)),
+                _whole(of.predicted(method, thing, lost=True)),
             ]
             for thing in of.nominal.objects
         ]
@@ -118,10 +117,10 @@ def slides(of: Ablation) -> Section:
                 number(1000 * median([each.room for each in found])),
                 f"{share:.2f}",
                 *(
-                    _ms(1000 * median([getattr(each, name) for each in found]))
+                    _whole(1000 * median([getattr(each, name) for each in found]))
                     for name in ("climbs", "climbed", "falls", "fell")
                 ),
-                _ms(1000 * median([falling(each.left, each.share) for each in found])),
+                _whole(1000 * median([falling(each.left, each.share) for each in found])),
             ]
         )
     return Section(
@@ -152,7 +151,7 @@ def _tables(of: Ablation, conditions: Mapping[str, Found]) -> list[Table]:
                     number(found.mean(method)),
                     number(100 * float(np.mean([each.lost for each in lifts]))),
                     number(costs["slide_mm"]),
-                    ratio(costs["force_ratio"]),
+                    number(costs["force_ratio"], 2),
                     number(float(np.mean([each.false for each in lifts]))),
                 ]
             )
@@ -194,5 +193,5 @@ def _listed(of: Ablation, method: str) -> str:
     return "; ".join(name for name, found in of.rates.items() if found.mean(method) >= GOOD)
 
 
-def _ms(value: float) -> str:
-    return f"{value:.0f}" if math.isfinite(value) else NONE
+def _whole(value: float) -> str:
+    return number(value, 0)

@@ -23,7 +23,7 @@ from flows.experiment.lifting import LAGS, LIFT, lift, raised, weak
 from flows.experiment.setting import Conditions, Setting
 from flows.experiment.tapping import Nothing
 from flows.experiment.trial import BASELINE
-from flows.simulate import results
+from flows.process_map import process_map
 from operators import Grip
 
 FIRM: Final = 2.0  # times the least force, that holds it until it is in the air
@@ -58,7 +58,7 @@ def budgets(
     found = dict[str, list[Budget]]()
     of = len(objects) * len(seeds)
     work = _Work(seeds, conditions)
-    with closing(results(work, objects, min(jobs, len(objects)))) as each:
+    with closing(process_map(work, objects, min(jobs, len(objects)))) as each:
         for number, (thing, made) in enumerate(zip(objects, each, strict=True), 1):
             found[thing] = made
             progress(number * len(seeds), of, thing)

@@ -13,7 +13,7 @@ from flows.experiment.setting import Conditions
 from flows.experiment.tapping import Tapping, tap
 from flows.experiment.trial import By, Trace
 from flows.lift import controller
-from flows.simulate import results
+from flows.process_map import process_map
 from operators import Gripping, StepGrip
 from operators.errors import InputError, ParameterError
 from storage import load_detector
@@ -36,7 +36,7 @@ class Method:
 
     @property
     def name(self) -> str:
-        """As in tables."""
+        """Its name in tables."""
         return f"{self.detector}, {self.rule}"
 
     def grip(self) -> Gripping:
@@ -90,7 +90,7 @@ class Found:
         return 100 * sum(each.success for each in outcomes) / len(outcomes)
 
     def mean(self, method: str) -> float:
-        """Of the objects, %."""
+        """Mean success over the objects, %."""
         return sum(self.success(method, thing) for thing in self.objects) / len(self.objects)
 
     def all(self, method: str) -> list[Outcome]:
@@ -144,7 +144,26 @@ def under(
     jobs: int | None = None,
     progress: Progress = lambda _done, _all, _part: None,
 ) -> dict[str, Found]:
-    """Carry an experiment out under each condition, by its name, always with the same trials; as above."""
+    """Carry an experiment out under several conditions, always with the same trials.
+
+    Args:
+        kind: tap or lift.
+        methods: Each gets the same trials.
+        tried: The conditions, by name.
+        trials: Of each object, under each condition.
+        seed: Of the first trial; the next ones follow.
+        objects: By name.
+        jobs: Processes; None: one for each of the machine's cores.
+        progress: Told how many trials are done, of how many, and under which condition.
+
+    Returns:
+        What was found, by the names of the conditions.
+
+    Raises:
+        InputError: if there is no such detector or rule.
+        ParameterError: on less than one trial, method, condition or job, or no such object.
+        SlipflowError: if a process ended early.
+    """
     workers = 1 if jobs is None else jobs
     sizes = {"trials": trials, "methods": len(methods), "conditions": len(tried), "jobs": workers}
     for name, value in sizes.items():
@@ -166,7 +185,7 @@ def under(
     outcomes = {name: dict[tuple[str, str], list[Outcome]]() for name in tried}
     done, of = 0, trials * len(things) * len(methods) * len(tried)
     progress(0, of, "")
-    with closing(results(work, chunks, jobs)) as each:
+    with closing(process_map(work, chunks, jobs)) as each:
         for chunk, found in zip(chunks, each, strict=True):
             outcomes[chunk.condition].setdefault((chunk.method, chunk.thing), []).extend(found)
             done += len(found)

@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,16 +14,14 @@ from connectors.rig.paper import Collection
 from connectors.rig.parameters import Parameters
 from connectors.rig.truth import STICK
 from connectors.rig.variety import varied
-from flows.evaluation.metrics import Confusion
 from flows.experiment.handled import by_sliding, handled
 from flows.networks.recipe import Recipe
-from flows.scoring import probabilities
-from flows.simulate import SPLITS
+from flows.runs import runs
 from flows.training.curve import Check
-from flows.training.train import Model, write
-from flows.trials import Trial, simulate
+from flows.training.model import Model, label_scores, write_model
+from flows.trials import Trial, by_split, simulate
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
-from operators.detectors import GraspTcn, Tcn
+from operators.detectors import GraspTcn
 from operators.errors import ParameterError
 
 GRASPS: Final = 4000  # recordings, of up to 5 s
@@ -74,7 +73,7 @@ def learn(
         "varied strokes": _split(simulate(replace(strokes, vary=varied), seed + 2)),
     }
     learnt = {**kinds, "grasps": [replace(t, label=lasting(t.label)) for t in kinds["grasps"]]}
-    parts = {split: [t for found in learnt.values() for t in found if t.split == split] for split in SPLITS}
+    parts = by_split(chain.from_iterable(learnt.values()))
     hard = [
         replace(trial, label=hardest(trial.label))
         for trial in parts["train"]
@@ -106,13 +105,13 @@ def learn(
         "seed": recipe.seed,
         "recipe": asdict(recipe),
         "scores": {
-            kind: _scores(detector, [trial for trial in found if trial.split == "test"])
+            kind: label_scores(detector, [trial for trial in found if trial.split == "test"])
             for kind, found in kinds.items()
         },
         "debounce": {"threshold": THRESHOLD, "consecutive": 2, "release": 5},
         "curve": [asdict(check) for check in trained.curve],
     }
-    return write(out, trained.arrays, card, trained.curve)
+    return write_model(out, trained.arrays, card, trained.curve)
 
 
 def lasting(label: Codes, least: int = LASTS, fades: int = FADES) -> Codes:
@@ -125,10 +124,7 @@ def lasting(label: Codes, least: int = LASTS, fades: int = FADES) -> Codes:
     array([ 0,  1,  1,  1, -1,  0], dtype=int8)
     """
     longer = label.copy()
-    turns = np.diff(np.concatenate(([0], label == SLIP, [0])).astype(np.int8))
-    for first, end in zip(
-        np.flatnonzero(turns == 1).tolist(), np.flatnonzero(turns == -1).tolist(), strict=True
-    ):
+    for first, end in runs(label == SLIP).tolist():
         longer[end : first + least] = SLIP
         fading = slice(max(end, first + least), first + least + fades)
         longer[fading][label[fading] != SLIP] = UNKNOWN
@@ -144,10 +140,7 @@ def hardest(label: Codes) -> Codes:
     80
     """
     chosen = np.full_like(label, UNKNOWN)
-    turns = np.diff(np.concatenate(([0], label == SLIP, [0])).astype(np.int8))
-    for first, end in zip(
-        np.flatnonzero(turns == 1).tolist(), np.flatnonzero(turns == -1).tolist(), strict=True
-    ):
+    for first, end in runs(label == SLIP).tolist():
         behind = slice(end + RINGS, end + _SECOND)
         chosen[behind] = label[behind]
         if end - first <= LASTS + 2:
@@ -177,12 +170,3 @@ def _split(trials: Sequence[Trial]) -> list[Trial]:
 def _label(trial: Trial) -> Codes:
     assert trial.sliding is not None, "simulated trials know it"
     return by_sliding(trial.sliding, STICK)
-
-
-def _scores(detector: Tcn, trials: Sequence[Trial]) -> dict[str, float]:
-    """How the exported detector, as it will be used, does on labelled samples."""
-    probability = np.concatenate([probabilities(detector, trial) for trial in trials])
-    label = np.concatenate([trial.label for trial in trials])
-    known = (label != UNKNOWN) & ~np.isnan(probability)
-    confusion = Confusion.of(probability[known] > 1 / 2, label[known] == SLIP)
-    return {"accuracy": confusion.accuracy, "balanced": confusion.balanced, "f1": confusion.f1}

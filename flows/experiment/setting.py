@@ -1,4 +1,4 @@
-"""What is drawn for one trial: how the object, the grip and the hand differ from their names."""
+"""What is drawn at random for one trial: friction and mass of the object, place of the grip, vibration."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ SLIDES: Final = 0.003  # m/s: slip by the paper's label
 
 @dataclass(frozen=True, slots=True)
 class Nature:
-    """What all trials are made harder with: factors of friction and mass, cells that do not answer."""
+    """How all trials differ from nominal: factors of friction and mass, and cells that do not answer."""
 
     friction: float = 1.0
     mass: float = 1.0

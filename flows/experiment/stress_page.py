@@ -3,10 +3,9 @@
 from pathlib import Path
 from typing import Any, Final
 
-from flows.evaluation.page import Page, Section, Table
-from flows.evaluation.sections import number
-from flows.evaluation.written import told, written
-from flows.experiment.page import numbers, ratio, tried
+from flows.evaluation.page import Page, Section, Table, number, terminal_text
+from flows.evaluation.page_files import write_page
+from flows.experiment.measures import numbers, tried
 from flows.experiment.stress import NOMINAL, Stressed
 
 GOOD: Final = 90.0  # %, of the mean
@@ -26,12 +25,12 @@ def write(of: Stressed, folder: Path, command: str) -> list[Path]:
     Raises:
         EndpointError: if they cannot be written.
     """
-    return written(page(of, command), summary(of), folder, "lift-stress")
+    return write_page(page(of, command), summary(of), folder, "lift-stress")
 
 
 def text(of: Stressed) -> str:
     """What a person reads in a terminal."""
-    return told([table(of)])
+    return terminal_text([table(of)])
 
 
 def summary(of: Stressed) -> dict[str, Any]:
@@ -47,7 +46,7 @@ def table(of: Stressed) -> Section:
     for name, found in of.found.items():
         costs = numbers(found, of.method)
         shares = [f"{found.success(of.method, thing):.0f}" for thing in found.objects]
-        more = [number(found.mean(of.method)), number(costs["slide_mm"]), ratio(costs["force_ratio"])]
+        more = [number(found.mean(of.method)), number(costs["slide_mm"]), number(costs["force_ratio"], 2)]
         rows.append([name, *shares, *more])
     good = sum(found.mean(of.method) >= GOOD for found in of.found.values())
     return Section(

@@ -5,7 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from flows.evaluation.motions import SPEEDS, Cell, Chosen
+from flows.evaluation.motions import Cell, Chosen
+from flows.evaluation.published import SPEEDS
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from connectors.rig.paper import Collection
 from connectors.rig.scene import Move, Moves, Scene
 from flows.evaluation.figures import motion as motion_figure
 from flows.evaluation.metrics import Confusion
-from flows.evaluation.motions import PAPER, PAPER_SURFACES, SURFACES, Cell, Cells, Chosen
+from flows.evaluation.motions import Cell, Cells, Chosen
+from flows.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.figures import Figure
 from flows.scene_report import figures as scene_figures
 from flows.scene_report.ablation import DISTANCE, GRIDS, TERMS, ablate
@@ -28,7 +29,6 @@ GOAL_TRACE: Final = (
     90.0  # %, balanced accuracy on the real trace of a detector that knows the simulation only
 )
 GOAL_PLAN: Final = 10.0  # CPU s for the whole plan
-PAPER_TEST: Final = (91.3, 91.4)  # %, accuracy and F1 of the paper's TCN on its own test set
 _SHOWN: Final = 200  # samples of a recording before what is shown
 SKIPPED_JUDGE: Final = "**Skipped: the paper's TCN, because no `--judge` was given.**"
 SKIPPED_TRACE: Final = "**Skipped: the real trace, because no `--trace` was given.**"
@@ -123,7 +123,7 @@ def _by_network(of: Measured) -> tuple[str, str, list[Mark]]:
     marks = [
         ("paper's TCN on the simulation", accuracy, False),
         ("goal", GOAL_JUDGE, True),
-        ("paper's TCN on its own test set", PAPER_TEST[0], True),
+        ("paper's TCN on its own test set", TABLE_1["TCN"][0], True),
     ]
     return title, text, marks
 
@@ -188,9 +188,9 @@ def groups() -> list[tuple[str, Chosen, float]]:
     def moved(kind: str, pace: float | None) -> Chosen:
         return lambda cell: (cell.kind, cell.speed) == (kind, pace)
 
-    surfaces = [(s.replace("_", " "), on(s), f1) for s, f1 in zip(SURFACES, PAPER_SURFACES, strict=True)]
-    motions = [(_named(*motion), moved(*motion), f1[-1]) for motion, f1 in PAPER.items()]
-    return [("all", lambda _: True, PAPER_TEST[1]), *surfaces, *motions]
+    surfaces = [(s.replace("_", " "), on(s), f1) for s, f1 in zip(SURFACES, TABLE_3_ANY, strict=True)]
+    motions = [(_named(*motion), moved(*motion), f1[-1]) for motion, f1 in TABLE_3.items()]
+    return [("all", lambda _: True, TABLE_1["TCN"][-1]), *surfaces, *motions]
 
 
 def _named(kind: str, pace: float | None) -> str:
@@ -328,7 +328,7 @@ def motion(of: Measured) -> Section:
 
 def _cells(cells: Cells) -> str:
     rows = list[list[str]]()
-    for (kind, pace), paper in PAPER.items():
+    for (kind, pace), paper in TABLE_3.items():
         each = [cells.at(Cell(kind, pace, surface)) for surface in SURFACES]
         each.append(Confusion(np.sum([one.counts for one in each], axis=0)))
         values = [f"{one.f1:.1f} ({theirs:.1f})" for one, theirs in zip(each, paper, strict=True)]

@@ -4,14 +4,14 @@ The published figures are those of "Under Pressure" (2021) and of what its autho
 plots of their recordings.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
+from flows.runs import runs
 from flows.trials import Trial
 from operators.batch import BAROMETERS, Flags, Reals
 
@@ -129,7 +129,7 @@ def edges(trials: Sequence[Trial]) -> tuple[Reals, Reals]:
         level = np.sqrt(np.convolve(np.square(steps).sum(axis=1), np.full(3, 1 / 3))[: len(trial)])  # (n,)
         up = level > np.sqrt(np.median(level[trial.slip]) * np.median(level[~trial.slip]))
         down = np.convolve(~up, calm)[len(calm) - 1 :] == len(calm)  # (n,) from here on
-        for start, end in _runs(trial.slip):
+        for start, end in runs(trial.slip).tolist():
             around = up[max(start - before, 0) : start + after]
             if start >= before and around.any() and not around[:3].any():
                 rises.append(int(np.argmax(around)) - before)
@@ -140,14 +140,6 @@ def edges(trials: Sequence[Trial]) -> tuple[Reals, Reals]:
 
 def _median(values: Reals) -> Reals:
     return np.array([np.median(values) if len(values) else np.nan])
-
-
-def _runs(flags: Flags) -> Iterator[tuple[int, int]]:
-    """Start and end of each run of True."""
-    turns = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
-    for number, (start, end) in enumerate(pairwise(turns.tolist())):
-        if number % 2 == 0:
-            yield start, end
 
 
 def _rms(steps: Reals, chosen: Flags) -> Reals:

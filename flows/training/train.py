@@ -1,49 +1,33 @@
 """`slipflow train`: datasets in; a model file, its card and its curve out."""
 
-import hashlib
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flows.evaluation.events import Slips
-from flows.evaluation.metrics import Confusion
 from flows.evaluation.tuning import tuned
 from flows.networks.recipe import Recipe
 from flows.scoring import probabilities
-from flows.simulate import SPLITS
 from flows.training.curve import Check
 from flows.training.lag import LATEST, relabelled
+from flows.training.model import Arrays, Model, label_scores, provenance, write_model
 from flows.training.paper import WINDOWED, Epoch, PaperRecipe, train_windowed
-from flows.trials import Trial, load
-from operators.batch import SLIP, UNKNOWN
+from flows.trials import Trial, by_split, load
 from operators.detectors import TRAINED, Detector
 from operators.errors import InputError, ParameterError
-from storage import load_weights, save_weights
-from storage.layout import MANIFEST, SESSIONS
-from storage.models import save_card
+from storage import load_weights
 
-Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 Progress: TypeAlias = Callable[[str, int, int, "Check | None"], object]  # what, done, in all, check if made
 
 OURS: Final = "tcn"
 METHODS: Final = (OURS, *WINDOWED)
-
-
-@dataclass(frozen=True, slots=True)
-class Model:
-    """A trained model on disk."""
-
-    path: Path
-    card: Mapping[str, Any]  # what stands in the .json beside it
-    curve: Sequence[Check]
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +88,7 @@ def train(
     recipe = recipe or Recipe()
     _check(out, method, seeds, lag)
     trials = {dataset: load(dataset) for dataset in datasets}
-    parts = {split: [t for found in trials.values() for t in found if t.split == split] for split in SPLITS}
+    parts = by_split(chain.from_iterable(trials.values()))
     for split in ("train", "validation"):
         if not parts[split]:
             names = ", ".join(map(str, datasets))
@@ -129,7 +113,9 @@ def train(
             arrays, curve = _windowed(method, learnt, seed, epochs, progress)
             how = {**asdict(PaperRecipe()), "epochs": epochs, "seed": seed}
         detector = TRAINED[method](arrays)
-        judged = {split: _scores(detector, parts[split]) for split in ("validation", "test") if parts[split]}
+        judged = {
+            split: label_scores(detector, parts[split]) for split in ("validation", "test") if parts[split]
+        }
         card = {
             **about,
             "seed": seed,
@@ -138,11 +124,11 @@ def train(
             "debounce": _debounce(detector, parts["validation"]),
             "curve": [asdict(check) for check in curve],
         }
-        models.append(write(path, arrays, card, curve))
+        models.append(write_model(path, arrays, card, curve))
     models.sort(key=lambda model: -model.card["scores"]["validation"]["balanced"])
     if seeds > 1:
         first = models[0]
-        write(out, load_weights(first.path)[0], first.card, first.curve)
+        write_model(out, load_weights(first.path)[0], first.card, first.curve)
     return Outcome(models)
 
 
@@ -198,35 +184,3 @@ def _debounce(detector: Detector, validation: Sequence[Trial]) -> dict[str, floa
     slips = [Slips.labelled(trial) for trial in validation]
     found = tuned([probabilities(detector, trial) for trial in validation], slips)
     return {name: getattr(found, name) for name in ("threshold", "consecutive", "release")}
-
-
-def _scores(detector: Detector, trials: Sequence[Trial]) -> dict[str, float]:
-    """How the exported detector, as it will be used, does on labelled samples."""
-    probability = np.concatenate([probabilities(detector, trial) for trial in trials])
-    label = np.concatenate([trial.label for trial in trials])
-    known = (label != UNKNOWN) & ~np.isnan(probability)
-    confusion = Confusion.of(probability[known] > 1 / 2, label[known] == SLIP)
-    return {"accuracy": confusion.accuracy, "balanced": confusion.balanced, "f1": confusion.f1}
-
-
-def provenance(dataset: Path, trials: Sequence[Trial]) -> dict[str, Any]:
-    """What a dataset was, provably: the sha256 is that of its sessions' manifests, which hold its parts'."""
-    digest = hashlib.sha256()
-    for manifest in sorted((dataset / SESSIONS).glob(f"*/{MANIFEST}")):
-        digest.update(manifest.parent.name.encode() + b"\0" + manifest.read_bytes())
-    return {
-        "dataset": dataset.resolve().name,
-        "sha256": digest.hexdigest(),
-        "recordings": dict(Counter(trial.split for trial in trials)),
-        "samples": sum(map(len, trials)),
-    }
-
-
-def write(path: Path, arrays: Arrays, card: Mapping[str, Any], curve: Sequence[Check]) -> Model:
-    """Write the model, and beside it its card."""
-    save_weights(path, arrays, {"detector": str(card["detector"])})  # several keys would come in any order
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    size = sum(int(array.size) for array in arrays.values())
-    card = {**card, "file": path.name, "sha256": digest, "numbers": size}
-    save_card(path, card)
-    return Model(path, card, curve)

@@ -8,7 +8,8 @@ from argparse import ArgumentParser
 
 import numpy as np
 
-from flows.simulate import SPLITS, recordings
+from flows.simulate import recordings
+from flows.splits import SPLITS
 from flows.trials import JUDGED, trial
 from operators.batch import SLIP
 from tests.benchmarks.machine import commit

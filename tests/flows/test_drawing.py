@@ -1,21 +1,11 @@
 from flows.drawing import describe, mermaid
 from flows.graph import Flow
 from flows.testing import TestSink, TestSource
-from operators import Align, Debounce, Label, Motion, Scores, Touch, Zero, ms
+from operators import Debounce, Scores, ms
 
 
-def _flow() -> Flow:
-    flow, sink = Flow("drawn"), TestSink()
-    touch = flow.source(TestSource(Touch))
-    motion = flow.source(TestSource(Motion))
-    zeroed = touch | Zero(baseline=400)
-    (zeroed & motion | Align(within=10 * ms) | Label()).to(sink)
-    zeroed.to(sink)
-    return flow
-
-
-def test_text_reads_like_the_declaration() -> None:
-    assert str(_flow()).splitlines() == [
+def test_text_reads_like_the_declaration(drawn: Flow) -> None:
+    assert str(drawn).splitlines() == [
         "flow drawn",
         "  touch    = TestSource(Touch)",
         "  motion   = TestSource(Motion)",
@@ -35,8 +25,8 @@ def test_two_streams_of_one_type_get_two_names() -> None:
     assert names == ["scores", "slips", "slips2", "slips", "slips2"]
 
 
-def test_mermaid_names_every_edge_by_its_type() -> None:
-    lines = mermaid(_flow().nodes).splitlines()
+def test_mermaid_names_every_edge_by_its_type(drawn: Flow) -> None:
+    lines = mermaid(drawn.nodes).splitlines()
     assert lines[0] == "flowchart LR"
     edges = [line.split("|")[1] for line in lines if "-->" in line]
     assert sorted(edges) == ["Labelled", "Motion", "Sample", "Touch", "Zeroed", "Zeroed"]

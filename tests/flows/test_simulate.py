@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -17,7 +16,8 @@ from flows.clock import LoopClock
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
 from flows.record import collect
-from flows.simulate import SPLITS, Collected, recordings, results, simulate
+from flows.simulate import Collected, recordings, simulate
+from flows.splits import SPLITS
 from flows.testing import run_virtually
 from operators import Label, ms
 from operators.errors import EndpointError, ParameterError, SlipflowError
@@ -168,11 +168,6 @@ def test_an_error_in_another_process_is_one_line_too(tmp_path: Path) -> None:
         simulate(tmp_path / "out", "tiny", 0, jobs=2, progress=spoil)
     assert "\n" not in str(caught.value)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_process_that_is_killed_is_told_in_one_line() -> None:
-    with pytest.raises(SlipflowError, match="a process ended early"):
-        list(results(os._exit, [1, 1], 2))
 
 
 def test_what_is_killed_does_not_look_complete_and_is_told_of(tmp_path: Path) -> None:

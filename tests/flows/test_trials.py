@@ -9,8 +9,10 @@ import pytest
 from connectors.rig.scene import Faults, Move, Moves, Scene
 from connectors.rig.stress import stressed
 from flows.simulate import recordings, simulate
-from flows.trials import TURNS, Trial, load, trial
+from flows.splits import SPLITS, TURNS
+from flows.trials import Trial, by_split, load, trial
 from operators.batch import Flags
+from operators.errors import InputError
 
 SCENE = Scene(
     Moves(
@@ -79,3 +81,16 @@ def test_recordings_without_splits_take_turns_by_session(tmp_path: Path) -> None
 def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:
     scenes = {plan: {each.seed for each in recordings(plan, 0)} for plan in ("paper", "tiny")}
     assert not scenes["paper"] & scenes["tiny"]
+
+
+def test_a_folder_that_is_not_there_is_told_as_such(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="none: there is no such folder"):
+        load(tmp_path / "none")
+
+
+def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> None:
+    trials = load(tiny)
+    parts = by_split(iter([*trials, replace(trials[0], split="")]))
+    assert tuple(parts) == SPLITS
+    assert sum(map(len, parts.values())) == len(trials)
+    assert all(each.split == split for split, found in parts.items() for each in found)

@@ -70,12 +70,12 @@ def folder(new_recorder: Callable[..., Recorder]) -> Path:
     return recorder.close()
 
 
-def derive(out: Path) -> Flow:
+def derive(out: Path, threshold: float = 0.5) -> Flow:
     """Samples and slips, and the raw touch beside them."""
     flow, dataset = Flow("derive"), Dataset(out, part_span=15 * s, host="test")
     touch = flow.source(TestSource(Touch))
     zeroed = touch | Zero()
     (zeroed & flow.source(TestSource(Motion)) | Align() | Label(delay=70 * ms)).to(dataset)
-    (zeroed | Score(load_detector("psd")) | Debounce(threshold=0.5)).to(dataset)
+    (zeroed | Score(load_detector("psd")) | Debounce(threshold=threshold)).to(dataset)
     touch.to(dataset)
     return flow

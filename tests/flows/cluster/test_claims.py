@@ -40,6 +40,13 @@ def test_a_line_that_is_no_claim_is_an_error(line: str) -> None:
         Claim.read(line)
 
 
-def test_a_line_that_is_too_long_is_an_error() -> None:
+@pytest.mark.parametrize("line", ["", "[]", "{}", CLAIM.line()])
+def test_a_line_that_tells_of_nothing_done_is_an_error(line: str) -> None:
+    with pytest.raises(InputError, match="done: cannot be read"):
+        Done.read(line)
+
+
+@pytest.mark.parametrize("kind", [Claim, Done])
+def test_a_line_that_is_too_long_is_an_error(kind: type[Claim | Done]) -> None:
     with pytest.raises(InputError, match="is longer than"):
-        Claim.read(" " * (LIMIT + 1))
+        kind.read(" " * (LIMIT + 1))

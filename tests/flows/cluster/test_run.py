@@ -10,7 +10,7 @@ import pytest
 
 from flows.cluster.claims import Claim
 from flows.cluster.job_folder import JobFolder
-from flows.cluster.rest import JobManager
+from flows.cluster.job_manager import JobManager
 from flows.cluster.run import Cluster
 from flows.cluster.work import Work
 from flows.loading import Declaration, load

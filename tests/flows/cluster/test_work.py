@@ -51,6 +51,18 @@ def test_claims_in_any_order_and_twice_give_the_files_of_one_process(
     assert contents(out / "sessions") == contents(tmp_path / "one" / "sessions")
 
 
+def test_slips_that_were_looked_for_and_not_found_are_the_file_of_one_process_too(
+    folder: Path, tmp_path: Path
+) -> None:
+    one, out = tmp_path / "one", tmp_path / "many"
+    asyncio.run(ReplayRunner(derive(one, 1.0), Session.open(folder), "one").execute())
+    assert len(Session.open(one).frame("slips")) == 0
+    flow = derive(out, 1.0)
+    done = worked(flow, tmp_path / "staged", list(Cutter(flow, folder, 1000, 8, 2).claims()))
+    finish(flow, tmp_path / "staged", done[-1], out)
+    assert contents(out / "sessions") == contents(one / "sessions")
+
+
 def test_work_that_is_done_again_from_any_state_writes_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     flow = derive(tmp_path / "out")
     claims = [each for each in Cutter(flow, folder, 130, 2).claims() if each.share == 1]

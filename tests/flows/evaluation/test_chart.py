@@ -1,12 +1,14 @@
 import json
-import math
 import re
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from flows.evaluation import chart as module
 from flows.evaluation import chart_page
@@ -14,7 +16,6 @@ from flows.evaluation.chart import ONNX, TORCH, Chart, chart
 from flows.evaluation.metrics import Confusion
 from flows.scoring import probabilities
 from flows.trials import Trial, load
-from operators.detectors.tcn import shapes
 from operators.errors import InputError
 from storage import load_detector
 from storage.models import save_weights
@@ -22,25 +23,13 @@ from storage.models import save_weights
 EXTRAS = {TORCH: find_spec("torch"), ONNX: find_spec("onnx") and find_spec("onnxruntime")}
 
 
-def model(path: Path, filters: int) -> Path:
-    """A TCN that has learned nothing."""
-    random = np.random.default_rng(filters)
-    weights = {
-        name: random.normal(0, math.prod(shape[:-1]) ** -0.5, shape).astype(np.float32)
-        for name, shape in shapes(8, filters, 24, 3).items()
-    }
-    weights |= {
-        "dilations": np.array([1, 2, 4]),
-        "position_scale": np.array([8], np.float32),
-        "step_scale": np.array([1.5], np.float32),
-    }
-    save_weights(path, weights, {"detector": "tcn"})
-    return path
-
-
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return model(tmp_path_factory.mktemp("models") / "tcn4.safetensors", 4)
+def small(
+    unlearned: Callable[[int], dict[str, NDArray[Any]]], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    path = tmp_path_factory.mktemp("models") / "tcn4.safetensors"
+    save_weights(path, unlearned(4), {"detector": "tcn"})
+    return path
 
 
 @pytest.fixture(scope="module")

@@ -43,9 +43,9 @@ def test_a_simulated_dataset_is_held_against_the_truth_too(found: Evaluation) ->
     assert 70 < found.label.accuracy < 99
     for result in found.results:
         assert result.sliding is not None
-        assert result.felt_sliding is not None
+        assert result.sliding_events is not None
         assert result.sliding.counts.sum() == result.confusion.counts.sum()
-        assert result.felt_sliding.slips > 0
+        assert result.sliding_events.slips > 0
 
 
 def test_the_summary_has_every_number_that_is_promised(found: Evaluation) -> None:
@@ -84,7 +84,7 @@ def test_without_a_validation_split_the_papers_rule_stands(
     result = evaluate(tiny, names=["psd"])["psd"]
     assert result.debounce == Debounce(0.5, 2, 2)
     assert result.chosen.startswith("the paper")
-    assert result.felt.false_alarms == result.paper_rule.false_alarms
+    assert result.events.false_alarms == result.paper_rule.false_alarms
 
 
 def _doubtful(label: Codes) -> Codes:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from flows.evaluation.events import BRIEF, PAUSE, PERIOD, Felt, Slips, bridged, filled, onsets
+from flows.evaluation.events import BRIEF, PAUSE, PERIOD, EventMetrics, Slips, bridged, filled, onsets
 from flows.trials import JUDGED, Trial
 from operators import Debounce, ms
 from operators.batch import Codes, Reals
@@ -56,7 +56,7 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
     found = slips(codes)
     assert found.excused == seconds((300, 399))
     assert found.static == (300 - JUDGED - 50) * PERIOD
-    felt = Felt.of([sure(400, (150, 200), (330, 340))], [found], TWICE)
+    felt = EventMetrics.of([sure(400, (150, 200), (330, 340))], [found], TWICE)
     assert felt.false_alarms == 0
 
 
@@ -86,7 +86,7 @@ def test_onsets_come_from_the_operator_after_the_judged_part_begins() -> None:
 def test_what_is_felt_is_counted_and_timed() -> None:
     true = slips(label(1200, (200, 250), (400, 450), (600, 650)))
     probability = sure(1200, (205, 220), (230, 240), (405, 406), (598, 640), (1000, 1010))
-    felt = Felt.of([probability], [true], TWICE)
+    felt = EventMetrics.of([probability], [true], TWICE)
     assert felt.delays.tolist() == [60, -10]
     assert (felt.missed_slips, felt.false_alarms, felt.repeats, felt.slips) == (1, 1, 1, 3)
     assert felt.missed == pytest.approx(100 / 3)
@@ -98,11 +98,11 @@ def test_what_is_felt_is_counted_and_timed() -> None:
 
 def test_a_detector_that_always_says_slip_misses_all_but_what_it_began_in() -> None:
     true = slips(label(1200, (200, 250), (400, 450)))
-    felt = Felt.of([np.full(1200, 0.9)], [true], TWICE)
+    felt = EventMetrics.of([np.full(1200, 0.9)], [true], TWICE)
     assert (felt.missed, felt.false_alarms) == (100, 1)
 
 
 def test_no_recordings_are_felt_as_nothing() -> None:
-    felt = Felt.of([], [], TWICE)
+    felt = EventMetrics.of([], [], TWICE)
     assert felt.slips == 0
     assert np.isnan([felt.false_alarms_per_min, felt.missed, felt.onset_ms, felt.repeated]).all()

@@ -2,7 +2,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from flows.evaluation.page import Page, Section, Table
-from flows.evaluation.written import written
+from flows.evaluation.page_files import write_page
 from flows.figures import Figure, grid, styled
 
 TABLE = Table(["method", "F1 < 90"], [["<b>tcn</b>", "1 & 2"], ["psd", "3"]], caption="a > b")
@@ -105,7 +105,7 @@ def test_markdown_holds_the_same_tables() -> None:
 
 
 def test_the_markdown_of_a_file_shows_the_figures_that_are_written_beside_it(tmp_path: Path) -> None:
-    paths = written(page(), {}, tmp_path, "found")
+    paths = write_page(page(), {}, tmp_path, "found")
     markdown = (tmp_path / "found.md").read_text()
     figures = [path.name for path in paths if path.suffix == ".svg"]
     assert figures

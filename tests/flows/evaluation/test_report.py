@@ -8,8 +8,8 @@ import pytest
 
 from flows.evaluation import report, sections
 from flows.evaluation.evaluate import Evaluation, evaluate
-from flows.evaluation.events import Felt
-from flows.evaluation.written import claim
+from flows.evaluation.events import EventMetrics
+from flows.evaluation.page_files import make_output_folder
 from operators.errors import EndpointError
 
 
@@ -51,18 +51,18 @@ def test_titles_say_the_numbers(found: Evaluation) -> None:
     first = sections.leader(found)
     titles = {section.name: section.title for section in sections.sections(found)}
     assert f"is right on {first.confusion.accuracy:.1f} % of the samples" in titles["accuracy"]
-    assert f"{first.felt.false_alarms_per_min:.1f} false alarms per static minute" in titles["users"]
+    assert f"{first.events.false_alarms_per_min:.1f} false alarms per static minute" in titles["users"]
     assert re.search(r"in \d+ of \d+ kinds of motion", titles["motions"])
     assert re.search(r"lie within 60 ms of a change", titles["changes"])
 
 
 def test_no_delay_is_told_where_no_slip_is_found(found: Evaluation) -> None:
-    nothing = Felt(np.empty(0), missed_slips=3, false_alarms=0, repeats=0, minutes=1.0)
+    nothing = EventMetrics(np.empty(0), missed_slips=3, false_alarms=0, repeats=0, minutes=1.0)
     for felt, end in (
         (nothing, "and misses 100.0 % of slips"),
         (replace(nothing, missed_slips=0), "and there are no slips"),
     ):
-        leader = replace(sections.leader(found), felt=felt)
+        leader = replace(sections.leader(found), events=felt)
         [title] = [sections.users(replace(found, results=(leader,))).title]
         assert title.endswith(end)
 
@@ -103,4 +103,4 @@ def test_a_split_that_was_fitted_to_is_called_no_test(tiny: Path) -> None:
 def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(EndpointError, match="cannot be made"):
-        claim(tmp_path / "file" / "out")
+        make_output_folder(tmp_path / "file" / "out")

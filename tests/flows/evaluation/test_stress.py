@@ -9,7 +9,7 @@ import pytest
 from connectors.rig.paper import Collection
 from connectors.rig.stress import stressed
 from flows.evaluation import stress_figure, stress_page
-from flows.evaluation.judged import Judged
+from flows.evaluation.judgement import Judgement
 from flows.evaluation.stress import judged, stress
 from flows.evaluation.stress_fields import GOALS, GRIDS
 from flows.evaluation.stress_result import Condition, Stress
@@ -92,7 +92,7 @@ def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: 
 def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None:
     trials = simulate(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
     answers = [probabilities(Psd(), trial) for trial in trials]
-    expected = Judged.of(trials, answers, Debounce(), "label")
+    expected = Judgement.of(trials, answers, Debounce(), "label")
     assert found.at("psd", "friction", 0.3) == expected
 
 

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.evaluation import tuning
-from flows.evaluation.events import Felt, Slips
-from flows.evaluation.tuning import Joined, runs, tuned
+from flows.evaluation.events import EventMetrics, Slips
+from flows.evaluation.tuning import Joined, run_lengths, tuned
 from flows.trials import Trial
 from operators import Debounce
 from operators.batch import Reals
@@ -42,8 +42,8 @@ def test_a_setting_is_judged_as_the_operator_would_have_it(
     joined = Joined.of(found, slips)
     with np.errstate(invalid="ignore"):
         slip, static = joined.probability >= threshold, joined.probability < threshold
-    quick = joined.judged(runs(slip) >= consecutive, runs(static) >= release)
-    felt = Felt.of(found, slips, Debounce(threshold, consecutive, release))
+    quick = joined.judged(run_lengths(slip) >= consecutive, run_lengths(static) >= release)
+    felt = EventMetrics.of(found, slips, Debounce(threshold, consecutive, release))
     assert (quick.false, quick.missed, quick.repeated) == (felt.false_alarms, felt.missed, felt.repeated)
     if len(felt.delays):
         assert quick.delay * 10 == pytest.approx(felt.delays.mean())
@@ -53,14 +53,14 @@ def test_a_setting_is_judged_as_the_operator_would_have_it(
 @pytest.mark.parametrize("budget", [4.0, 20.0, 80.0])
 def test_the_budget_is_kept_with_a_margin_for_chance(budget: float) -> None:
     found, slips = recordings(1, number=20)
-    felt = Felt.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100))
+    felt = EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100))
     assert felt.false_alarms + 1 + np.sqrt(felt.false_alarms + 0.75) <= budget * felt.minutes
 
 
 def test_a_larger_budget_is_spent_on_less_delay() -> None:
     found, slips = recordings(2, number=20)
     delays = [
-        Felt.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100)).delays.mean()
+        EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100)).delays.mean()
         for budget in (4.0, 20.0, 80.0)
     ]
     assert delays[0] > delays[1] > delays[2]
@@ -68,7 +68,7 @@ def test_a_larger_budget_is_spent_on_less_delay() -> None:
 
 def test_missed_and_repeated_slips_are_kept_within_their_limits_where_that_can_be() -> None:
     found, slips = recordings(3, number=10, noise=0.3)
-    felt = Felt.of(found, slips, tuned(found, slips))
+    felt = EventMetrics.of(found, slips, tuned(found, slips))
     assert felt.false_alarms_per_min < 2
     assert felt.missed <= 2
     assert felt.repeated <= 2
@@ -77,9 +77,9 @@ def test_missed_and_repeated_slips_are_kept_within_their_limits_where_that_can_b
 def test_where_no_setting_keeps_the_budget_the_fewest_false_alarms_win() -> None:
     found, slips = recordings(4, noise=2.0)
     chosen = tuned(found, slips, budget=0.0)
-    fewest = Felt.of(found, slips, chosen).false_alarms
+    fewest = EventMetrics.of(found, slips, chosen).false_alarms
     for other in (Debounce(), Debounce(0.9, 3, 3), Debounce(0.95, 5, 12)):
-        assert fewest <= Felt.of(found, slips, other).false_alarms
+        assert fewest <= EventMetrics.of(found, slips, other).false_alarms
 
 
 def test_without_recordings_the_settings_are_valid() -> None:

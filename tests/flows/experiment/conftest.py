@@ -9,9 +9,10 @@ import pytest
 
 from flows.experiment.ablation import Ablation
 from flows.experiment.budget import Budget
-from flows.experiment.experiment import Found, Method
+from flows.experiment.experiment import Found, Kind, Method
 from flows.experiment.lifting import Ending, Lifting
 from flows.experiment.setting import Conditions
+from flows.experiment.tapping import Tapping
 from flows.experiment.trial import Trace
 from operators.batch import Reals
 
@@ -78,3 +79,33 @@ def ablated() -> Callable[..., Ablation]:
         )
 
     return made
+
+
+@pytest.fixture
+def found() -> Callable[[Kind], Found]:
+    """Two trials with a ball and with a box: our rule fails once, with the ball, the other rule always."""
+
+    def make(kind: Kind) -> Found:
+        held = Lifting("held", 3.0, 20.0, 1.5, 1.75, 0)
+        missed = Lifting("missed", 30.0, float("nan"), float("nan"), 0.5, 1)
+        felt = Tapping("felt", "top", 2.0, 30.0, 1, 0, 0, 0)
+        late = Tapping("too late", "side", 4.0, 300.0, 3, 1, 1, 0)
+        good, bad = (held, missed) if kind == "lift" else (felt, late)
+        outcomes = {
+            ("psd, ours", "ball"): [good, bad],
+            ("psd, ours", "box"): [good, good],
+            ("psd, none", "ball"): [bad, bad],
+            ("psd, none", "box"): [bad, bad],
+        }
+        return Found(
+            kind,
+            2,
+            7,
+            Conditions(),
+            outcomes,
+            ("psd, ours", "psd, none"),
+            ("ball", "box"),
+            Method("psd", "ours"),
+        )
+
+    return make

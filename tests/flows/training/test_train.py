@@ -7,8 +7,8 @@ import pytest
 
 from flows.networks.recipe import Recipe
 from flows.simulate import simulate
-from flows.training import train as training
 from flows.training.curve import Check, best, draw
+from flows.training.model import provenance
 from flows.training.train import train
 from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError
@@ -68,7 +68,7 @@ def test_a_network_of_the_paper_is_trained_by_its_recipe(dataset: Path, tmp_path
 def test_the_sha256_of_the_data_changes_with_the_data(dataset: Path, tmp_path: Path) -> None:
     other = tmp_path / "other"
     simulate(other, "tiny", seed=1, jobs=1)
-    sums = [training.provenance(path, [])["sha256"] for path in (dataset, dataset, other)]
+    sums = [provenance(path, [])["sha256"] for path in (dataset, dataset, other)]
     assert sums[0] == sums[1] != sums[2]
 
 

@@ -1,4 +1,4 @@
-"""What chart and stress say of a detector: how right it is, and what its users feel."""
+"""How good a detector is on some recordings, by sample and by slip event: a row of the chart or a stress."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Final, Literal, Self, TypeAlias
 import numpy as np
 
 from connectors.rig.truth import STICK
-from flows.evaluation.events import Felt, Slips, filled
+from flows.evaluation.events import EventMetrics, Slips, filled
 from flows.evaluation.metrics import Confusion
 from flows.trials import Trial
 from operators import Debounce
@@ -18,7 +18,7 @@ TRUTHS: Final[tuple[Truth, ...]] = ("label", "sliding")
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class Judgement:
     """One detector on some recordings, held against one truth.
 
     A sample without a score is neither right nor wrong; a slip without an onset is missed, whatever the
@@ -54,5 +54,7 @@ class Judged:
                 judged &= trial.label != UNKNOWN
             counts += Confusion.of(probability[judged] >= 1 / 2, slip[judged]).counts
             slips.append(slid)
-        right, felt = Confusion(counts), Felt.of(found, slips, debounce)
-        return cls(right.accuracy, right.balanced, felt.false_alarms_per_min, felt.missed, felt.onset_ms)
+        right, events = Confusion(counts), EventMetrics.of(found, slips, debounce)
+        return cls(
+            right.accuracy, right.balanced, events.false_alarms_per_min, events.missed, events.onset_ms
+        )

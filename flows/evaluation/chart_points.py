@@ -1,16 +1,11 @@
-"""Detectors as points: what each costs and what it is worth."""
+"""The points of the chart, each what a detector costs and how accurate it is; and the goals of speed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from math import isnan
-from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
-from flows.evaluation.judged import Judged
-
-PAPER: Final[Mapping[str, float]] = MappingProxyType(
-    {"psd": 57.4, "frequency_cnn": 86.0, "tcn": 91.3}
-)  # %, accuracy; "Under Pressure" (2021), which says no speed
+from flows.evaluation.judgement import Judgement
+from flows.evaluation.metrics import known
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +16,7 @@ class Point:
     us: float  # of CPU time for a sample of one fingertip
     us_64: float  # of CPU time for a sample of 64 fingertips at once, all of them
     streams: bool  # sample by sample; else on windows
-    judged: Judged
+    judged: Judgement
     same: bool = False  # the default detector, run by another library
     pareto: bool = False  # none is both as fast and as accurate, and better in one of the two
 
@@ -32,7 +27,7 @@ class Point:
 
     def json(self) -> dict[str, Any]:
         """The point for a program; null for what there is not."""
-        judged = {key: None if isnan(value) else value for key, value in asdict(self.judged).items()}
+        judged = {key: known(value) for key, value in asdict(self.judged).items()}
         return {
             "name": self.name,
             "us": self.us,

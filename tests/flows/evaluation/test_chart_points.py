@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from flows.evaluation.judged import Judged
-from flows.evaluation.points import Goal, Point, with_front
+from flows.evaluation.chart_points import Goal, Point, with_front
+from flows.evaluation.judgement import Judgement
 
 
 def point(name: str, us: float, accuracy: float, onset_ms: float = 30.0) -> Point:
-    return Point(name, us, 64 * us, streams=True, judged=Judged(accuracy, accuracy, 1.0, 2.0, onset_ms))
+    return Point(name, us, 64 * us, streams=True, judged=Judgement(accuracy, accuracy, 1.0, 2.0, onset_ms))
 
 
 def front(*points: Point) -> set[str]:

@@ -1,8 +1,6 @@
-"""One trial of an experiment, as it went."""
+"""A figure of one trial: force, barometers, probability of slip, slide and height against time."""
 
 from typing import Final
-
-import numpy as np
 
 from connectors.rig.objects import named
 from flows.experiment import lifting, tapping
@@ -10,6 +8,7 @@ from flows.experiment.experiment import Found, one
 from flows.experiment.setting import SLIDES, Setting
 from flows.experiment.trial import BASELINE, Trace
 from flows.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid, styled
+from flows.runs import runs
 from storage import load_detector
 
 SHOWN: Final = "ball"  # the hardest for the paper
@@ -57,9 +56,5 @@ def example(of: Found) -> Figure:
 
 def _shade(axis: Figure, trace: Trace) -> None:
     """Where it truly slides."""
-    sliding = np.concatenate(([False], trace.speed > SLIDES, [False])).astype(np.int8)
-    turns = np.diff(sliding)
-    for first, last in zip(
-        np.flatnonzero(turns == 1).tolist(), np.flatnonzero(turns == -1).tolist(), strict=True
-    ):
-        axis.axvspan(trace.t[max(first - 1, 0)], trace.t[last - 1], color=SHADE, linewidth=0)
+    for first, end in runs(trace.speed > SLIDES).tolist():
+        axis.axvspan(trace.t[max(first - 1, 0)], trace.t[end - 1], color=SHADE, linewidth=0)

@@ -1,20 +1,20 @@
-"""A page and its numbers as files."""
+"""Writing a page of findings: HTML, Markdown, its numbers as JSON, and its figures."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from flows.evaluation.page import Page, Section
+from flows.evaluation.page import Page
 from flows.figures import save
 from operators.errors import EndpointError
 
 
-def claim(folder: Path) -> None:
-    """Make sure that there is a folder to write to, before anything is measured.
+def make_output_folder(folder: Path) -> None:
+    """Make the folder that results will be written to; call it before a long measurement.
 
     Raises:
-        EndpointError: if there cannot be one.
+        EndpointError: if it cannot be made.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -22,13 +22,13 @@ def claim(folder: Path) -> None:
         raise EndpointError(str(folder), f"cannot be made: {error.strerror}") from error
 
 
-def written(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) -> list[Path]:
+def write_page(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) -> list[Path]:
     """Write ``NAME.html``, ``NAME.md``, ``NAME.json`` and each section's figure into a folder; their paths.
 
     Raises:
         EndpointError: if they cannot be written.
     """
-    claim(folder)
+    make_output_folder(folder)
     texts = {"html": page.html(), "md": page.markdown(name), "json": json.dumps(numbers, indent=1) + "\n"}
     paths = [folder / f"{name}.{ending}" for ending in texts]
     try:
@@ -41,12 +41,3 @@ def written(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) -> 
     except OSError as error:
         raise EndpointError(str(folder), f"cannot be written: {error.strerror}") from error
     return paths
-
-
-def told(sections: Sequence[Section]) -> str:
-    """Titles and tables, for a terminal."""
-    return "\n\n".join(
-        part
-        for section in sections
-        for part in (section.title, *(table.markdown() for table in section.tables))
-    )

@@ -8,7 +8,7 @@ import pytest
 
 from connectors.rig.paper import Collection
 from connectors.rig.scene import Commanded, Faults, Plan, Scene, Strokes
-from flows.evaluation.truth import scene, with_truth
+from flows.evaluation.simulated_truth import scene, with_truth
 from flows.trials import Trial, load
 
 PAPER = next(iter(Collection().scenes(0)))
