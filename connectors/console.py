@@ -21,7 +21,8 @@ class Console(Sink[Slips | Faults]):
     >>> asyncio.run(Console().write(Slips(time, onset, time, probability, finger=0)))
     1970-01-01 00:00:05.000  finger 0  slip onset  p 0.93
 
-    In the format json an event is one object, times in UTC, latency in ms, null where a number is unknown:
+    In the format json an event is one object, times in UTC, latency in ms, null where a number is unknown;
+    in a replay it names the recording:
 
     >>> asyncio.run(Console(format="json").write(Slips(time, onset, time, probability, finger=0)))
     {"time":"1970-01-01T00:00:05.000000000Z","event":"slip_onset","finger":"0","p":0.93}
@@ -64,19 +65,20 @@ class Console(Sink[Slips | Faults]):
             return
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
-            run = self._run if self._run and self._run.live else None
-            latency = (run.clock.now() - time) / ms if run else None
+            latency = self._run.latency(time) if self._run else None
             if self.format == "json":
-                known: dict[str, Json] = {} if latency is None else {"latency_ms": round(latency, 3)}
+                known: dict[str, Json] = {} if latency is None else {"latency_ms": round(latency / ms, 3)}
                 what = "slip_onset" if state == SLIP else "slip_end"
                 self._tell(time, batch.finger, what, {"p": probability, **known})
                 continue
-            late = "" if latency is None else f"  {latency:.1f} ms"
+            late = "" if latency is None else f"  {latency / ms:.1f} ms"
             what, style = ("slip onset", "bold red") if state == SLIP else ("slip end  ", "green")
             self._print(time, batch.finger, f"{what}  p {probability:.2f}{late}", style)
 
     def _tell(self, time: int, finger: int, event: str, about: Mapping[str, Json]) -> None:
-        document = {"time": timestamp(time), "event": event, "finger": finger_name(finger), **about}
+        recording = self._run.recording if self._run else None
+        whose: dict[str, Json] = {} if recording is None else {"recording": recording}
+        document = {"time": timestamp(time), "event": event, **whose, "finger": finger_name(finger), **about}
         self.stream.write(f"{encode(document).decode()}\n")  # at once: others may print lines there
         self.stream.flush()
 

@@ -16,6 +16,7 @@ from connectors.events import Event, topic
 from connectors.fields import Fields
 from connectors.gap_request import GapAnswer, GapRequest
 from connectors.position import Place, Position, hold, load, read_heads, save
+from connectors.replay_name import is_replay
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
 
 if TYPE_CHECKING:
@@ -30,6 +31,8 @@ LAST_RETRY = 5.0  # s, up to which the back-off doubles
 
 class Consumer(AsyncIterator[Event]):
     """Gives each event of the rigs that `site` and `rig` name, ``+`` standing for any, once, for ever.
+
+    Any rig is any live one: a replay, whose events are old, is followed by its name only.
 
     An event is given as soon as the broker delivers it: one that was missed comes late, after newer ones.
     What the rig no longer keeps is reported as lost. So is what is malformed, and a connection that is lost,
@@ -64,6 +67,7 @@ class Consumer(AsyncIterator[Event]):
         if since not in ("now", "start"):
             raise ParameterError("Consumer", "since", since, "now or start")
         self._everything, self._report = since == "start", report
+        self._replays = rig != "+"  # it was named: whether it is one is for the caller to know
         self._remember = Path(remember) if remember else None
         self._position = Position(everything=self._everything)
         self._held: int | None = None  # descriptor of its lock
@@ -129,6 +133,8 @@ class Consumer(AsyncIterator[Event]):
             if link.dropped > self._dropped:
                 self._report(f"{self._broker}: {link.dropped - self._dropped} messages came too fast")
                 self._dropped = link.dropped
+            if not self._replays and is_replay(place.split("/")[3]):
+                continue
             try:
                 event = self._read(place, payload)
             except InputError as error:

@@ -49,7 +49,7 @@ class Event:
     onset: bool = field(kw_only=True)  # False: the end of a slip
     time: int = field(kw_only=True)  # ns since 1970-01-01 UTC, the sample that decided
     probability: float | None = field(kw_only=True)  # of slip, 0..1; None: not known
-    latency: float = field(kw_only=True)  # ms, from the sample to when the event was made
+    latency: float | None = field(kw_only=True)  # ms, from the sample to when it was made; None: a replay
     threshold: float | None = field(default=None, kw_only=True)  # of the probability; None: not known
     consecutive: int | None = field(default=None, kw_only=True)  # samples that decide; None: not known
     model: str = field(default="unknown", kw_only=True)  # identifier of the detector
@@ -134,7 +134,7 @@ class Event:
             onset=state == "onset",
             time=data.whole("sample_time_ns", -INT64),
             probability=data.maybe(data.share, "p"),
-            latency=data.number("latency_ms"),
+            latency=data.maybe(data.number, "latency_ms"),
             threshold=data.maybe(data.share, "threshold"),
             consecutive=data.maybe(data.whole, "consecutive"),
             model=model.text("id"),

@@ -12,7 +12,7 @@ from connectors.gripper_link import GripperLink
 from connectors.robotiq import FULL, PORT, UNIT, Mode, Request, Status
 from connectors.robotiq_force import ForceScale
 from operators.batch import Commands
-from operators.errors import EndpointError, ParameterError
+from operators.errors import EndpointError, FlowError, ParameterError
 from operators.ports import Description, Run, Sink
 
 log = logging.getLogger(__name__)
@@ -27,7 +27,8 @@ class Gripper(Sink[Commands]):
 
     Opening it activates a gripper that is not active, which moves its fingers, and resets one with a fault.
     They go to `position` once a force is commanded, or at once if one is given, and stop at what they meet.
-    Closing it leaves them as they are: what they hold is held. In a replay nothing is moved.
+    Closing it leaves them as they are: what they hold is held. A recording moves nothing: with this sink no
+    replay begins, paced or not.
 
     A command is obeyed when it comes, whatever its time. One with no force (NaN) changes nothing, and nor do
     velocities. A force beyond `limits` is brought to the nearer one, so that a controller that asks for too
@@ -101,7 +102,7 @@ class Gripper(Sink[Commands]):
         self._batch: Commands | None = None  # the newest that was taken
         self._drive: GripperDrive | None = None
         self._failure = ""
-        self._serving: asyncio.Task[None] | None = None  # None in a replay
+        self._serving: asyncio.Task[None] | None = None  # None: it is not open
 
     @property
     def place(self) -> str:
@@ -138,13 +139,14 @@ class Gripper(Sink[Commands]):
         """Connect, and activate it if need be.
 
         Raises:
+            FlowError: in a replay.
             EndpointError: if it is out of reach, or cannot be activated.
             InputError: if pymodbus is not installed.
         """
+        if run.recording is not None or not run.live:
+            reason = "a replay moves no gripper: leave this sink out, or run the flow live"
+            raise FlowError(run.flow, self.place, reason)
         self._begin()
-        if not run.live:
-            log.info("%s: a replay leaves it alone", self.place)
-            return
         try:
             drive = await self._connect()
             await drive.reset()
@@ -161,9 +163,7 @@ class Gripper(Sink[Commands]):
         Raises:
             EndpointError: while the gripper fails; the newest force is kept, and sent once it is back.
         """
-        if self._serving is None:
-            return
-        if self._serving.done():
+        if self._serving and self._serving.done():
             self._serving.result()  # raises
         if batch is not self._batch:  # else it is written again
             self._batch = batch

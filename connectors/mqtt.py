@@ -14,7 +14,8 @@ from connectors.health_report import HealthReports, clock_report
 from connectors.message import Message
 from connectors.outbox import Outbox
 from connectors.outbox_file import Entry
-from connectors.outbox_place import default_path
+from connectors.outbox_place import default_path, of_replays
+from connectors.replay_name import name_in, replay_name
 from connectors.sender import Sender
 from operators.batch import SLIP, Clocks, Faults, Slips, ms
 from operators.errors import ParameterError
@@ -46,6 +47,9 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     memory, in an epoch of their own, and written down when it works; killed meanwhile, they may be lost.
     Faults mark the events that come after them, and show in the health; so do outbox and device clocks.
 
+    A replay publishes as another rig, ``<rig>-replay``, from an outbox of its own: whoever follows the rig
+    hears nothing of it, and both may run at once. No live rig may be so called.
+
     Raises:
         ParameterError: on a value that cannot be used.
     """
@@ -59,10 +63,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     outbox: str | Path | None = None  # None: a file per site and rig below $XDG_STATE_HOME/slipflow
     keep: int = 100_000  # events, for those who missed them
     keep_for: float = 7 * 86400  # s
+    patient: bool = False  # whether a run begins without waiting for its broker; events wait in the outbox
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url)
-        self._topic = topic("Mqtt", self.site, self.rig)
+        self._place = f"{self._broker}/{topic('Mqtt', self.site, self.rig)}"
         self._model, self._sha256 = self.model.get("id", "unknown"), self.model.get("sha256")
         named = self._model and self._model.isprintable() and not set(self.model) - {"id", "sha256"}
         if not named or (self._sha256 is not None and not re.fullmatch("[0-9a-f]{64}", self._sha256)):
@@ -80,29 +85,38 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     @property
     def place(self) -> str:
         """Broker and topic."""
-        return f"{self._broker}/{self._topic}"
+        return self._place
+
+    @property
+    def replay_place(self) -> str:
+        """Broker and topic in a replay."""
+        return f"{self._broker}/{topic('Mqtt', self.site, replay_name(self.rig))}"
 
     async def open(self, run: Run) -> None:
         """Open the outbox, connect, and say that we are online.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses us, or another run uses the outbox.
+            EndpointError: if the broker is unreachable or refuses us (not if we are `patient`), or another
+                run uses the outbox.
             InputError: if the outbox is no outbox, or a file with the password cannot be read.
+            ParameterError: if the rig is live and called as a replay.
         """
-        self._run = run
+        self._run, self._name = run, name_in(run, "Mqtt", self.rig)
+        self._topic = topic("Mqtt", self.site, self._name)
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # how a device's clock stood last
         self._told: dict[str, int] = {}  # ids of the events whose state was published last, by finger
-        path = default_path(self.site, self.rig) if self.outbox is None else Path(self.outbox)
-        self._outbox = Outbox(path, keep=self.keep, keep_for=self.keep_for)
+        self._outbox = Outbox(self._outbox_path(), keep=self.keep, keep_for=self.keep_for)
         await self._outbox.open()
-        identifier = f"slipflow/{self.site}/{self.rig}"  # the same in each run: a new one disarms an old will
+        # The same in each run: a new one disarms an old will. That of a replay cuts off no live rig.
+        identifier = f"slipflow/{self.site}/{self._name}"
         self._sender = Sender(self._broker, self._topic, self._outbox, self._follow)
         online = self._status("online", run.clock.now())
         try:
             documents = online, self._info(), self._head(), self._report()
-            await self._sender.start(identifier, self._status("offline", None), *documents)
+            will = self._status("offline", None)
+            await self._sender.start(identifier, will, *documents, patient=self.patient)
         except BaseException:
             await self._outbox.close()
             raise
@@ -133,6 +147,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             log.warning(text, self._broker, self._outbox.waiting, self._outbox.path)
         await self._outbox.close()
 
+    def _outbox_path(self) -> Path:
+        if self.outbox is None:
+            return default_path(self.site, self._name)
+        return Path(self.outbox) if self._run.recording is None else of_replays(Path(self.outbox))
+
     def _degraded(self, finger: str) -> tuple[Fault, ...]:
         return tuple(sorted(self._faults.get(finger, ()), key=lambda fault: (fault.barometer, fault.kind)))
 
@@ -141,16 +160,17 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         finger = finger_name(batch.finger)
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
+            latency = self._run.latency(time)
             yield Event(
                 self.site,
-                self.rig,
+                self._name,
                 finger,
                 "",
                 0,
                 onset=state == SLIP,
                 time=time,
                 probability=probability,
-                latency=(self._run.clock.now() - time) / ms,
+                latency=None if latency is None else latency / ms,
                 threshold=self.threshold,
                 consecutive=self.consecutive,
                 model=self._model,
@@ -189,6 +209,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def _info(self) -> Message:
         document: dict[str, Json] = {
             "flow": self._run.flow,
+            "recording": self._run.recording,
             "sources": {
                 name: {key: value for key, value in description.items() if key != "episodes"}  # they go on
                 for name, description in self._run.describe.items()

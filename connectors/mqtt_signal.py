@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from connectors.broker import Broker
 from connectors.events import encode, finger_name, topic
 from connectors.publisher import Message, Publisher
+from connectors.replay_name import name_in, replay_name
 from operators.batch import Scores, s
 from operators.errors import ParameterError
 from operators.ports import Run, Sink
@@ -17,7 +18,7 @@ class MqttSignal(Sink[Scores]):
 
     As ``{"time_ns": .., "p": ..}`` on ``slip/v1/<site>/<rig>/<finger>/signal``, with QoS 0, not retained.
     While the broker is away the oldest batches are dropped. It has a queue and a connection of its own, so
-    that it never holds up the events of `connectors.mqtt.Mqtt`.
+    that it never holds up the events of `connectors.mqtt.Mqtt`. As there, a replay publishes as another rig.
 
     Raises:
         ParameterError: on a URL, a site, a rig or a rate that cannot be used.
@@ -33,23 +34,31 @@ class MqttSignal(Sink[Scores]):
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url, "MqttSignal")
-        self._topic = topic("MqttSignal", self.site, self.rig)
+        self._place = self._signals(self.rig)
         if not self.rate > 0:
             raise ParameterError("MqttSignal", "rate", self.rate, "more than 0 Hz")
 
     @property
     def place(self) -> str:
         """Broker and topic."""
-        return f"{self._broker}/{self._topic}/+/signal"
+        return self._place
 
-    async def open(self, run: Run) -> None:  # noqa: ARG002 - it tells nothing of the run
+    @property
+    def replay_place(self) -> str:
+        """Broker and topic in a replay."""
+        return self._signals(replay_name(self.rig))
+
+    async def open(self, run: Run) -> None:
         """Connect.
 
         Raises:
             EndpointError: if the broker is unreachable or refuses us.
+            ParameterError: if the rig is live and called as a replay.
         """
         self._due: dict[int, int] = {}  # ns, by finger
-        self._publisher = Publisher(self._broker, self._topic, f"slipflow/{self.site}/{self.rig}/signal")
+        name = name_in(run, "MqttSignal", self.rig)
+        place = topic("MqttSignal", self.site, name)
+        self._publisher = Publisher(self._broker, place, f"slipflow/{self.site}/{name}/signal")
         await self._publisher.send(deque())
 
     async def write(self, batch: Scores) -> None:
@@ -71,3 +80,6 @@ class MqttSignal(Sink[Scores]):
     async def close(self) -> None:
         """Leave."""
         await self._publisher.close()
+
+    def _signals(self, name: str) -> str:
+        return f"{self._broker}/{topic('MqttSignal', self.site, name)}/+/signal"

@@ -7,6 +7,7 @@ from secrets import token_hex
 from urllib.parse import quote
 
 from connectors.lock import lock_beside
+from connectors.replay_name import SUFFIX
 from operators.errors import EndpointError
 
 
@@ -23,6 +24,15 @@ def default_path(site: str, rig: str) -> Path:
     if not state.is_absolute():  # the specification has it ignored then
         state = Path.home() / ".local" / "state"
     return state / "slipflow" / f"{name}.sqlite"
+
+
+def of_replays(path: Path) -> Path:
+    """Where the outbox of a rig's replays is: beside the rig's own.
+
+    >>> of_replays(Path("lab/ur10.sqlite")).as_posix()
+    'lab/ur10-replay.sqlite'
+    """
+    return path.with_stem(path.stem + SUFFIX)
 
 
 def lock(path: Path) -> int:

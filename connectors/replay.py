@@ -2,6 +2,7 @@
 
 from collections.abc import AsyncIterator, Iterator
 from heapq import merge
+from pathlib import PurePath
 from typing import Generic, TypeVar
 
 from operators.batch import Batch
@@ -43,7 +44,8 @@ class Replay(Source[Given], Generic[Given]):
         for finger in fingers or held or (None,):
             if finger not in held:
                 which = "" if finger is None else f" of finger {finger}"
-                raise InputError(recording.name, f"holds no {kind.__name__} stream{which}")
+                others = f"; its fingers are {', '.join(map(str, held))}" if held else ""
+                raise InputError(recording.name, f"holds no {kind.__name__} stream{which}{others}")
         self._recording, self._kind, self._fingers = recording, kind, fingers or held
         self._pace, self._origin = pace, origin
 
@@ -56,6 +58,11 @@ class Replay(Source[Given], Generic[Given]):
     def fingers(self) -> tuple[int, ...]:
         """The fingertips that its batches belong to."""
         return self._fingers
+
+    @property
+    def recording(self) -> str:
+        """What the recording is called: of a path the last part, for others are told this name."""
+        return PurePath(self._recording.name).name
 
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Give all of the stream, from its beginning; fingertips take turns in the order of their stamps."""

@@ -68,21 +68,26 @@ class Sender:
         """Topics that the broker refuses."""
         return sorted(self._refused)
 
-    async def start(self, identifier: str, will: Message, *retained: Message) -> None:
-        """Connect, publish what is to be retained, and begin to send.
+    async def start(self, identifier: str, will: Message, *retained: Message, patient: bool = False) -> None:
+        """Connect, publish what is to be retained, and begin to send; `patient`: without waiting for that.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses.
+            EndpointError: if the broker is unreachable or refuses, and we are not patient.
             InputError: if a file with the password or the authorities cannot be read.
         """
         self._identifier, self._will = identifier, (will.topic, will.payload)
         for message in retained:
             self._retained[message.topic] = message
-        try:
-            await self._connect(first=True)
-        except BaseException:
-            await self._leave()
-            raise
+        if patient:  # only what a person must mend is told now
+            self._broker.login()
+            if self._broker.scheme == "mqtts":
+                self._broker.tls()
+        else:
+            try:
+                await self._connect(first=True)
+            except BaseException:
+                await self._leave()
+                raise
         self._sending = asyncio.create_task(self._keep_sending())
 
     def retain(self, message: Message) -> None:

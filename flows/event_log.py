@@ -66,12 +66,21 @@ class JsonLines(logging.Formatter):
         return _SECRET.sub("...", encode(document).decode())
 
 
+class Printed(logging.StreamHandler[TextIO]):
+    """Writes log lines to a stream, and is silent when its reader has gone, as `| head` does."""
+
+    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
+        """Report any other failure to write."""
+        if not isinstance(sys.exc_info()[1], BrokenPipeError):
+            super().handleError(record)
+
+
 def begin_log(form: Format, stream: TextIO | None = None) -> None:
     """Let what happens be told: to people on stderr, to programs on `stream`, by default stdout."""
     if form is Format.TEXT:
         logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
         return
-    handler = logging.StreamHandler(stream or sys.stdout)
+    handler = Printed(stream or sys.stdout)
     handler.setFormatter(JsonLines())
     logging.basicConfig(handlers=[handler])
     log.setLevel(logging.INFO)
@@ -101,7 +110,8 @@ def logged(run: "Run") -> Generator[None]:
     from flows.incidents import event
 
     names: dict[str, Json] = {"sources": [*run.sources], "sinks": [*run.sinks]}
-    begins = event("run_begins", session=run.session, flow=run.flow, live=run.live, **names)
+    about: dict[str, Json] = {"live": run.live, "recording": run.recording, **names}
+    begins = event("run_begins", session=run.session, flow=run.flow, **about)
     log.info("%s begins", run.session, extra=begins)
     try:
         yield

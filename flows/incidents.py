@@ -1,4 +1,4 @@
-"""What goes wrong in a live run and comes right again: each a line for people, an event for programs."""
+"""What people should know of a run as it happens: each a line for them, an event for programs."""
 
 import logging
 from dataclasses import asdict
@@ -17,6 +17,12 @@ def event(name: str, **about: Json) -> dict[str, Any]:
     {'event': 'source_failed', 'about': {'source': 'touch'}}
     """
     return {"event": name, "about": about}
+
+
+def replay_elsewhere(sink: str, place: str) -> None:
+    """In a replay it writes to `place`, elsewhere than in a live run."""
+    extra = event("replay_elsewhere", sink=sink, place=place)
+    log.warning("%s: the replay goes to %s", sink, place, extra=extra)
 
 
 def source_failed(source: str, reason: str) -> None:

@@ -14,6 +14,7 @@ from flows.drawing import streams
 from flows.graph import Flow
 from flows.node import Node
 from flows.plan import Delivery, Entry, Plan
+from flows.replay_runner import recorded_of
 from operators.batch import Batch, ms
 from operators.errors import EndpointError, SlipflowError
 from operators.operator import Order
@@ -45,23 +46,28 @@ class LiveRunner:
         *,
         clock: Clock | None = None,
         duration: int | None = None,
-        whole: bool = False,
     ) -> None:
         """Get ready to run `flow` as `session` until its sources end, `duration` (ns) has passed, or `stop`.
 
-        With `whole`, as of a recording, a run that was stopped is not complete.
+        It is a replay if a source gives what was recorded: then a run that was stopped is not complete.
 
         Raises:
             FlowError: if the flow is wired wrongly.
         """
         self.plan = Plan(flow)
         self.clock = clock or LoopClock()
-        self._duration, self._whole = duration, whole
+        self._duration = duration
         self._sources: dict[Node, Source[Any]] = {
             node: node.part for node in flow.nodes if isinstance(node.part, Source)
         }
         self.run = Run(
-            session, flow.name, self.clock, self.clock.now(), declaration=tuple(streams(flow.nodes))
+            session,
+            flow.name,
+            self.clock,
+            self.clock.now(),
+            recording=recorded_of(self._sources.values()),
+            declaration=tuple(streams(flow.nodes)),
+            wired=self.plan.wired,
         )
         for node, source in self._sources.items():
             self.run.describe[node.name] = source.describe()
@@ -84,7 +90,7 @@ class LiveRunner:
         """
         self._stops += 1
         self._stop.set()
-        if self._whole:
+        if self.run.recording is not None:
             self.run.error = "was interrupted"
         if self._stops > 1:
             for outlet in self._outlets.values():

@@ -13,7 +13,7 @@ from pathlib import Path
 from flows.graph import Flow
 from flows.loading import load
 from flows.processes import Spread, Watch
-from flows.replay_runner import ReplayRunner
+from flows.replay_runner import ReplayRunner, tell_places
 from flows.summary import Summary
 from flows.validate import validate
 from operators.errors import InputError, ParameterError, SlipflowError
@@ -59,8 +59,7 @@ class Replays:
         Raises:
             SlipflowError: if the flow cannot be built.
         """
-        sinks = self._flow().sinks()
-        return [node.name for node in sinks if isinstance(node.part, Sink) and not node.part.shared]
+        return _lonely(load(self.target).flow(self.settings))
 
     def run(
         self,
@@ -82,19 +81,18 @@ class Replays:
             ParameterError: on fewer than one job, or several where a sink needs to be alone.
             SlipflowError: if the flow cannot be built.
         """
-        lonely = self.lonely()
+        flow = load(self.target).flow(self.settings)
+        lonely = _lonely(flow)
         if jobs is None:
             jobs = 1 if lonely else os.cpu_count() or 1
         if jobs < 1 or (jobs > 1 and lonely):
             must_be = f"1: {', '.join(lonely)} cannot be shared by processes" if lonely else "at least 1"
             raise ParameterError("replay", "jobs", jobs, must_be)
+        tell_places(flow)
         width = len(str(len(self.recordings)))
         tasks = [(path, f"{self.session}-{n:0{width}d}") for n, path in enumerate(self.recordings, 1)]
         work = partial(_replay, self.target, dict(self.settings))
         yield from Spread(work, tasks, _lost, stopped, progress).results(jobs)
-
-    def _flow(self) -> Flow:
-        return load(self.target).flow(self.settings)
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
@@ -145,6 +143,10 @@ def open_recording(path: Path, doubt: Callable[[str], object]) -> Recording:
     for each in trace.doubts:
         doubt(f"warning: {path}: {each} (slipflow import knows --units)")
     return trace
+
+
+def _lonely(flow: Flow) -> list[str]:
+    return [node.name for node in flow.sinks() if isinstance(node.part, Sink) and not node.part.shared]
 
 
 def _replay(target: str, settings: Mapping[str, str], task: tuple[Path, str], watch: Watch) -> Replayed:

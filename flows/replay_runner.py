@@ -1,12 +1,13 @@
 """Running a flow over a recording: the same graph, as fast as the machine goes, or paced like a live run."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain, islice
 from typing import Any, cast
 
 import numpy as np
 
 from connectors.replay import Replay
+from flows import incidents
 from flows.clock import EventClock
 from flows.drawing import streams
 from flows.graph import Flow
@@ -51,6 +52,20 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
     return flow.replaced(recorded)
 
 
+def recorded_of(sources: Iterable[Source[Any]]) -> str | None:
+    """The name of what is replayed, if one of the sources gives what was recorded."""
+    names = (source.recording for source in sources)
+    return next((name for name in names if name is not None), None)
+
+
+def tell_places(flow: Flow) -> None:
+    """Say where the sinks of a flow write in a replay, if that is elsewhere than in a live run."""
+    for node in flow.sinks():
+        sink = cast("Sink[Any]", node.part)
+        if sink.replay_place != sink.place:
+            incidents.replay_elsewhere(node.name, sink.replay_place)
+
+
 class ReplayRunner:
     """One run of a flow over a recording at full speed.
 
@@ -81,7 +96,16 @@ class ReplayRunner:
         self._recording, self._rows = recording, rows
         self._stopping = False
         self._clock = EventClock(0)
-        self.run = Run(session, flow.name, self._clock, 0, live=False, declaration=tuple(streams(flow.nodes)))
+        self.run = Run(
+            session,
+            flow.name,
+            self._clock,
+            0,
+            live=False,
+            recording=recorded_of(cast("Source[Any]", node.part) for node in self._flow.sources()),
+            declaration=tuple(streams(flow.nodes)),
+            wired=self.plan.wired,
+        )
         for node in self._flow.sources():
             self.run.describe[node.name] = cast("Source[Any]", node.part).describe()
             self.run.sources[node.name] = SourceStatus()
@@ -117,6 +141,7 @@ class ReplayRunner:
                 for entry, batch in batches.items():
                     order[entry].keep(batch)
                     status = self.run.sources[entry[0].name]
+                    status.up = True
                     status.newest = max(status.newest, order[entry].newest)
                     status.rows += len(batch)
                     status.late = sum(o.late for (node, _), o in order.items() if node is entry[0])
@@ -131,6 +156,8 @@ class ReplayRunner:
             self.run.error = str(error) or "was interrupted"
             raise
         finally:
+            for status in self.run.sources.values():
+                status.up = False
             for sink in opened:
                 await sink.close()
         return self.run

@@ -19,7 +19,7 @@ def watch(
     url: Annotated[str, typer.Argument(metavar="URL", help="The broker.")] = "mqtt://localhost",
     *,
     site: Annotated[str, typer.Option(help="Only this site.")] = "+",
-    rig: Annotated[str, typer.Option(help="Only this rig.")] = "+",
+    rig: Annotated[str, typer.Option(help="Only this rig; a replay is shown by its name only.")] = "+",
     since: Annotated[
         str, typer.Option(help="now: only what happens; start: first all that the rigs still keep.")
     ] = "now",
@@ -27,12 +27,15 @@ def watch(
         Path | None,
         typer.Option(metavar="FILE", help="Go on where the watch before with this file was stopped."),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print each event as one JSON object.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print each event as one JSON object a line, as it came.")
+    ] = False,
 ) -> None:
-    """Print slip events as a broker delivers them, each once, and ask the rigs for those that were missed.
+    """Print slip events as a broker delivers them, each once.
 
-    Beside each stands how soon it was made, and how late it came here by this machine's clock, both since the
-    sample that decided. Stops at Ctrl-C. What is lost for good is reported, never passed over in silence.
+    The rigs are asked for those that were missed. Beside each stands how soon it was made (of a replay's
+    nothing), and how late it came here by this machine's clock, both since the sample that decided. Stops
+    at Ctrl-C. What is lost for good is reported, never passed over in silence.
     """
     from contextlib import suppress
     from time import time_ns
@@ -61,7 +64,8 @@ def _line(event: "Event", now: int) -> str:
     sure = "" if event.probability is None else f"  p {event.probability:.2f}"
     doubt = "".join(f"  barometer {fault.barometer} {fault.kind}" for fault in event.degraded)
     when = timestamp(event.time)[:23].replace("T", " ")
-    late = f"{event.latency:.1f} ms, here after {span(now - event.time)}"
+    soon = "" if event.latency is None else f"{event.latency:.1f} ms, "
+    late = f"{soon}here after {span(now - event.time)}"
     return f"{when}  {where}  slip {event.state:5}{sure}  {late}{doubt}"
 
 

@@ -79,12 +79,20 @@ class Run:
     clock: Clock
     start: int  # ns
     live: bool = True  # False: a replay at full speed, whose clock tells event time
+    recording: str | None = None  # the name of what is replayed, paced or not; None: its rows are new
     error: str = ""  # why it ended early; empty: it did not
     declaration: tuple[str, ...] = ()  # how the streams come about, a line each
     describe: dict[str, Description] = field(default_factory=dict[str, Description])  # by source
     sources: dict[str, SourceStatus] = field(default_factory=dict[str, SourceStatus])
     sinks: dict[str, SinkStatus] = field(default_factory=dict[str, SinkStatus])
+    wired: dict[str, tuple[type[Batch], ...]] = field(  # by a sink's place: what it may be given
+        default_factory=dict[str, tuple[type[Batch], ...]]
+    )
     clock_steps: list[ClockStep] = field(default_factory=list[ClockStep])
+
+    def latency(self, time: int) -> int | None:
+        """How long ago (ns) a sample was taken that has `time` (ns); None in a replay: it is an old one."""
+        return self.clock.now() - time if self.live and self.recording is None else None
 
 
 class Source(ABC, Generic[Given]):
@@ -112,6 +120,11 @@ class Source(ABC, Generic[Given]):
         a gap and calls again, with back-off.
         """
 
+    @property
+    def recording(self) -> str | None:
+        """The name of the recording that its rows are from; None: they are new."""
+        return None
+
     def describe(self) -> Description:
         """What a recording should say of this source: sensor, rate, bus, seed."""
         return {}
@@ -133,9 +146,17 @@ class Sink(ABC, Generic[Taken]):
     def place(self) -> str:
         """What it writes to, such as a path or an address: two sinks of a flow may not share it."""
 
+    @property
+    def replay_place(self) -> str:
+        """What it writes to in a replay: elsewhere, if what is old could be taken for new at its place."""
+        return self.place
+
     @abstractmethod
     async def open(self, run: Run) -> None:
-        """Get ready to write. Raising ends the run before it starts."""
+        """Get ready to write. Raising ends the run before it starts.
+
+        What moves something must refuse a run that has a `recording`.
+        """
 
     @abstractmethod
     async def write(self, batch: Taken) -> None:

@@ -5,6 +5,7 @@ import json
 import re
 import sys
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
@@ -20,7 +21,7 @@ from connectors.gap_request import GapAnswer, GapRequest
 from connectors.testing import Received, TestBroker, TestListener
 from operators.batch import Scores, Slips, ms
 from operators.ports import Run
-from tests.pages import ROOT, block, table
+from tests.pages import ROOT, block, commands, table
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
@@ -130,6 +131,37 @@ def test_the_retained_documents_have_the_fields_that_the_page_names(broker: Test
         [fields] = re.findall(rf"`{name}` has (.*?)[;.] ", text)
         named = set(re.findall(r"`(\w+)`", fields))
         assert named == documents[name].keys() - {"epoch", "session", "time_ns"}
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_a_replay_publishes_what_the_page_shows_as_another_rig(
+    broker: TestBroker, run: Run, *, live: bool
+) -> None:
+    rows = table(PAGE, "## Topics")
+    [command] = [words for words in commands(PAGE) if "--rig" in words]
+    followed = f"slip/v1/lab/{command[command.index('--rig') + 1]}"
+    replay, listener = replace(run, recording="stroke-9", live=live), broker.listen("slip/#", "test/end")
+
+    async def body() -> None:
+        signal = MqttSignal(broker.url)
+        await signal.open(replay)
+        await signal.write(Scores(np.array([START]), np.array([0.5]), finger=0))
+        await signal.close()
+        await sink.write(slips(1, 0))
+
+    sink = Mqtt(broker.url)
+    use(sink, replay, body)
+    broker.publish("test/end", "now")
+    found = dict[str, Received]()
+    while (received := listener.next()).topic != "test/end":
+        found[received.topic] = received
+    unasked = [topic(row) for row in rows if not row["topic"].startswith("`replay/")]
+    assert found.keys() == {each.replace(RIG, followed) for each in unasked}
+    event, info = (json.loads(found[f"{followed}/{name}"].payload) for name in ("0/event", "info"))
+    assert event["source"] == f"/{'/'.join(followed.split('/')[2:])}/0"
+    assert event["data"]["session"] == info["session"] == run.session
+    assert info["recording"] == "stroke-9"
+    assert event["data"]["latency_ms"] is None
 
 
 def test_the_documents_of_the_page_are_valid() -> None:

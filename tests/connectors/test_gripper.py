@@ -2,7 +2,7 @@ import asyncio
 import logging
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import inf, nan
 from typing import Any, cast
@@ -19,7 +19,7 @@ from flows.clock import LoopClock
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
 from flows.testing import TestSource, run_virtually
-from operators import EndpointError, InputError, ParameterError, ms, s
+from operators import EndpointError, FlowError, InputError, ParameterError, ms, s
 from operators.batch import Commands
 from operators.ports import Run
 
@@ -289,10 +289,12 @@ async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_
         at.server.silence()
         await asyncio.sleep(1.2)
         for force in (20.0, 25.0, 30.0):
-            with pytest.raises(EndpointError, match=r"modbus://.*/2: does not answer within 1.0 s"):
+            with pytest.raises(
+                EndpointError, match=r"modbus://.*/2: does not answer within 1.0 s: is 2 its unit"
+            ):
                 await gripper.write(commands(force))
         assert gripper.status is None
-        assert gripper.describe()["fault"] == "does not answer within 1.0 s"
+        assert gripper.describe()["fault"] == "does not answer within 1.0 s: is 2 its unit?"
         at.server.silence(silent=False)
         await asyncio.sleep(4)
         assert [each.force for each in at.writes[2:]] == [85]
@@ -424,12 +426,31 @@ async def test_a_command_whose_answer_is_missing_counts_as_not_sent() -> None:
 
 
 @virtually
-async def test_a_replay_leaves_the_gripper_alone() -> None:
+async def test_no_replay_moves_the_gripper_paced_or_not() -> None:
     async with lab() as at:
-        gripper = at.gripper(force=15.0)
-        await gripper.open(Run("run1", "live", at.run.clock, 0, live=False))
-        await gripper.write(commands(30.0))
-        await gripper.close()
+        paced = replace(at.run, recording="grasp-1")
+        for run in (paced, replace(paced, live=False), replace(at.run, live=False)):
+            gripper = at.gripper(force=15.0)
+            with pytest.raises(
+                FlowError, match=r"^flow 'live': modbus://.*: a replay moves no gripper: leave"
+            ):
+                await gripper.open(run)
+            await gripper.close()
+        assert not at.asked
+
+
+@virtually
+async def test_a_flow_with_a_recorded_source_does_not_begin() -> None:
+    class Recorded(TestSource[Commands]):
+        @property
+        def recording(self) -> str:
+            return "grasp-1"
+
+    async with lab() as at:
+        flow = Flow("grip")
+        flow.source(Recorded(Commands, [commands(30.0)])).to(at.gripper())
+        with pytest.raises(FlowError, match="a replay moves no gripper"):
+            await LiveRunner(flow, "run1").execute()
         assert not at.asked
 
 

@@ -146,6 +146,7 @@ def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: R
         "info": {
             **who,
             "flow": "live",
+            "recording": None,
             "sources": {"touch": {"sensor": "TakkTile", "rate_hz": 100.0, "noise": None}},
             "model": {"id": "unknown", "sha256": None},
             "threshold": None,
@@ -485,7 +486,7 @@ def test_a_connection_that_is_back_soon_was_never_offline(
 
 def test_a_run_that_cannot_connect_does_not_begin(broker: TestBroker, run: Run) -> None:
     broker.stop()
-    with pytest.raises(EndpointError, match=f"^{broker.url}: cannot connect: Connection refused$"):
+    with pytest.raises(EndpointError, match=f"^{broker.url}: cannot connect: Connection refused"):
         asyncio.run(Mqtt(broker.url).open(run))
 
 
@@ -553,6 +554,26 @@ def test_two_sinks_of_one_rig_share_a_place() -> None:
         == f"mqtt://localhost:1883/{RIG}"
     )
     assert Mqtt("mqtt://localhost").place != Mqtt("mqtt://localhost", rig="other").place
+
+
+def test_a_rig_says_before_it_is_replayed_where_that_goes(run: Run) -> None:
+    sink, again = Mqtt("mqtt://127.0.0.1:1"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
+    assert sink.place == f"mqtt://127.0.0.1:1/{RIG}"
+    assert sink.replay_place == again.place == again.replay_place == f"{sink.place}-replay"
+    with pytest.raises(
+        ParameterError, match="rig is 'rig-replay', must be a name that does not end in -replay"
+    ):
+        asyncio.run(again.open(run))
+
+
+def test_an_event_of_a_replay_has_no_latency_and_satisfies_the_schema(broker: TestBroker, run: Run) -> None:
+    listener = broker.listen("slip/#")
+    run.recording = "stroke-9"
+    sink = Mqtt(broker.url)
+    use(sink, run, lambda: sink.write(slips(1)))
+    document = read(listener.next(f"{RIG}-replay/0/event"))
+    validate(document, SCHEMA, Draft202012Validator)
+    assert (document["source"], document["data"]["latency_ms"]) == ("/lab/rig-replay/0", None)
 
 
 @pytest.mark.parametrize(

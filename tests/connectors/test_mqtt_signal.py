@@ -1,6 +1,7 @@
 import asyncio
 import json
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -76,6 +77,29 @@ def test_events_and_signal_of_a_rig_have_different_places_and_connections(
         await events.close()
 
     use(sink, run, body)
+
+
+def test_a_replay_is_published_as_another_rig_by_another_client(broker: TestBroker, run: Run) -> None:
+    listener = broker.listen("slip/#")
+    live, again = MqttSignal(broker.url), MqttSignal(broker.url)
+    assert again.replay_place == f"mqtt://127.0.0.1:{broker.port}/slip/v1/lab/rig-replay/+/signal"
+
+    async def replay() -> None:
+        await again.open(replace(run, recording="stroke-9"))
+        await again.write(scores(10))
+        await live.write(scores(20))
+        await again.close()
+
+    use(live, run, replay)
+    topics = [listener.next().topic for _ in range(2)]
+    assert topics == ["slip/v1/lab/rig-replay/0/signal", "slip/v1/lab/rig/0/signal"]
+
+
+def test_no_live_rig_is_called_as_a_replay(run: Run) -> None:
+    with pytest.raises(
+        ParameterError, match=r"^MqttSignal: rig is 'ur10-replay', must be a name that does not"
+    ):
+        asyncio.run(MqttSignal("mqtt://localhost", rig="ur10-replay").open(run))
 
 
 @pytest.mark.parametrize("rate", [0.0, -1.0, float("nan")])

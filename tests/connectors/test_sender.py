@@ -9,7 +9,7 @@ import pytest
 
 from connectors import link as module
 from connectors import sender
-from connectors.broker import Broker
+from connectors.broker import PASSWORD_FILE, Broker
 from connectors.events import Event
 from connectors.gap_answers import SLICE
 from connectors.gap_request import GapRequest
@@ -17,7 +17,7 @@ from connectors.message import Message
 from connectors.outbox import Outbox
 from connectors.outbox_file import Entry
 from connectors.sender import Sender
-from operators.errors import EndpointError
+from operators.errors import EndpointError, InputError
 
 RIG = "slip/v1/lab/rig"
 WILL = Message(f"{RIG}/status", b"offline")
@@ -189,6 +189,44 @@ def test_a_new_connection_gets_what_is_retained_first_and_then_all_that_was_not_
             str(n) for n in range(3, 44)
         ]
         assert max(second.batches) <= sender.WINDOW
+
+    asyncio.run(main())
+
+
+def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def main() -> None:
+        peer = Peer(monkeypatch)
+        peer.away = True
+        async with opened(tmp_path) as (sending, outbox):
+            with pytest.raises(EndpointError, match="nobody there"):
+                await sending.start("me", WILL, ONLINE)
+            await sending.start("me", WILL, ONLINE, patient=True)
+            await outbox.append([DRAFT] * 2)
+            await until(lambda: bool(caplog.messages))
+            assert outbox.waiting == 2
+            peer.away = False
+            await until(lambda: not outbox.waiting and ("head", "2") in peer.got)
+        assert peer.got[0] == ("status", "online")
+        assert peer.events() == ["1", "2"]
+
+    asyncio.run(main())
+    away, back = caplog.messages
+    assert "nobody there, trying again; events wait in" in away
+    assert "connected again, 2 events wait" in back
+
+
+def test_a_patient_one_tells_at_once_of_a_password_that_cannot_be_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "nowhere"))
+
+    async def main() -> None:
+        Peer(monkeypatch)
+        async with opened(tmp_path) as (sending, _):
+            with pytest.raises(InputError, match="cannot read the password"):
+                await sending.start("me", WILL, ONLINE, patient=True)
 
     asyncio.run(main())
 

@@ -375,13 +375,31 @@ def test_a_second_stop_gives_up_failing_sinks_at_once() -> None:
     assert dead.closed == 1
 
 
-@pytest.mark.parametrize(("whole", "error"), [(True, "was interrupted"), (False, "")])
-def test_a_recording_that_was_stopped_is_not_complete(*, whole: bool, error: str) -> None:
+class Recorded(Endless):
+    """The same, from a recording."""
+
+    @property
+    def recording(self) -> str:
+        return "stroke-9"
+
+
+@pytest.mark.parametrize("source", [Endless, Recorded])
+def test_one_recorded_source_makes_a_run_a_replay(source: type[Endless]) -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Endless()).to(sink)
+    flow.source(source()).to(TestSink())
+    run = execute(flow, duration=s)
+    assert run is sink.run
+    assert (run.live, run.recording) == (True, "stroke-9" if source is Recorded else None)
+
+
+@pytest.mark.parametrize(("source", "error"), [(Recorded, "was interrupted"), (Endless, "")])
+def test_a_recording_that_was_stopped_is_not_complete(source: type[Endless], error: str) -> None:
     flow = Flow("f")
-    flow.source(Endless()).to(TestSink())
+    flow.source(source()).to(TestSink())
 
     async def main() -> Run:
-        runner = LiveRunner(flow, "test", whole=whole)
+        runner = LiveRunner(flow, "test")
         asyncio.get_running_loop().call_later(1, runner.stop)
         return await runner.execute()
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from flows.clock import LoopClock
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
-from flows.replay_runner import ReplayRunner, first_time, in_slices, replayed
+from flows.replay_runner import ReplayRunner, first_time, in_slices, replayed, tell_places
 from flows.testing import TestSink, TestSource, run_virtually
 from operators import (
     EVERY,
@@ -83,6 +83,10 @@ def test_a_paced_live_replay_gives_what_a_full_speed_replay_gives() -> None:
         await LiveRunner(replayed(live_flow, held), "paced", clock=clock).execute()
 
     run_virtually(paced())
+    assert [(sink.run.live, sink.run.recording) for sink in (full, live)] == [
+        (False, "memory"),
+        (True, "memory"),
+    ]
     assert len(full.rows(Labelled, 0)) == 500
     assert identical(full.rows(Labelled, 0), live.rows(Labelled, 0))
 
@@ -102,6 +106,28 @@ def test_a_replay_counts_rows_and_shows_event_time() -> None:
     run = asyncio.run(ReplayRunner(flow, recording(2), "x").execute())
     assert {name: status.rows for name, status in run.sources.items()} == {"touch": 200, "motion": 250}
     assert run.clock.now() - run.start == 250 * 8 * ms - 8 * ms + 3 * ms
+
+
+def test_the_sources_of_a_replay_are_up_while_it_lasts() -> None:
+    flow, _ = labelling()
+    runner, seen = ReplayRunner(flow, recording(2), "x", rows=50), set[bool]()
+    run = asyncio.run(runner.execute(lambda run: seen.update(each.up for each in run.sources.values())))
+    assert seen == {True}
+    assert not any(source.up for source in run.sources.values())
+
+
+def test_sinks_that_a_replay_writes_elsewhere_are_told_of(caplog: pytest.LogCaptureFixture) -> None:
+    class Moved(TestSink):
+        @property
+        def replay_place(self) -> str:
+            return "the attic"
+
+    flow, sink = Flow("f"), Moved()
+    source = flow.source(TestSource(Touch))
+    source.to(sink)
+    source.to(TestSink())
+    tell_places(flow)
+    assert caplog.messages == [f"{flow.sinks()[0].name}: the replay goes to the attic"]
 
 
 def test_a_stream_that_the_recording_lacks_is_named() -> None:

@@ -1,0 +1,22 @@
+from dataclasses import replace
+
+import pytest
+
+from flows.testing import TestSink, TestSource
+from operators.batch import Touch, ms
+from operators.ports import Run
+
+
+def test_a_sample_of_a_live_run_has_a_latency(run: Run) -> None:
+    assert run.latency(run.clock.now() - 3 * ms) == 3 * ms
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_what_is_replayed_at_any_pace_has_no_latency(run: Run, *, live: bool) -> None:
+    replay = replace(run, recording="stroke-9", live=live)
+    assert replay.latency(run.clock.now() - 3 * ms) is None
+
+
+def test_unless_it_says_otherwise_a_source_is_new_and_a_sink_writes_where_it_always_does() -> None:
+    assert TestSource(Touch).recording is None
+    assert TestSink("the attic").replay_place == "the attic"
