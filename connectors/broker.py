@@ -6,7 +6,7 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
-from operators.errors import InputError, ParameterError
+from operators.errors import InputError, ParameterError, because
 
 USER = "SLIPFLOW_MQTT_USER"
 PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
@@ -63,8 +63,11 @@ class Broker:
         if path := os.environ.get(PASSWORD_FILE):
             try:
                 password = Path(path).read_text(encoding="utf-8").rstrip("\r\n")
-            except (OSError, UnicodeError) as error:
-                raise InputError(path, f"cannot read the password ({PASSWORD_FILE}): {error}") from None
+            except OSError as error:
+                reason = f"cannot read the password ({PASSWORD_FILE}): {because(error)}"
+                raise InputError(path, reason) from None
+            except UnicodeError:
+                raise InputError(path, f"the password ({PASSWORD_FILE}) must be UTF-8 text") from None
         return os.environ.get(USER), password
 
     def tls(self) -> ssl.SSLContext:
@@ -76,5 +79,8 @@ class Broker:
         path = os.environ.get(CA) or None
         try:
             return ssl.create_default_context(cafile=path)
-        except OSError as error:  # ssl.SSLError too
-            raise InputError(str(path), f"cannot read the authorities ({CA}): {error}") from None
+        except ssl.SSLError:
+            reason = f"holds no certificates of authorities ({CA}): these are text, PEM"
+            raise InputError(str(path), reason) from None
+        except OSError as error:
+            raise InputError(str(path), f"cannot read the authorities ({CA}): {because(error)}") from None

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from operators.errors import InputError
+from operators.errors import InputError, because
 
 LIMIT: Final = 1 << 30  # bytes of a file
 
@@ -37,28 +37,34 @@ class CsvTable:
             with path.open("rb") as file:
                 content = file.read(LIMIT + 1)
         except OSError as error:
-            raise InputError(self.where, f"cannot be read: {error.strerror}") from None
+            raise InputError(self.where, f"cannot be read: {because(error)}") from None
         if len(content) > LIMIT:
             raise InputError(self.where, f"is larger than {LIMIT >> 20} MiB; cut it into several traces")
         self.sha256 = hashlib.sha256(content).hexdigest()
         try:
             frame = pl.read_csv(content, infer_schema=False)
         except pl.exceptions.NoDataError:
-            raise InputError(self.where, "is empty") from None
+            raise InputError(self.where, "is empty, its first line must name the columns") from None
         except pl.exceptions.PolarsError as error:
             if line := _too_long(content):
-                raise InputError(f"{self.where}, line {line}", "has more fields than line 1") from None
+                raise InputError(
+                    f"{self.where}, line {line}",
+                    "has more fields than line 1 has names; a comma in a value needs quotes",
+                ) from None
             raise InputError(self.where, f"is no CSV file: {str(error).splitlines()[0]}") from None
         torn = frame.select(pl.any_horizontal(pl.all().str.contains("\n", literal=True))).to_series()
         for row in torn.arg_true()[:1]:  # else a stray quotation mark would swallow lines
-            raise InputError(f"{self.where}, line {row + 2}", "has a quoted field that spans lines")
+            raise InputError(
+                f"{self.where}, line {row + 2}",
+                "has a quoted field that spans lines: close its quotation mark",
+            )
         self.names = [name.strip() for name in frame.columns]
         frame = frame.select(pl.all().str.strip_chars())
         filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
         self._columns = dict(zip(self.names, frame.filter(filled).get_columns(), strict=True))
         self._lines = np.flatnonzero(filled.to_numpy()) + 2  # (n,) numbers of the lines after the header
         if not len(self._lines):
-            raise InputError(self.where, "has no rows")
+            raise InputError(self.where, "has no rows below its first line")
 
     def __len__(self) -> int:
         return len(self._lines)

@@ -63,7 +63,7 @@ class CsvTrace:
         rate: float | None = None,
     ) -> None:
         if rate is not None and not 0 < rate <= s:
-            raise ParameterError("CsvTrace", "rate", rate, "above 0 Hz")
+            raise ParameterError("CsvTrace", "rate", rate, f"above 0 and at most {s:.0e} Hz")
         self._path = path
         from connectors.csv_table import CsvTable  # noqa: PLC0415 - polars takes 0.2 s to import
 

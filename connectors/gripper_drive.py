@@ -119,7 +119,10 @@ class GripperDrive:
             raise EndpointError(self.link.place, status.reason)
         if status.active and self.sent and status.echo != self.sent.position:
             if now - self._asked > self._patience:
-                raise EndpointError(self.link.place, f"does not take a request within {self._patience} s")
+                raise EndpointError(
+                    self.link.place,
+                    f"does not take a request within {self._patience} s: does another program command it?",
+                )
             return 0.0
         self.status = status
         if status.ready and status.mode is self._wanted.request.mode:
@@ -131,7 +134,10 @@ class GripperDrive:
             self.ready = self.known = False
             self.sent, self._waiting = None, now
         if now - self._waiting > self._activation:
-            raise EndpointError(self.link.place, f"is not ready within {self._activation} s")
+            raise EndpointError(
+                self.link.place,
+                f"is not ready within {self._activation} s: does something obstruct its fingers?",
+            )
         if not status.active:
             await self._send(Request(active=True))
         elif status.phase is Phase.READY:

@@ -15,12 +15,12 @@ if TYPE_CHECKING:
 _DEVICE_FAILURE = 0x04
 _REFUSALS = {
     0x01: "it has no such function",
-    0x02: "it has no such registers",
+    0x02: "it has no such registers: is it a 3-finger gripper?",
     0x03: "it takes no such value",
     _DEVICE_FAILURE: "it failed",
     0x06: "it is busy",
     0x0A: "there is no way to it",
-    0x0B: "nobody answers to this unit",
+    0x0B: "nobody answers to this unit: which one is it set to?",
 }
 
 
@@ -96,7 +96,7 @@ class GripperLink:
         try:
             return Status.decode(octets(answer.registers))
         except RobotiqError as error:
-            raise EndpointError(self.place, f"answers with {error}") from None
+            raise EndpointError(self.place, f"answers with {error}: is it a 3-finger gripper?") from None
 
     def close(self) -> None:
         """Let go of the connection."""
@@ -119,7 +119,9 @@ class GripperLink:
                 raise EndpointError(self.place, "the connection is lost")
             answer = asked.result()
         except ModbusException:
-            raise EndpointError(self.place, f"does not answer within {self._patience} s") from None
+            raise EndpointError(
+                self.place, f"does not answer within {self._patience} s: is {self._unit} its unit?"
+            ) from None
         finally:
             asked.cancel()
             self._next = self._loop.time() + PACE

@@ -35,6 +35,15 @@ NOT_AUTHORIZED = 0x87  # a reason of MQTT 5
 INCOMING = 1000  # messages that may wait to be read; then the oldest are dropped
 
 _CLOSED = "the broker closed the connection"
+_AWAY = "is this its address, and is the network up?"
+_HINTS = {  # by what the system says
+    "Connection refused": "is the broker running, and is this its port?",
+    "Name or service not known": "is the name right, and does the network know it?",
+    "name resolution": "is the name right, and is the network up?",
+    "timed out": _AWAY,
+    "No route to host": _AWAY,
+    "Network is unreachable": _AWAY,
+}
 _paho_log = logging.getLogger("slipflow.paho")  # it repeats what our errors say
 _paho_log.setLevel(logging.CRITICAL)
 
@@ -222,7 +231,7 @@ class Link(aiomqtt.Client):
                 if tls
                 else "; if it speaks TLS, say mqtts://"
             )
-        return ""
+        return next((f"; {hint}" for part, hint in _HINTS.items() if part in text), "")
 
     async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - as the base has it
         try:

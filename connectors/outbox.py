@@ -17,7 +17,7 @@ from typing import ParamSpec, TypeVar
 
 from connectors.events import Event
 from connectors.numbers import Numbers
-from connectors.outbox_file import Damaged, Entry, Epoch, OutboxFile, is_full
+from connectors.outbox_file import Damaged, Entry, Epoch, OutboxFile, is_full, reason_of
 from connectors.outbox_place import boot, lock
 from operators.errors import EndpointError, SlipflowError
 
@@ -375,4 +375,4 @@ class Outbox:
         try:
             return await asyncio.get_running_loop().run_in_executor(thread, call)
         except (SqliteError, OSError, Damaged) as error:
-            raise EndpointError(str(self.path), f"cannot be used: {error}") from error
+            raise EndpointError(str(self.path), f"cannot be used: {reason_of(error)}") from error

@@ -16,7 +16,7 @@ from threading import Lock
 from zlib import crc32
 
 from connectors.outbox_wal import committed_frames
-from operators.errors import InputError
+from operators.errors import InputError, because
 
 log = logging.getLogger("slipflow")
 
@@ -36,6 +36,12 @@ COMMIT;
 """
 _ENTRY = "id, epoch, seq, finger, payload, made, crc"
 _DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_FORMAT}
+_RIGHTS = "; give this user the right to write in its folder, or name another file"
+_REMEDIES = {
+    sqlite3.SQLITE_FULL: "; make room there, or name another file",
+    sqlite3.SQLITE_CANTOPEN: _RIGHTS,
+    sqlite3.SQLITE_READONLY: _RIGHTS,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +257,13 @@ def is_full(error: BaseException | None) -> bool:
     import errno  # noqa: PLC0415 - for this alone
 
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+def reason_of(error: Exception) -> str:
+    """What is wrong with the file, and what to do about it where that is known."""
+    if isinstance(error, sqlite3.Error):
+        return f"{error}{_REMEDIES.get(_code(error), '')}"
+    return because(error) if isinstance(error, OSError) else str(error)
 
 
 def _code(error: sqlite3.Error) -> int:

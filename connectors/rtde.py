@@ -93,7 +93,7 @@ class Packages:
             while len(data) - begin >= _HEADER.size:
                 size, kind = _HEADER.unpack_from(data, begin)
                 if not _HEADER.size <= size <= self._largest:
-                    raise RtdeError(f"a package of {size} bytes")
+                    raise RtdeError(f"a package of {size} bytes, must be {_HEADER.size} to {self._largest}")
                 if len(data) - begin < size:
                     break
                 begin += size
@@ -151,7 +151,9 @@ class Recipe:
         if refused:
             raise RtdeError(f"the controller refused {', '.join(refused)}")
         if number in (b"", b"\0"):
-            raise RtdeError(f"the controller refused {', '.join(names_asked)}")
+            raise RtdeError(
+                f"the controller refused {', '.join(names_asked)}: does another program use them?"
+            )
         return cls(number[0], tuple(names_asked), types)
 
     @property
@@ -218,7 +220,7 @@ class Version(NamedTuple):
             RtdeError: if it has another size.
         """
         if len(payload) != _VERSION.size:
-            raise RtdeError(f"the controller's version in {len(payload)} bytes")
+            raise RtdeError(f"the controller's version in {len(payload)} bytes, must be {_VERSION.size}")
         return cls(*_VERSION.unpack(payload))
 
     @property
@@ -242,7 +244,7 @@ def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
         RtdeError: if the payload is too short.
     """
     if len(payload) < _RATE.size:
-        raise RtdeError(f"outputs asked for in {len(payload)} bytes")
+        raise RtdeError(f"outputs asked for in {len(payload)} bytes, must be at least {_RATE.size}")
     return _RATE.unpack_from(payload)[0], names(payload[_RATE.size :])
 
 

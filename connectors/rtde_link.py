@@ -10,8 +10,11 @@ import numpy as np
 from connectors.rtde import RtdeError, Version
 from connectors.rtde_subscription import Subscription
 from operators.batch import Times
+from operators.errors import because
 from operators.ports import Clock
 
+SILENT: Final = "does not answer for {} s: is this its address, and is it on?"
+STALLED: Final = "sends nothing for {} s: does it run, and is the cable in?"
 BACKLOG: Final = 16_384  # packages, half a minute, that may wait to be taken; then the controller has to wait
 
 
@@ -111,4 +114,17 @@ def reason(error: Exception) -> str:
             "refuses the connection: is this its address, is it on, is RTDE enabled there"
             " (e-Series: Settings, Security, Services)?"
         )
-    return str(error)
+    return because(error) if isinstance(error, OSError) else str(error)
+
+
+def mistyped(outputs: Sequence[str], types: Sequence[str], expected: Sequence[str]) -> str:
+    """Which outputs a controller grants with other types than they should have.
+
+    >>> mistyped(("timestamp", "robot_mode"), ("DOUBLE", "DOUBLE"), ("DOUBLE", "INT32"))
+    'gives robot_mode as DOUBLE, must be INT32: its software is none that slipflow knows'
+    """
+    triples = zip(outputs, types, expected, strict=True)
+    wrong = ", ".join(
+        f"{name} as {found}, must be {wanted}" for name, found, wanted in triples if found != wanted
+    )
+    return f"gives {wrong}: its software is none that slipflow knows"

@@ -49,7 +49,9 @@ class Subscription:
     def _answered(self, payload: bytes) -> None:
         if self._awaited is Kind.PROTOCOL:
             if payload != b"\1":
-                raise RtdeError(f"the controller does not speak version {PROTOCOL} of RTDE")
+                raise RtdeError(
+                    f"the controller does not speak version {PROTOCOL} of RTDE: update its software"
+                )
             self._ask(Kind.CONTROLLER)
         elif self._awaited is Kind.CONTROLLER:
             self.controller = Version.read(payload)
@@ -59,7 +61,7 @@ class Subscription:
             self._ask(Kind.START)
         else:
             if payload != b"\1":
-                raise RtdeError("the controller does not start to send")
+                raise RtdeError("the controller refused to start to send")
             self.started, self._awaited = True, Kind.DATA
 
     def _ask(self, kind: Kind, payload: bytes = b"") -> None:

@@ -122,7 +122,7 @@ class TakkTile(Source[Touch]):
     async def _connection(self, clock: Clock) -> AsyncGenerator[Scan]:
         """The scans of a sensor that is there, until it is lost."""
         if self._thread is not None and self._thread.alive:
-            raise EndpointError(self.path, "is still blocked")
+            raise EndpointError(self.path, "is still blocked: reset its adapter, or restart the machine")
         self._thread = thread = ScanThread(self._schedule, clock.now, self._learn)
         try:
             async with aclosing(thread.scans()) as scans:

@@ -24,15 +24,16 @@ from connectors.takktile_protocol import (
 from operators.batch import BAROMETERS, Counts, Flags, s
 
 _SILENT: Final = (errno.EREMOTEIO, errno.ENXIO)  # the address was not acknowledged; adapters differ
+_NOBODY: Final = "no fingertip answers: is the power on, are the rows right?"
 _REASONS: Final = {
     errno.ENOENT: "there is no such bus: is I2C enabled?",
     errno.EACCES: "may not be opened: does the user belong to the group i2c?",
-    errno.EWOULDBLOCK: "is used by another program",
+    errno.EWOULDBLOCK: "is used by another program: end that first",
     errno.EBUSY: "a kernel driver owns the address of the barometers: unload it",
-    errno.EREMOTEIO: "no fingertip answers",
-    errno.ENXIO: "no fingertip answers",
-    errno.ETIMEDOUT: "somebody holds the bus: time-out",
-    errno.ENODEV: "the adapter is gone",
+    errno.EREMOTEIO: _NOBODY,
+    errno.ENXIO: _NOBODY,
+    errno.ETIMEDOUT: "somebody holds the bus: time-out; switch the fingertips off and on",
+    errno.ENODEV: "the adapter is gone: is it plugged in?",
 }
 
 

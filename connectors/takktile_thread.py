@@ -93,7 +93,9 @@ class ScanThread:
             except TimeoutError:
                 if not self._scans:
                     self._blocked = True
-                    raise EndpointError(self._schedule.path, f"is blocked for {patience:.0f} s") from None
+                    raise EndpointError(
+                        self._schedule.path, f"is blocked for {patience:.0f} s: reset its adapter"
+                    ) from None
 
     async def end(self) -> None:
         """Have it disconnect all cells, close the bus and end; leave it behind if it is blocked."""

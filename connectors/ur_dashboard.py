@@ -3,7 +3,8 @@
 import asyncio
 from typing import Final
 
-from operators.errors import EndpointError
+from connectors.rtde_link import SILENT
+from operators.errors import EndpointError, because
 
 PORT: Final = 29999
 
@@ -25,9 +26,9 @@ async def ask(host: str, line: str, *, port: int = PORT, patience: float = 1.0) 
             finally:
                 writer.close()
     except TimeoutError as error:
-        raise EndpointError(place, f"does not answer for {patience} s") from error
+        raise EndpointError(place, SILENT.format(patience)) from error
     except OSError as error:
-        raise EndpointError(place, str(error)) from error
+        raise EndpointError(place, because(error)) from error
     if not answer:
-        raise EndpointError(place, "closed the connection")
+        raise EndpointError(place, f"closed the connection without an answer to {line!r}")
     return answer.decode("utf-8", "replace").strip()

@@ -10,7 +10,7 @@ from typing import Final, TypeVar, cast
 import numpy as np
 
 from connectors.rtde import PORT, RtdeError
-from connectors.rtde_link import RtdeLink, reason
+from connectors.rtde_link import SILENT, STALLED, RtdeLink, mistyped, reason
 from operators.batch import Flags, Motion, Times, s
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Json, Source
@@ -84,9 +84,9 @@ class UrMotion(Source[Motion]):
         stamps.connect()
         try:
             connecting = asyncio.get_running_loop().create_connection(lambda: link, self.host, self.port)
-            await self._patiently(connecting, "does not answer")
+            await self._patiently(connecting, SILENT)
             while True:
-                arrivals, rows = await self._patiently(link.take(), "sends nothing")
+                arrivals, rows = await self._patiently(link.take(), STALLED)
                 if stamps.first:
                     self._greet(link)
                 motion = self._read(arrivals, rows)
@@ -107,7 +107,7 @@ class UrMotion(Source[Motion]):
         """Note a connection that gives packages."""
         version, types = link.controller, link.types
         if types != TYPES:
-            raise EndpointError(self._place, f"its {', '.join(OUTPUTS)} are {', '.join(types)}")
+            raise EndpointError(self._place, mistyped(OUTPUTS, types, TYPES))
         if version.major <= CB3 and (self.rate > CB3_HIGHEST or _uneven(CB3_HIGHEST, self.rate)):
             most = f"gives {CB3_HIGHEST} Hz at most, or a whole part of it"
             why = f"a controller of version {version} {most}, not {self.rate}"
@@ -130,7 +130,9 @@ class UrMotion(Source[Motion]):
         rows = np.frombuffer(packages, _ROW)
         stamps = rows["timestamp"].astype(np.float64)  # (n,) s
         if not ((stamps >= 0) & (stamps < _LONGEST)).all():
-            raise EndpointError(self._place, f"it stamps {stamps.tolist()} s")
+            raise EndpointError(
+                self._place, f"sends the stamps {stamps.tolist()} s, must be from 0 to {_LONGEST:g} s"
+            )
         device_time = np.rint(stamps * s).astype(np.int64)
         return Motion(
             arrivals, device_time, rows["speed"].astype(np.float64), rows["pose"].astype(np.float64)
@@ -146,7 +148,7 @@ class UrMotion(Source[Motion]):
             async with asyncio.timeout(self.patience):
                 return await awaited
         except TimeoutError as error:
-            raise EndpointError(self._place, f"{otherwise} for {self.patience} s") from error
+            raise EndpointError(self._place, otherwise.format(self.patience)) from error
         except (OSError, RtdeError) as error:
             raise EndpointError(self._place, reason(error)) from error
 

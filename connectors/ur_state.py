@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from connectors.rtde import PORT, RtdeError
-from connectors.rtde_link import RtdeLink, reason
+from connectors.rtde_link import SILENT, STALLED, RtdeLink, mistyped, reason
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock
 from operators.rotation import onward
@@ -89,7 +89,7 @@ class Bounds:
 
     def __post_init__(self) -> None:
         if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
-            raise ParameterError("Bounds", "high", self.high, f"above {self.low}")
+            raise ParameterError("Bounds", "high", self.high, f"above low, {self.low} m, on each axis")
         if not self.force > 0:
             raise ParameterError("Bounds", "force", self.force, "above 0 N")
 
@@ -133,7 +133,7 @@ class Watch:
             async with asyncio.timeout(self._patience):
                 await loop.create_connection(lambda: self._link, self._host, self._port)
         except TimeoutError as error:
-            raise EndpointError(self._place, f"does not answer for {self._patience} s") from error
+            raise EndpointError(self._place, SILENT.format(self._patience)) from error
         except OSError as error:
             raise EndpointError(self._place, reason(error)) from error
         return (await self.next())[-1]
@@ -148,11 +148,11 @@ class Watch:
             async with asyncio.timeout(self._patience):
                 _, packages = await self._link.take()
         except TimeoutError as error:
-            raise EndpointError(self._place, f"sends nothing for {self._patience} s") from error
+            raise EndpointError(self._place, STALLED.format(self._patience)) from error
         except (OSError, RtdeError) as error:
             raise EndpointError(self._place, reason(error)) from error
         if self._link.types != TYPES:
-            raise EndpointError(self._place, f"its {', '.join(OUTPUTS)} are {', '.join(self._link.types)}")
+            raise EndpointError(self._place, mistyped(OUTPUTS, self._link.types, TYPES))
         rows = np.frombuffer(packages, _ROW)
         force = rows["force"][:, :3]  # (n, 3)
         fields = rows["pose"], rows["velocity"], force, rows["robot_mode"], rows["safety_mode"]

@@ -93,6 +93,9 @@ class Plan:
         flow: what is to be carried out.
         only: the fingertips to do it for, with all that belongs to every one; None: for all of them.
 
+    Attributes:
+        wired: By the place of each sink, the types of the batches that it may be given.
+
     Raises:
         FlowError: if the flow is wired wrongly.
     """
@@ -115,6 +118,11 @@ class Plan:
                 for finger in fingers[node]:
                     self._unfold(node, finger)
         self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
+        self.wired = {
+            node.part.place: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
+            for node in flow.nodes
+            if isinstance(node.part, Sink)
+        }
         self._all = [stage for stage in self._stages if stage.operator is not None]
         places = {entry: self._stage_of[entry] for entry in self.entries}
         self._entered = {

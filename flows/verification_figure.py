@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from flows.figures import INK, MAIN, SECOND, Figure, grid, styled
 from operators.batch import s
-from storage.verification import Checked, Verified, severity
+from storage.findings import severity
+from storage.verification import Checked, Verified
 
 LANES: Final = 40  # sessions, at most
 
@@ -18,8 +19,8 @@ _HEIGHT: Final = 0.8  # of a lane, that the highest rate fills
 
 @styled
 def lanes(found: Verified) -> Figure:
-    """A lane for each session; `found` lists one file at least."""
-    of = by_session(found)
+    """A lane for each session; `found` lists one file with rows at least."""
+    of = {name: [each for each in listed if each.part.rows] for name, listed in by_session(found).items()}
     parts = {name: of[name] for name in chosen(found) if of[name]}
     width = max(max(_span(listed) for listed in parts.values()) / s / _BINS, 1e-3)  # s
     rates = {name: rows(listed, width) for name, listed in parts.items()}

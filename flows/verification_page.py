@@ -7,14 +7,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
-from flows.evaluation import written
 from flows.evaluation.page import Page, Section, Table
 from flows.figures import lacking
-from flows.options import counted
+from flows.options import check_output_file, counted
 from flows.verification_figure import LANES, by_session, lanes
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError
-from storage.verification import Finding, Verified, Weight, heaviest
+from storage.findings import Finding, Weight, heaviest
+from storage.verification import Verified
 
 SAID: Final[Mapping[Weight, str]] = MappingProxyType(
     {
@@ -32,11 +32,11 @@ def claim(path: Path) -> None:
 
     Raises:
         ParameterError: if its name does not end in ``.html``.
-        EndpointError: if there cannot be its folder.
+        EndpointError: if its folder is not there.
     """
     if path.suffix != ".html":
         raise ParameterError("verify", "report", str(path), "a file name that ends in .html")
-    written.claim(path.parent)
+    check_output_file(path)
 
 
 def write(found: Verified, place: Path, path: Path) -> None:
@@ -59,7 +59,7 @@ def summary(found: Verified) -> dict[str, Any]:
         "files": found.files,
         "rows": found.rows,
         "findings": [asdict(finding) for finding in found.findings],
-        "worst": found.worst,
+        "worst": "good" if found.worst == "note" else found.worst,  # a note says nothing against it
         "code": found.code,
     }
 
@@ -85,8 +85,9 @@ def _sessions(found: Verified) -> Section:
         said.setdefault(finding.session, []).append(finding)
     for name, parts in by_session(found).items():
         unread = sum(each.part.rows for each in parts if not each.whole)
-        first = min((each.part.first for each in parts), default=0)
-        last = max((each.part.last for each in parts), default=0)
+        dated = [each.part for each in parts if each.part.rows]
+        first = min((part.first for part in dated), default=0)
+        last = max((part.last for part in dated), default=0)
         findings = said.get(name, [])
         rows.append(
             [
@@ -113,7 +114,7 @@ def _sessions(found: Verified) -> Section:
     if reason := lacking():
         text = f"Figures {reason}."
     head = ["session", "files", "rows", "rows that cannot be read", "span, s", "findings", "worst"]
-    drawn = lanes(found) if found.parts and not reason else None
+    drawn = lanes(found) if any(each.part.rows for each in found.parts) and not reason else None
     return Section("sessions", title, text, [Table(head, rows)], drawn)
 
 

@@ -59,11 +59,11 @@ class Align(Join[Zeroed, Motion, Sample]):
             raise ParameterError("Align", "how", self.how, "nearest, previous or linear")
         for name in ("within", "keep"):
             if getattr(self, name) < 0:
-                raise ParameterError("Align", name, getattr(self, name), "0 and above")
+                raise ParameterError("Align", name, getattr(self, name), "at least 0 ns")
         least = 0 if self.how == "previous" else self.within
         if self.wait < least:
             raise ParameterError(
-                "Align", "wait", self.wait, f"at least {least}, to see the rows after a touch"
+                "Align", "wait", self.wait, f"at least {least} ns, to see the rows after a touch"
             )
 
     def process(self, left: Zeroed, right: Motion) -> Sample:

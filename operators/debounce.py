@@ -36,9 +36,13 @@ class Debounce(Operator[Scores, Slips]):
     def __post_init__(self) -> None:
         if not 0 < self.threshold <= 1:
             raise ParameterError("Debounce", "threshold", self.threshold, "above 0 and at most 1")
-        for name, least in (("consecutive", 1), ("release", 1), ("minimum", 0)):
+        for name, least, unit in (
+            ("consecutive", 1, "decision"),
+            ("release", 1, "decision"),
+            ("minimum", 0, "ns"),
+        ):
             if getattr(self, name) < least:
-                raise ParameterError("Debounce", name, getattr(self, name), f"at least {least}")
+                raise ParameterError("Debounce", name, getattr(self, name), f"at least {least} {unit}")
 
     def process(self, batch: Scores) -> Slips:
         """Give the onsets and ends that the batch decides."""

@@ -85,9 +85,9 @@ class Envelope:
     _kept: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # x and y, by block
 
     def __post_init__(self) -> None:
-        for name, least in (("window", BLOCKS), ("drift", 0), ("jump", 0)):
+        for name, least, unit in (("window", BLOCKS, "ns"), ("drift", 0, "s/s"), ("jump", 0, "ns")):
             if not getattr(self, name) >= least:
-                raise ParameterError("DeviceClock", name, getattr(self, name), f"at least {least}")
+                raise ParameterError("DeviceClock", name, getattr(self, name), f"at least {least} {unit}")
 
     def begins(self, device: int, arrival: int) -> bool:
         """Whether the next row, with these stamps (ns), begins an epoch."""

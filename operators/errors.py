@@ -1,5 +1,35 @@
 """The errors that slipflow raises: few, typed, carrying the data they are about."""
 
+import errno
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final
+
+_RIGHTS: Final = "give this user the right to it"
+_ROOM: Final = "make room there, or name another place"
+_FILE: Final = "a file has a name that must be a folder's"
+_WAY: Final = "is the cable in, and is this its address?"
+_REMEDIES: Final[Mapping[int | None, str]] = MappingProxyType(
+    {
+        errno.EACCES: _RIGHTS,
+        errno.EPERM: _RIGHTS,
+        errno.EROFS: "name a place that can be written to",
+        errno.ENOSPC: _ROOM,
+        errno.EDQUOT: _ROOM,
+        errno.EFBIG: _ROOM,
+        errno.EEXIST: _FILE,
+        errno.ENOTDIR: _FILE,
+        errno.EISDIR: "a folder has a name that must be a file's",
+        errno.EIO: "the disk fails: the system's log says more",
+        errno.EMFILE: "allow more open files, as with ulimit -n",
+        errno.EADDRINUSE: "stop the program that uses it, or give another port",
+        errno.EADDRNOTAVAIL: "this machine has no such address: give one that it has",
+        errno.ECONNREFUSED: "is it on, and are this its address and port?",
+        errno.EHOSTUNREACH: _WAY,
+        errno.ENETUNREACH: _WAY,
+    }
+)
+
 
 class SlipflowError(Exception):
     """Base of every error that a user can cause and mend; its text is one line."""
@@ -60,3 +90,16 @@ class EndpointError(SlipflowError):
     def __init__(self, place: str, reason: str) -> None:
         super().__init__(f"{place}: {reason}")
         self.place, self.reason = place, reason
+
+
+def because(error: OSError) -> str:
+    """Why the system did not do what it was asked, and what to do about it where that is known.
+
+    >>> because(OSError(errno.ENOSPC, "No space left on device"))
+    'No space left on device; make room there, or name another place'
+    """
+    reason = error.strerror or str(error) or type(error).__name__
+    if error.errno == errno.EEXIST and error.filename is not None:
+        reason = f"{reason}, {error.filename}"
+    remedy = _REMEDIES.get(error.errno)
+    return f"{reason}; {remedy}" if remedy else reason

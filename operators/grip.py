@@ -47,15 +47,16 @@ class Gripping(Operator[Scores, Commands]):
     def __post_init__(self) -> None:
         name = type(self).__name__
         if not 0 <= self.least <= self.force <= self.most < math.inf:
-            raise ParameterError(name, "force", self.force, f"from {self.least} to {self.most} N, at least 0")
+            must_be = f"from least to most, {self.least:g} to {self.most:g} N, both at least 0 and finite"
+            raise ParameterError(name, "force", self.force, must_be)
         if not 0 < self.threshold <= 1:
             raise ParameterError(name, "threshold", self.threshold, "above 0 and at most 1")
-        for key in ("rate", "resolution"):
+        for key, unit in (("rate", "N/s"), ("resolution", "N")):
             if not getattr(self, key) > 0:
-                raise ParameterError(name, key, getattr(self, key), "above 0")
-        for key, lowest in (("consecutive", 1), ("settle", 0), ("patience", 0)):
+                raise ParameterError(name, key, getattr(self, key), f"above 0 {unit}")
+        for key, lowest, unit in (("consecutive", 1, "decision"), ("settle", 0, "ns"), ("patience", 0, "ns")):
             if getattr(self, key) < lowest:
-                raise ParameterError(name, key, getattr(self, key), f"at least {lowest}")
+                raise ParameterError(name, key, getattr(self, key), f"at least {lowest} {unit}")
 
     @property
     def given_up(self) -> bool:
@@ -139,7 +140,7 @@ class StepGrip(Gripping):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not self.step > 0:
-            raise ParameterError("StepGrip", "step", self.step, "above 0")
+            raise ParameterError("StepGrip", "step", self.step, "above 0 N")
         self._wanted = self.force
 
     def aim(self, time: int, gone: float, probability: float, *, registered: bool) -> float:  # noqa: ARG002
@@ -190,7 +191,7 @@ class Grip(Gripping):
         super().__post_init__()
         for key in ("gain", "margin", "ease"):
             if not 0 <= getattr(self, key) < math.inf:
-                raise ParameterError("Grip", key, getattr(self, key), "at least 0")
+                raise ParameterError("Grip", key, getattr(self, key), "at least 0 and finite")
         if not 0 <= self.keep <= 1:
             raise ParameterError("Grip", "keep", self.keep, "from 0 to 1")
         if not self.reach > 1:

@@ -62,9 +62,10 @@ class Health(Operator[Touch, Faults]):
     _first: Reals = field(init=False, repr=False, compare=False)  # (6,) mean of the first quiet second
 
     def __post_init__(self) -> None:
-        for name in ("dead_after", "stuck_after", "saturated_after", "drift"):
+        spans = (("dead_after", "ns"), ("stuck_after", "ns"), ("saturated_after", "ns"))
+        for name, unit in (*spans, ("drift", "counts")):
             if getattr(self, name) <= 0:
-                raise ParameterError("Health", name, getattr(self, name), "above 0")
+                raise ParameterError("Health", name, getattr(self, name), f"above 0 {unit}")
         if self.floor >= self.ceiling:
             raise ParameterError("Health", "floor", self.floor, f"below the ceiling, {self.ceiling}")
         self._last = np.full(BAROMETERS, (self.floor + self.ceiling) // 2, np.int16)

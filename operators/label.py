@@ -46,14 +46,16 @@ class Label(Operator[Sample, Labelled]):
 
     def __post_init__(self) -> None:
         if not 0 <= self.speed < self.limit:
-            raise ParameterError("Label", "speed", self.speed, f"from 0 to the limit, {self.limit}")
+            raise ParameterError(
+                "Label", "speed", self.speed, f"from 0 to below the limit, {self.limit:g} m/s"
+            )
         if self.rotation is not None and not self.rotation >= 0:
-            raise ParameterError("Label", "rotation", self.rotation, "None, or 0 and above")
+            raise ParameterError("Label", "rotation", self.rotation, "None, or at least 0 rad/s")
         if self.within < 0:
-            raise ParameterError("Label", "within", self.within, "0 and above")
+            raise ParameterError("Label", "within", self.within, "at least 0 ns")
         length = hypot(*self.normal)
         if len(self.normal) != _AXES or not 0 < length < inf:
-            raise ParameterError("Label", "normal", self.normal, "three numbers, not all 0")
+            raise ParameterError("Label", "normal", self.normal, "three finite numbers, not all 0")
         x, y, z = self.normal
         self._unit = (x / length, y / length, z / length)
 

@@ -27,7 +27,7 @@ class Lifted(Operator[Labelled, Labelled]):
 
     def __post_init__(self) -> None:
         if not self.margin >= 0:
-            raise ParameterError("Lifted", "margin", self.margin, "0 or above")
+            raise ParameterError("Lifted", "margin", self.margin, "at least 0 m")
 
     def process(self, batch: Labelled) -> Labelled:
         """Take labels back."""

@@ -36,7 +36,7 @@ class Score(Operator[Zeroed, Scores]):
 
     def __post_init__(self) -> None:
         if self.hop < 1:
-            raise ParameterError("Score", "hop", self.hop, "at least 1")
+            raise ParameterError("Score", "hop", self.hop, "at least 1 sample")
         stream = _stream(self.detector)
         windowed = _Windowed(self.detector, Window(self.detector.length, self.hop))
         self._way = windowed if stream is None else _Streamed(stream)

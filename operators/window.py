@@ -29,7 +29,7 @@ class Window(Operator[Touch, Windows]):
     def __post_init__(self) -> None:
         for name in ("length", "hop"):
             if getattr(self, name) < 1:
-                raise ParameterError("Window", name, getattr(self, name), "at least 1")
+                raise ParameterError("Window", name, getattr(self, name), "at least 1 sample")
         self._due = self.length
 
     def process(self, batch: Touch) -> Windows:

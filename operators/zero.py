@@ -31,7 +31,7 @@ class Zero(Operator[Touch, Zeroed]):
 
     def __post_init__(self) -> None:
         if self.scans < 1:
-            raise ParameterError("Zero", "scans", self.scans, "at least 1")
+            raise ParameterError("Zero", "scans", self.scans, "at least 1 sample")
         if self.baseline is not None:
             cells = (self.baseline,) * BAROMETERS if isinstance(self.baseline, int) else self.baseline
             if len(cells) != BAROMETERS or not all(0 <= cell <= _FULL for cell in cells):

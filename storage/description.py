@@ -1,8 +1,9 @@
 """What a dataset and a session say of themselves: dataset.json and session.json."""
 
+import json
 import os
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -13,7 +14,7 @@ from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Description, Run
 from storage import files
-from storage.layout import DATASET, SESSION, TABLES
+from storage.layout import DATASET, SESSION, TABLES, Table
 from storage.lock import lock
 
 VERSION: Final = 1  # of the layout
@@ -54,6 +55,7 @@ def describe_session(
     run: Run,
     *,
     host: str | None = None,
+    tables: Iterable[Table] = (),
     zeroed: bool = False,
     ended: bool = False,
     put: files.Put = files.put,
@@ -61,7 +63,7 @@ def describe_session(
     """Write session.json, when a run begins and again when it has `ended`: it is complete if nothing failed.
 
     The sources' descriptions are taken from the run each time: what is learnt on the way, such as a baseline,
-    may be added to them.
+    may be added to them. `tables` are those that may get rows.
 
     Raises:
         InputError: if a source's description cannot be JSON.
@@ -76,6 +78,7 @@ def describe_session(
         "software": f"slipflow {version('slipflow')}",
         "host": platform.node() if host is None else host,
         "declaration": list(run.declaration),
+        "tables": [table.name for table in tables],
         "sources": {
             name: {key: value for key, value in each.items() if key != "episodes"}  # a table of their own
             for name, each in run.describe.items()
@@ -106,7 +109,8 @@ def describe_session(
     try:
         files.put_checked(folder / SESSION, about, put)
     except (TypeError, ValueError) as error:
-        raise InputError("description of the sources", f"cannot be JSON: {error}") from error
+        culprits = ", ".join(repr(name) for name, each in run.describe.items() if not _tellable(each))
+        raise InputError(f"description of source {culprits}", f"cannot be JSON: {error}") from error
 
 
 def describe_recovery(
@@ -144,13 +148,22 @@ def read_session(folder: Path) -> Description:
     about = files.read_checked(path)
     _check_version(path, about)
     if not isinstance(about.get("session"), str):
-        raise InputError(str(path), 'has no "session"')
+        raise InputError(str(path), 'has no "session", the name of the session: put a copy back')
     return about
+
+
+def _tellable(description: Description) -> bool:
+    try:
+        json.dumps(description, allow_nan=False)
+    except (TypeError, ValueError):
+        return False
+    return True
 
 
 def _check_version(path: Path, about: Description) -> None:
     if about.get("version") != VERSION:
-        raise InputError(str(path), f"is of version {about.get('version')!r}, this slipflow knows {VERSION}")
+        reason = f"is of version {about.get('version')!r}, this slipflow knows {VERSION}"
+        raise InputError(str(path), f"{reason}: use the slipflow that wrote it")
 
 
 def _rfc3339(time: int) -> str:

@@ -83,7 +83,8 @@ def listings(descriptions: Mapping[str, Description]) -> dict[str, Sequence[Json
     for source, description in descriptions.items():
         episodes = description.get("episodes", [])
         if not isinstance(episodes, Sequence) or isinstance(episodes, str):
-            raise InputError(f"source {source!r}", '"episodes" is not a list')
+            found_type = type(episodes).__name__
+            raise InputError(f"source {source!r}", f'"episodes" is not a list, but a {found_type}')
         if id(episodes) not in known:
             known.add(id(episodes))
             found[source] = episodes
@@ -108,7 +109,8 @@ def checked(source: str, episodes: Sequence[Json], first: int = 0) -> list[dict[
             start, end = each.get("start"), each.get("end")
             if isinstance(start, int) and isinstance(end, int) and start < end:
                 continue
-        raise InputError(f"source {source!r}, episode {number}", "needs a start and a later end, in ns")
+        reason = f"needs a start and a later end, in ns; it is {each!r:.80}"
+        raise InputError(f"source {source!r}, episode {number}", reason)
     return cast("list[dict[str, Json]]", [*episodes])
 
 

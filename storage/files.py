@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn, TypeAlias, cast
 
-from operators.errors import InputError
+from operators.errors import InputError, because
 from storage import steps
 
 MiB: Final = 1 << 20  # bytes
@@ -112,9 +112,11 @@ def read(path: Path, limit: int = 1024 * MiB) -> bytes:
             size = os.fstat(file.fileno()).st_size
             data = file.read(min(size, limit) + 1)
     except OSError as error:
-        raise InputError(str(path), f"cannot be read: {error.strerror}") from error
+        raise InputError(str(path), f"cannot be read: {because(error)}") from error
     if len(data) > limit:
-        raise InputError(str(path), f"is larger than {limit // MiB} MiB, which is more than it should be")
+        raise InputError(
+            str(path), f"is larger than {limit // MiB} MiB, the most that is read of such a file"
+        )
     return data
 
 
@@ -127,9 +129,11 @@ def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
     try:
         content: object = json.loads(read(path, limit), parse_constant=_no_number)
     except (ValueError, RecursionError) as error:
-        raise InputError(str(path), f"is not valid JSON: {error}") from error
+        raise InputError(str(path), f"is not valid JSON: {error}; mend it or put a copy back") from error
     if not isinstance(content, dict):
-        raise InputError(str(path), "is not a JSON object")
+        raise InputError(
+            str(path), f"is not a JSON object, but a {type(content).__name__}; mend it or put a copy back"
+        )
     return cast("dict[str, Any]", content)
 
 
@@ -147,7 +151,9 @@ def read_checked(path: Path) -> dict[str, Any]:
             return rest  # else the name is what is damaged
     elif CHECK not in content:
         return content
-    reason = f"is damaged; or was changed by hand: then remove its last entry, {CHECK!r}"
+    reason = (
+        f"is damaged; or was changed by hand: then remove its last entry, {CHECK!r}; else put a copy back"
+    )
     raise InputError(str(path), reason)
 
 
@@ -161,4 +167,4 @@ def sync(path: Path) -> None:
 
 
 def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no JSON number")
+    raise ValueError(f"{text} is no number of JSON")

@@ -46,6 +46,7 @@ _DESCRIPTION: Final = 255  # code; JSON follows
 _EPISODES: Final = 254  # code; JSON follows
 _TOLD: Final = 1000  # episodes in a frame
 _SEARCHED: Final = 256 * files.MiB  # bytes, which a search for a frame may hash
+_UNREAD: Final = "; move it away, and the rest can be recovered"
 SALT: Final = len(_PREAMBLE) + 8  # bytes, with which a segment begins
 
 
@@ -210,7 +211,7 @@ def _rows(body: bytes, kinds: Mapping[int, type[Batch]], where: str) -> Rows:
     code, finger, count, first = _HEAD.unpack_from(body)
     kind = kinds.get(code)
     if kind is None or len(body) != _HEAD.size + count * _row_size(kind):
-        raise InputError(where, "holds a frame that no slipflow writes")
+        raise InputError(where, f"holds a frame that no slipflow writes{_UNREAD}")
     values, offset = list[NDArray[Any]](), _HEAD.size
     for column in columns(kind).values():
         size = int(np.prod(column.shape, dtype=np.int64))
@@ -225,7 +226,7 @@ def _described(body: bytes, where: str, session: str, number: int) -> dict[int, 
     """The batch types by their codes."""
     about = _json(body, where)
     if body[0] != _DESCRIPTION or not isinstance(about, dict):
-        raise InputError(where, "does not begin with a description")
+        raise InputError(where, f"does not begin with a description{_UNREAD}")
     said = cast("dict[str, Any]", about)
     if said.get("version") != VERSION:
         reason = f"is of version {said.get('version')!r}, this slipflow knows {VERSION}: recover it with"
@@ -243,7 +244,7 @@ def _described(body: bytes, where: str, session: str, number: int) -> dict[int, 
                 raise InputError(where, f"{reason} with the slipflow that session.json names")
             kinds[code] = kind
     except (LookupError, TypeError) as error:
-        raise InputError(where, f"is described as no slipflow does: {error!r}") from error
+        raise InputError(where, f"is described as no slipflow does{_UNREAD}: {error!r}") from error
     return kinds
 
 
@@ -274,12 +275,12 @@ def _change(body: bytes, where: str) -> Change:
         case {"source": str(source), "first": int(first), "episodes": list()} if first >= 0:
             return Change(source, first, told["episodes"])
         case _:
-            raise InputError(where, "tells of episodes as no slipflow does")
+            raise InputError(where, f"tells of episodes as no slipflow does{_UNREAD}")
 
 
 def _json(body: bytes, where: str) -> object:
     try:
         found: object = json.loads(body[_HEAD.size :])
     except (ValueError, RecursionError) as error:
-        raise InputError(where, f"holds JSON that is not valid: {error}") from error
+        raise InputError(where, f"holds text that is no JSON{_UNREAD}: {error}") from error
     return found

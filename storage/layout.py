@@ -25,7 +25,7 @@ from types import MappingProxyType
 from typing import Final
 
 from operators.batch import Batch, Clocks, Column, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns
-from operators.errors import InputError, ParameterError
+from operators.errors import InputError, ParameterError, because
 
 DATASET: Final = "dataset.json"
 SESSIONS: Final = "sessions"
@@ -101,20 +101,50 @@ def session_folder(root: Path, session: str) -> Path:
 
 
 def session_names(root: Path) -> list[str]:
-    """The sessions of a dataset, sorted."""
-    return sorted(path.parent.name for path in (root / SESSIONS).glob(f"*/{SESSION}"))
+    """The sessions of a dataset, sorted; a folder that may not be looked into is taken for one.
+
+    Raises:
+        InputError: if the folder of the sessions may not be looked into, or is none.
+    """
+    return sorted(path.name for path in _session_folders(root) if may_be(path / SESSION))
 
 
 def headless_names(root: Path) -> list[str]:
-    """The folders among a dataset's sessions that hold rows but no session.json, sorted."""
-    folders = (path for path in (root / SESSIONS).glob("*") if path.is_dir())
-    return sorted(path.name for path in folders if headless(path))
+    """The folders among a dataset's sessions that hold rows but no session.json, sorted.
+
+    Raises:
+        InputError: if the folder of the sessions may not be looked into, or is none.
+    """
+    return sorted(path.name for path in _session_folders(root) if headless(path))
 
 
 def headless(folder: Path) -> bool:
     """Whether a folder holds what a session does, but not what it says of itself."""
     patterns = (MANIFEST, EPISODES, "journal/*.wal", *(table.pattern for table in TABLES))
-    return not (folder / SESSION).exists() and any(any(folder.glob(each)) for each in patterns)
+    return not may_be(folder / SESSION) and any(any(folder.glob(each)) for each in patterns)
+
+
+def may_be(path: Path) -> bool:
+    """Whether something is there, or may be: who reads it is told why it cannot be looked for."""
+    try:
+        path.stat()
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True
+
+
+def _session_folders(root: Path) -> list[Path]:
+    folder = root / SESSIONS
+    try:
+        return [*folder.iterdir()]
+    except PermissionError as error:
+        raise InputError(str(folder), f"cannot be read: {because(error)}") from error
+    except OSError:
+        if folder.is_file():
+            raise InputError(str(folder), "is a file, must be the folder of the sessions") from None
+        return []
 
 
 def segments(folder: Path) -> dict[int, Path]:
@@ -161,5 +191,5 @@ def inside(folder: Path, path: Path) -> Path:
         InputError: if it does not.
     """
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(str(path), f"leads out of {folder}")
+        raise InputError(str(path), f"is a link that leads out of {folder}: put the files themselves there")
     return path

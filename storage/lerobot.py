@@ -111,7 +111,8 @@ def export(
                 splits[split] += 1
         data.close()
         if not episodes:
-            raise InputError(str(out), f"would hold no frames: no two samples follow each other at {rate} Hz")
+            reason = f"would hold no frames: no two samples follow each other at {rate} Hz; give a lower rate"
+            raise InputError(str(out), reason)
         write_tasks(folder, list(tasks))
         write_episodes(folder, episodes)
         put_json(folder / "meta/stats.json", data.statistics())
@@ -141,7 +142,7 @@ def export(
 def _common(sessions: Sequence[Session]) -> Holdings:
     """What every session holds."""
     if not sessions:
-        raise ParameterError("LeRobot export", "sessions", [], "one at least")
+        raise ParameterError("LeRobot export", "sessions", [], "at least one")
     held = [holdings(session) for session in sessions]
     for session, each in zip(sessions, held, strict=True):
         if each.fingers != held[0].fingers:

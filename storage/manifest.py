@@ -12,7 +12,7 @@ from typing import Any, Final, cast
 
 from operators.errors import InputError
 from storage import files
-from storage.layout import EPISODES, MANIFEST, TABLES
+from storage.layout import EPISODES, MANIFEST, TABLES, may_be
 
 VERSION: Final = 2  # 1 had no sha256 of its own
 
@@ -21,6 +21,7 @@ _FILE: Final = re.compile(
     + "|"
     + re.escape(EPISODES)
 )
+_MENDED: Final = "slipflow recover makes the manifest anew"
 _SHA256: Final = re.compile("[0-9a-f]{64}")
 _TIMES: Final = 2**63  # ns, which no time reaches
 _TYPES: Final = {"path": str, "rows": int, "first": int, "last": int, "sha256": str}
@@ -32,8 +33,8 @@ class Part:
 
     path: str  # within the session's folder
     rows: int
-    first: int  # ns, earliest event time
-    last: int  # ns, latest event time
+    first: int  # ns, earliest event time; 0 where there are no rows
+    last: int  # ns, latest event time; the same
     sha256: str  # hex
 
     @cached_property
@@ -60,20 +61,19 @@ def read_manifest(folder: Path) -> dict[str, Part]:
         InputError: if the manifest is damaged.
     """
     path = folder / MANIFEST
-    if not path.exists():
+    if not may_be(path):
         return {}
     content = files.read_json(path)
     version = content.get("version")
     if version not in {1, VERSION} or not isinstance(content.get("parts"), list):
-        raise InputError(str(path), f'must hold "version": {VERSION}, or 1, and a list "parts"')
+        reason = f'must hold "version": {VERSION}, or 1, and a list "parts"; {_MENDED}'
+        raise InputError(str(path), reason)
     parts = [_part(f"{path}, part {number}", each) for number, each in enumerate(content["parts"])]
     listed = {part.path: part for part in parts}
     if len(listed) < len(parts):
-        raise InputError(str(path), "lists a part twice")
+        raise InputError(str(path), f"lists a part twice; {_MENDED}")
     if version == VERSION and content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
-        raise InputError(
-            str(path), "is damaged: its sha256 is not that of the parts; slipflow recover mends it"
-        )
+        raise InputError(str(path), f"is damaged: its sha256 is not that of the parts; {_MENDED}")
     return listed
 
 
@@ -91,6 +91,11 @@ def hint_manifest(folder: Path) -> dict[str, Part]:
     return found
 
 
+def _parted(path: str) -> bool:
+    """Whether a file is one of several of its table, which are written only for rows."""
+    return "/" in path
+
+
 def _digest(lines: str) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
@@ -98,11 +103,12 @@ def _digest(lines: str) -> str:
 def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - whatever the file holds
     values: dict[str, Any] = cast("dict[str, Any]", content) if isinstance(content, dict) else {}
     if {key: type(value) for key, value in values.items()} != _TYPES:
-        raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types")
+        raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types; {_MENDED}")
     part = Part(**values)
     times = -_TIMES <= part.first <= part.last < _TIMES
-    if part.rows < 1 or not times or not _SHA256.fullmatch(part.sha256):
-        raise InputError(where, "has rows, times or a sha256 that cannot be")
+    empty = not part.rows and not part.first and not part.last and not _parted(part.path)
+    if (part.rows < 1 and not empty) or not times or not _SHA256.fullmatch(part.sha256):
+        raise InputError(where, f"has rows, times or a sha256 that cannot be; {_MENDED}")
     if not _FILE.fullmatch(part.path):
-        raise InputError(where, f"{part.path!r} is no file of a session")
+        raise InputError(where, f"{part.path!r} is no file of a session; {_MENDED}")
     return part

@@ -42,7 +42,7 @@ def export(
         EndpointError: if the file is there already, or cannot be written; nothing is left then.
     """
     if find_spec("mcap") is None:
-        raise InputError("MCAP export", "needs mcap: pip install 'slipflow[mcap]'")
+        raise InputError("MCAP export", "needs mcap: in the clone, pip install -e '.[mcap]'")
     from mcap.writer import Writer  # noqa: PLC0415 - an extra
 
     with partial_file(path) as file:

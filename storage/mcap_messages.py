@@ -120,7 +120,10 @@ def encode(content: Any) -> bytes:  # noqa: ANN401 - whatever JSON can tell
 
 def _logged(table: str, time: int) -> int:
     if time < 0:
-        raise InputError(f"{table}, a row at {time} ns", "is of before 1970, which MCAP cannot tell")
+        raise InputError(
+            f"{table}, a row at {time} ns",
+            "is of before 1970, which MCAP cannot tell: export it to lerobot or rrd",
+        )
     return time
 
 

@@ -37,10 +37,12 @@ def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, s
         weights, about = _READERS[path.suffix](data)
     except Exception as error:  # zipfile, zlib, json, numpy and safetensors each raise their own
         reason = str(error).partition("\n")[0]
-        raise InputError(str(path), f"is damaged or no {path.suffix} file: {reason}") from error
+        raise InputError(
+            str(path), f"is damaged or no {path.suffix} file: {reason}; put a copy back"
+        ) from error
     for name, array in weights.items():
         if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
-            raise InputError(str(path), f"array {name!r} does not hold finite numbers")
+            raise InputError(str(path), f"array {name!r} does not hold finite numbers: train it again")
     return weights, about
 
 
@@ -90,7 +92,8 @@ def load_detector(name: str | Path) -> Detector:
         weights, about = load_weights(path)
         told = load_card(path).get("sha256")
         if told is not None and told != hashlib.sha256(files.read(path, LIMIT)).hexdigest():
-            raise InputError(str(path), f"is damaged, or not the model of {path.with_suffix('.json').name}")
+            reason = f"is damaged, or not the model of {path.with_suffix('.json').name}: copy both together"
+            raise InputError(str(path), reason)
         kind = about.get("detector", _UNNAMED)
         if kind not in TRAINED:
             raise InputError(str(name), f"is of a detector {kind!r}; known are {', '.join(sorted(TRAINED))}")

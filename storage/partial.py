@@ -7,7 +7,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import BinaryIO
 
-from operators.errors import EndpointError
+from operators.errors import EndpointError, because
 from storage.files import sync
 
 SUFFIX = ".partial"
@@ -87,4 +87,4 @@ def _reporting(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {error.strerror or error}") from error
+        raise EndpointError(str(path), f"cannot be written: {because(error)}") from error

@@ -58,6 +58,8 @@ def commit_part(
 
 def described(path: str, table: pa.Table, sha256: str, times: tuple[str, str] = ("time", "time")) -> Part:
     """What the manifest says of a file that holds these rows."""
+    if not len(table):
+        return Part(path, 0, 0, 0, sha256)
     first, last = (table[name].to_numpy() for name in times)
     return Part(path, len(table), int(first.min()), int(last.max()), sha256)
 
@@ -97,7 +99,7 @@ def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Ta
     """
     data = files.read(path)
     if sha256 and hashlib.sha256(data).hexdigest() != sha256:
-        raise InputError(str(path), "is damaged: its sha256 is not the one in the manifest")
+        raise InputError(str(path), "is damaged: its sha256 is not the one in the manifest; put a copy back")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         # in this thread: one of Arrow's own may be the last to let go of `data`, which aborts a process that
@@ -106,14 +108,15 @@ def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Ta
         table: pa.Table = file.read(schema.names, use_threads=False)
         table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError) as error:
-        reason = str(error).partition("\n")[0]
-        raise InputError(str(path), f"is damaged or no Parquet file: {reason}") from error
+        reason = str(error).partition("\n")[0].rstrip(".")
+        raise InputError(str(path), f"is damaged or no Parquet file: {reason}; put a copy back") from error
     if len(table) != file.metadata.num_rows:
-        raise InputError(str(path), f"is damaged: {len(table)} of {file.metadata.num_rows} rows are there")
+        there = f"{len(table)} of its {file.metadata.num_rows} rows are there"
+        raise InputError(str(path), f"is damaged: {there}; put a copy back")
     for field in _fields(schema):
         column = table[field.name]
         if not field.nullable and (column.null_count or flat(column).null_count):
-            raise InputError(str(path), f"column {field.name!r} holds nulls")
+            raise InputError(str(path), f"column {field.name!r} holds nulls, must hold none")
     return table
 
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from operators.errors import EndpointError
+from operators.errors import EndpointError, because
 from storage.description import read_session
 from storage.layout import JOURNAL
 from storage.lock import lock
@@ -59,7 +59,7 @@ def recover(folder: str | Path) -> Recovery:
         try:
             return Salvage(folder, about).carry_out()
         except OSError as error:
-            raise EndpointError(str(folder), f"cannot be recovered: {error.strerror or error}") from error
+            raise EndpointError(str(folder), f"cannot be recovered: {because(error)}") from error
 
 
 @contextmanager
@@ -72,10 +72,10 @@ def _alone(folder: Path) -> Generator[None]:
             held += [] if turn is None else [turn]
         own = lock(folder)
         if own is None:
-            raise EndpointError(str(folder), "is being recorded just now")
+            raise EndpointError(str(folder), "is being recorded just now; recover it when that has ended")
         held.append(own)
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be locked: {error.strerror}") from error
+        raise EndpointError(str(folder), f"cannot be locked: {because(error)}") from error
     else:
         yield
     finally:

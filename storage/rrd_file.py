@@ -53,7 +53,7 @@ def export(
         EndpointError: if the file is there already, or cannot be written; nothing is left then.
     """
     if find_spec("rerun") is None:
-        raise InputError("Rerun export", "needs rerun-sdk: pip install 'slipflow[rerun]'")
+        raise InputError("Rerun export", "needs rerun-sdk: in the clone, pip install -e '.[rerun]'")
     counts = Counter[str]()
     with partial_file(path) as file:
         with closing(_Recording(session.name, file.name)) as recording:

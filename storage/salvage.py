@@ -73,6 +73,7 @@ class Salvage:
         self._were = dict(self._listed)
         self._parts = {table.name: self._found(table) for table in TABLES}
         self._rows: dict[str, list[Batch]] = {}  # from the journal, by table
+        self._empty = list[Table]()  # tables of one file that got no row, and still lack it
         self._read_journal()
         self._changes, self._log_whole = self._read_episodes()
         self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
@@ -87,7 +88,8 @@ class Salvage:
         before = {table.name: self._count(self._known(table)) for table in TABLES}
         told = self._commit_episodes()
         for table in TABLES:
-            if rows := self._rows.get(table.name):
+            rows = self._rows.get(table.name, [table.kind.empty()] if table in self._empty else [])
+            if rows:
                 self._commit(table, to_arrow(table, rows, told))
         after = {name: self._count(parts) for name, parts in self._parts.items()}
         found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
@@ -189,6 +191,15 @@ class Salvage:
             self._lost.append(f"{table}: {rows_left} rows that do not follow on row {next_row[table]}")
         if left_out:
             self._aside += [path for path in logs.values() if path not in self._aside]
+        elif single.exists() and single not in self._aside:
+            self._empty += [table for table in TABLES if self._got_nothing(table)]
+
+    def _got_nothing(self, table: Table) -> bool:
+        """Whether a table of one file, to which rows might have come, got none."""
+        name = table.name
+        known = self._parts[name] or name in self._rows or name in self._doubtful or name in self._holes
+        wired = cast("list[str]", self._about.get("tables", []))
+        return not table.parted and not known and name in wired
 
     def _read_episodes(self) -> tuple[list[frames.Change], bool]:
         """What the journal tells of episodes, and whether it can all be read."""
@@ -267,7 +278,8 @@ class Salvage:
             if found
             else (before.get("rows", {}), before.get("adopted", []))
         )
-        newest = max((part.last for parts in self._parts.values() for part in parts), default=None)
+        parts = [part for each in self._parts.values() for part in each if part.rows]
+        newest = max((part.last for part in parts), default=None)
         describe_recovery(
             self._folder,
             self._about,

@@ -21,6 +21,7 @@ from storage.layout import (
     TABLES,
     Table,
     inside,
+    may_be,
     session_folder,
     session_names,
 )
@@ -82,9 +83,9 @@ class Session:
             InputError: if there is none there or several, or what it says of itself is damaged.
         """
         folder = Path(path)
-        if not (folder / SESSION).exists():
+        if not may_be(folder / SESSION):
             folder = _only_session(folder)
-        if (folder / JOURNAL).exists():
+        if may_be(folder / JOURNAL):
             _recover(folder)
         return cls(folder, read_session(folder), read_manifest(folder))
 
@@ -213,7 +214,7 @@ class Session:
 
         stored = schema.batch_type(rows)
         if stored is None or not issubclass(stored, table.kind) or before not in {None, stored}:
-            reason = 'its metadata "batch" is missing or not that of the other parts'
+            reason = 'its metadata "batch" is missing or not that of the other parts; put the right file back'
             raise InputError(str(self.folder / path), reason)
         return stored
 
@@ -265,7 +266,7 @@ def _only_session(dataset: Path) -> Path:
         raise InputError(str(dataset), reason if dataset.exists() else "there is no such folder")
     names = session_names(dataset)
     if not names:
-        raise InputError(str(dataset), "holds no session")
+        raise InputError(str(dataset), "holds no session: record one into it, or give another dataset")
     if len(names) > 1:
         example = dataset / SESSIONS / names[-1]
         reason = f"holds {len(names)} sessions, give one, as {example}; there are {', '.join(names)}"

@@ -1,56 +1,31 @@
 """Whether a dataset is all there: every file against the manifests, every page against its checksum."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Final
 
 from operators.errors import InputError
-from operators.ports import Description
-from storage import files
-from storage.description import read_dataset, read_session
+from storage.description import read_dataset
+from storage.findings import Finding, Weight, heaviest
 from storage.layout import (
-    DAMAGED,
-    EPISODES,
-    JOURNAL,
-    MANIFEST,
-    SAMPLES,
+    DATASET,
     SESSION,
     SESSIONS,
-    TABLES,
-    Table,
-    episode_log,
     headless,
     headless_names,
     inside,
-    segments,
+    may_be,
     session_names,
-    single_log,
 )
-from storage.lock import locked
-from storage.manifest import Part, read_manifest
+from storage.manifest import Part
+from storage.session_check import SessionCheck
 
 GOOD: Final = 0  # exit codes
 LOST: Final = 1
 LOSSY: Final = 3
 
-Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
 Progress = Callable[[int, int, str], object]  # files done, of how many, session
-
-_ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", "lost")
-
-
-@dataclass(frozen=True)
-class Finding:
-    """Something about a session that is not as it should be; a mere note says nothing against it.
-
-    Repairable is what a recovery can put right, repaired what one has; neither has lost a row. Lossy is what
-    was known not to be there: rows dropped, or cut off with the recorder. Lost is what had been recorded.
-    """
-
-    session: str
-    weight: Weight
-    text: str
 
 
 @dataclass(frozen=True)
@@ -84,20 +59,6 @@ class Verified:
         return heaviest(self.findings)
 
 
-def heaviest(findings: Iterable[Finding]) -> Weight:
-    """The weight of the worst finding; a note if there is none."""
-    return _ORDER[max((severity(finding.weight) for finding in findings), default=0)]
-
-
-def severity(weight: Weight) -> int:
-    """How bad it is: 0 for a note.
-
-    >>> severity("lossy") < severity("lost")
-    True
-    """
-    return _ORDER.index(weight)
-
-
 def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: None) -> Verified:
     """Read all of a dataset, or of one session, and compare; nothing is changed.
 
@@ -108,15 +69,16 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
         progress: Told how far the check is.
 
     Raises:
-        InputError: if there is neither.
+        InputError: if there is neither, or it may not be looked into.
     """
     root = Path(path)
     findings = list[Finding]()
-    if (root / SESSION).exists() or headless(root):
+    if may_be(root / SESSION) or headless(root):
         folders = [root]
     else:
         if not root.is_dir():
-            raise InputError(str(root), "there is no such folder")
+            reason = "is a file, must be the folder of a dataset or session"
+            raise InputError(str(root), reason if root.exists() else "there is no such folder")
         try:
             read_dataset(root)
         except InputError as error:
@@ -124,10 +86,11 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
         names = sorted([*session_names(root), *headless_names(root)])
         folders = [inside(root, root / SESSIONS / name) for name in names]
         if findings and not folders:
-            raise InputError(str(root), f"is no session, which has a {SESSION}, and no dataset")
+            reason = f"is no session, which has a {SESSION}, and no dataset, which has a {DATASET}"
+            raise InputError(str(root), reason)
         if not folders:
             findings.append(Finding("", "lossy", "holds no session: none was recorded, or they are gone"))
-    checks = [_Check(folder) for folder in folders]
+    checks = [SessionCheck(folder) for folder in folders]
     done, of = 0, sum(len(check.listed) for check in checks)
     for check in checks:
         for _ in check.carry_out():
@@ -146,179 +109,3 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
         ),
         tuple(check.name for check in checks),
     )
-
-
-class _Check:
-    """The check of one session."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.name = folder, folder.resolve().name
-        self.findings: list[Finding] = []
-        self.read: dict[str, int] = {}  # rows by file
-        self.recording = locked(folder)
-        self.listed: dict[str, Part] = {}
-        self.about: Description = {}  # session.json, if it can be read
-        try:
-            self.listed = read_manifest(folder)
-        except InputError as error:
-            self._find("lost", str(error))
-
-    def carry_out(self) -> Iterator[None]:
-        """Check; give a turn after each file."""
-        from storage import unlisted  # noqa: PLC0415 - it imports pyarrow
-
-        self._check_description()
-        self._check_journal()
-        for path, part in self.listed.items():
-            try:
-                self.read[path] = self._check_part(path, part)
-            except InputError as error:
-                self._find("lost", f"{error}: {unlisted.extent(part)}")
-            yield
-        self._check_rest()
-
-    def _find(self, weight: Weight, text: str) -> None:
-        self.findings.append(Finding(self.name, weight, text))
-
-    def _check_description(self) -> None:
-        if self.recording:
-            self._find("note", "is being recorded just now: what is committed is checked")
-            return
-        if headless(self.folder):
-            self._find("lost", f"its {SESSION} is gone; rows are counted here as far as they can be read")
-            return
-        try:
-            about = self.about = read_session(self.folder)
-            self._check_ending(about)
-            self._check_streams(about)
-        except InputError as error:
-            self._find("lost", str(error))
-        except (AttributeError, LookupError, TypeError) as error:
-            self.about = {}
-            self._find("lost", f"{self.folder / SESSION}: does not say what it must: {error!r}")
-
-    def _check_ending(self, about: Description) -> None:
-        recovered = cast("dict[str, Any] | None", about.get("recovered"))
-        if recovered is not None:
-            rows = ", ".join(f"{count} rows of {table}" for table, count in recovered["rows"].items())
-            self._find("repaired" if rows else "lossy", f"was recovered: {rows or 'no rows'}")
-            for each in recovered["lost"]:
-                cut = each in recovered.get("cut", [])
-                self._find(
-                    "lossy" if cut else "lost",
-                    f"{'cut off' if cut else 'lost'} before it was recovered: {each}",
-                )
-        elif "end_ns" not in about and not (self.folder / JOURNAL).exists():
-            reason = "was never closed, and has no journal: what came after its last part is missing"
-            self._find("lossy", f"{reason}; slipflow recover says so in it")
-        elif about.get("error"):
-            self._find("note", f"ended early: {about['error']}")
-
-    def _check_streams(self, about: Description) -> None:
-        for name, sink in cast("dict[str, dict[str, int]]", about.get("sinks", {})).items():
-            if sink["dropped"]:
-                ours = name.startswith("dataset")
-                self._find("lossy" if ours else "note", f"{sink['dropped']} rows for {name} were dropped")
-        for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
-            for gap in stream["gaps"]:
-                seconds = (gap["end"] - gap["start"]) / 1e9
-                self._find("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
-
-    def _check_journal(self) -> None:
-        from storage import frames, unlisted  # noqa: PLC0415 - what is not recorded or checked needs them not
-
-        if self.recording or not (self.folder / JOURNAL).exists():
-            return
-        self._find("repairable", "has a journal that waits: slipflow recover puts it into parts")
-        for text in unlisted.missing_segments(self.folder, self.about):
-            self._find("lost" if self.listed or segments(self.folder) else "lossy", text)
-        logs = {
-            frames.SINGLE_LOG: single_log(self.folder),
-            frames.EPISODE_LOG: episode_log(self.folder),
-        }
-        waiting = [*segments(self.folder).items(), *(each for each in logs.items() if each[1].exists())]
-        for number, path in waiting:
-            try:
-                segment = frames.read_segment(
-                    files.read(path, frames.WHOLE),
-                    str(path),
-                    str(self.about.get("session", self.name)),
-                    number,
-                )
-            except InputError as error:
-                self._find("lost", str(error))
-                continue
-            if segment.damage and segment.damage.more:
-                self._find("lost", f"{path.name}: is damaged at byte {segment.damage.offset}")
-            elif segment.damage:
-                self._find("lossy", f"{path.name}: its last {segment.damage.size} bytes cannot be read")
-
-    def _check_part(self, path: str, part: Part) -> int:
-        """Give its rows."""
-        from storage import episodes, parts, schema  # noqa: PLC0415 - they import pyarrow
-
-        table = _table(path)
-        times = episodes.TIMES if table is None else ("time", "time")
-        columns = episodes.SCHEMA if table is None else schema.schema(table)
-        rows = parts.read_part(inside(self.folder, self.folder / path), columns, part.sha256)
-        if parts.described(path, rows, part.sha256, times) != part:
-            raise InputError(str(self.folder / path), "has other rows or times than the manifest says")
-        if table and table is SAMPLES:
-            for finger, batch in schema.from_arrow(table, table.kind, rows).items():
-                if (batch.time[1:] < batch.time[:-1]).any():
-                    self._find("lossy", f"{path}: rows of finger {finger} are not in the order of time")
-        return len(rows)
-
-    def _check_rest(self) -> None:
-        """What the manifest does not list."""
-        if (self.folder / DAMAGED).exists():
-            self._find("repaired", f"has a folder {DAMAGED!r}: what a recovery put aside")
-        if self.recording or (self.folder / JOURNAL).exists():
-            return
-        if not (self.folder / MANIFEST).exists():
-            self._find("repairable", f"has no {MANIFEST}: slipflow recover makes it from the parts")
-        self._check_gone([*self.listed, *self._check_unlisted()])
-        for path in (*self.folder.glob("*" + files.SCRATCH), *self.folder.glob("*/*" + files.SCRATCH)):
-            self._find("note", f"{path.name} was left behind: slipflow recover deletes it")
-
-    def _check_unlisted(self) -> list[str]:
-        """Give the files that are there, but not those that are there twice."""
-        from storage import unlisted  # noqa: PLC0415 - it imports pyarrow
-
-        there = list[str]()
-        if (self.folder / EPISODES).exists():
-            there.append(EPISODES)
-        for table in TABLES:
-            found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]
-            paths = sorted(found, key=unlisted.part_number)
-            follow = unlisted.followers(self.folder, table, paths, self.listed)
-            for path in paths:
-                if path not in follow:
-                    self._find(
-                        "repairable",
-                        f"{path} has rows that are there already: slipflow recover puts it aside",
-                    )
-            there += follow
-        for path in there:
-            if path not in self.listed:
-                self._find("repairable", f"{path} is not in the manifest: slipflow recover looks at it")
-        return there
-
-    def _check_gone(self, paths: list[str]) -> None:
-        """What no file is left of; what a recovery told of is known."""
-        from storage import unlisted  # noqa: PLC0415 - it imports pyarrow
-
-        recovered = cast("dict[str, Any]", self.about.get("recovered", {}))
-        known: list[str] = recovered.get("lost", [])
-        for path in unlisted.missing_numbers(paths):
-            if not any(path in each for each in known):
-                self._find("lost", f"{path}: is gone, and no manifest tells of it")
-        if len(self.listed) == len(set(paths)):  # else what is there is not known
-            text = unlisted.shortfall(self.about, self.listed.values())
-            if text and text not in known:
-                self._find("lost", text)
-
-
-def _table(path: str) -> Table | None:
-    """The table that a file is of; None: the episodes."""
-    return next((table for table in TABLES if path.startswith((f"{table.name}/", f"{table.name}."))), None)

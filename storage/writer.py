@@ -11,7 +11,7 @@ from shutil import rmtree
 from threading import Lock
 
 from operators.batch import EVERY, Batch, Zeroed
-from operators.errors import EndpointError, ParameterError
+from operators.errors import EndpointError, ParameterError, because
 from operators.ports import Run
 from storage import files
 from storage.buffer import Buffer
@@ -50,7 +50,11 @@ class SessionWriter:
         self._host = host
         self._episodes = Timeline(run.describe)
         self._unwritten = False  # episodes of which their file does not tell
-        self._buffers: dict[str, Buffer | Growing] = {}
+        kinds = run.wired.get(str(root), ())
+        self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # that may get rows
+        self._buffers: dict[str, Buffer | Growing] = {
+            table.name: Growing(table.kind) for table in self._tables if not table.parted
+        }
         self._taken: dict[str, Buffer | Growing] | None = None  # what the commit that is due is about
         self._rotated = self._behind = False  # of that commit: the journal has gone on; it failed
         self._parts: list[Part] = []
@@ -62,7 +66,7 @@ class SessionWriter:
         self._put = self._unsettled.put if self._unsettled else files.put
         self._make_folder = self._unsettled.make_folder if self._unsettled else files.make_folder
         if root.exists() and not root.is_dir():
-            raise EndpointError(str(root), "is a file, must be a folder")
+            raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
             root.mkdir(parents=True, exist_ok=True)
             describe_dataset(root)
@@ -75,7 +79,7 @@ class SessionWriter:
             held = None
             try:
                 held = lock(self.folder)
-                describe_session(self.folder, run, host=host, put=self._put)
+                describe_session(self.folder, run, host=host, tables=self._tables, put=self._put)
                 self._commit_episodes()
                 write_manifest(self.folder, self._parts, self._put)
                 if run.live:
@@ -155,7 +159,11 @@ class SessionWriter:
             tables = [table for table in TABLES if table.parted or final]
             with self._gathering:
                 found = {table.name: self._buffers.get(table.name) for table in tables}
-                self._taken = {name: buffer for name, buffer in found.items() if buffer and buffer.rows}
+                self._taken = {
+                    name: buffer
+                    for name, buffer in found.items()
+                    if buffer and (buffer.rows or (final and self._is_due_empty(name)))
+                }
                 for name, buffer in self._taken.items():
                     self._buffers[name] = type(buffer)(buffer.kind, buffer.end)
             self._rotated = final  # nothing stays behind
@@ -192,7 +200,9 @@ class SessionWriter:
             if self._unsettled:
                 self._unsettled.settle()
             zeroed = touch is not None and touch.kind is Zeroed
-            describe_session(self.folder, self._run, host=self._host, zeroed=zeroed, ended=True)
+            describe_session(
+                self.folder, self._run, host=self._host, tables=self._tables, zeroed=zeroed, ended=True
+            )
             if self._journal:
                 self._journal.remove()
         self._leave()
@@ -203,6 +213,10 @@ class SessionWriter:
         if found is None:
             found = self._buffers[table.name] = (Buffer if table.parted else Growing)(type(batch))
         return found
+
+    def _is_due_empty(self, table: str) -> bool:
+        """Whether a table of one file, which has no rows, still lacks the file that says so."""
+        return isinstance(self._buffers[table], Growing) and not self._numbers[table]
 
     def _kept(self, form: type[Buffer | Growing]) -> list[Rows]:
         """The rows that are not taken, of tables of parts or of one file."""
@@ -227,11 +241,12 @@ class SessionWriter:
         self._taken = None
 
     def _commit_rows(self, table: Table, buffer: Buffer | Growing) -> None:
-        rows, parts = to_arrow(table, buffer.batches, self._episodes), list[Part]()
-        size = self._part_rows if table.parted else len(rows)
+        rows = to_arrow(table, buffer.batches or [buffer.kind.empty()], self._episodes)
+        parts, some = list[Part](), max(len(rows), 1)
+        size = self._part_rows if table.parted else some
         if table.parted:
             self._make_folder(self.folder / table.name)
-        for start in range(0, len(rows), size):  # more than one part only where one batch is larger
+        for start in range(0, some, size):  # more than one part only where one batch is larger
             path = table.file(self._numbers[table.name] + len(parts))
             parts.append(commit_part(self.folder, path, rows.slice(start, size), put=self._put))
         self._parts += parts
@@ -257,7 +272,7 @@ class SessionWriter:
         try:
             yield
         except OSError as error:
-            raise EndpointError(str(self._root), f"cannot be written: {error.strerror or error}") from error
+            raise EndpointError(str(self._root), f"cannot be written: {because(error)}") from error
 
 
 def _leave(journal: Journal | None, held: int | None) -> None:

@@ -95,7 +95,8 @@ class Grasp:
         if not passive >= 0:
             raise ParameterError("Grasp", "passive", passive, "at least 0")
         if abs(grip[1]) >= held.reach or abs(grip[0]) >= held.width / 2:
-            raise ParameterError("Grasp", "grip", grip, f"on the {held.name}")
+            must_be = f"on the {held.name}: less than {held.width / 2:g} and {held.reach:g} m off its middle"
+            raise ParameterError("Grasp", "grip", grip, must_be)
         held = replace(held, friction=held.friction * friction, mass=held.mass * mass)
         scene = surface(held, parameters or Parameters(noise=NOISE))
         p = scene.parameters

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 CYCLE: Final = 0.010  # s
 READ: Final = 4  # Modbus functions
 WRITE: Final = 16
+TAKEN: Final = "cannot be listened on: end the program that uses it, or give another address or port"
 
 
 class GripperServer:
@@ -91,7 +92,7 @@ class GripperServer:
         try:
             await server.serve_forever(background=True)
         except RuntimeError as error:
-            raise EndpointError(f"{self.host}:{self.port}", "cannot be listened on") from error
+            raise EndpointError(f"{self.host}:{self.port}", TAKEN) from error
         self._server = server
         if isinstance(server.transport, asyncio.Server):
             self.port = server.transport.sockets[0].getsockname()[1]

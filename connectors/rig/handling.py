@@ -54,7 +54,7 @@ class Handling:
         if seconds is not None and not seconds > 0:
             raise ParameterError("Handling", "seconds", seconds, "above 0, or None")
         self.held, self.seed, self.lift, self.taps, self.seconds = held, seed, lift, tuple(taps), seconds
-        self.touch, self.hand = HandlingTouch(self), HandlingHand(self)
+        self.touch, self.hand = HandlingTouch(self), Hand(self)
         self.happened: list[Held] = []
         self._origin = 0  # ns
         self._grasp: Grasp | None = None
@@ -115,7 +115,7 @@ class HandlingTouch(Source[Touch]):
         }
 
 
-class HandlingHand(Sink[Commands]):
+class Hand(Sink[Commands]):
     """The hand; made by `Handling`."""
 
     def __init__(self, handling: Handling) -> None:

@@ -23,7 +23,7 @@ from connectors.rig.ur_ports import (
 )
 from connectors.rtde import Version
 from operators.batch import s
-from operators.errors import EndpointError, ParameterError
+from operators.errors import EndpointError, ParameterError, because
 
 CATCH_UP: Final = (
     1.0  # s of cycles that are made up for when the host held us up; of more, the rest is skipped
@@ -100,7 +100,9 @@ class UrController:
                 server = await loop.create_server(partial(self._accept, listener), self.host, port)
             except OSError as error:
                 await self.close()  # nothing of it keeps listening
-                raise EndpointError(f"{self.host}:{port}", f"cannot be listened on: {error}") from error
+                raise EndpointError(
+                    f"{self.host}:{port}", f"cannot be listened on: {because(error)}"
+                ) from error
             self._servers.append(server)
             ports.append(server.sockets[0].getsockname()[1])
         self.ports = Ports(*ports)

@@ -47,7 +47,9 @@ class FrequencyCnn:
     def __init__(self, weights: Weights) -> None:
         check(type(self).__name__, weights, shapes())
         if not (weights["std"] > 0).all():
-            raise InputError(f"{type(self).__name__} weights", "std must be above 0")
+            raise InputError(
+                f"{type(self).__name__} weights", f"std is {weights['std'].min()}, must be above 0"
+            )
         self._mean, self._std = weights["mean"], weights["std"]
         conv0, conv1, *self._dense = (
             (_flat(weights[f"{layer}/kernel"]), weights[f"{layer}/bias"].astype(np.float32))

@@ -32,11 +32,11 @@ class Psd:
 
     def __post_init__(self) -> None:
         if self.length < 2:  # noqa: PLR2004 one sample has no spectrum
-            raise ParameterError("Psd", "length", self.length, "at least 2")
+            raise ParameterError("Psd", "length", self.length, "at least 2 samples")
         highest = self.length // 2 / self.length * self.rate
         if not 0 <= self.cutoff < highest:
             raise ParameterError(
-                "Psd", "cutoff", self.cutoff, f"from 0 to below {highest} Hz, the highest bin"
+                "Psd", "cutoff", self.cutoff, f"from 0 to below {highest:g} Hz, the highest bin"
             )
         if not self.threshold > 0:
             raise ParameterError("Psd", "threshold", self.threshold, "above 0")

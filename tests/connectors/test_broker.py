@@ -74,12 +74,18 @@ def test_the_password_comes_from_the_environment_or_a_file(
         broker.login()
 
 
-@pytest.mark.parametrize("content", [None, "no certificate"])
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (None, r"cannot read the authorities \(SLIPFLOW_MQTT_CA\): No such file"),
+        ("no certificate", r"holds no certificates of authorities \(SLIPFLOW_MQTT_CA\): these are text, PEM"),
+    ],
+)
 def test_authorities_that_cannot_be_read_are_an_error_that_names_the_variable(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: str | None
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: str | None, complaint: str
 ) -> None:
     if content:
         (tmp_path / "ca.pem").write_text(content)
     monkeypatch.setenv(CA, str(tmp_path / "ca.pem"))
-    with pytest.raises(InputError, match=r"ca\.pem: cannot read the authorities \(SLIPFLOW_MQTT_CA\)"):
+    with pytest.raises(InputError, match=rf"ca\.pem: {complaint}"):
         Broker.parse("mqtts://localhost").tls()

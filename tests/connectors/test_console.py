@@ -118,6 +118,13 @@ def test_as_json_faults_are_events_too_and_a_replay_has_no_latency(run: Run) -> 
     assert "latency_ms" not in objects(run, slips(0))[0]
 
 
+def test_as_json_a_replay_names_its_recording(run: Run) -> None:
+    run.live, run.recording = False, "stroke-9"
+    assert [each["recording"] for each in objects(run, slips(0), FAULTS)] == ["stroke-9"] * 4
+    run.live, run.recording = True, None
+    assert "recording" not in objects(run, slips(0))[0]
+
+
 def test_a_format_that_is_none_is_refused() -> None:
     with pytest.raises(ParameterError, match="text or json"):
         Console(format=cast("Literal['json']", "xml"))

@@ -126,7 +126,9 @@ def test_blank_lines_are_ignored_but_counted(write: Write) -> None:
 
 def test_a_stray_quotation_mark_swallows_no_lines(write: Write) -> None:
     rows = [f"{i},1,2,3,4,5,6,{note}" for i, note in enumerate(["ok", '"one', "x", 'two"', "ok"])]
-    with pytest.raises(InputError, match=r"line 3: has a quoted field that spans lines$"):
+    with pytest.raises(
+        InputError, match=r"line 3: has a quoted field that spans lines: close its quotation mark$"
+    ):
         CsvTrace(write(f"{HEADER},note", *rows))
 
 
@@ -159,7 +161,10 @@ WHOLE = "must be a whole number from -32768 to 32767"
         ("9e10,1,2,3,4,5,6,0", "line 3, column t: is '9e10', must be a time in s"),
         ("0.4,1,2,3,4,5,6,0", "line 3, column t: is '0.4', must be no less than in the line before"),
         ("1,1,2,3", f"line 3, column s4: is '', {WHOLE}"),
-        ("1,1,2,3,4,5,6,0,9", "line 3: has more fields than line 1"),
+        (
+            "1,1,2,3,4,5,6,0,9",
+            "line 3: has more fields than line 1 has names; a comma in a value needs quotes",
+        ),
     ],
 )
 def test_a_value_that_cannot_be_used_is_named_by_line_and_column(
@@ -224,12 +229,14 @@ def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
 def test_a_file_that_is_missing_empty_or_no_text_is_told_so(tmp_path: Path, write: Write) -> None:
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
         CsvTrace(tmp_path / "absent.csv")
-    with pytest.raises(InputError, match=r"cannot be read: Is a directory$"):
+    with pytest.raises(
+        InputError, match=r"cannot be read: Is a directory; a folder has a name that must be a file's$"
+    ):
         CsvTrace(tmp_path)
     (tmp_path / "empty.csv").touch()
-    with pytest.raises(InputError, match=r"empty.csv: is empty$"):
+    with pytest.raises(InputError, match=r"empty.csv: is empty, its first line must name the columns$"):
         CsvTrace(tmp_path / "empty.csv")
-    with pytest.raises(InputError, match=r"trace.csv: has no rows$"):
+    with pytest.raises(InputError, match=r"trace.csv: has no rows below its first line$"):
         CsvTrace(write(HEADER))
     (tmp_path / "binary.csv").write_bytes(b"t,s1\n\xff\xfe,1\n")
     with pytest.raises(InputError, match=r"binary.csv: is no CSV file: [^\n]+$"):

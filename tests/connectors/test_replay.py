@@ -138,7 +138,9 @@ def test_what_was_not_recorded_cannot_be_replayed() -> None:
     recording: Recording = Recorded({0: [0]})
     with pytest.raises(InputError, match=r"^recorded: holds no Motion stream$"):
         Replay(recording, Motion)
-    with pytest.raises(InputError, match=r"^recorded: holds no Scores stream of finger 3$"):
+    with pytest.raises(
+        InputError, match=r"^recorded: holds no Scores stream of finger 3; its fingers are 0$"
+    ):
         Replay(recording, Scores, (0, 3))
 
 

@@ -85,7 +85,7 @@ def test_a_package_that_is_sent_again_is_dropped_and_counted() -> None:
     taken, reason, source = against(controller(0.008, 0.016, 0.016, 0.016, 0.024))
     assert [batch.device_time.tolist() for batch in taken] == [[8 * ms, 16 * ms, 24 * ms]]
     assert source.describe()["repeated"] == 2
-    assert reason == "sends nothing for 1.0 s"
+    assert reason == "sends nothing for 1.0 s: does it run, and is the cable in?"
 
 
 def test_rows_before_the_clock_went_back_are_given_though_they_came_with_those_after() -> None:
@@ -115,9 +115,9 @@ def test_rubbish_is_not_taken_and_what_came_before_it_is() -> None:
 
     taken, reason, _ = against(then_rubbish)
     assert [len(batch) for batch in taken] == [2]
-    assert reason == "a package of 0 bytes"
+    assert reason == "a package of 0 bytes, must be 3 to 8192"
     taken, reason, _ = against(lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n")
-    assert (taken, reason) == ([], "it does not speak RTDE: a package of 18516 bytes")
+    assert (taken, reason) == ([], "it does not speak RTDE: a package of 18516 bytes, must be 3 to 8192")
 
 
 def test_an_old_controller_that_grants_more_than_it_has_is_not_believed() -> None:

@@ -74,7 +74,7 @@ def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
         (0, pack(Kind.DATA, DATA[0]), "'U' where 'V'"),
         (1, pack(Kind.CONTROLLER, b"\1"), "version in 1 bytes"),
         (2, pack(Kind.OUTPUTS, b"\0DOUBLE,NOT_FOUND"), "actual_q NOT_FOUND"),
-        (3, pack(Kind.START, b"\0"), "does not start"),
+        (3, pack(Kind.START, b"\0"), "refused to start"),
         (3, pack(Kind.DATA, DATA[0]), "'U' where 'S'"),
         (4, pack(Kind.DATA, DATA[0][:-1]), "data of 56 bytes"),
         (4, pack(Kind.DATA, b"\1" + DATA[0][1:]), "recipe 01, not 57 for 07"),

@@ -27,6 +27,7 @@ from operators.batch import Batch, Counts, concat
 from operators.detectors.psd import Psd
 
 PATH = "/dev/i2c-1"
+SILENT = f"{PATH}: no fingertip answers: is the power on, are the rows right? (errno 121)"
 
 
 class Skin:
@@ -167,7 +168,7 @@ def test_a_sensor_that_is_unplugged_fails_once_and_is_looked_for_until_it_is_bac
         source, clock = rig.source(), LoopClock()
         rig.skin.then[20] = rig.bus.unplug
         taken, why = await lost(stream(source, clock))
-        assert why == "/dev/i2c-1: no fingertip answers (errno 121)"
+        assert why == SILENT
         assert [bool(touch.valid.all()) for touch in taken[:19]] == [True] * 19
         for touch in taken[19:]:  # it is not given up at once, and nothing is made up meanwhile
             assert not touch.valid.any()
@@ -362,7 +363,7 @@ def test_a_run_records_the_gap_and_says_once_what_happened(
         finally:
             logging.getLogger("slipflow").removeHandler(mender)
         [gap], touch = run.sources["touch"].gaps, sink.rows(Touch, 0)
-        assert gap.reason == "/dev/i2c-1: no fingertip answers (errno 121)"
+        assert gap.reason == SILENT
         assert gap.start < plugged[0] < gap.end
         assert not ((touch.time > gap.start) & (touch.time < plugged[0])).any()
         silent = ~touch.valid.any(axis=1)
@@ -372,7 +373,7 @@ def test_a_run_records_the_gap_and_says_once_what_happened(
     with caplog.at_level(logging.WARNING):
         execute(main())
     assert [record.message for record in caplog.records] == [
-        "touch failed, trying again: /dev/i2c-1: no fingertip answers (errno 121)",
+        f"touch failed, trying again: {SILENT}",
         "touch is back",
     ]
 

@@ -196,7 +196,7 @@ def test_an_unplugged_sensor_spoils_the_scan(rig: Rig) -> None:
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
-        assert reason(scan.error) == "no fingertip answers (errno 121)"
+        assert reason(scan.error) == "no fingertip answers: is the power on, are the rows right? (errno 121)"
         rig.bus.plug()
         rig.sound(scanner.scan())
 
@@ -281,7 +281,7 @@ def test_a_bus_serves_one_at_a_time(rig: Rig) -> None:
     with closing(rig.open()):
         with pytest.raises(BlockingIOError) as raised:
             rig.open()
-        assert reason(raised.value) == "is used by another program (errno 11)"
+        assert reason(raised.value) == "is used by another program: end that first (errno 11)"
     rig.open().close()
 
 

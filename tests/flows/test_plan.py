@@ -103,6 +103,16 @@ def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
     ]
 
 
+def test_a_plan_says_what_each_sink_may_be_given() -> None:
+    flow, one, other = Flow("felt"), TestSink("one"), TestSink("other")
+    probabilities = flow.source(TestSource(Scores))
+    slips = probabilities | Debounce()
+    slips.to(one)
+    probabilities.to(one)
+    slips.to(other)
+    assert Plan(flow).wired == {one.place: (Slips, Scores), other.place: (Slips,)}
+
+
 def test_streams_given_together_reach_their_join_together() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)

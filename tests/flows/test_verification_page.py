@@ -8,8 +8,9 @@ from flows.verification_figure import LANES, chosen, rows
 from flows.verification_page import page, summary, write
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError
+from storage.findings import Finding
 from storage.manifest import Part
-from storage.verification import Checked, Finding, Verified
+from storage.verification import Checked, Verified
 
 LOST = Finding("b", "lost", "touch/part-000001.parquet: <gone>: 50 rows, 10.0 s")
 
@@ -102,12 +103,19 @@ def test_a_program_is_told_the_findings_and_not_every_file() -> None:
     }
 
 
+def test_notes_say_nothing_against_a_dataset() -> None:
+    assert summary(verified(Finding("a", "note", "touch was down for 2.0 s")))["worst"] == "good"
+    assert summary(verified())["worst"] == "good"
+
+
 def test_a_page_that_cannot_be_written_is_refused_before_anything_is_read(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"ends in \.html"):
         verification_page.claim(tmp_path / "report.pdf")
     (tmp_path / "file").touch()
-    with pytest.raises(EndpointError, match="cannot be made"):
+    with pytest.raises(EndpointError, match="there is no folder"):
         verification_page.claim(tmp_path / "file" / "report.html")
     (tmp_path / "folder.html").mkdir()
+    with pytest.raises(EndpointError, match="is a folder"):
+        verification_page.claim(tmp_path / "folder.html")
     with pytest.raises(EndpointError, match="cannot be written"):
         write(verified(), tmp_path, tmp_path / "folder.html")

@@ -1,3 +1,4 @@
+import errno
 import pickle
 
 import pytest
@@ -11,6 +12,7 @@ from operators import (
     ParameterError,
     SlipflowError,
 )
+from operators.errors import because
 
 
 @pytest.mark.parametrize(
@@ -31,3 +33,23 @@ def test_an_error_travels_between_processes_with_what_it_carries(error: Slipflow
     assert type(again) is type(error)
     assert str(again) == str(error)
     assert vars(again) == vars(error)
+
+
+@pytest.mark.parametrize(
+    ("error", "text"),
+    [
+        (
+            PermissionError(errno.EACCES, "Permission denied", "/data"),
+            "Permission denied; give this user the right to it",
+        ),
+        (
+            FileExistsError(errno.EEXIST, "File exists", "/data/sessions"),
+            "File exists, /data/sessions; a file has a name that must be a folder's",
+        ),
+        (FileNotFoundError(errno.ENOENT, "No such file or directory"), "No such file or directory"),
+        (OSError("only words"), "only words"),
+        (OSError(), "OSError"),
+    ],
+)
+def test_what_the_system_refuses_is_told_with_what_to_do_about_it(error: OSError, text: str) -> None:
+    assert because(error) == text

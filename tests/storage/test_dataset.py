@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from operators.batch import (
     Clocks,
+    Faults,
     Labelled,
     Motion,
     Sample,
@@ -28,7 +29,8 @@ from operators.batch import (
 )
 from operators.errors import BatchError, EndpointError, InputError, ParameterError, SlipflowError
 from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
-from storage import Dataset, Session
+from storage import Dataset, Session, verify
+from storage.description import describe_session
 from storage.layout import session_names
 
 
@@ -100,6 +102,51 @@ def test_all_tables_are_committed_together(
     for table in ("touch", "motion", "samples"):
         parts = sorted(tmp_path.glob(f"sessions/one/{table}/*.parquet"))
         assert [len(pl.read_parquet(path)) for path in parts] == [20, 20]
+
+
+@pytest.mark.parametrize("live", [True, False])
+def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(
+    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any], *, live: bool
+) -> None:
+    run = new_run(live=live)
+    run.wired = {str(tmp_path): (Touch, Slips, Clocks), "elsewhere": (Faults,)}
+    record(Dataset(tmp_path), run, [new_batch(Touch)])
+    session = Session.open(tmp_path)
+    assert session.about["tables"] == ["touch", "slips", "clocks"]
+    assert session.tables == ("touch", "slips", "clocks")
+    assert (session.fingers(Slips), list(session.read(Slips, 0))) == ((), [])
+    assert session.frame("slips").schema == pl.read_parquet(session.folder / "slips.parquet").schema
+    assert len(session.frame("slips")) == 0
+    assert (session.listed["slips.parquet"].rows, session.listed["clocks.parquet"].rows) == (0, 0)
+    assert verify(tmp_path).findings == ()
+
+
+def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again(
+    tmp_path: Path,
+    new_run: Callable[..., Run],
+    new_batch: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    run, failing = new_run(), [True]
+    run.wired = {str(tmp_path): (Slips,)}
+
+    def describe(folder: Path, run: Run, *, ended: bool = False, **named: Any) -> None:  # noqa: ANN401
+        if ended and failing and failing.pop():
+            raise OSError(28, "No space left on device")
+        describe_session(folder, run, ended=ended, **named)
+
+    monkeypatch.setattr("storage.writer.describe_session", describe)
+
+    async def main() -> None:
+        sink = Dataset(tmp_path)
+        await sink.open(run)
+        await sink.write(new_batch(Slips))
+        with pytest.raises(EndpointError, match="No space left"):
+            await sink.close()
+        await sink.close()
+
+    asyncio.run(main())
+    assert len(Session.open(tmp_path).frame("slips")) == 5
 
 
 def test_what_the_session_says_of_itself_is_written_first_and_completed_last(
@@ -223,7 +270,10 @@ def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(
     (tmp_path / "file").write_text("mine")
     for place, complaint in (
         (tmp_path / "file", "file: is a file, must be a folder"),
-        (tmp_path / "file/below", "below: cannot be written: Not a directory"),
+        (
+            tmp_path / "file/below",
+            "below: cannot be written: Not a directory; a file has a name that must be",
+        ),
         (Path("/proc/slipflow"), "slipflow: cannot be written: No such file or directory"),
     ):
         with pytest.raises(EndpointError, match=complaint) as error:
@@ -272,7 +322,7 @@ def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path, new_run: Cal
 def test_a_description_that_cannot_be_json_is_refused_at_the_start(
     tmp_path: Path, new_run: Callable[..., Run], value: Json
 ) -> None:
-    with pytest.raises(InputError, match="description of the sources: cannot be JSON"):
+    with pytest.raises(InputError, match="description of source 'rig': cannot be JSON"):
         record(Dataset(tmp_path), new_run(describe={"rig": {"rate": value}}), [])
     assert session_names(tmp_path) == []
 
@@ -432,7 +482,8 @@ def test_a_full_disk_is_told_at_each_write_until_there_is_room_and_costs_no_row(
             await dataset.close()
         full = False
         await dataset.close()
-        assert set(reasons) == {"cannot be written: No space left on device"}
+        told = "cannot be written: No space left on device; make room there, or name another place"
+        assert set(reasons) == {told}
         assert len(reasons) > 5
 
     asyncio.run(main())

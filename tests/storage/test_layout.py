@@ -1,3 +1,5 @@
+import errno
+import os
 from itertools import product
 from pathlib import Path
 
@@ -5,7 +7,7 @@ import pytest
 
 from operators.batch import columns
 from operators.errors import InputError, ParameterError
-from storage.layout import TABLE_OF, TABLES, inside, session_folder, session_names
+from storage.layout import TABLE_OF, TABLES, headless_names, inside, session_folder, session_names
 
 
 @pytest.mark.parametrize(
@@ -52,3 +54,47 @@ def test_every_table_keeps_columns_that_its_batches_have() -> None:
     for kind, table in TABLE_OF.items():
         assert issubclass(kind, table.kind)
         assert set(table.columns) | table.omits == set(columns(table.kind))
+
+
+@pytest.fixture
+def hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A dataset whose session `one` may not be looked into, as by somebody else's rights."""
+    sessions = tmp_path / "sessions"
+    for name in ("one", "two"):
+        (sessions / name).mkdir(parents=True)
+    real = Path.stat
+
+    def stat(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
+        if path.parent == sessions / "one":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return real(path, follow_symlinks=follow_symlinks)
+
+    monkeypatch.setattr(Path, "stat", stat)
+    return tmp_path
+
+
+def test_a_session_that_may_not_be_looked_into_is_not_passed_over(hidden: Path) -> None:
+    assert session_names(hidden) == ["one"]
+    assert headless_names(hidden) == []
+
+
+def test_sessions_that_may_not_be_looked_for_are_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sessions").mkdir()
+
+    def listdir(path: str | Path) -> list[str]:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(os, "listdir", listdir)
+    monkeypatch.setattr(os, "scandir", listdir)
+    for names in (session_names, headless_names):
+        with pytest.raises(InputError, match="sessions: cannot be read: Permission denied; give this user"):
+            names(tmp_path)
+
+
+def test_a_file_in_the_place_of_the_sessions_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "sessions").touch()
+    with pytest.raises(InputError, match="sessions: is a file, must be the folder of the sessions"):
+        session_names(tmp_path)
+    assert session_names(tmp_path / "sessions") == []

@@ -40,6 +40,12 @@ def test_a_manifest_comes_back_as_it_was_written(
     assert list(read_manifest(folder).values()) == listed
 
 
+def test_a_table_of_one_file_may_be_without_rows(tmp_path: Path) -> None:
+    nothing = Part("slips.parquet", 0, 0, 0, "0f" * 32)
+    write_manifest(tmp_path, [nothing])
+    assert read_manifest(tmp_path) == {"slips.parquet": nothing}
+
+
 def test_a_session_without_a_manifest_lists_nothing(tmp_path: Path) -> None:
     assert read_manifest(tmp_path) == {}
 
@@ -55,6 +61,8 @@ def test_a_session_without_a_manifest_lists_nothing(tmp_path: Path) -> None:
         {**GOOD, "rows": 3.0},
         {**GOOD, "rows": True},
         {**GOOD, "rows": 0},
+        {**GOOD, "rows": 0, "first": 0, "last": 0},
+        {**GOOD, "path": "slips.parquet", "rows": 0},
         {**GOOD, "first": 6},
         {**GOOD, "sha256": "0f"},
         {**GOOD, "sha256": "0F" * 32},

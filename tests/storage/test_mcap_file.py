@@ -216,7 +216,7 @@ def test_without_the_library_it_says_how_to_get_it(
 
     monkeypatch.setattr(mcap_file, "find_spec", nothing)
     session = record(tmp_path, [new_batch(Touch)])
-    with pytest.raises(InputError, match=r"needs mcap: pip install 'slipflow\[mcap\]'$"):
+    with pytest.raises(InputError, match=r"needs mcap: in the clone, pip install -e '\.\[mcap\]'$"):
         export(session, tmp_path / "one.mcap")
 
 

@@ -465,6 +465,31 @@ def test_a_log_of_single_files_that_is_gone_is_told_of(left: Path, batches: list
     assert rows(left, batches) == [25, 25, 25, 25, 0]
 
 
+def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
+) -> None:
+    run = new_run()
+    run.wired = {str(tmp_path): (Touch, Slips)}
+    folder = leave(tmp_path, run, [batch for batch in batches if type(batch) is Touch])
+    assert recover(folder).lost == ()
+    session = Session.open(folder)
+    assert session.tables == ("touch", "slips")
+    assert len(session.frame("slips")) == 0
+    assert session.about["end_ns"] == int(batches[-1].time[-1])
+    assert not recover(folder).changed
+
+
+def test_slips_that_may_have_been_lost_are_not_said_to_be_none(
+    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
+) -> None:
+    run = new_run()
+    run.wired = {str(tmp_path): (Touch, Slips)}
+    folder = leave(tmp_path, run, [batch for batch in batches if type(batch) is Touch])
+    single_log(folder).unlink()
+    assert "single.wal: is gone" in " ".join(recover(folder).lost)
+    assert Session.open(folder).tables == ("touch",)
+
+
 def test_a_replay_killed_at_any_step_is_whole_or_says_that_it_is_not(tmp_path: Path) -> None:
     counts = kill("replay", tmp_path)
     reached = {step for step in STEPS if counts[step]}

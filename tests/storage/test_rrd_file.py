@@ -145,6 +145,6 @@ def test_without_the_library_it_says_how_to_get_it(
 
     monkeypatch.setattr(rrd_file, "find_spec", nothing)
     session = record(tmp_path / "data", [new_batch(Touch)])
-    with pytest.raises(InputError, match=r"needs rerun-sdk: pip install 'slipflow\[rerun\]'$"):
+    with pytest.raises(InputError, match=r"needs rerun-sdk: in the clone, pip install -e '\.\[rerun\]'$"):
         export(session, tmp_path / "one.rrd")
     assert not (tmp_path / "one.rrd").exists()

@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -166,6 +168,32 @@ def test_files_that_nobody_lists_are_told_of(dataset: Path) -> None:
     assert [each.weight for each in verify(folder).findings] == ["repairable", "note"]
 
 
+def test_a_file_that_nobody_lists_and_nobody_can_read_is_lost(dataset: Path) -> None:
+    folder = dataset / "sessions/two"
+    (folder / "MANIFEST.json").unlink()
+    (folder / "touch/part-000000.parquet").write_bytes(b"half")
+    found = {each.text for each in verify(folder).findings if each.weight == "lost"}
+    assert any("is damaged or no Parquet file" in each and "not in the manifest" in each for each in found)
+
+
+def test_what_may_not_be_looked_into_is_lost_and_the_check_goes_on(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = Path.stat
+
+    def stat(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
+        if path.parent.name == "one":
+            raise PermissionError(errno.EACCES, "Permission denied", str(path))
+        return real(path, follow_symlinks=follow_symlinks)
+
+    whole = verify(dataset)
+    monkeypatch.setattr(Path, "stat", stat)
+    found = verify(dataset)
+    assert (found.code, found.names) == (1, whole.names)
+    assert any("cannot be read: Permission denied; give this user" in each.text for each in found.findings)
+    assert {each.session for each in found.findings} == {"one"}
+
+
 @pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
 @pytest.mark.parametrize("content", ["{", '{"version": 9}', '{"version": 1, "session": "one", "sinks": [3]}'])
 def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
@@ -196,7 +224,7 @@ def test_a_dataset_without_sessions_is_not_all_there(dataset: Path) -> None:
 
 def test_what_a_lost_part_held_is_told(dataset: Path) -> None:
     (dataset / "sessions/two/touch/part-000000.parquet").unlink()
-    assert verify(dataset).findings[0].text.endswith(": 5 rows, 0.0 s")
+    assert verify(dataset).findings[0].text.endswith("No such file or directory; it held 5 rows, 0.0 s")
 
 
 def test_rows_that_a_closed_session_counts_are_missed_where_no_manifest_tells_of_them(
