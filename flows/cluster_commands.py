@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from flows.options import counted, nanoseconds, progress_bar, told
+from flows.options import counted, progress_bar, told
 
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
@@ -42,7 +42,7 @@ class Place:
     url: str
     python: Path | None
     follow: bool = field(kw_only=True)
-    duration: str | None = field(kw_only=True)
+    limit: int | None = field(kw_only=True)  # ns
 
     def run(
         self,
@@ -64,10 +64,9 @@ class Place:
         from flows.stopping import stopping
 
         if not recordings:
-            raise typer.BadParameter("--cluster needs --replay: what is to be run over")
-        limit = nanoseconds(self.duration)
-        if limit is not None and not self.follow:
-            raise typer.BadParameter("with --cluster, --for needs --follow")
+            raise typer.BadParameter("--cluster needs --replay PATH: what is to be run over")
+        if self.limit is not None and not self.follow:
+            raise typer.BadParameter("--for needs --follow with --cluster: else it ends when all is replayed")
         began = monotonic()
         cluster = Cluster(self.url, self.python)
         with stopping() as stopped, progress_bar(f"{target} on {self.url}") as update:
@@ -77,7 +76,7 @@ class Place:
                 settings,
                 recordings,
                 follow=self.follow,
-                stopped=lambda: stopped() or (limit is not None and (monotonic() - began) * 1e9 >= limit),
+                stopped=lambda: stopped() or self._over(began),
                 progress=update,
             )
             interrupted = stopped() and not self.follow
@@ -97,3 +96,9 @@ class Place:
             raise typer.Exit(130)
         if failed:
             raise typer.Exit(1)
+
+    def _over(self, began: float) -> bool:
+        """Whether the time has passed that it was to last."""
+        from time import monotonic
+
+        return self.limit is not None and (monotonic() - began) * 1e9 >= self.limit

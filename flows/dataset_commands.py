@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.options import AsJson, counted, nanoseconds, progress_bar, told
+from flows.options import AsJson, counted, progress_bar, told
 
 if TYPE_CHECKING:
     from storage import Recovery, Verified
@@ -24,18 +24,24 @@ def verify(
     *,
     report: Annotated[
         Path | None,
-        typer.Option("--report", "-o", metavar="FILE.html", help="Write a page to keep as well."),
+        typer.Option(
+            "--report",
+            "-o",
+            metavar="FILE.html",
+            help="Write a page to keep as well, into a folder that is there.",
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read all of a dataset, or of one session, and say whether anything is missing or damaged.
+    """Read all of a dataset and say what is missing or damaged.
 
     Every file is held against the manifest: sha256, checksums of its pages, rows, times. Nothing is changed,
     so it may run while something is recorded, which is checked as far as it is committed.
 
     Exits 0 if all is there; 3 if something was repaired or waits to be, with nothing lost, or is known to be
     missing, such as rows that were dropped; 1 if what had been recorded is lost or damaged, also once a
-    recovery has made the best of it.
+    recovery has made the best of it. With --json that is "code", and "worst" is good, repairable, repaired,
+    lossy or lost.
     """
     from flows import verification_page as pages
     from flows.figures import lacking
@@ -54,11 +60,12 @@ def verify(
 
 
 def recover(place: Place, *, as_json: AsJson = False) -> None:
-    """Put right what a crash left: what the journal of a killed recording holds becomes parts of the dataset.
+    """Put right what a crash left.
 
-    Opening such a session in slipflow does the same by itself; other readers see it afterwards. Sessions that
-    need nothing, or are being recorded, are left alone. What cannot be read, or is there twice, is kept in a
-    folder `damaged`. Parts that a manifest lists are not read: `slipflow verify` does that.
+    What the journal of a killed recording holds becomes parts of the dataset. Opening such a session in
+    slipflow does the same by itself; other readers see it afterwards. Sessions that need nothing, or are
+    being recorded, are left alone. What cannot be read, or is there twice, is kept in a folder `damaged`.
+    Parts that a manifest lists are not read: `slipflow verify` does that.
 
     Exits 0 if there was nothing to do, 3 if something was put right, 1 if a session could not be.
     """
@@ -111,20 +118,24 @@ def simulate(
     delay: Annotated[
         str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
     ] = "0s",
-    jobs: Annotated[int | None, typer.Option(help="Processes; one for each core by default.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
     report: Annotated[
         Path | None,
         typer.Option(metavar="DIR", help="Measure the scene instead: a page with figures, in minutes."),
     ] = None,
     judge: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="For the report: weights of the paper's TCN.")
+        Path | None, typer.Option(metavar="PATH", help="With --report: weights of the paper's TCN.")
     ] = None,
     trace: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="For the report: a real trace with labels, as CSV.")
+        Path | None, typer.Option(metavar="PATH", help="With --report: a real trace with labels, as CSV.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Simulate a collection plan, split for training and testing, as a labelled dataset."""
+    """Simulate a collection plan as a labelled dataset.
+
+    Its recordings are split for training and testing. With --report the scene is measured instead, --plan
+    saying how thoroughly: how near it comes to a real trace.
+    """
     if report is not None:
         from flows.scene_report.measured import Size
         from flows.scene_report.report import write_report
@@ -135,13 +146,14 @@ def simulate(
     if out is None:
         raise typer.BadParameter("give OUT, the dataset's folder, or --report DIR")
     from flows import simulate as simulation
+    from flows.quantity import time
 
     with progress_bar(f"simulating {plan}") as update:
         done = simulation.simulate(
             out,
             plan,
             seed,
-            delay=nanoseconds(delay) or 0,
+            delay=time("simulate", "--delay", delay),
             jobs=jobs,
             progress=update,
         )

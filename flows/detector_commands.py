@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flows.options import AsJson, Models, Names, nanoseconds, progress_bar, told
+from flows.options import AsJson, Models, Names, check_output_file, progress_bar, told
 
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
@@ -28,17 +28,17 @@ def evaluate(
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Judge detectors beside each other: how right they are, and what users of slip events feel.
+    """Judge detectors beside each other.
 
-    Prints the paper's Tables I and III beside its figures, false alarms, missed slips and onset delay, and
-    writes evaluation.html, .md and .json.
+    Says how right they are, and what users of slip events feel. Prints the paper's Tables I and III beside
+    its figures, false alarms, missed slips and onset delay, and writes evaluation.html, .md and .json.
     """
     from flows.evaluation import report
     from flows.evaluation.evaluate import evaluate as judge
-    from flows.evaluation.written import claim
+    from flows.evaluation.page_files import make_output_folder
     from flows.figures import lacking
 
-    claim(out)
+    make_output_folder(out)
     if reason := lacking():
         told(f"the page will be without figures, which {reason}")
     models, names = model or [], method or []
@@ -50,9 +50,7 @@ def evaluate(
 
 
 def train(
-    datasets: Annotated[
-        list[Path], typer.Argument(metavar="DATASET...", help="Labelled datasets with splits.")
-    ],
+    datasets: Annotated[list[Path], typer.Argument(metavar="DATASET", help="Labelled datasets with splits.")],
     *,
     out: Annotated[
         Path,
@@ -76,23 +74,27 @@ def train(
     lag: Annotated[
         str | None,
         typer.Option(
-            metavar="TIME", help="Shift each recording's labels to come this long after the signal."
+            metavar="TIME", help="Shift each recording's labels to come this long after the signal, as 70ms."
         ),
     ] = None,
     curve: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the course of training, .svg.")
+        Path | None, typer.Option(metavar="FILE", help="Draw the course of training, .svg or .png.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Train a slip detector on the train split; the validation split chooses, the test split is only told.
+    """Train a slip detector.
 
-    Stop it with Ctrl-C and start it again: the tcn goes on where it was. Needs the train extra.
+    It learns from the train split, the validation split chooses, the test split is only told. Stop it with
+    Ctrl-C and start it again: the tcn goes on where it was. Needs the train extra.
     """
     from flows.networks.recipe import Recipe
+    from flows.quantity import time
     from flows.training.curve import Check, draw
     from flows.training.train import train as learn
 
-    after = nanoseconds(lag)
+    after = None if lag is None else time("train", "--lag", lag)
+    if curve is not None:
+        check_output_file(curve)
     begun = set[str]()
     with progress_bar(f"training {method}") as update:
 
@@ -133,7 +135,10 @@ def onnx(
     ],
     out: Annotated[Path, typer.Argument(metavar="FILE", help="The .onnx file to write.")],
 ) -> None:
-    """Write a tcn for other runtimes: windows of zeroed counts in, the probability of slip out."""
+    """Write a tcn as ONNX, for other runtimes.
+
+    Windows of zeroed counts go in, the probability of slip comes out. Needs the train extra.
+    """
     from flows.networks.onnx import export
     from operators.detectors import Tcn
     from operators.errors import InputError
@@ -144,6 +149,7 @@ def onnx(
         raise InputError(
             model, "is no tcn, the only detector that can be exported: give tcn, or a file of its weights"
         )
+    check_output_file(out)
     export(load_weights(shipped(model) or Path(model))[0], out)
     typer.echo(f"written: {out}")
 
@@ -157,15 +163,16 @@ def chart(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the page and tables go.")] = Path("chart"),
     as_json: AsJson = False,
 ) -> None:
-    """Chart speed against accuracy, and onset delay against false alarms, of every detector in one run.
+    """Chart speed against accuracy of every detector.
 
-    Times are of one core, sample by sample, taken by turns. Writes chart.html, .md, .json and .svg.
+    Charts onset delay against false alarms, too. Times are of one core, sample by sample, taken by turns.
+    Writes chart.html, .md, .json and .svg.
     """
     from flows.evaluation import chart_page
     from flows.evaluation.chart import chart as measure
-    from flows.evaluation.written import claim
+    from flows.evaluation.page_files import make_output_folder
 
-    claim(out)
+    make_output_folder(out)
     models, names = model or [], method or []
     found = measure(dataset, models, names=names, budget=budget, told=told)
     command = f"slipflow chart {found.dataset}{_chosen(models, names)} --budget {budget:g}"
@@ -178,19 +185,20 @@ def stress(
     model: Models = None,
     method: Names = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated recordings.")] = 4000,
-    jobs: Annotated[int | None, typer.Option(help="Processes; one for each core by default.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the page and tables go.")] = Path("stress"),
     as_json: AsJson = False,
 ) -> None:
-    """Show where each detector fails: every stress of the simulated rig, from nominal to broken. Minutes.
+    """Show where each detector fails, in minutes.
 
-    Writes stress.html, .md, .json and figures.
+    It tries every stress of the simulated rig, from nominal to broken. Writes stress.html, .md, .json and
+    figures.
     """
     from flows.evaluation import stress_page
+    from flows.evaluation.page_files import make_output_folder
     from flows.evaluation.stress import stress as measure
-    from flows.evaluation.written import claim
 
-    claim(out)
+    make_output_folder(out)
     models, names = model or [], method or []
     with progress_bar("stressing") as update:
         found = measure(

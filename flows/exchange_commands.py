@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from flows.options import AsJson, counted, nanoseconds, progress_bar, told
+from flows.options import AsJson, check_output_file, counted, progress_bar, told
 
 if TYPE_CHECKING:
     from storage import Session
@@ -45,7 +45,7 @@ def export(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Write recordings for other tools: LeRobot for robot learning, MCAP for viewers.
+    """Write recordings for other tools: LeRobot, MCAP, Rerun.
 
     lerobot: a session is an episode. The state is the zeroed counts of all fingertips, the action the arm's
     velocity; a sample goes to the nearest frame and is never repeated, and a gap cuts the episode in two.
@@ -54,19 +54,19 @@ def export(
     mcap: every row of every stream, at its event time, under /touch/FINGER, /motion, /samples/FINGER,
     /slip/FINGER, /faults. Needs the mcap extra.
 
-    rrd: counts, speed and, with --detector, the probability of slip as time series; slips and faults as
-    a text log. Needs the rerun extra, which installs 490 MB.
+    rrd: counts, speed and, with --detector, the probability of slip as time series; slips and faults as a
+    text log. Needs the rerun extra, which installs 490 MB.
     """
     if to not in ("lerobot", "mcap", "rrd"):
-        raise typer.BadParameter(f"--to {to}: lerobot, mcap or rrd")
+        raise typer.BadParameter(f"--to {to}: give lerobot, mcap or rrd")
     if detector is not None and to != "rrd":
-        raise typer.BadParameter("--detector is for --to rrd: leave it out")
+        raise typer.BadParameter(f"--detector is for --to rrd: leave it out with --to {to}")
     sessions = _sessions(dataset)
     if to == "lerobot":
         found, text = _lerobot(sessions, out, rate, task)
     else:
         found, text = _files(sessions, out, to, detector)
-    typer.echo(json.dumps(found) if as_json else text)
+    typer.echo(json.dumps({**found, "to": to, "out": str(out)}) if as_json else text)
 
 
 def import_(
@@ -116,12 +116,13 @@ def import_(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Make a session of a CSV trace; it replays, trains and is judged like a recorded one.
+    """Make a session of a CSV trace, as good as a recorded one.
 
     The first line names the columns. Look first with --dry-run: it prints which column is taken for what.
     """
     from connectors.csv_columns import ColumnMap
     from flows.importing import Import
+    from flows.quantity import time
     from operators import Label
 
     understood = Import(
@@ -131,7 +132,7 @@ def import_(
         rate=rate,
         finger=finger,
         zeroed=zeroed,
-        label=Label(speed=slip_speed, delay=nanoseconds(delay) or 0),
+        label=Label(speed=slip_speed, delay=time("import", "--delay", delay)),
         session=session,
     )
     if not dry_run:
@@ -165,7 +166,7 @@ def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) 
             task=task,
             progress=lambda number, name: update(number, len(sessions), name),
         )
-    found = {**asdict(done), "out": str(out)}
+    found = asdict(done)
     splits = ", ".join(f"{split} {span}" for split, span in done.splits.items())
     cut = f"{counted(done.sessions, 'session')}, cut at {counted(done.gaps, 'gap')}"
     made = f"{counted(done.samples, 'sample')}: {counted(done.frames, 'frame')} at {rate} Hz"
@@ -188,6 +189,8 @@ def _files(sessions: "list[Session]", out: Path, to: str, detector: str | None) 
 
     judge = None if detector is None else load_detector(detector)
     found, single = dict[str, Any](), len(sessions) == 1 and out.suffix == f".{to}"
+    if single:
+        check_output_file(out)
     with progress_bar("exporting") as update:
         for number, session in enumerate(sessions):
             name = session.name

@@ -5,12 +5,13 @@ from typing import Final
 from connectors import Console, Gripper, TakkTile
 from connectors.rig.handling import Handling
 from connectors.rig.holding import least_force
-from connectors.rig.objects import named
+from connectors.rig.objects import OBJECTS, named
 from connectors.robotiq_force import ForceScale
 from flows.graph import Flow, Stream
+from flows.quantity import Force
 from operators import Commands, Debounce, Grip, Score, Scores, Sink, Source, Touch, Zero, ms, s
 from operators.detectors import Detector
-from operators.errors import InputError
+from operators.errors import InputError, ParameterError
 from operators.grip import Gripping
 from storage import load_debounce, load_detector
 
@@ -22,13 +23,13 @@ COMES: Final = 2 * s  # ns; real ones close in 1.4 s
 def lift(  # noqa: PLR0917 - a flow's parameters are given by name
     detector: str = "tcn_grasp",
     thing: str = "ball",
-    force: float = 0.0,
-    most: float = 10.0,
-    bus: str = "",
-    gripper: str = "",
+    force: Force = 0.0,
+    most: Force = 10.0,
+    bus: int | None = None,
+    gripper: str | None = None,
     seed: int = 0,
 ) -> Flow:
-    """Grip with `force` (N) at first, feel slip, and grip harder, never above `most`.
+    """Grip with `force` at first, feel slip, and grip harder, never above `most`.
 
     Without hardware it is an object of the simulated scene, `thing`, which is lifted after 3 s; where no
     force is given it is half of what would hold it. With hardware, `bus` is the I2C bus of a fingertip and
@@ -38,12 +39,16 @@ def lift(  # noqa: PLR0917 - a flow's parameters are given by name
     flow = Flow("lift")
     source: Source[Touch]
     hand: Sink[Commands]
-    if bool(bus) != bool(gripper):
-        raise InputError("lift", "takes a bus and a gripper, or neither")
-    if gripper:
-        source, hand = TakkTile(bus=int(bus)), Gripper(gripper, limits=(WEAKEST, max(most, WEAKEST)))
+    if (bus is None) != (gripper is None):
+        raise InputError(
+            "lift", "takes a bus and a gripper, or neither: give both, as bus=1 gripper=10.0.0.3"
+        )
+    if bus is not None and gripper is not None:
+        source, hand = TakkTile(bus=bus), Gripper(gripper, limits=(WEAKEST, max(most, WEAKEST)))
         rule = controller(detector, force or WEAKEST, most, COMES)
     else:
+        if thing not in OBJECTS:
+            raise ParameterError("lift", "thing", thing, f"one of {', '.join(OBJECTS)}")
         held = Handling(named(thing), seed)
         source, hand = held.touch, held.hand
         rule = controller(detector, force or least_force(held.held) / 2, most)

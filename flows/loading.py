@@ -1,4 +1,4 @@
-"""Finding the flow in a Python file, and setting the parameters that it declares.
+"""Finding the flow in a Python file, and building it.
 
 A flow file holds functions that return a `Flow`; their arguments, which all have defaults, are the flow's
 parameters. A file may also hold a finished `Flow`, which then has none. A flow file is code: loading it
@@ -13,12 +13,14 @@ import types
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import Any, Union, get_args, get_origin, get_type_hints
+from typing import get_type_hints
 
 from flows.graph import Flow
-from operators.errors import InputError, ParameterError, SlipflowError
+from flows.parameter import Parameter
+from operators.errors import InputError, SlipflowError
 
 READY_MADE = Path(__file__).parent
 
@@ -30,23 +32,29 @@ class Declaration:
     name: str
     file: Path
     build: Callable[..., Flow]
-    parameters: Mapping[str, tuple[Any, object]]  # name: (type, default)
+    parameters: Mapping[str, Parameter]  # by name
 
     def flow(self, settings: Mapping[str, str] | None = None) -> Flow:
         """Build the flow, its parameters set from text.
 
         Raises:
-            ParameterError: if a setting names no parameter or its value is of another type.
-            InputError: if the file's own code fails.
+            ParameterError: if the value of a setting is of another kind.
+            InputError: if a setting names no parameter, or the file's own code fails.
         """
         values: dict[str, object] = {}
         for name, text in (settings or {}).items():
             if name not in self.parameters:
-                known = ", ".join(self.parameters) or "none"
-                raise ParameterError(self.name, name, text, f"the name of one of its parameters ({known})")
-            values[name] = _value(self.name, name, text, self.parameters[name][0])
+                raise InputError(self.name, f"has no parameter {name!r}; {self._instead_of(name)}")
+            values[name] = self.parameters[name].value(self.name, text)
         with _errors_of(self.file):
             return self.build(**values)
+
+    def _instead_of(self, name: str) -> str:
+        if not self.parameters:
+            return "it has none"
+        if close := get_close_matches(name, self.parameters, 1):
+            return f"did you mean {close[0]!r}? It has {', '.join(self.parameters)}"
+        return f"it has {', '.join(self.parameters)}"
 
 
 def load(target: str) -> Declaration:
@@ -57,8 +65,10 @@ def load(target: str) -> Declaration:
     """
     path, _, name = target.partition(":")
     file = Path(path)
-    if not file.suffix and not file.exists() and (READY_MADE / f"{path}.py").exists():
+    if not file.suffix and not file.is_file() and (READY_MADE / f"{path}.py").exists():
         file = READY_MADE / f"{path}.py"
+    if file.is_dir():
+        raise InputError(path, "is a folder: give the flow file in it, as FILE.py or FILE.py:FLOW")
     if not file.is_file():
         raise InputError(
             path, "no such flow file, and no ready-made flow: those are live, record, relabel and lift"
@@ -91,13 +101,13 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
             found[name] = Declaration(name, file, partial(_same, value), {})
         elif inspect.isfunction(value) and value.__module__ == module.__name__:
             with _errors_of(file):
-                hints = get_type_hints(value)
+                hints = get_type_hints(value, include_extras=True)
             if hints.get("return") is Flow:
                 arguments = inspect.signature(value).parameters
                 bare = [a for a, p in arguments.items() if p.default is inspect.Parameter.empty]
                 if bare:
                     raise InputError(str(file), f"flow {name!r}: parameter {bare[0]!r} needs a default")
-                declared = {a: (hints.get(a, str), p.default) for a, p in arguments.items()}
+                declared = {a: Parameter(a, hints.get(a, str), p.default) for a, p in arguments.items()}
                 found[name] = Declaration(name, file, value, declared)
     return found
 
@@ -120,22 +130,3 @@ def _errors_of(file: Path) -> Generator[None]:
         lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
         where = f"{file}:{lines[-1]}" if lines else str(file)
         raise InputError(where, f"{type(error).__name__}: {error}") from error
-
-
-def _value(owner: str, name: str, text: str, kind: Any) -> object:  # noqa: ANN401 - annotations are any type
-    choices = get_args(kind) if get_origin(kind) in (Union, types.UnionType) else (kind,)
-    if type(None) in choices and text in ("", "none", "None"):
-        return None
-    for choice in choices:
-        if choice is bool and text.lower() in _TRUTH:
-            return _TRUTH[text.lower()]
-        if choice in (int, float, str, Path):
-            try:
-                return choice(text)
-            except ValueError:
-                continue
-    names = " or ".join(getattr(choice, "__name__", str(choice)) for choice in choices)
-    raise ParameterError(owner, name, text, f"of type {names}")
-
-
-_TRUTH = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}

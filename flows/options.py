@@ -1,6 +1,5 @@
-"""What several commands share: options, and how their values are read."""
+"""What several commands share: options, and how they say what they do."""
 
-import re
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,42 +18,18 @@ Names = Annotated[
 ]
 
 
-def nanoseconds(duration: str | None) -> int | None:
-    """A duration as a person writes it.
+def check_output_file(path: Path) -> None:
+    """Make sure that a file can be put where it is to be: in a folder that is there. Other folders are made.
 
-    >>> nanoseconds("1.5s")
-    1500000000
+    Raises:
+        EndpointError: if it is not.
     """
-    if duration is None:
-        return None
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(ms|s|min|h)", duration.strip())
-    if match is None:
-        raise typer.BadParameter(f"{duration!r} is no time: write it as 500ms, 30s, 5min or 1h")
-    return round(float(match[1]) * {"ms": 1e6, "s": 1e9, "min": 60e9, "h": 3600e9}[match[2]])
+    from operators.errors import EndpointError  # noqa: PLC0415 - imports numpy
 
-
-def newtons(force: str) -> float:
-    """A force as a person writes it.
-
-    >>> newtons("2.5N")
-    2.5
-    """
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*N", force.strip())
-    if match is None:
-        raise typer.BadParameter(f"{force!r} is no force: write it as 2N or 0.5N")
-    return float(match[1])
-
-
-def metres(length: str) -> float:
-    """A length as a person writes it.
-
-    >>> metres("1.5mm")
-    0.0015
-    """
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)\s*(mm|m)", length.strip())
-    if match is None:
-        raise typer.BadParameter(f"{length!r} is no length: write it as 1.5mm or 0.0015m")
-    return float(match[1]) / {"mm": 1000, "m": 1}[match[2]]
+    if not path.parent.is_dir():
+        raise EndpointError(str(path), f"there is no folder {path.parent}: make it, or write elsewhere")
+    if path.is_dir():
+        raise EndpointError(str(path), "is a folder: give the name of a file")
 
 
 def told(text: str) -> None:

@@ -40,7 +40,7 @@ class _Worker:
 
 @dataclass(eq=False)
 class Spread(Generic[Item, Result]):
-    """Items to be worked on.
+    """Work on items, spread over processes.
 
     Args:
         work: A function of a module, which processes find by its name. It returns soon after its `Watch` says

@@ -2,16 +2,19 @@
 
 from connectors import Rig
 from flows.graph import Flow, Stream
+from flows.quantity import Duration, Speed
 from operators import Align, Label, Zero, Zeroed, ms
 from storage import Dataset
 
 ARM_LATENCY = 70 * ms  # how much later than the barometers the simulated arm tells of the same instant
 
 
-def record(out: str = "recordings", seed: int = 0, speed: float = 0.003, delay: int = ARM_LATENCY) -> Flow:
-    """Record into `out`; a sample slips where the arm is faster than `speed` (m/s).
+def record(
+    out: str = "recordings", seed: int = 0, speed: Speed = 0.003, delay: Duration = ARM_LATENCY
+) -> Flow:
+    """Record into `out`; a sample slips where the arm is faster than `speed`.
 
-    The simulated arm tells of its motion `delay` (ns) after the barometers felt it.
+    The simulated arm tells of its motion `delay` after the barometers felt it.
     """
     flow = Flow("record")
     collect(flow, Rig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))

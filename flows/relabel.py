@@ -2,17 +2,18 @@
 
 from connectors import Rig
 from flows.graph import Flow
+from flows.quantity import Duration, Speed
 from flows.record import ARM_LATENCY
 from operators import Align, Debounce, Label, Score, Zero, ms
 from storage import Dataset, load_debounce, load_detector
 
 
 def relabel(
-    out: str = "relabelled", detector: str = "tcn", speed: float = 0.003, delay: int = ARM_LATENCY
+    out: str = "relabelled", detector: str = "tcn", speed: Speed = 0.003, delay: Duration = ARM_LATENCY
 ) -> Flow:
     """Label and score recordings into `out`: run it with --replay.
 
-    A sample slips where the arm is faster than `speed` (m/s); the arm tells of it `delay` (ns) late.
+    A sample slips where the arm is faster than `speed`; the arm tells of it `delay` late.
     `detector` is a built-in one or a file of weights.
     """
     flow = Flow("relabel")

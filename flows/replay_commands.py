@@ -4,6 +4,7 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import indent
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -27,11 +28,11 @@ def replay(
     session: str,
     jobs: int | None,
     *,
-    as_json: bool,
+    in_json: bool,
 ) -> None:
     """Replay several recordings, each to a session of its own, and say what came of each.
 
-    What sinks print comes in the order of the recordings. Ctrl-C commits what there is.
+    What sinks print comes in the order of the recordings, each below its name. Ctrl-C commits what there is.
 
     Exits 1 if one of them failed or lost rows, 130 if it was interrupted.
     """
@@ -50,16 +51,16 @@ def replay(
             stopped=stopped,
             progress=lambda number, rows: update(number, len(recordings), f"{rows:,} rows"),
         ):
-            typer.echo(each.printed, nl=False)
+            if each.printed or not (each.error or in_json):
+                typer.echo(_line(each))
+            typer.echo(indent(each.printed, "  "), nl=False)
             if each.error and (each.summary or not stopped()):
                 told(f"error: {each.recording}: {each.error.removeprefix(f'{each.recording}: ')}")
-            elif not each.error and not as_json:
-                typer.echo(_line(each))
             done.append(each)
         interrupted = stopped()
     seconds = perf_counter() - began
-    if as_json:
-        typer.echo(json.dumps({"sessions": [_as_dict(each) for each in done], "wall_seconds": seconds}))
+    if in_json:
+        typer.echo(as_json(done, seconds))
     else:
         typer.echo(_total(done, seconds))
     if interrupted:
@@ -84,8 +85,13 @@ def progress(recording: "Recording") -> "Callable[[Run], None]":
     return show
 
 
+def as_json(done: "Sequence[Replayed]", seconds: float) -> str:
+    """What came of replays in `seconds` by the wall's clock, of one as of many, for a program."""
+    return json.dumps({"sessions": [_as_dict(each) for each in done], "wall_seconds": seconds})
+
+
 def _line(done: "Replayed") -> str:
-    assert done.summary, "what has none has an error"
+    assert done.summary, "what has none has printed nothing"
     sources = ", ".join(f"{source.rows:,} {name}" for name, source in done.summary.sources.items())
     sinks = ", ".join(f"{sink.rows:,} to {name}" for name, sink in done.summary.sinks.items())
     return f"{done.recording} -> {done.summary.session}: {done.summary.seconds:.1f} s, {sources}; {sinks}"

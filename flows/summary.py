@@ -17,12 +17,13 @@ class Summary:
     seconds: float  # of the run's time
     sources: Mapping[str, SourceStatus]  # by name
     sinks: Mapping[str, SinkStatus]  # by name
+    error: str = ""  # why it ended early; empty: it did not
 
     @classmethod
     def of(cls, run: Run) -> Self:
         """What a run came to."""
         seconds = (run.clock.now() - run.start) / s
-        return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks))
+        return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks), run.error)
 
     @property
     def taken(self) -> int:
@@ -43,7 +44,7 @@ class Summary:
 
     def as_dict(self) -> dict[str, Any]:
         """All of it, for a program."""
-        return asdict(self)
+        return {**asdict(self), "error": self.error or None}
 
     def report(self) -> str:
         """The same for a person."""

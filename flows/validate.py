@@ -24,7 +24,7 @@ def validate(flow: Flow) -> None:
 
 
 def problems(flow: Flow) -> list[FlowError]:
-    """All that is wrong with a flow; what hangs on its shape is looked at once the shape is sound."""
+    """All that is wrong with a flow; types and places are looked at only where its shape is sound."""
     shape = [
         *_no_source(flow),
         *_foreign(flow),

@@ -26,7 +26,7 @@ class Felt(Sink[Touch]):
 
     @property
     def place(self) -> str:
-        """Nowhere."""
+        """Its name among the sinks of a flow; nothing is written anywhere."""
         return "what was felt"
 
     async def open(self, run: Run) -> None:
@@ -37,7 +37,7 @@ class Felt(Sink[Touch]):
         self.begin()
 
     async def write(self, batch: Touch) -> None:
-        """Take note."""
+        """Note when each fingertip was felt, and add the counts to the means."""
         if batch.valid[-1].any():
             self.newest[batch.finger] = int(batch.time[-1])
         counts = np.where(batch.valid, batch.counts, 0).sum(axis=0, dtype=np.float64)  # (6,)

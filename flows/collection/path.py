@@ -72,8 +72,8 @@ class Slide:
 
 
 @dataclass(frozen=True, slots=True)
-class Wait:
-    """Stand still."""
+class _Standstill:
+    """A time in which the arm stays where it is."""
 
     time: float  # s
 
@@ -85,6 +85,11 @@ class Wait:
         """How long it takes."""
         del start
         return self.time
+
+
+@dataclass(frozen=True, slots=True)
+class Wait(_Standstill):
+    """Stand still."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +111,8 @@ class Trace:
 
 
 @dataclass(frozen=True, slots=True)
-class Tare:
+class Tare(_Standstill):
     """Stand still in the air, and take the force that is told there for none."""
-
-    time: float  # s
-
-    def end(self, start: Pose) -> Pose:
-        """Where it began."""
-        return start
-
-    def seconds(self, start: Pose) -> float:
-        """How long it takes."""
-        del start
-        return self.time
 
 
 @dataclass(frozen=True, slots=True)

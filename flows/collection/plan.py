@@ -33,9 +33,9 @@ from flows.collection.path import (
     heading,
 )
 from flows.collection.surface import Surface
+from flows.splits import TURNS
 from operators.errors import ParameterError
 
-_TURNS: Final = ("train", "train", "test", "train", "validation", "train", "train", "test", "train", "train")
 _DIRECTIONS: Final = 8
 DEEPEST: Final = 0.006  # m beyond the first touch, that a plan may go
 
@@ -159,7 +159,7 @@ class Plan:
         speeds = [speed for speed in self.speeds for _ in range(self.repeats)] + [None] * self.rotations
         if not (surfaces and speeds and self.rounds):
             raise ParameterError("Plan", "sessions", 0, "1 or more")
-        counted, sessions, first = dict[str, int](), list[Session](), int(random.integers(len(_TURNS)))
+        counted, sessions, first = dict[str, int](), list[Session](), int(random.integers(len(TURNS)))
         for surface in surfaces:
             for speed in speeds:
                 kind = "rotation" if speed is None else f"{1000 * speed:03.0f}"
@@ -175,7 +175,7 @@ class Plan:
                         self.clearance,
                         Wait(self.air),
                         strokes,
-                        _TURNS[(first + len(sessions)) % len(_TURNS)],
+                        TURNS[(first + len(sessions)) % len(TURNS)],
                         self.depth if self.force is None else None,
                         self.force,
                     )

@@ -55,7 +55,7 @@ def test_a_trace_replayed_through_the_live_flow_gives_events(tmp_path: Path) -> 
     done = slipflow("run", "live", "--replay", shaking(tmp_path), "--json")
     assert done.returncode == 0, done.stderr
     assert "slip onset" in done.stdout
-    summary = json.loads(done.stdout.splitlines()[-1])
+    [summary] = json.loads(done.stdout.splitlines()[-1])["sessions"]
     assert summary["sources"]["touch"]["rows"] == 300
     assert summary["sinks"]["console"]["rows"] > 0
 
@@ -83,7 +83,22 @@ def test_check_says_that_a_flow_is_sound_and_lists_its_parameters() -> None:
     done = slipflow("check", "live")
     assert done.returncode == 0
     assert "live is sound; sources: touch; sinks: console" in done.stdout
-    assert "--set detector=tcn  (str)" in done.stdout
+    assert "--set detector=tcn  (text)" in done.stdout
+    assert "--set broker=None  (text or none)" in done.stdout
+
+
+def test_a_time_is_set_with_its_unit_and_listed_so() -> None:
+    listed = slipflow("check", "record", "--set", "delay=0.07s", "--set", "speed=3mm/s").stdout
+    assert "  --set delay=70ms  (a time with its unit: 500ms, 30s, 5min or 1h)" in listed.splitlines()
+    found = json.loads(slipflow("check", "record", "--json").stdout)
+    assert (found["parameters"]["delay"]["default"], found["parameters"]["delay"]["unit"]) == (
+        70_000_000,
+        "ns",
+    )
+    line = error("check", "record", "--set", "delay=70mm")
+    assert line == "record: delay is '70mm', must be a time with its unit: 500ms, 30s, 5min or 1h"
+    drawn = slipflow("graph", "record", "--set", "delay=20ms").stdout
+    assert "Label(delay=20 ms)" in drawn
 
 
 def test_check_finds_every_problem(tmp_path: Path) -> None:
@@ -139,7 +154,9 @@ def test_other_bad_input_is_one_line_each(tmp_path: Path) -> None:
     assert "wrong.csv" in error("run", "live", "--replay", str(wrong))
     assert str(tmp_path / "none") in error("run", "live", "--replay", str(tmp_path / "none"))
     assert "oracle: is no detector: give " in error("check", "live", "--set", "detector=oracle")
-    assert "must be the name of one of its parameters" in error("check", "live", "--set", "speed=1")
+    assert error("check", "live", "--set", "seeds=1").startswith(
+        "live: has no parameter 'seeds'; did you mean 'seed'? It has detector, broker, "
+    )
     assert "holds no motion stream" in error("run", "record", "--replay", here)
 
 
@@ -150,8 +167,10 @@ def test_an_output_that_cannot_be_written_is_told_before_anything_runs(tmp_path:
 
 
 def test_a_broker_that_is_not_there_is_told(tmp_path: Path) -> None:
-    line = error("run", "live", "--replay", shaking(tmp_path), "--set", "broker=mqtt://127.0.0.1:1")
-    assert line.startswith("mqtt://127.0.0.1:1: cannot connect")
+    done = slipflow("run", "live", "--replay", shaking(tmp_path), "--set", "broker=mqtt://127.0.0.1:1")
+    told, line = done.stderr.splitlines()
+    assert "the replay goes to" in told
+    assert (done.returncode, line.startswith("error: mqtt://127.0.0.1:1: cannot connect")) == (2, True)
 
 
 def test_debug_shows_the_traceback() -> None:
@@ -160,9 +179,48 @@ def test_debug_shows_the_traceback() -> None:
     assert "Traceback" in done.stderr
 
 
-@pytest.mark.parametrize("arguments", [["--for", "soon"], ["--pace", "2"], ["--set", "detector"]])
-def test_wrong_usage_exits_with_2(arguments: list[str]) -> None:
-    assert slipflow("run", "live", *arguments).returncode == 2
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("run live --for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 5min or 1h"),
+        ("run live --pace 2", "--pace, --jobs and further recordings need --replay PATH: without it"),
+        ("run live --replay x.csv --for 5s", "--for is of live runs and of --pace: a replay ends with its"),
+        ("run live --set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
+        ("run live --set =1", "--set : write it as NAME=VALUE"),
+        ("run live --fr 5s", "no such option: --fr. Did you mean --for? See slipflow run --help"),
+        ("run", "missing argument 'FILE[:FLOW]'. See slipflow run --help"),
+        (
+            "run live --log xml",
+            "invalid value for '--log': 'xml' is not one of 'text', 'json'. See slipflow run",
+        ),
+        ("rum live", "no such command 'rum'. Did you mean 'run'? See slipflow --help"),
+        ("experiment lit", "no such command 'lit'. Did you mean 'lift'? See slipflow experiment --help"),
+        ("demo --seed x", "invalid value for '--seed': must be a valid integer. See slipflow demo --help"),
+        ("graph live --svg --mermaid", "--svg and --mermaid: give one of them"),
+        ("simulate", "give OUT, the dataset's folder, or --report DIR"),
+    ],
+)
+def test_wrong_usage_is_one_line_that_says_how_to_write_it(words: str, line: str) -> None:
+    assert error(*words.split()).startswith(line)
+
+
+def test_without_a_command_its_help_is_shown() -> None:
+    for words in ([], ["experiment"]):
+        done = slipflow(*words)
+        assert (done.returncode, done.stderr.splitlines()[0].split()[0]) == (2, "Usage:")
+        assert "error: " not in done.stderr
+
+
+def test_a_folder_that_is_called_as_a_ready_made_flow_does_not_hide_it(tmp_path: Path) -> None:
+    (tmp_path / "record").mkdir()
+    assert "record is sound" in slipflow("check", "record", cwd=tmp_path).stdout
+
+
+def test_a_live_run_is_one_object_for_a_program() -> None:
+    done = slipflow("run", "live", "--for", "100ms", "--json")
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert list(found) == ["session", "flow", "seconds", "sources", "sinks", "error"]
+    assert (found["flow"], found["error"]) == ("live", None)
 
 
 def test_a_signal_completes_the_recording(tmp_path: Path) -> None:

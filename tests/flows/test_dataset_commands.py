@@ -70,6 +70,12 @@ def test_a_lost_part_is_told_for_people_and_programs(dataset: Path) -> None:
     assert "something is lost" in done.stdout.splitlines()[-1]
 
 
+def test_a_whole_dataset_is_good_for_a_program(dataset: Path) -> None:
+    done = slipflow("verify", dataset / "sessions/closed", "--json")
+    found = json.loads(done.stdout)
+    assert (done.returncode, found["code"], found["worst"]) == (0, 0, "good")
+
+
 def test_recover_tells_programs_what_it_did(dataset: Path) -> None:
     done = slipflow("recover", dataset, "--json")
     found = json.loads(done.stdout.splitlines()[-1])
@@ -122,7 +128,7 @@ def test_mistakes_are_one_line_each(tmp_path: Path) -> None:
 
 
 def test_verify_writes_a_page_to_keep_and_exits_as_without(dataset: Path, tmp_path: Path) -> None:
-    report = tmp_path / "kept" / "report.html"
+    report = tmp_path / "report.html"
     done = slipflow("verify", dataset, "--report", report, "--json")
     assert done.returncode == 3, done.stderr
     assert json.loads(done.stdout)["worst"] == "repairable"
@@ -130,6 +136,10 @@ def test_verify_writes_a_page_to_keep_and_exits_as_without(dataset: Path, tmp_pa
     text = report.read_text()
     assert "something waits to be repaired, nothing is lost</h1>" in text
     assert "crashed" in text
+    done = slipflow("verify", dataset, "-o", tmp_path / "nowhere" / "report.html")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"report.html: there is no folder {tmp_path / 'nowhere'}: make it" in done.stderr
+    assert not (tmp_path / "nowhere").exists()
     done = slipflow("verify", dataset, "-o", tmp_path / "report.txt")
     assert (done.returncode, done.stdout) == (2, "")
     assert "ends in .html" in done.stderr

@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from flows import detector_commands, figures
-from flows.evaluation import sections
 from flows.networks.recipe import Recipe
 from flows.training.curve import Check
 from flows.training.train import train
@@ -108,7 +107,7 @@ def test_labels_cannot_come_before_the_signal_or_much_after(tiny: Path, tmp_path
     done = slipflow("train", str(tiny), "--lag", lag, cwd=tmp_path)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-    assert ("write it as" if lag[0] == "-" else "from 0 to 0.6 s") in done.stderr
+    assert ("with its unit" if lag[0] == "-" else "from 0 to 0.6 s") in done.stderr
 
 
 def test_evaluate_says_beforehand_that_it_cannot_draw(
@@ -118,7 +117,6 @@ def test_evaluate_says_beforehand_that_it_cannot_draw(
         return None
 
     monkeypatch.setattr(figures, "find_spec", nothing)
-    monkeypatch.setattr(sections, "find_spec", nothing)
     detector_commands.evaluate(tiny, method=["psd"], out=tmp_path / "out", as_json=True)
     assert (
         "the page will be without figures, which need matplotlib: pip install 'slipflow[report]'"

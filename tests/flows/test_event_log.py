@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from connectors import Console
-from flows.event_log import Format, JsonLines, begin_log, in_json, logged
+from flows.event_log import Format, JsonLines, Printed, begin_log, in_json, logged
 from flows.graph import Flow
 from flows.live_runner import LiveRunner
 from flows.testing import TestSink, TestSource, run_virtually
@@ -58,6 +58,7 @@ def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(told: StringIO) 
     assert found[-1]["event"] == "run_ends"
     by_event = {each["event"]: each for each in found}
     assert by_event["run_begins"]["sources"] == ["touch"]
+    assert (by_event["run_begins"]["live"], by_event["run_begins"]["recording"]) == (True, None)
     assert (by_event["source_failed"]["source"], by_event["source_failed"]["reason"]) == (
         "touch",
         "unplugged",
@@ -154,3 +155,20 @@ def test_run_with_log_json_prints_nothing_but_objects(tmp_path: Path) -> None:
 def test_the_formatter_tells_utc() -> None:
     record = logging.makeLogRecord({"msg": "up", "created": 1.5, "levelname": "INFO"})
     assert json.loads(JsonLines().format(record))["time"] == "1970-01-01T00:00:01.500000000Z"
+
+
+class Gone(StringIO):
+    def __init__(self, error: OSError) -> None:
+        super().__init__()
+        self.error = error
+
+    def write(self, _text: str) -> int:
+        raise self.error
+
+
+def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is(capsys: pytest.CaptureFixture[str]) -> None:
+    record = logging.makeLogRecord({"msg": "slip"})
+    Printed(Gone(BrokenPipeError())).handle(record)
+    assert capsys.readouterr().err == ""
+    Printed(Gone(OSError("No space left on device"))).handle(record)
+    assert "No space left on device" in capsys.readouterr().err

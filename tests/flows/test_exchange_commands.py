@@ -94,11 +94,11 @@ def test_a_trace_is_looked_at_then_imported_then_judged(tmp_path: Path) -> None:
         (["import", "lab.csv", "out", "--map", "label=p9"], "lab.csv, line 1: has the columns"),
         (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: is '500', must be"),
         (["import", "lab.csv", "out", "--rate", "50"], "comes at 100.0 rows per second, not at 50"),
-        (["import", "lab.csv", "out", "--delay", "soon"], "write it as 500ms"),
+        (["import", "lab.csv", "out", "--delay", "soon"], "with its unit: 500ms"),
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
         (["import", "lab.csv", "out", "--session", "../x"], "must be a file name"),
         (["export", "nowhere", "out", "--to", "lerobot"], "nowhere: there is no such folder"),
-        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: lerobot, mcap or rrd"),
+        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: give lerobot, mcap or rrd"),
         (["export", "nowhere", "out", "--to", "mcap", "--detector", "tcn"], "--detector is for --to rrd"),
     ],
 )

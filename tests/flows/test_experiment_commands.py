@@ -7,7 +7,6 @@ import pytest
 from typer.testing import CliRunner
 
 from flows import figures
-from flows.evaluation import sections
 from flows.experiment_commands import app
 
 ONE = ["--method", "psd", "--object", "ball", "--trials", "1", "--jobs", "1"]
@@ -49,7 +48,6 @@ def test_what_it_takes_to_have_figures_is_told(tmp_path: Path, monkeypatch: pyte
         return None
 
     monkeypatch.setattr(figures, "find_spec", nothing)
-    monkeypatch.setattr(sections, "find_spec", nothing)
     result = CliRunner().invoke(app, ["lift", *ONE, "--rule", "none", "--out", str(tmp_path)])
     assert "; figures need matplotlib: pip install 'slipflow[report]'" in result.stderr
     assert not (tmp_path / "lift.svg").exists()
@@ -66,9 +64,9 @@ def test_a_program_reads_one_object(kind: str, tmp_path: Path) -> None:
 
 
 def test_delay_rate_path_and_hand_are_taken(tmp_path: Path) -> None:
-    more = ["--delay", "50", "--rate", "50", "--path", "mqtt", "--locks", "--json"]
+    more = ["--delay", "50ms", "--rate", "50", "--path", "mqtt", "--locks", "--json"]
     assert json.loads(_output(tmp_path, "lift", *ONE, *more).splitlines()[-1])["trials"] == 1
-    again = "--object ball --path mqtt --delay 50 --rate 50 --locks --trials 1"
+    again = "--object ball --path mqtt --delay 50ms --rate 50 --locks --trials 1"
     assert again in (tmp_path / "lift.md").read_text()
     assert CliRunner().invoke(app, ["lift", *ONE, "--path", "post"]).exit_code == 2
 
@@ -81,7 +79,23 @@ def test_where_it_breaks_is_told_and_written(tmp_path: Path) -> None:
     assert "lift --ablation --method psd --rule none --object ball --trials 1" in page
 
 
-@pytest.mark.parametrize("more", [["--stress"], ["--delay", "50"], ["--locks"]])
+@pytest.mark.parametrize("more", [["--stress"], ["--delay", "50ms"], ["--locks"]])
 def test_an_ablation_takes_no_conditions(more: list[str], tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["lift", *ONE, "--ablation", *more, "--out", str(tmp_path)])
     assert result.exit_code == 2
+
+
+def test_an_ablation_follows_the_rule_without_a_method(tmp_path: Path) -> None:
+    arguments = ["lift", "--object", "ball", "--trials", "1", "--jobs", "1", "--rule", "none", "--ablation"]
+    text = _output(tmp_path, *arguments)
+    assert "tcn_grasp, none: 1 trial" in text
+    assert "tcn, none: 1 trial" in text
+    assert "steps" not in text
+    assert "lift --ablation --rule none --object ball" in (tmp_path / "lift-ablation.md").read_text()
+
+
+@pytest.mark.parametrize("more", [["--method", "tcn"], ["--rule", "none", "--rule", "steps"]])
+def test_a_stress_takes_one_method_and_one_rule(more: list[str], tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["lift", *ONE, "--stress", *more, "--out", str(tmp_path)])
+    assert result.exit_code == 2
+    assert "--stress takes one --method and one --rule" in result.output

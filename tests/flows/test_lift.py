@@ -21,7 +21,7 @@ from flows.live_runner import LiveRunner
 from flows.loading import load
 from flows.testing import TestSink, run_virtually
 from flows.validate import problems
-from operators import Commands, Grip, InputError, Run, s
+from operators import Commands, Grip, InputError, ParameterError, Run, s
 from storage import load_detector
 
 DETECTOR = "tcn_grasp"
@@ -47,10 +47,16 @@ def test_the_ready_made_flow_is_sound() -> None:
     assert problems(load("lift").flow()) == []
 
 
+def test_what_is_lifted_is_one_of_the_scenes_objects() -> None:
+    with pytest.raises(ParameterError, match="lift: thing is 'anvil', must be one of box, ball"):
+        lift(thing="anvil")
+
+
 def test_hardware_is_given_whole_or_not_at_all() -> None:
     with pytest.raises(InputError, match="bus and a gripper"):
         lift(gripper="10.0.0.3")
-    assert [node.name for node in lift(gripper="10.0.0.3", bus="1").sinks()] == ["console", "gripper"]
+    assert [node.name for node in lift(gripper="10.0.0.3", bus=1).sinks()] == ["console", "gripper"]
+    assert [node.name for node in lift().sinks()] == ["console", "hand"]
 
 
 @pytest.mark.parametrize("ruled", [True, False])

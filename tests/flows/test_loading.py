@@ -4,7 +4,7 @@ import pytest
 
 from flows.graph import Flow
 from flows.loading import load
-from operators import InputError, ParameterError
+from operators import InputError, ParameterError, ms
 
 GOOD = """
 from flows.graph import Flow
@@ -43,15 +43,38 @@ def test_settings_take_the_type_that_is_declared(tmp_path: Path) -> None:
 
 
 def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(
-        ParameterError, match=r"felt: limit is '1', must be the name of one .*threshold, count"
-    ):
+    with pytest.raises(InputError, match=r"felt: has no parameter 'limit'; it has threshold, count, name"):
         load(_file(tmp_path, GOOD)).flow({"limit": "1"})
+    with pytest.raises(InputError, match=r"did you mean 'threshold'\? It has threshold, count"):
+        load(_file(tmp_path, GOOD)).flow({"treshold": "1"})
+    with pytest.raises(InputError, match=r"mine: has no parameter 'limit'; it has none"):
+        load(_file(tmp_path, GOOD + "\nmine = felt()\n") + ":mine").flow({"limit": "1"})
 
 
 def test_a_setting_of_a_wrong_type_is_told(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="felt: count is 'two', must be of type int"):
+    with pytest.raises(ParameterError, match="felt: count is 'two', must be a whole number"):
         load(_file(tmp_path, GOOD)).flow({"count": "two"})
+
+
+TIMED = """
+from flows.graph import Flow
+from flows.quantity import Duration, Speed
+from flows.testing import TestSink, TestSource
+from operators import Scores, ms
+
+def felt(delay: Duration = 70 * ms, limit: Speed | None = None) -> Flow:
+    flow = Flow(f"{delay} {limit}")
+    flow.source(TestSource(Scores)).to(TestSink())
+    return flow
+"""
+
+
+def test_a_parameter_with_a_unit_is_set_as_people_write_it(tmp_path: Path) -> None:
+    declaration = load(_file(tmp_path, TIMED))
+    assert declaration.flow({"delay": "0.1s", "limit": "3mm/s"}).name == f"{100 * ms} 0.003"
+    assert declaration.flow({"limit": "none"}).name == f"{70 * ms} None"
+    with pytest.raises(ParameterError, match=r"felt: delay is '70', must be a time with its unit: 500ms"):
+        declaration.flow({"delay": "70"})
 
 
 def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
@@ -92,6 +115,8 @@ def test_a_missing_file_and_a_missing_flow_are_told(tmp_path: Path) -> None:
         InputError, match=r"nowhere\.py: no such flow file, .* those are live, record, relabel and lift"
     ):
         load("nowhere.py")
+    with pytest.raises(InputError, match="is a folder: give the flow file in it"):
+        load(str(tmp_path))
     with pytest.raises(InputError, match="holds no flow 'other'; it holds felt"):
         load(_file(tmp_path, GOOD) + ":other")
 

@@ -4,8 +4,10 @@ from shutil import copytree
 
 import pytest
 
+from connectors import Event
+from connectors.testing import TestBroker
 from flows.parallel_replay import Replayed, Replays, recordings
-from operators.errors import FlowError, InputError, ParameterError
+from operators.errors import FlowError, InputError, ParameterError, SlipflowError
 from storage import Session
 from storage.layout import session_folder, session_names
 
@@ -109,13 +111,31 @@ def test_a_sink_that_publishes_as_one_rig_needs_one_process(
         list(replays.run(2))
 
 
+@pytest.mark.broker
+def test_recordings_are_published_as_one_rig_one_after_the_other_and_that_is_told_once(
+    felt: str, four: list[Path], tmp_path: Path, broker: TestBroker, caplog: pytest.LogCaptureFixture
+) -> None:
+    listener = broker.listen("slip/v1/lab/+/0/event", "test/end")
+    found = replay(felt, four[:2], tmp_path / "out", None, broker=broker.url)
+    assert [each.error for each in found] == ["", ""]
+    assert caplog.messages == [f"mqtt: the replay goes to {broker.url}/slip/v1/lab/rig-replay"]
+    broker.publish("test/end", "now")
+    events = list[Event]()
+    while (received := listener.next()).topic != "test/end":
+        events.append(Event.decode(received.payload.encode()))
+    assert {each.rig for each in events} == {"rig-replay"}
+    assert [each.seq for each in events] == list(range(1, len(events) + 1))
+    assert [each.session for each in events] == sorted(each.session or "" for each in events)
+    assert {each.session for each in events} == {"again-1", "again-2"}
+
+
 def test_no_job_at_all_is_refused(felt: str, four: list[Path]) -> None:
     with pytest.raises(ParameterError, match="jobs is 0, must be at least 1"):
         list(Replays(felt, {}, four, "again").run(0))
 
 
 def test_a_flow_that_cannot_be_built_is_told_before_anything_runs(felt: str, four: list[Path]) -> None:
-    with pytest.raises(ParameterError, match="speed"):
+    with pytest.raises(SlipflowError, match="speed"):
         list(Replays(felt, {"speed": "1"}, four, "again").run(2))
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from shutil import copytree
 from time import monotonic
+from typing import Any
 
 import pytest
 
@@ -55,10 +56,29 @@ def test_each_session_has_its_summary_and_a_failing_one_its_error(tiny: Path, tm
     assert found["sessions"][2]["sources"]["touch"]["rows"] > 1000
 
 
-def test_one_recording_is_told_of_as_ever(tiny: Path) -> None:
-    session = tiny / "sessions" / session_names(tiny)[0]
-    done = slipflow("run", "live", "--set", "detector=psd", "--replay", session, "--json")
-    assert json.loads(done.stdout.splitlines()[-1])["sources"]["touch"]["rows"] > 1000
+def test_one_recording_is_told_to_a_program_as_several_are(tiny: Path) -> None:
+    first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
+    found = list[dict[str, Any]]()
+    for paths in ([first], [first, second], [first, "--pace", "1000"]):
+        done = slipflow("run", "live", "--set", "detector=psd", "--json", "--replay", *paths)
+        found.append(json.loads(done.stdout.splitlines()[-1]))
+        assert list(found[-1]) == ["sessions", "wall_seconds"]
+    assert {tuple(each) for one in found for each in one["sessions"]} == {tuple(found[0]["sessions"][0])}
+    one = found[0]["sessions"][0]
+    assert (one["recording"], one["error"]) == (str(first), None)
+    assert one["sources"]["touch"]["rows"] > 1000
+
+
+def test_what_several_replays_print_stands_below_the_name_of_its_recording(tiny: Path) -> None:
+    first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
+    done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second)
+    *lines, _total = done.stdout.splitlines()
+    heads = [number for number, line in enumerate(lines) if not line.startswith("  ")]
+    assert [lines[number].split(" -> ")[0] for number in heads] == [str(first), str(second)]
+    assert heads[0] == 0
+    for session, below in ((first, lines[1 : heads[1]]), (second, lines[heads[1] + 1 :])):
+        alone = slipflow("run", "live", "--set", "detector=psd", "--replay", session).stdout.splitlines()
+        assert [line.strip() for line in below] == [line for line in alone if "  finger " in line] != []
 
 
 def test_a_dataset_is_not_recorded_into_while_it_is_replayed(tiny: Path, tmp_path: Path) -> None:

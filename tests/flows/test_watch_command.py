@@ -12,8 +12,11 @@ pytestmark = pytest.mark.broker
 COMMAND = [sys.executable, "-c", "from flows.command import main; main()", "watch"]
 
 
-def test_events_are_printed_a_line_each_and_what_is_wrong_beside(broker: TestBroker) -> None:
-    event = Event("lab", "ur10", "0", "ab", 7, onset=True, time=10**9, probability=0.93, latency=8)
+@pytest.mark.parametrize(("latency", "soon"), [(8, "8.0 ms, "), (None, "")])
+def test_events_are_printed_a_line_each_and_what_is_wrong_beside(
+    broker: TestBroker, latency: float | None, soon: str
+) -> None:
+    event = Event("lab", "ur10", "0", "ab", 7, onset=True, time=10**9, probability=0.93, latency=latency)
     broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
     broker.publish("slip/v1/lab/ur10/1/event", "{}", "-r")
     watch = subprocess.Popen(
@@ -22,8 +25,8 @@ def test_events_are_printed_a_line_each_and_what_is_wrong_beside(broker: TestBro
     assert watch.stdout
     assert watch.stderr
     line = watch.stdout.readline()
-    told, _, late = line.partition(", here after ")
-    assert told == "1970-01-01 00:00:01.000  lab/ur10 finger 0  slip onset  p 0.93  8.0 ms"
+    told, _, late = line.partition("here after ")
+    assert told == "1970-01-01 00:00:01.000  lab/ur10 finger 0  slip onset  p 0.93  " + soon
     assert re.fullmatch(r"\d{5}\.\d days\n", late)
     assert watch.stderr.readline().startswith("left out: slip/v1/lab/ur10/1/event: ")
     watch.terminate()

@@ -1,4 +1,4 @@
-"""The commands about a real rig and the virtual lab; `flows.command` registers each with one line."""
+"""The command that drives an arm and records it; `flows.command` registers it with one line."""
 
 import asyncio
 import json
@@ -9,16 +9,14 @@ import sys
 from contextlib import AsyncExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.options import AsJson, metres, nanoseconds, newtons, told
+from flows.options import AsJson, told
 
 if TYPE_CHECKING:
-    from connectors.rig.scene import Curvature
-    from connectors.rig.ur_controller import Ports
-    from flows.collection.live import Box, Collected, Rigging
+    from flows.collection.live import Collected, Rigging
     from flows.collection.path import Pose
     from flows.collection.plan import Plan
     from flows.collection.surface import Spot
@@ -26,53 +24,13 @@ if TYPE_CHECKING:
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
 
-PORTS = 65535  # the highest
-GRIPPER = 5020  # port; that of real ones, 502, is for root only
-
-Curvatures = Annotated[str, typer.Option(help="plane, sphere, cylinder_x or cylinder_y.")]
-
-
-def rig(
-    *,
-    listen: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where the servers listen: whoever gets there may move it.")
-    ] = "127.0.0.1",
-    rtde: Annotated[
-        int, typer.Option(min=0, max=PORTS, help="Port of RTDE; ur-rtde knows 30004 only.")
-    ] = 30004,
-    script: Annotated[
-        int, typer.Option(min=0, max=PORTS, help="Port of scripts; ur-rtde knows 30003 only.")
-    ] = 30003,
-    dashboard: Annotated[int, typer.Option(min=0, max=PORTS, help="Port; ur-rtde knows 29999 only.")] = 29999,
-    gripper: Annotated[
-        int,
-        typer.Option(min=-1, max=PORTS, help="Port of Modbus TCP (real grippers have 502); -1: no gripper."),
-    ] = GRIPPER,
-    surface: Curvatures = "plane",
-    seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
-    duration: Annotated[
-        str | None, typer.Option("--for", metavar="TIME", help="Stop after this time: 30s, 5min.")
-    ] = None,
-) -> None:
-    """Serve the virtual lab: one simulated scene as a UR controller and a gripper, over their own protocols.
-
-    Its TakkTile bus can be had in the same process only, since no kernel serves it: `slipflow collect
-    --virtual` has the whole lab inside. Ends at Ctrl-C.
-    """
-    from connectors.rig.ur_controller import Ports
-
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
-    span = nanoseconds(duration)
-    ports, port = Ports(rtde, script, dashboard), None if gripper < 0 else gripper
-    asyncio.run(
-        _serve(
-            listen, ports, gripper=port, surface=_curvature(surface), seed=seed, seconds=span and span / 1e9
-        )
-    )
+LEAST = 0.05  # s, of patience: a fingertip is read every 10 ms
 
 
 def collect(
-    plan: Annotated[str, typer.Argument(metavar="PLAN", help="paper, or tiny.")],
+    plan: Annotated[
+        str, typer.Argument(metavar="PLAN", help="paper: the paper's strokes; tiny: minutes, to try.")
+    ],
     *,
     surface: Annotated[
         list[str] | None,
@@ -86,7 +44,9 @@ def collect(
     ] = None,
     robot: Annotated[str | None, typer.Option(metavar="HOST", help="Address of the UR controller.")] = None,
     touch: Annotated[str, typer.Option(metavar="BUS", help="I2C bus of the fingertips: 1, or a path.")] = "1",
-    rows: Annotated[str, typer.Option(metavar="N,N", help="Rows of the fingertips.")] = "0",
+    rows: Annotated[
+        str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, as 0,1.")
+    ] = "0",
     out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print the path, its duration and bounds; move nothing.")
@@ -94,10 +54,14 @@ def collect(
     virtual: Annotated[
         bool, typer.Option("--virtual", help="On a virtual lab of one's own, at --robot or 127.0.0.1.")
     ] = False,
-    speeds: Annotated[str | None, typer.Option(metavar="V,V", help="Of strokes, m/s.")] = None,
-    repeats: Annotated[int | None, typer.Option(help="Sessions of each speed.")] = None,
-    rotations: Annotated[int | None, typer.Option(help="Sessions of rotations.")] = None,
-    rounds: Annotated[int | None, typer.Option(help="Of eight strokes in each session.")] = None,
+    speeds: Annotated[
+        str | None, typer.Option(metavar="V,V", help="Of strokes, m/s, as 0.01,0.02; else the plan's.")
+    ] = None,
+    repeats: Annotated[int | None, typer.Option(help="Sessions of each speed; else the plan's.")] = None,
+    rotations: Annotated[int | None, typer.Option(help="Sessions of rotations; else the plan's.")] = None,
+    rounds: Annotated[
+        int | None, typer.Option(help="Of eight strokes in each session; else the plan's.")
+    ] = None,
     depth: Annotated[
         str | None,
         typer.Option(metavar="LENGTH", help="To press beyond the first touch, 6mm at most; else 1.5mm."),
@@ -131,13 +95,15 @@ def collect(
         str, typer.Option(metavar="FORCE", help="At the TCP, beyond which the arm is stopped.")
     ] = "50N",
     delay: Annotated[
-        str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
+        str,
+        typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later, as 70ms."),
     ] = "0s",
     patience: Annotated[
-        float | None,
+        str | None,
         typer.Option(
-            min=0.05,
-            help="Seconds without a reading, after which the arm is stopped; else 0.3, with --virtual 2.",
+            metavar="TIME",
+            help="Without a reading, after which the arm is stopped, 50ms at least; else 300ms, with"
+            " --virtual 2s.",
         ),
     ] = None,
     watchdog: Annotated[
@@ -151,19 +117,20 @@ def collect(
     seed: Annotated[int, typer.Option(help="Of the order of directions, and of a virtual lab.")] = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Drive the arm through a collection plan and record it, labelled and split, as a dataset.
+    """Drive the arm through a collection plan and record it.
 
-    The fingertip has to just touch the surface when it begins, unless --surface says where that is. Each
-    stroke comes down, rests, slides, rests and goes up. Ctrl-C stops the arm first and then commits; SIGUSR1
-    pauses, and a second one goes on. The arm is stopped for good on a stop of the controller, at the
-    workspace's bounds, by too much force, and when a fingertip is not felt any more, or feels nothing of a
-    stroke.
+    That gives a dataset, labelled and split. The fingertip has to just touch the surface when it begins,
+    unless --surface says where that is. Each stroke comes down, rests, slides, rests and goes up. Ctrl-C
+    stops the arm first and then commits; SIGUSR1 pauses, and a second one goes on. The arm is stopped for
+    good on a stop of the controller, at the workspace's bounds, by too much force, and when a fingertip is
+    not felt any more, or feels nothing of a stroke.
     """
     from connectors.ur_control import WATCHDOG
-    from flows.collection import live, report
+    from flows.collection import live, report, text
     from flows.collection.collect import PATIENCE
     from flows.collection.plan import named
     from flows.collection.surface import apart
+    from flows.quantity import quantity, time
 
     with suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # deadly before and after the drive, else
@@ -171,31 +138,32 @@ def collect(
     chosen = named(plan)
     changed = replace(
         chosen,
-        speeds=chosen.speeds if speeds is None else tuple(_numbers("--speeds", speeds)),
+        speeds=chosen.speeds if speeds is None else tuple(text.numbers("--speeds", speeds)),
         repeats=chosen.repeats if repeats is None else repeats,
         rotations=chosen.rotations if rotations is None else rotations,
         rounds=chosen.rounds if rounds is None else rounds,
-        depth=chosen.depth if depth is None else metres(depth),
-        force=None if force is None else newtons(force),
-        deepest=chosen.deepest if deepest is None else metres(deepest),
+        depth=chosen.depth if depth is None else quantity("collect", "--depth", depth, "m"),
+        force=None if force is None else quantity("collect", "--force", force, "N"),
+        deepest=chosen.deepest if deepest is None else quantity("collect", "--deepest", deepest, "m"),
     )
-    _check_pressing(changed, limit=newtons(force_limit), depth=depth, deepest=deepest)
-    surfaces = apart([_surface(each) for each in surface or ["plane"]])
+    limit = quantity("collect", "--force-limit", force_limit, "N")
+    _check_pressing(changed, limit=limit, depth=depth, deepest=deepest)
+    surfaces = apart([text.surface(each) for each in surface or ["plane"]])
     if virtual and len(surfaces) > 1:
-        raise typer.BadParameter("--virtual: a virtual lab has one surface; record one after the other")
+        raise typer.BadParameter("--virtual: a virtual lab has one surface: record one after the other")
     if robot is None and not virtual and not dry_run:
         raise typer.BadParameter("give --robot HOST, or --virtual for a virtual lab, or --dry-run")
-    box = None if workspace is None else _box(workspace)
+    box = None if workspace is None else text.box(workspace)
     rigging = live.Rigging(
         robot or "127.0.0.1",
         out,
         int(touch) if touch.isdigit() else touch,
-        tuple(int(row) for row in _numbers("--rows", rows)),
+        tuple(int(row) for row in text.numbers("--rows", rows)),
         box,
         0.03 if virtual else live.MARGIN,  # m; a host that is held up stops a virtual arm late
-        newtons(force_limit),
-        delay=nanoseconds(delay) or 0,
-        patience=patience or (2.0 if virtual else PATIENCE),
+        limit,
+        delay=time("collect", "--delay", delay),
+        patience=_patience(patience, 2.0 if virtual else PATIENCE),
         watchdog=watchdog or (0.5 if virtual else WATCHDOG),
         blind=unfelt,
     )
@@ -242,30 +210,6 @@ async def _collect(
         return await live.collect(plan, surfaces, rigging, name=name, seed=seed, told=told)
 
 
-async def _serve(
-    listen: str,
-    ports: "Ports",
-    *,
-    gripper: int | None,
-    surface: "Curvature",
-    seed: int,
-    seconds: float | None,
-) -> None:
-    from connectors.rig.virtual_lab import scene, virtual_lab
-
-    told("starting; the first time, the simulated physics is compiled for some seconds")
-    serving = virtual_lab(scene(surface), seed, host=listen, ports=ports, gripper=gripper)
-    async with serving as lab:
-        for device, place in lab.places.items():
-            typer.echo(f"{device:10} {place}")
-        sys.stdout.flush()
-        try:
-            async with asyncio.timeout(seconds):
-                await asyncio.Event().wait()
-        except TimeoutError:
-            told("done")
-
-
 def _check_pressing(plan: "Plan", *, limit: float, depth: str | None, deepest: str | None) -> None:
     """Say which options do not go together."""
     if plan.force is None and deepest is not None:
@@ -274,6 +218,16 @@ def _check_pressing(plan: "Plan", *, limit: float, depth: str | None, deepest: s
         raise typer.BadParameter("give --depth or --force, not both")
     if plan.force is not None and plan.force >= limit:
         raise typer.BadParameter(f"--force {plan.force:g}N: must be below the --force-limit, {limit:g}N")
+
+
+def _patience(text: str | None, usual: float) -> float:
+    """S without a reading, after which the arm is stopped."""
+    from flows.quantity import quantity
+
+    seconds = usual if text is None else quantity("collect", "--patience", text, "ns") / 1e9
+    if seconds < LEAST:
+        raise typer.BadParameter(f"--patience {text}: must be 50ms or more")
+    return seconds
 
 
 def _dry(
@@ -312,45 +266,3 @@ def _middle() -> "Pose":
     from math import pi
 
     return 0.0, 0.0, 0.0, pi, 0.0, 0.0
-
-
-def _curvature(name: str) -> "Curvature":
-    from typing import get_args
-
-    from connectors.rig.scene import Curvature
-
-    if name not in get_args(Curvature):
-        raise typer.BadParameter(f"--surface {name}: one of {', '.join(get_args(Curvature))}")
-    return cast("Curvature", name)
-
-
-def _surface(text: str) -> "Spot":
-    from flows.collection.surface import Spot
-
-    body, at, place = text.partition("@")
-    name, colon, radius = body.partition(":")
-    spot = Spot(_curvature(name))
-    if colon and name == "plane":
-        raise typer.BadParameter(f"--surface {text}: a plane has no radius; where it is comes after @")
-    if colon:
-        bare = radius.replace(".", "").isdigit()  # in m
-        spot = spot._replace(radius=metres(f"{radius}m" if bare else radius))
-    if at:
-        x, y, z, a, b, c = _numbers("--surface", place, 6)
-        spot = spot._replace(place=(x, y, z, a, b, c))
-    return spot
-
-
-def _box(text: str) -> "Box":
-    a, b, c, d, e, f = _numbers("--workspace", text, 6)
-    return (a, b, c), (d, e, f)
-
-
-def _numbers(option: str, text: str, count: int | None = None) -> list[float]:
-    try:
-        numbers = [float(each) for each in text.split(",")]
-    except ValueError:
-        numbers = []
-    if not numbers or count not in (None, len(numbers)):
-        raise typer.BadParameter(f"{option} {text}: write {count or 'some'} numbers, with commas between")
-    return numbers
