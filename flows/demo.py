@@ -53,11 +53,15 @@ class Demo:
         out: Path,
         *,
         broker: str | None,
+        patient: bool = False,
         rig: str = "demo",
         outbox: Path | None = None,
         seed: int = 0,
     ) -> None:
-        """Record into `out`; publish as `rig` to `broker` (a URL) if there is one, through `outbox`."""
+        """Record into `out`; publish as `rig` to `broker` (a URL) if there is one, through `outbox`.
+
+        Where it is `patient`, a broker that refuses it ends nothing.
+        """
         self.out, self.broker = out, broker
         self.rig = Rig(seed=seed)
         self.onsets = Onsets()
@@ -79,6 +83,7 @@ class Demo:
                     model={"id": DETECTOR},
                     threshold=debounce.threshold,
                     consecutive=debounce.consecutive,
+                    patient=patient,
                 )
             )
 
@@ -116,7 +121,7 @@ class Demo:
             lines.append(f"onset delay: median {delay['median']:.0f} ms, p90 {delay['p90']:.0f} ms")
         if self.broker:
             lines.append(
-                f"published to {self.broker}; to see events as they come: slipflow watch {self.broker}"
+                f"events go to {self.broker}; to see them as they come: slipflow watch {self.broker}"
             )
         session = self.out / "sessions" / run.session
         python = Path(sys.executable)

@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from connectors import CsvTrace, Replay
-from connectors.csv_columns import LABEL, ColumnMap
-from connectors.csv_trace import OFF
+from connectors.csv.columns import LABEL, ColumnMap
+from connectors.csv.trace import OFF
 from flows.drawing import describe
 from flows.graph import Flow
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import SLIP, STATIC, UNKNOWN, Labelled, Motion, Touch, s
 from operators.errors import InputError

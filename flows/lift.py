@@ -3,10 +3,10 @@
 from typing import Final
 
 from connectors import Console, Gripper, TakkTile
+from connectors.gripper.force import ForceScale
 from connectors.rig.handling import Handling
 from connectors.rig.holding import least_force
 from connectors.rig.objects import OBJECTS, named
-from connectors.robotiq_force import ForceScale
 from flows.graph import Flow, Stream
 from flows.quantity import Force
 from operators import Commands, Debounce, Grip, Score, Scores, Sink, Source, Touch, Zero, ms, s

@@ -1,7 +1,7 @@
 """Applying a function to many items in several processes; one process that dies ends it all.
 
-`flows.processes` goes on where a process dies, and can be watched and stopped; this is all that simulating
-and judging need.
+`flows.running.processes` goes on where a process dies, and can be watched and stopped; this is all that
+simulating and judging need.
 """
 
 import os

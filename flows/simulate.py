@@ -23,11 +23,11 @@ from connectors import Rig
 from connectors.rig.paper import Collection, Recording
 from connectors.rig.scene import Scene
 from connectors.rig.variety import varied
-from flows.clock import EventClock
 from flows.graph import Flow
 from flows.process_map import process_map
 from flows.record import collect
-from flows.replay_runner import ReplayRunner
+from flows.running.clock import EventClock
+from flows.running.replay_runner import ReplayRunner
 from flows.splits import SPLITS, TURNS
 from operators import Label, Source
 from operators.batch import SLIP, STATIC, Batch, Labelled, Motion, Touch, concat, s

@@ -2,7 +2,8 @@
 
 from storage.dataset import Dataset
 from storage.models import load_debounce, load_detector, load_weights, save_weights
-from storage.recovery import Recovery, recover
+from storage.recovered import Recovery
+from storage.recovery import recover
 from storage.session import Session
 from storage.verification import Verified, verify
 

@@ -1,37 +1,15 @@
 """Putting a session right whose recorder was killed: what its journal holds becomes parts."""
 
 import os
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from operators.errors import EndpointError, because
 from storage.description import read_session
 from storage.layout import JOURNAL
 from storage.lock import lock
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """What came of putting a session right."""
-
-    session: str
-    rows: Mapping[str, int]  # that no manifest listed and that are back, by table
-    adopted: tuple[str, ...]  # of these, the files that were whole and only had to be listed
-    lost: tuple[str, ...]  # what could not be had and why, a line each; what was known before left out
-    cut: tuple[str, ...]  # of these, those of the end only, where the recorder was cut off
-    done: tuple[str, ...]  # what else was put right, a line each
-
-    @property
-    def complete(self) -> bool:
-        """Whether all is back that had been written."""
-        return not self.lost
-
-    @property
-    def changed(self) -> bool:
-        """Whether anything was put right, or found to be lost."""
-        return bool(self.rows or self.adopted or self.lost or self.done)
+from storage.recovered import Recovery
 
 
 def recover(folder: str | Path) -> Recovery:

@@ -31,7 +31,7 @@ from storage.layout import (
 )
 from storage.manifest import Part, hint_manifest, read_manifest, write_manifest
 from storage.parts import commit_part, inspect_part, read_part
-from storage.recovery import Recovery
+from storage.recovered import Recovery
 from storage.schema import batch_type, schema, to_arrow
 from storage.unlisted import doubled, extent, missing_numbers, missing_segments, part_number, shortfall
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from connectors.link import Link
-from connectors.testing import TestBroker
+from connectors.mqtt.link import Link
+from connectors.mqtt.testing import TestBroker
 from operators.ports import Run
 
 settings.register_profile("slipflow", deadline=None, max_examples=50)  # machines are noisy: no test is timed

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import typer.main
 
-from flows.command import app
+from flows.commands.main import app
 from flows.diagram import svg
 from flows.loading import load
 from tests.pages import PAGES, ROOT, blocks, commands, spoken

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pytest
 
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
+from flows.running.live_runner import LiveRunner
 from flows.testing import TestSource
 from operators import Slips
 from operators.health import FaultKind

@@ -17,8 +17,8 @@ from jsonschema import Draft202012Validator
 
 from connectors import Consumer, Event, Mqtt, MqttSignal
 from connectors.events import encode
-from connectors.gap_request import GapAnswer, GapRequest
-from connectors.testing import Received, TestBroker, TestListener
+from connectors.mqtt.gap_request import GapAnswer, GapRequest
+from connectors.mqtt.testing import Received, TestBroker, TestListener
 from operators.batch import Scores, Slips, ms
 from operators.ports import Run
 from tests.pages import ROOT, block, commands, table

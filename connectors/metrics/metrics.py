@@ -4,8 +4,8 @@ import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from connectors.web_access import Access
-from connectors.web_address import METRICS_PORT, address, is_loopback
+from connectors.web.access import Access
+from connectors.web.address import METRICS_PORT, address, is_loopback
 from operators.batch import Clocks, Faults, Slips
 from operators.errors import ParameterError
 from operators.ports import Run, Sink
@@ -65,7 +65,7 @@ class Metrics(Sink[Slips | Faults | Clocks]):
             EndpointError: if the address cannot be had.
         """
         from connectors.metrics.measures import Measures  # noqa: PLC0415 - prometheus_client takes its time
-        from connectors.web_server import WebServer  # noqa: PLC0415 - aiohttp too
+        from connectors.web.server import WebServer  # noqa: PLC0415 - aiohttp too
 
         self._run, self._measures = run, Measures(run)
         access = Access(any_name=not is_loopback(self._host))

@@ -5,10 +5,10 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Final
 
-from connectors.health_report import HealthReports
+from connectors.mqtt.health_report import HealthReports
 from connectors.page.frames import Frames, Rows
 from connectors.page.messages import message
-from connectors.web_address import PAGE_PORT, address
+from connectors.web.address import PAGE_PORT, address
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.errors import ParameterError
 from operators.ports import Json, Run, Sink
@@ -37,7 +37,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     Args:
         port: Where it listens; 0: any that is free; None: 8765, or any that is free where that is taken.
         host: An address of this machine, 0.0.0.0 for all of them.
-        token: What a browser must have shown; None: that of the environment, see `connectors.web_access`.
+        token: What a browser must have shown; None: that of the environment, see `connectors.web.access`.
         threshold: The probability from which a slip is decided, for the page to mark.
         opened: Told the address once it can be looked at.
 

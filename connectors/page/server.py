@@ -7,9 +7,9 @@ from typing import Final
 
 from aiohttp import web
 
-from connectors.web_access import Access
-from connectors.web_address import PAGE_PORT
-from connectors.web_server import Handler, WebServer
+from connectors.web.access import Access
+from connectors.web.address import PAGE_PORT
+from connectors.web.server import Handler, WebServer
 
 _KINDS: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _LOCKED: Final = "/locked.html"

@@ -11,8 +11,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from connectors.robotiq import FULL, SETTLE, Axis, Fingers, Mode, Phase, Request, Status
-from connectors.robotiq_force import ForceScale
+from connectors.gripper.force import ForceScale
+from connectors.gripper.robotiq import FULL, SETTLE, Axis, Fingers, Mode, Phase, Request, Status
 from operators.batch import Commands, s
 
 SLOWEST: Final = 7.0  # s from open to closed
@@ -72,7 +72,7 @@ class Mechanism:
         self._asked.clear()
 
     def fail(self, fault: int) -> None:
-        """Have a fault, one of `connectors.robotiq.FAULTS`, and do nothing more until it is reset."""
+        """Have a fault, one of `connectors.gripper.robotiq.FAULTS`, and do nothing more until it is reset."""
         self._phase, self._until, self._fault = Phase.RESET, None, fault
 
     def ask(self, request: Request, now: int) -> None:

@@ -9,10 +9,10 @@ from time import time_ns
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self, cast
 
-from connectors.gripper_link import need_pymodbus
+from connectors.gripper.force import ForceScale
+from connectors.gripper.link import need_pymodbus
+from connectors.gripper.robotiq import PORT, STATUS, UNIT, Request, octets, registers
 from connectors.rig.gripper_mechanism import Gripped, Mechanism
-from connectors.robotiq import PORT, STATUS, UNIT, Request, octets, registers
-from connectors.robotiq_force import ForceScale
 from operators.errors import EndpointError, ParameterError
 
 if TYPE_CHECKING:

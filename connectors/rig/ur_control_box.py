@@ -12,7 +12,7 @@ import numpy as np
 from connectors.rig.ur_drive import Drive
 from connectors.rig.ur_program import Program, Registers
 from connectors.rig.ur_variables import OUTPUTS
-from connectors.rtde import Value, Version
+from connectors.ur.rtde import Value, Version
 from operators.batch import Commands, Reals
 
 log = logging.getLogger(__name__)

@@ -1,6 +1,6 @@
 """A UR controller, emulated: RTDE, script port and dashboard over real sockets, driving an arm of the scene.
 
-The real client libraries talk to it as they talk to an arm: `connectors.ur_motion.UrMotion`, and ur-rtde's
+The real client libraries talk to it as they talk to an arm: `connectors.ur.motion.UrMotion`, and ur-rtde's
 `RTDEReceiveInterface` and `RTDEControlInterface`, which know one RTDE port only, 30004.
 """
 
@@ -21,7 +21,7 @@ from connectors.rig.ur_ports import (
     RtdeConnection,
     ScriptConnection,
 )
-from connectors.rtde import Version
+from connectors.ur.rtde import Version
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError, because
 

@@ -19,7 +19,7 @@ def answer(box: ControlBox, line: str) -> str:
 
     >>> import numpy as np
     >>> from connectors.rig.free_arm import FreeArm
-    >>> from connectors.rtde import Version
+    >>> from connectors.ur.rtde import Version
     >>> box = ControlBox(FreeArm(np.zeros(6)), Version(5, 11, 0, 0))
     >>> answer(box, "PolyscopeVersion"), answer(box, "safetystatus"), answer(box, "dance")
     ('URSoftware 5.11.0.0 (Jan 01 2022)', 'Safetystatus: NORMAL', 'could not understand: dance')

@@ -11,7 +11,17 @@ from typing import Final, cast
 from connectors.rig.ur_control_box import ControlBox
 from connectors.rig.ur_dashboard import FAREWELL, GREETING, answer
 from connectors.rig.ur_variables import INPUTS, OUTPUTS
-from connectors.rtde import PROTOCOL, Kind, Package, Packages, Recipe, RtdeError, names, outputs_asked, pack
+from connectors.ur.rtde import (
+    PROTOCOL,
+    Kind,
+    Package,
+    Packages,
+    Recipe,
+    RtdeError,
+    names,
+    outputs_asked,
+    pack,
+)
 
 log = logging.getLogger(__name__)
 

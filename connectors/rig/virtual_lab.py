@@ -18,7 +18,7 @@ from connectors.rig.parameters import Parameters
 from connectors.rig.pressing import PressingArm
 from connectors.rig.scene import Commanded, Curvature, Scene
 from connectors.rig.ur_controller import PORTS, Ports, UrController
-from connectors.rtde import Version
+from connectors.ur.rtde import Version
 from operators.batch import s
 
 RADIUS: Final = Scene().radius  # m, of a curved surface

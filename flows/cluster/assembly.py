@@ -19,7 +19,7 @@ from flows.cluster.staging import Given, staged_in
 from flows.graph import Flow
 from flows.node import Node, Part
 from flows.plan import Delivery, Entry, Plan
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from operators.batch import Batch
 from operators.errors import EndpointError, InputError
 from storage import Dataset, Session

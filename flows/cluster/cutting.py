@@ -10,7 +10,7 @@ from flows.cluster.part_files import Stamps, read_stamps
 from flows.cluster.segment import needed, tapped
 from flows.graph import Flow
 from flows.plan import Entry, Plan
-from flows.replay_runner import in_slices, replayed
+from flows.running.replay_runner import in_slices, replayed
 from operators.batch import EVERY, Batch
 from operators.errors import InputError
 from operators.ports import Description, SomeBatch

@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Final
 
-from connectors.ur_arm import UrArm
+from connectors.ur.arm import UrArm
 from flows.collection.driver import Driver
 from flows.collection.felt import Felt
 from flows.collection.path import Pose
 from flows.collection.plan import Session
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
+from flows.running.live_runner import LiveRunner
 from operators import Align, DeviceClock, Label, Lifted, Motion, Source, Touch, WatchClock, Zero, ms, s
 from operators.errors import EndpointError, SlipflowError
 from operators.ports import Clock, Json, Run

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
-from connectors.ur_state import State
+from connectors.ur.state import State
 from flows.collection.felt import Felt
 from flows.collection.path import (
     Line,
@@ -28,7 +28,7 @@ _LOOK: Final = 0.05  # s, from look to look whether to go on
 
 
 class Arm(Protocol):
-    """What moves: a `connectors.ur_arm.UrArm`. Its moves raise EndpointError once it had to be stopped."""
+    """What moves: a `connectors.ur.arm.UrArm`. Its moves raise EndpointError once it had to be stopped."""
 
     state: State
 

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
 
 from connectors import TakkTile, UrMotion
-from connectors.ur_arm import UrArm
-from connectors.ur_control import WATCHDOG
-from connectors.ur_state import Bounds, Watch
-from flows.clock import LoopClock
+from connectors.ur.arm import UrArm
+from connectors.ur.control import WATCHDOG
+from connectors.ur.state import Bounds, Watch
 from flows.collection.collect import APPEAR, PATIENCE, Collection
 from flows.collection.path import Place, Pose
 from flows.collection.plan import Plan, Session, extent
 from flows.collection.signals import answered
 from flows.collection.surface import Spot
+from flows.running.clock import LoopClock
 from operators import ParameterError, Run
 from operators.errors import EndpointError
 from operators.ports import Clock

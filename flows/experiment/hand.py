@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from connectors.gripper.robotiq import FULL, PACE, SETTLE
 from connectors.rig.grasp import Grasp
-from connectors.robotiq import FULL, PACE, SETTLE
 from operators.batch import Commands, s
 from operators.errors import ParameterError
 

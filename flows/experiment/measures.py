@@ -6,10 +6,10 @@ from math import isnan, nan
 
 import numpy as np
 
+from flows.commands.options import counted
 from flows.experiment.experiment import Found
 from flows.experiment.lifting import Lifting
 from flows.experiment.tapping import Tapping
-from flows.options import counted
 
 
 def numbers(of: Found, method: str) -> dict[str, float]:

@@ -7,13 +7,13 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from flows.commands.options import counted
 from flows.evaluation.page import NONE, Section, Table, number
 from flows.experiment import measures
 from flows.experiment.experiment import Found, Outcome
 from flows.experiment.lifting import Lifting
 from flows.experiment.measures import median, numbers, tried
 from flows.experiment.tapping import Tapping
-from flows.options import counted
 
 Kept = TypeVar("Kept", bound=Outcome)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from flows.cluster.run import PYTHON, Cluster
 from flows.loading import load
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from operators.batch import Labelled, Motion, Slips, Touch, ms, s
 from operators.ports import Run
 from storage import Dataset, Session

@@ -21,8 +21,8 @@ from typing import Any, Final, cast
 import numpy as np
 
 from connectors import Rig
-from connectors.testing import TestBroker
-from flows.clock import LoopClock
+from connectors.mqtt.testing import TestBroker
+from flows.running.clock import LoopClock
 from operators import Touch, concat
 from tests.benchmarks.machine import commit, machine
 from tests.deploy.shipped import DEPLOY, PASSWORDS, shipped_broker

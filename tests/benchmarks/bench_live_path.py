@@ -32,9 +32,9 @@ from connectors.rig.free_arm import FreeArm
 from connectors.rig.i2c_bus import I2cBus
 from connectors.rig.i2c_device import served
 from connectors.rig.ur_controller import E_SERIES, Ports, UrController
-from flows.clock import LoopClock
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
 from operators import (
     Align,
     Clock,

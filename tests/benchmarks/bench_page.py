@@ -25,11 +25,11 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
 
-from flows.clock import LoopClock
+from flows.commands.live_page import add_page
+from flows.commands.options import told
 from flows.demo import Demo
-from flows.live_page import add_page
-from flows.live_runner import LiveRunner
-from flows.options import told
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
 from tests.benchmarks.machine import commit
 from tests.chaos.latency import urgent
 from tests.connectors.page.browsing import FLAGS

@@ -28,11 +28,11 @@ from unittest.mock import patch
 
 import numpy as np
 
-from flows.clock import EventClock
 from flows.figures import MAIN, SECOND, Figure, grid, save, styled
 from flows.graph import Flow
-from flows.parallel_replay import Replays, recordings
-from flows.replay_runner import ReplayRunner
+from flows.running.clock import EventClock
+from flows.running.parallel_replay import Replays, recordings
+from flows.running.replay_runner import ReplayRunner
 from flows.simulate import simulate
 from flows.testing import TestSink, TestSource
 from operators import Batch, Debounce, Operator, Run, Score, Sink, Slips, Touch, Zero

@@ -24,8 +24,8 @@ import numpy as np
 from connectors import UrMotion
 from connectors.rig.free_arm import FreeArm
 from connectors.rig.ur_controller import UrController
-from connectors.rtde import Version
-from flows.clock import LoopClock
+from connectors.ur.rtde import Version
+from flows.running.clock import LoopClock
 from operators import Motion, concat, ms, s
 from operators.batch import Times
 from tests.benchmarks.machine import commit, machine

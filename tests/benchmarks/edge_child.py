@@ -18,8 +18,8 @@ import numpy as np
 
 from connectors.rig.i2c_bus import I2cBus
 from connectors.rig.i2c_device import served
-from flows.live_runner import LiveRunner
 from flows.loading import load
+from flows.running.live_runner import LiveRunner
 from operators.batch import Counts, ms, s
 
 BUS = 99

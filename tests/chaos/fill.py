@@ -17,9 +17,9 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from connectors.health_report import HealthReports
+from connectors.mqtt.health_report import HealthReports
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
+from flows.running.live_runner import LiveRunner
 from flows.testing import TestSink
 from operators import EVERY, Align, Label, Motion, Slips, Touch, Zero, ms
 from storage import Dataset

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from connectors.testing import TestBroker
+from connectors.mqtt.testing import TestBroker
 from operators import ms
 from operators.batch import Reals
 from tests.chaos.child import Child, until

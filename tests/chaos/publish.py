@@ -14,9 +14,9 @@ import time
 from dataclasses import asdict
 
 from connectors import Mqtt, MqttSignal
-from flows.clock import LoopClock
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
 from operators import Align, Clocks, Faults, Label, Run, Slips, Zero, ms
 from tests.chaos.devices import Arm, Fingertip, Turning
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from flows.testing import TestSink
 from operators import EVERY, Labelled, Motion, SlipflowError, Slips, Touch, concat, ms
 from storage import Session, recover, verify

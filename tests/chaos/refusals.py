@@ -12,9 +12,9 @@ from typing import NamedTuple
 from unittest import mock
 
 from connectors import Event, Mqtt
-from connectors.broker import CA, PASSWORD, USER
-from connectors.outbox import Outbox
-from connectors.testing import TestBroker
+from connectors.mqtt.broker import CA, PASSWORD, USER
+from connectors.mqtt.outbox import Outbox
+from connectors.mqtt.testing import TestBroker
 from operators import Run, SlipflowError
 from tests.chaos.promise import Promise
 from tests.chaos.scale import Scale

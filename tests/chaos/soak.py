@@ -12,7 +12,7 @@ from tests.chaos.processes import finish, scratch, start
 from tests.chaos.promise import Promise
 from tests.chaos.scale import Scale
 
-PACE, SECONDS = 10.0, 6000.0  # s, of the rig's time, as all that follows
+PACE, SECONDS = 10.0, 12000.0  # s, of the rig's time, as all that follows
 WARM = 2400.0  # s, after which all that is bounded is full
 SPAN = 300.0  # s, of which the median counts: memory that is taken for a moment is given back
 BOUND = 1.0  # MB in an hour

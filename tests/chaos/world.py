@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from connectors.testing import TestBroker
+from connectors.mqtt.testing import TestBroker
 from tests.chaos.child import Child, memory, until
 from tests.chaos.follow import Had, read
 from tests.chaos.proxy import Line

@@ -56,7 +56,7 @@ ONE_PROCESS = """
 import asyncio, sys
 from pathlib import Path
 from flows.loading import load
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from storage import Session
 from storage.layout import session_folder, session_names
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from connectors.web_access import TOKEN, TOKEN_FILE
+from connectors.web.access import TOKEN, TOKEN_FILE
 
 
 @pytest.fixture(autouse=True)

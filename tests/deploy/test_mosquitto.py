@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from connectors import Consumer, Mqtt
-from connectors.broker import PASSWORD, USER, Broker
-from connectors.link import connect
-from connectors.testing import TestBroker
+from connectors.mqtt.broker import PASSWORD, USER, Broker
+from connectors.mqtt.link import connect
+from connectors.mqtt.testing import TestBroker
 from operators.batch import Slips
 from operators.errors import EndpointError
 from operators.ports import Run

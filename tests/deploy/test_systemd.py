@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from connectors.broker import PASSWORD_FILE
+from connectors.mqtt.broker import PASSWORD_FILE
 from flows.loading import load
 from flows.validate import problems
 from tests.deploy.shipped import DEPLOY

@@ -10,7 +10,7 @@ import jsonschema
 import polars as pl
 import pytest
 
-from connectors.testing import TestBroker
+from connectors.mqtt.testing import TestBroker
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "connectors" / "slip-event.schema.json").read_text())
 
@@ -21,7 +21,7 @@ def test_the_demo_goes_on_when_the_broker_is_killed_and_a_watch_gets_every_event
 ) -> None:
     out, topic = tmp_path / "data", "slip/v1/lab/demo"
     listener = broker.listen(f"{topic}/+/event", f"{topic}/status")
-    command = [sys.executable, "-c", "from flows.command import main; main()"]
+    command = [sys.executable, "-c", "from flows.commands.main import main; main()"]
     watched = ["watch", broker.url, "--json", "--since", "start", "--remember", str(tmp_path / "position")]
     watch = subprocess.Popen([*command, *watched], stdout=subprocess.PIPE, text=True)
     options = ["--for", "14s", "--out", str(out), "--mqtt", broker.url, "--json"]

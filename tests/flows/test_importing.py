@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.csv_columns import ColumnMap
+from connectors.csv.columns import ColumnMap
 from flows.graph import Flow
 from flows.importing import Import, Told
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from flows.testing import TestSink, TestSource
 from flows.trials import load
 from operators import Label, Zero

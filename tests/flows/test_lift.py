@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import pytest
 
 from connectors import Gripper, TakkTile
+from connectors.gripper.force import ForceScale
 from connectors.rig.grasp import Held
 from connectors.rig.gripper_server import GripperServer
 from connectors.rig.handling import GraspLab, Handling, opened
@@ -13,12 +14,11 @@ from connectors.rig.holding import least_force
 from connectors.rig.i2c_bus import I2cBus
 from connectors.rig.lift import Lift
 from connectors.rig.objects import OBJECTS, named
-from connectors.robotiq_force import ForceScale
-from flows.clock import LoopClock
 from flows.graph import Flow
 from flows.lift import controller, held_by, lift
-from flows.live_runner import LiveRunner
 from flows.loading import load
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
 from flows.testing import TestSink, run_virtually
 from flows.validate import problems
 from operators import Commands, Grip, InputError, ParameterError, Run, s

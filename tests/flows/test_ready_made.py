@@ -8,14 +8,14 @@ import pytest
 
 from connectors import CsvTrace, Rig
 from connectors.rig.scene import Move, Moves, Scene
-from flows.clock import LoopClock
 from flows.demo import Demo
 from flows.graph import Flow
 from flows.live import live
-from flows.live_runner import LiveRunner
 from flows.loading import load
 from flows.record import record
-from flows.replay_runner import ReplayRunner, first_time, replayed
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
+from flows.running.replay_runner import ReplayRunner, first_time, replayed
 from flows.testing import TestSink, TestSource, run_virtually
 from flows.validate import problems
 from operators import Align, Debounce, Label, Labelled, Run, Score, Slips, Touch, Zero, s

@@ -4,7 +4,7 @@ from pathlib import Path
 import numpy as np
 
 from flows.relabel import relabel
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from flows.validate import problems
 from operators import Labelled, Slips
 from operators.batch import concat

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from connectors import Consumer, Event, Mqtt, MqttSignal
-from connectors.outbox_place import default_path
-from connectors.testing import Received, TestBroker, TestListener
-from flows.clock import LoopClock
+from connectors.mqtt.outbox_place import default_path
+from connectors.mqtt.testing import Received, TestBroker, TestListener
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
-from flows.replay_runner import ReplayRunner, first_time, replayed
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
+from flows.running.replay_runner import ReplayRunner, first_time, replayed
 from flows.testing import TestSource
 from operators import Batch, Operator, Scores, Slips, Touch, ms, s
 from operators.batch import AnyBatch

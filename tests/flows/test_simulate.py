@@ -12,10 +12,10 @@ import polars as pl
 import pytest
 
 from connectors import Rig
-from flows.clock import LoopClock
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
 from flows.record import collect
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
 from flows.simulate import Collected, recordings, simulate
 from flows.splits import SPLITS
 from flows.testing import run_virtually
@@ -23,7 +23,7 @@ from operators import Label, ms
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from storage import Dataset, Session
 
-SLIPFLOW = [sys.executable, "-c", "from flows.command import main; main()"]
+SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
 
 
 def hashes(folder: Path) -> dict[str, str]:

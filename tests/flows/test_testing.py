@@ -4,7 +4,7 @@ import time
 import numpy as np
 import pytest
 
-from flows.clock import EventClock, LoopClock
+from flows.running.clock import EventClock, LoopClock
 from flows.testing import TestSink, TestSource, run_virtually
 from operators import EndpointError, Scores, ms, s
 

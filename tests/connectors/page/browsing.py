@@ -8,7 +8,7 @@ from typing import Any, Self
 from connectors import Page
 from connectors.page.recorded import Recorded
 from connectors.page.scrubber import Scrubber
-from flows.clock import LoopClock
+from flows.running.clock import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.page.reading import felt, slip

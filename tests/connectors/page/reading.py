@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from aiohttp import ClientResponse, ClientSession
 
-from connectors.testing import PATIENCE
+from connectors.mqtt.testing import PATIENCE
 from operators.batch import Motion, Scores, Slips, Zeroed
 
 

@@ -9,10 +9,10 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, Request, ViewportSize, expect, sync_playwright
 
 from connectors.page.recorded import Recorded
-from flows.clock import LoopClock
+from flows.commands.live_page import add_page
 from flows.graph import Flow
-from flows.live_page import add_page
-from flows.live_runner import LiveRunner
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
 from flows.testing import TestSink, TestSource
 from operators import Debounce, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
 from storage import load_detector

@@ -4,13 +4,13 @@ import socket
 import pytest
 from aiohttp import ClientSession
 
+from connectors.mqtt.testing import PATIENCE
 from connectors.page import feed as module
 from connectors.page.feed import Feed
 from connectors.page.messages import message
 from connectors.page.viewer import WAITING
-from connectors.testing import PATIENCE
-from connectors.web_access import Access
-from connectors.web_server import WebServer
+from connectors.web.access import Access
+from connectors.web.server import WebServer
 from tests.connectors.page.reading import events, listening
 
 

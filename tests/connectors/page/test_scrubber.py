@@ -2,9 +2,9 @@ import asyncio
 
 from aiohttp import ClientSession
 
+from connectors.mqtt.testing import PATIENCE
 from connectors.page.recorded import Recorded
 from connectors.page.scrubber import Scrubber
-from connectors.testing import PATIENCE
 from operators.batch import ms, s
 from operators.ports import Run
 from tests.connectors.page.reading import felt, slip

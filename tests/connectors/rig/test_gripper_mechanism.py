@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from connectors.gripper.force import ForceScale
+from connectors.gripper.robotiq import Axis, Fingers, Mode, Phase, Request
 from connectors.rig.gripper_mechanism import FASTEST, RELEASED, RELEASING, SLOWEST, Mechanism
-from connectors.robotiq import Axis, Fingers, Mode, Phase, Request
-from connectors.robotiq_force import ForceScale
 from operators.batch import Commands, ms, s
 
 START = 1_000 * s

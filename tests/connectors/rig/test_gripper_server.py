@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from connectors import Gripper
+from connectors.gripper.robotiq import Fingers, Mode, Phase, Request, Status, octets, registers
 from connectors.rig.gripper_server import GripperServer
 from connectors.rig.lab import Lab
-from connectors.robotiq import Fingers, Mode, Phase, Request, Status, octets, registers
-from flows.clock import LoopClock
+from flows.running.clock import LoopClock
 from operators import EndpointError, ParameterError, s
 from operators.batch import Commands
 from operators.ports import Run

@@ -12,9 +12,9 @@ from connectors.rig.motion import Arm, Controller
 from connectors.rig.rig import Rig
 from connectors.rig.scene import Commanded, Move, Moves, Plan, Scene, Timing
 from connectors.rig.truth import Truth
-from flows.clock import LoopClock
 from flows.graph import Flow
-from flows.live_runner import LiveRunner
+from flows.running.clock import LoopClock
+from flows.running.live_runner import LiveRunner
 from flows.testing import TestSink, TestSource, run_virtually
 from operators import EVERY, Motion, Operator, Touch, ms, s
 from operators.batch import Commands, Counts, Reals

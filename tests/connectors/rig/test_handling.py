@@ -6,7 +6,7 @@ import pytest
 from connectors.rig.handling import GraspLab, Handling, opened
 from connectors.rig.lift import Lift
 from connectors.rig.objects import named
-from flows.clock import LoopClock
+from flows.running.clock import LoopClock
 from flows.testing import run_virtually
 from operators import Commands, ParameterError, Run, Touch, concat, s
 

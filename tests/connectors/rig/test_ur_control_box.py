@@ -9,7 +9,7 @@ from connectors.rig.pressing import PressingArm
 from connectors.rig.ur_control_box import ControlBox, RuntimeState, SafetyMode
 from connectors.rig.ur_dashboard import answer
 from connectors.rig.ur_program import Command
-from connectors.rtde import Value, Version
+from connectors.ur.rtde import Value, Version
 from operators.batch import Commands, s
 
 SCRIPT = "def rtde_control():\n  global x = read_input_integer_reg(0)"

@@ -18,8 +18,8 @@ import pytest
 from connectors.rig import ur_control_box
 from connectors.rig.free_arm import FreeArm
 from connectors.rig.ur_controller import Ports, UrController
-from connectors.rtde import Version
-from flows.clock import LoopClock
+from connectors.ur.rtde import Version
+from flows.running.clock import LoopClock
 from flows.testing import run_virtually
 from operators import EndpointError, ParameterError, s
 from operators.batch import Commands, Reals

@@ -7,8 +7,8 @@ import pytest
 
 from connectors.rig.free_arm import FreeArm
 from connectors.rig.ur_controller import Ports, UrController
-from connectors.rtde import Kind, Package, Packages, Recipe, Version, ask_outputs, names, pack
-from flows.clock import LoopClock
+from connectors.ur.rtde import Kind, Package, Packages, Recipe, Version, ask_outputs, names, pack
+from flows.running.clock import LoopClock
 from flows.testing import run_virtually
 from operators import s
 

@@ -11,7 +11,7 @@ from pymodbus.client import AsyncModbusTcpClient
 from connectors import TakkTile, UrMotion
 from connectors.rig.ur_controller import Ports
 from connectors.rig.virtual_lab import HEIGHT, scene, virtual_lab
-from flows.clock import LoopClock
+from flows.running.clock import LoopClock
 from operators import Touch
 from operators.batch import Counts
 

@@ -11,7 +11,7 @@ from flows.cluster.cutting import Cutter, shared
 from flows.cluster.segment import segment
 from flows.graph import Flow
 from flows.plan import Delivery, Entry, Plan
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from operators import EVERY, Batch, InputError
 from storage import Session
 

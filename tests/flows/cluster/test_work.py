@@ -9,7 +9,7 @@ from flows.cluster.claims import Claim, Done
 from flows.cluster.cutting import Cutter
 from flows.cluster.work import Work
 from flows.graph import Flow
-from flows.replay_runner import ReplayRunner
+from flows.running.replay_runner import ReplayRunner
 from operators import EndpointError, InputError
 from storage import Session
 

@@ -7,13 +7,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from connectors.ur_state import State
-from flows.clock import LoopClock
+from connectors.ur.state import State
 from flows.collection.driver import Driver
 from flows.collection.felt import Felt
 from flows.collection.path import Extent, Place, Pose, Slide, Trace
 from flows.collection.plan import Plan, Session
 from flows.collection.surface import Surface
+from flows.running.clock import LoopClock
 from flows.testing import run_virtually
 from operators import EndpointError, s
 from operators.ports import Json

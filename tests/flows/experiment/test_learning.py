@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from connectors.rig.paper import Collection
+from flows.commands.experiments import learn as command
 from flows.experiment import learning
 from flows.experiment.learning import FADES, LASTS, floored, hardest, lasting
-from flows.experiment_commands import learn as command
 from flows.networks.recipe import Recipe
 from operators import SLIP, STATIC, UNKNOWN, ParameterError
 from operators.detectors import GraspTcn

@@ -1,0 +1,1 @@
+"""Traces of others as CSV, their columns mapped."""

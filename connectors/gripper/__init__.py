@@ -1,0 +1,1 @@
+"""A Robotiq 3-finger gripper over Modbus TCP."""

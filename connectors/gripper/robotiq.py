@@ -1,0 +1,243 @@
+"""The registers of a Robotiq 3-finger gripper, in its simplified control mode, as bytes. No I/O.
+
+A request is written to registers 0 to 2 (Modbus function 16), the status is read from registers 0 to 7
+(function 4); a register holds two bytes. The manual's example closes the gripper with all speed and force:
+
+>>> Request(active=True, go=True, position=255, speed=255, force=255).encode().hex(" ")
+'09 00 00 ff ff ff'
+
+and later reads that all fingers were stopped by an object:
+
+>>> status = Status.decode(bytes.fromhex("B9EA 00FF BC00 00C1 0000 BD00 0089 0000"))
+>>> status.phase.name, status.fingers.name, status.object_detected, status.positions
+('READY', 'ALL_STOPPED', True, (188, 193, 189))
+
+Source: Robotiq, "3-Finger Adaptive Robot Gripper Instruction Manual", 4.3 to 4.8. The names in brackets
+below are the manual's.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from struct import Struct
+from types import MappingProxyType
+from typing import Final, Self
+
+from operators.errors import SlipflowError
+
+PORT: Final = 502
+UNIT: Final = 2  # in the manual's examples
+REQUEST: Final = 3  # registers
+STATUS: Final = 8  # registers
+FULL: Final = 255  # the largest position, speed and force
+PACE: Final = 0.005  # s from one request to the next: the gripper looks at its registers 200 times a second
+SETTLE: Final = 0.010  # s until a request shows in the status
+
+FAULTS: Final[Mapping[int, str]] = MappingProxyType(
+    {
+        0x05: "cannot act before its activation is complete",
+        0x06: "cannot act before its change of mode is complete",
+        0x07: "cannot act before it is activated",
+        0x09: "is not ready to communicate: it may be booting",
+        0x0A: "changes its mode, and the scissor is obstructed",
+        0x0B: "releases automatically",
+        0x0D: "could not be activated: something obstructs it",
+        0x0E: "could not change its mode: the scissor is obstructed",
+        0x0F: "has released automatically, and must be reset",
+    }
+)
+
+_BYTES: Final = Struct("6B")
+_RELEASING: Final = 0x0B  # the first of the faults from which only a reset leads back
+
+
+class RobotiqError(SlipflowError):
+    """What was read is no request or status of a gripper."""
+
+
+class Mode(IntEnum):
+    """How the fingers stand to each other [rMOD, gMOD]."""
+
+    BASIC = 0
+    PINCH = 1
+    WIDE = 2
+    SCISSOR = 3
+
+
+class Phase(IntEnum):
+    """What the gripper is occupied with [gIMC]."""
+
+    RESET = 0  # or it releases automatically: see the fault
+    ACTIVATING = 1
+    CHANGING = 2  # its mode
+    READY = 3
+
+
+class Fingers(IntEnum):
+    """How far the fingers have come [gSTA]."""
+
+    MOVING = 0
+    SOME_STOPPED = 1  # one or two did, before the requested position
+    ALL_STOPPED = 2  # before the requested position
+    ARRIVED = 3  # at the requested position
+
+
+class Axis(IntEnum):
+    """How far one finger, or the scissor, has come [gDTA to gDTC, gDTS]."""
+
+    MOVING = 0
+    STOPPED_OPENING = 1  # by a contact
+    STOPPED_CLOSING = 2  # by a contact
+    ARRIVED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the gripper is asked to be and do; nothing of it by default, which resets it.
+
+    Attributes:
+        active: It is to be activated, or to stay so; False resets it and its fault [rACT].
+        mode: How the fingers are to stand to each other [rMOD].
+        go: They are to go to the position, or to stay where they are [rGTO].
+        release: They are to open slowly, whatever else is asked; then it must be reset [rATR].
+        position: 0 open to 255 closed [rPRA].
+        speed: 0 slowest to 255 fastest [rSPA].
+        force: 0 weakest to 255 strongest, see `connectors.gripper.force.ForceScale` [rFRA].
+
+    >>> Request(active=True).encode().hex(" ")
+    '01 00 00 00 00 00'
+    """
+
+    active: bool = False
+    mode: Mode = Mode.BASIC
+    go: bool = False
+    release: bool = False
+    position: int = 0
+    speed: int = 0
+    force: int = 0
+
+    def encode(self) -> bytes:
+        """The 6 bytes of its registers."""
+        action = self.active | self.mode << 1 | self.go << 3 | self.release << 4
+        return _BYTES.pack(action, 0, 0, self.position, self.speed, self.force)
+
+    @classmethod
+    def decode(cls, data: bytes) -> Self:
+        """What was asked for in the bytes from register 0 on; those beyond the sixth are for other modes.
+
+        Raises:
+            RobotiqError: if they are fewer than 6.
+        """
+        if len(data) < _BYTES.size:
+            raise RobotiqError(f"a request of {len(data)} bytes")
+        action, _, _, position, speed, force = _BYTES.unpack_from(data)
+        return cls(
+            active=bool(action & 1),
+            mode=Mode(action >> 1 & 3),
+            go=bool(action & 1 << 3),
+            release=bool(action & 1 << 4),
+            position=position,
+            speed=speed,
+            force=force,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """What the gripper says of itself.
+
+    Attributes:
+        active: It was activated, or that goes on [gACT].
+        mode: As requested [gMOD].
+        go: The fingers go to the requested position, or have gone [gGTO].
+        phase: What it is occupied with [gIMC].
+        fingers: How far the fingers have come; means something only if `go` [gSTA].
+        axes: How far each finger (A, B, C) and the scissor have come [gDTA to gDTS].
+        fault: 0, or one of `FAULTS` [gFLT].
+        echo: The position that was requested, as the gripper has taken it [gPRA].
+        positions: Of the fingers (A, B, C), 0 open to 255 closed [gPOA to gPOC].
+        currents: Of their motors, in 0.1 mA [gCUA to gCUC].
+        scissor: Its position, 0 to 255 [gPOS].
+    """
+
+    active: bool = False
+    mode: Mode = Mode.BASIC
+    go: bool = False
+    phase: Phase = Phase.RESET
+    fingers: Fingers = Fingers.MOVING
+    axes: tuple[Axis, Axis, Axis, Axis] = (Axis.MOVING, Axis.MOVING, Axis.MOVING, Axis.MOVING)
+    fault: int = 0
+    echo: int = 0
+    positions: tuple[int, int, int] = (0, 0, 0)
+    currents: tuple[int, int, int] = (0, 0, 0)
+    scissor: int = 0
+
+    @classmethod
+    def decode(cls, data: bytes) -> Self:
+        """The status in 16 bytes from register 0 on.
+
+        Raises:
+            RobotiqError: if they are not 16.
+        """
+        if len(data) != 2 * STATUS:
+            raise RobotiqError(f"a status of {len(data)} bytes")
+        gripper, axes = data[0], data[1]
+        return cls(
+            active=bool(gripper & 1),
+            mode=Mode(gripper >> 1 & 3),
+            go=bool(gripper & 1 << 3),
+            phase=Phase(gripper >> 4 & 3),
+            fingers=Fingers(gripper >> 6),
+            axes=(Axis(axes & 3), Axis(axes >> 2 & 3), Axis(axes >> 4 & 3), Axis(axes >> 6)),
+            fault=data[2] & 0xF,
+            echo=data[3],
+            positions=(data[4], data[7], data[10]),
+            currents=(data[5], data[8], data[11]),
+            scissor=data[13],
+        )
+
+    def encode(self) -> bytes:
+        """The 16 bytes of its registers."""
+        gripper = self.active | self.mode << 1 | self.go << 3 | self.phase << 4 | self.fingers << 6
+        axes = sum(axis << 2 * place for place, axis in enumerate(self.axes))
+        (a, b, c), (current_a, current_b, current_c) = self.positions, self.currents
+        head = [gripper, axes, self.fault, self.echo]
+        return bytes([*head, a, current_a, 0, b, current_b, 0, c, current_c, 0, self.scissor, 0, 0])
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is activated, in its mode, and can act."""
+        return self.active and self.phase is Phase.READY
+
+    @property
+    def object_detected(self) -> bool:
+        """Whether fingers were stopped before the requested position: they hold something."""
+        return self.ready and self.go and self.fingers in {Fingers.SOME_STOPPED, Fingers.ALL_STOPPED}
+
+    @property
+    def needs_reset(self) -> bool:
+        """Whether its fault lasts until it is reset."""
+        return self.fault >= _RELEASING
+
+    @property
+    def reason(self) -> str:
+        """The fault in words; empty if there is none.
+
+        >>> Status(fault=0x0F).reason
+        'has released automatically, and must be reset'
+        """
+        return FAULTS.get(self.fault, f"tells of the unknown fault {self.fault:#04x}") if self.fault else ""
+
+
+def registers(data: bytes) -> list[int]:
+    """Bytes, an even number of them, as the registers that carry them.
+
+    >>> registers(bytes.fromhex("09 00 00 ff"))
+    [2304, 255]
+    """
+    return [int.from_bytes(data[place : place + 2], "big") for place in range(0, len(data), 2)]
+
+
+def octets(values: Sequence[int]) -> bytes:
+    """Registers as the bytes that they carry."""
+    return b"".join(value.to_bytes(2, "big") for value in values)

@@ -1,0 +1,317 @@
+"""Numbered slip events in a SQLite file: what `connectors.mqtt.outbox.Outbox` does in its thread.
+
+Every row carries a checksum, for SQLite finds no flipped bit. A damaged file is set aside. What was written
+survives the process; a power cut only once it is synced.
+"""
+
+import logging
+import os
+import sqlite3
+import time
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import astuple, dataclass
+from pathlib import Path
+from threading import Lock
+from zlib import crc32
+
+from connectors.mqtt.outbox_wal import committed_frames
+from operators.errors import InputError, because
+
+log = logging.getLogger("slipflow")
+
+FORMAT = 1
+EPOCHS = 12  # that a file remembers though it has none of their events any more
+PRUNED = 1000  # rows at a time: a live event may wait behind
+LOG = 10_000  # pages of the write-ahead log, beyond which an event has to wait for a checkpoint
+_TABLES = f"""
+BEGIN;
+CREATE TABLE epochs (name TEXT PRIMARY KEY, base INTEGER, last INTEGER, sent INTEGER, boot TEXT,
+    crc INTEGER);
+CREATE TABLE events (id INTEGER PRIMARY KEY, epoch TEXT, seq INTEGER, finger TEXT, payload BLOB, made INTEGER,
+    crc INTEGER, waits INTEGER);
+CREATE INDEX waiting ON events (id) WHERE waits = 1;
+PRAGMA user_version = {FORMAT};
+COMMIT;
+"""
+_ENTRY = "id, epoch, seq, finger, payload, made, crc"
+_DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_FORMAT}
+_RIGHTS = "; give this user the right to write in its folder, or name another file"
+_REMEDIES = {
+    sqlite3.SQLITE_FULL: "; make room there, or name another file",
+    sqlite3.SQLITE_CANTOPEN: _RIGHTS,
+    sqlite3.SQLITE_READONLY: _RIGHTS,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """An event as the outbox holds it."""
+
+    id: int  # counts over all epochs, in order of time
+    epoch: str
+    seq: int
+    finger: str
+    payload: bytes
+    made: int  # s since 1970-01-01 UTC
+
+    def row(self) -> tuple[object, ...]:
+        """The values of its row, with their checksum."""
+        values = self.id, self.epoch, self.seq, self.finger, self.payload, self.made
+        return *values, crc32(self.payload, crc32(repr((*values[:4], self.made)).encode()))
+
+
+@dataclass(slots=True)
+class Epoch:
+    """A series of numbers; event `seq` has the id ``base + seq``."""
+
+    name: str
+    base: int
+    last: int = 0  # the newest number
+    sent: int = 0  # the newest that the broker has
+    boot: str = ""  # of the system, since which numbers may have been lost; empty: none can have been
+
+    def row(self) -> tuple[object, ...]:
+        """The values of its row, with their checksum."""
+        values = astuple(self)
+        return *values, crc32(repr(values).encode())
+
+
+class Damaged(Exception):  # noqa: N818 - it never leaves this module
+    """The file is not what was written."""
+
+
+class OutboxFile:
+    """An open file; every call may raise sqlite3.Error or OSError, and blocks."""
+
+    def __init__(self, path: Path) -> None:
+        """Open `path`, making it if it is not there; set it aside if it is damaged.
+
+        Raises:
+            InputError: if it is no outbox, or that of a later slipflow.
+        """
+        self.path = path
+        self.epochs: list[Epoch] = []  # as found, oldest first
+        self.renewed = False  # True: its numbers may not go on
+        self._log: int | None = None  # descriptor of the write-ahead log
+        self._syncing = Lock()  # held while that is used, or closed
+        try:
+            self._open()
+        except Damaged as damage:
+            self._set_aside(str(damage))
+        [(self.highest,)] = self._db.execute("SELECT coalesce(max(id), 0) FROM events")
+        self.highest = max([self.highest, *(epoch.base + epoch.last for epoch in self.epochs)])
+        [(self.waiting,)] = self._db.execute("SELECT count(*) FROM events WHERE waits = 1")
+
+    def append(
+        self, entries: Iterable[tuple[Entry, bool]], epochs: Sequence[Epoch], forget: Iterable[int] = ()
+    ) -> None:
+        """Write entries, and whether they wait to be sent; forget ids whose fate was not known."""
+        with self._transaction():
+            self._db.executemany("DELETE FROM events WHERE id = ?", ((entry,) for entry in forget))
+            rows = ((*entry.row(), int(waits)) for entry, waits in entries)
+            self._db.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?, ?)", rows)
+            self._write_epochs(epochs)
+
+    def acknowledge(self, ids: Iterable[tuple[int, int]], epochs: Sequence[Epoch]) -> None:
+        """Note which ranges of ids wait no longer; after a power cut some may wait again."""
+        with self._transaction():
+            done = "UPDATE events SET waits = 0 WHERE waits = 1 AND id BETWEEN ? AND ?"
+            self._db.executemany(done, ids)
+            self._write_epochs(epochs)
+
+    def mark(self, epochs: Sequence[Epoch]) -> None:
+        """Write how epochs stand; that, and all that was written before, is durable then."""
+        self._db.execute("PRAGMA synchronous = FULL")
+        try:
+            self.append((), epochs)
+        finally:
+            self._db.execute("PRAGMA synchronous = NORMAL")
+
+    def sync(self) -> None:
+        """Make durable what was written; in a thread of its own, it holds up nothing."""
+        with self._syncing:
+            if self._log is None:
+                self._log = os.open(f"{self.path}-wal", os.O_RDONLY | os.O_CLOEXEC)
+            os.fdatasync(self._log)
+
+    def checkpoint(self) -> None:
+        """Empty the write-ahead log into the file."""
+        self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
+
+    def prune(self, count: int, oldest: float) -> None:
+        """Forget some of what need not be sent: beyond the newest `count`, or made before `oldest` (s)."""
+        expired = "SELECT id FROM events WHERE waits = 0 AND (id <= ? OR made < ?) ORDER BY id LIMIT ?"
+        with self._transaction():
+            [(newest,)] = self._db.execute("SELECT coalesce(max(id), 0) FROM events")
+            limits = newest - count, oldest, PRUNED
+            self._db.execute(f"DELETE FROM events WHERE id IN ({expired})", limits)  # noqa: S608 - ours
+            found = "SELECT name FROM epochs ORDER BY base DESC, rowid DESC LIMIT -1 OFFSET ?"
+            used = "SELECT 1 FROM events WHERE id BETWEEN base + 1 AND base + last"
+            unused = f"DELETE FROM epochs WHERE name IN ({found}) AND NOT EXISTS ({used})"  # noqa: S608 - ours
+            self._db.execute(unused, (EPOCHS,))
+
+    def waiting_after(self, after: int, limit: int) -> list[Entry]:
+        """The next entries beyond the id `after` that wait to be sent."""
+        return self._entries("waits = 1 AND id > ?", (after,), limit)
+
+    def between(self, epoch: Epoch, first: int, last: int, limit: int) -> list[Entry]:
+        """Entries of an epoch from number `first` to `last`, in order, at most `limit`."""
+        ids = epoch.base + first, epoch.base + last
+        return self._entries("epoch = ? AND id BETWEEN ? AND ?", (epoch.name, *ids), limit)
+
+    def close(self) -> None:
+        """Close."""
+        with self._syncing:
+            if self._log is not None:
+                os.close(self._log)
+            self._log = None
+        self._db.close()
+
+    def _entries(self, condition: str, values: tuple[object, ...], limit: int) -> list[Entry]:
+        query = f"SELECT {_ENTRY} FROM events WHERE {condition} ORDER BY id LIMIT ?"  # noqa: S608 - ours
+        return [_entry(row) for row in self._db.execute(query, (*values, limit))]
+
+    def _write_epochs(self, epochs: Sequence[Epoch]) -> None:
+        rows = [epoch.row() for epoch in epochs]
+        self._db.executemany("INSERT OR REPLACE INTO epochs VALUES (?, ?, ?, ?, ?, ?)", rows)
+
+    @contextmanager
+    def _transaction(self) -> Generator[None]:
+        self._db.execute("BEGIN IMMEDIATE")
+        try:
+            yield
+            self._db.execute("COMMIT")
+        except BaseException:
+            with suppress(sqlite3.Error):  # SQLite may have rolled back already
+                self._db.execute("ROLLBACK")
+            raise
+
+    def _open(self) -> None:
+        committed = committed_frames(Path(f"{self.path}-wal"))
+        self._db = sqlite3.connect(self.path, timeout=0, isolation_level=None, check_same_thread=False)
+        try:
+            self._prepare()
+            self._check(committed)
+        except sqlite3.Error as error:
+            self._db.close()
+            marked_read_only = _code(error) == sqlite3.SQLITE_READONLY and os.access(self.path, os.W_OK)
+            if marked_read_only or _code(error) in _DAMAGE:
+                raise Damaged(str(error)) from None
+            raise
+        except BaseException:
+            self._db.close()
+            raise
+
+    def _prepare(self) -> None:
+        self._db.execute("PRAGMA locking_mode = EXCLUSIVE")
+        self._db.execute("PRAGMA synchronous = NORMAL")  # see `sync`: an event need not wait for the disk
+        self._db.execute(f"PRAGMA wal_autocheckpoint = {LOG}")
+        [(version,)] = self._db.execute("PRAGMA user_version")
+        [(things,)] = self._db.execute("SELECT count(*) FROM sqlite_schema")
+        if version != FORMAT and (version or things):
+            found = f"has format {version}" if version else "is no outbox"
+            raise InputError(str(self.path), f"{found}: name another file, or move it away")
+        self._db.execute("PRAGMA journal_mode = WAL")
+        if not things:
+            self._db.executescript(_TABLES)
+
+    def _check(self, committed: int) -> None:
+        [(_, frames, _)] = self._db.execute("PRAGMA wal_checkpoint(PASSIVE)")
+        if frames < committed:
+            raise Damaged("its newest events cannot be read")
+        [(verdict,)] = self._db.execute("PRAGMA integrity_check(1)").fetchmany(1)
+        if verdict != "ok":
+            raise Damaged(str(verdict))
+        epochs = {epoch.name: epoch for epoch in _epochs(self._db)}
+        for *row, waits in self._db.execute(f"SELECT {_ENTRY}, waits FROM events"):  # noqa: S608 - ours
+            entry = _entry(row)
+            if waits not in (0, 1) or entry.epoch not in epochs:
+                raise Damaged("a row has changed")
+            epoch = epochs[entry.epoch]
+            epoch.last = max(epoch.last, entry.seq)  # what the epoch's row says may be one write behind
+        self.epochs = list(epochs.values())
+
+    def _set_aside(self, damage: str) -> None:
+        """Move the file away and carry over to a new one what its rows' checksums vouch for."""
+        aside = Path(f"{self.path}.damaged-{time.strftime('%Y%m%dT%H%M%S')}-{time.time_ns() % 10**9:09}")
+        for part in ("", "-wal", "-shm"):
+            with suppress(FileNotFoundError):
+                Path(f"{self.path}{part}").rename(f"{aside}{part}")
+        rows, epochs = _salvage(aside)
+        self._open()
+        for entry, waits in rows:
+            epoch = epochs.setdefault(entry.epoch, Epoch(entry.epoch, entry.id - entry.seq))
+            epoch.last = max(epoch.last, entry.seq)
+            epoch.sent = epoch.sent if waits else max(epoch.sent, entry.seq)
+        self.epochs, self.renewed = sorted(epochs.values(), key=lambda epoch: epoch.base), True
+        self.append(rows, self.epochs)
+        text = "%s: damaged (%s); set aside as %s; %d intact events carried over, %d of them to be sent"
+        log.error(text, self.path, damage, aside.name, len(rows), sum(waits for _, waits in rows))
+
+
+def is_full(error: BaseException | None) -> bool:
+    """Whether the disk has no room: then it may have some later."""
+    if isinstance(error, sqlite3.Error):
+        return _code(error) == sqlite3.SQLITE_FULL
+    import errno  # noqa: PLC0415 - for this alone
+
+    return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
+
+
+def reason_of(error: Exception) -> str:
+    """What is wrong with the file, and what to do about it where that is known."""
+    if isinstance(error, sqlite3.Error):
+        return f"{error}{_REMEDIES.get(_code(error), '')}"
+    return because(error) if isinstance(error, OSError) else str(error)
+
+
+def _code(error: sqlite3.Error) -> int:
+    code: int = getattr(
+        error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT
+    )  # text that cannot be decoded has none
+    return code & 0xFF
+
+
+def _entry(row: Sequence[object]) -> Entry:
+    number, epoch, seq, finger, payload, made, _ = row
+    if (
+        isinstance(number, int)
+        and isinstance(epoch, str)
+        and isinstance(seq, int)
+        and isinstance(finger, str)
+        and isinstance(payload, bytes)
+        and isinstance(made, int)
+    ):
+        entry = Entry(number, epoch, seq, finger, payload, made)
+        if entry.row() == tuple(row):
+            return entry
+    raise Damaged("a row has changed")
+
+
+def _epochs(db: sqlite3.Connection) -> list[Epoch]:
+    found = list[Epoch]()
+    for *values, crc in db.execute("SELECT * FROM epochs ORDER BY base, rowid"):
+        epoch = Epoch(*values)
+        if epoch.row() != (*values, crc):
+            raise Damaged("a row has changed")
+        found.append(epoch)
+    return found
+
+
+def _salvage(path: Path) -> tuple[list[tuple[Entry, bool]], dict[str, Epoch]]:
+    """What a damaged file still gives, from both of its ends; all of it waits whose fate is not known."""
+    found, epochs = dict[int, tuple[Entry, bool]](), dict[str, Epoch]()
+    with suppress(sqlite3.Error):
+        db = sqlite3.connect(path, timeout=0, isolation_level=None)
+        for order in ("ASC", "DESC"):
+            query = f"SELECT {_ENTRY}, waits FROM events ORDER BY id {order}"  # noqa: S608 - ours
+            with suppress(sqlite3.Error):
+                for *row, waits in db.execute(query):
+                    with suppress(Damaged):
+                        entry = _entry(row)
+                        found[entry.id] = entry, waits != 0
+        with suppress(sqlite3.Error, Damaged):
+            epochs = {epoch.name: epoch for epoch in _epochs(db)}
+        db.close()
+    return [found[number] for number in sorted(found)], epochs

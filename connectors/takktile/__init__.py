@@ -1,0 +1,1 @@
+"""TakkTile fingertips on an I2C bus."""

@@ -1,0 +1,1 @@
+"""A UR arm: its motion over RTDE, and its control."""

@@ -1,0 +1,1 @@
+"""Serving over HTTP, to those who may see it."""

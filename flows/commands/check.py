@@ -1,0 +1,59 @@
+"""The commands that look at a flow without running it."""
+
+import json
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flows.commands.declared import Settings, Target, declared, named_settings
+from flows.commands.options import AsJson
+
+if TYPE_CHECKING:
+    from flows.node import Node
+
+# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# ruff: noqa: PLC0415
+
+
+def check(target: Target, *, settings: Settings = None, as_json: AsJson = False) -> None:
+    """Find what is wrong with a flow without running it.
+
+    Lists its parameters with their defaults, ready for --set. Exits 2 if anything is wrong.
+    """
+    from flows.loading import load
+    from flows.validate import problems
+
+    declaration = load(target)
+    flow = declaration.flow(named_settings(settings))
+    found = [str(problem) for problem in problems(flow)]
+    if as_json:
+        parameters = {name: each.as_dict() for name, each in declaration.parameters.items()}
+        typer.echo(json.dumps({"flow": flow.name, "problems": found, "parameters": parameters}))
+    elif found:
+        typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
+    else:
+        typer.echo(f"{flow.name} is sound; sources: {_names(flow.sources())}; sinks: {_names(flow.sinks())}")
+        for each in declaration.parameters.values():
+            typer.echo(f"  --set {each}")
+    if found:
+        raise typer.Exit(2)
+
+
+def graph(
+    target: Target,
+    *,
+    settings: Settings = None,
+    mermaid: Annotated[bool, typer.Option("--mermaid", help="As a Mermaid flowchart.")] = False,
+    svg: Annotated[bool, typer.Option("--svg", help="As an SVG picture.")] = False,
+) -> None:
+    """Draw a flow: as text, --mermaid or --svg."""
+    from flows import diagram, drawing
+
+    if svg and mermaid:
+        raise typer.BadParameter("--svg and --mermaid: give one of them")
+    flow = declared(target, settings)
+    typer.echo(diagram.svg(flow) if svg else drawing.mermaid(flow.nodes) if mermaid else flow)
+
+
+def _names(nodes: "list[Node]") -> str:
+    return ", ".join(node.name for node in nodes)

@@ -1,0 +1,1 @@
+"""The runners: live, and over recordings."""

@@ -1,0 +1,91 @@
+from pathlib import Path
+
+import pytest
+
+from connectors.mqtt.broker import CA, PASSWORD, PASSWORD_FILE, USER, Broker
+from operators.errors import InputError, ParameterError
+
+
+@pytest.mark.parametrize(
+    ("url", "shown"),
+    [
+        ("mqtt://localhost", "mqtt://localhost:1883"),
+        ("mqtt://10.0.0.2:1884", "mqtt://10.0.0.2:1884"),
+        ("mqtts://broker.example", "mqtts://broker.example:8883"),
+        ("mqtt://[::1]:1883", "mqtt://[::1]:1883"),
+    ],
+)
+def test_a_url_names_scheme_host_and_port(url: str, shown: str) -> None:
+    assert str(Broker.parse(url)) == shown
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "",
+        "localhost",
+        "localhost:1883",
+        "http://localhost",
+        "mqtt://",
+        "mqtt://:1883",
+        "mqtt://localhost:0",
+        "mqtt://localhost:65536",
+        "mqtt://localhost:port",
+        "mqtt://localhost/topic",
+        "mqtt://localhost?x",
+        "mqtt://local host",
+        "mqtt://[::1",
+    ],
+)
+def test_what_is_no_address_of_a_broker_is_refused(url: str) -> None:
+    with pytest.raises(ParameterError, match=r"^Mqtt: url is .*, must be like mqtt://host"):
+        Broker.parse(url)
+
+
+@pytest.mark.parametrize(
+    "url", ["mqtt://me:secret@localhost", "mqtt://me:secret@localhost:port", "me:secret@host"]
+)
+def test_a_url_with_credentials_is_refused_and_does_not_show_them(url: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Broker.parse(url)
+    assert "secret" not in str(caught.value)
+
+
+def test_the_refusal_of_credentials_says_where_they_belong() -> None:
+    with pytest.raises(ParameterError, match=f"set {USER} and {PASSWORD}"):
+        Broker.parse("mqtt://user@localhost")
+
+
+def test_the_password_comes_from_the_environment_or_a_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    for name in (USER, PASSWORD, PASSWORD_FILE):
+        monkeypatch.delenv(name, raising=False)
+    broker = Broker.parse("mqtt://localhost")
+    assert broker.login() == (None, None)
+    monkeypatch.setenv(USER, "rig")
+    monkeypatch.setenv(PASSWORD, "from environment")
+    assert broker.login() == ("rig", "from environment")
+    (tmp_path / "password").write_text("from file\n")
+    monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "password"))
+    assert broker.login() == ("rig", "from file")
+    monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "absent"))
+    with pytest.raises(InputError, match=r"absent: .*SLIPFLOW_MQTT_PASSWORD_FILE"):
+        broker.login()
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (None, r"cannot read the authorities \(SLIPFLOW_MQTT_CA\): No such file"),
+        ("no certificate", r"holds no certificates of authorities \(SLIPFLOW_MQTT_CA\): these are text, PEM"),
+    ],
+)
+def test_authorities_that_cannot_be_read_are_an_error_that_names_the_variable(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: str | None, complaint: str
+) -> None:
+    if content:
+        (tmp_path / "ca.pem").write_text(content)
+    monkeypatch.setenv(CA, str(tmp_path / "ca.pem"))
+    with pytest.raises(InputError, match=rf"ca\.pem: {complaint}"):
+        Broker.parse("mqtts://localhost").tls()

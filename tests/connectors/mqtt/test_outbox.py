@@ -1,0 +1,530 @@
+import asyncio
+import shutil
+import sqlite3
+import threading
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from connectors.events import Event
+from connectors.mqtt import outbox
+from connectors.mqtt.outbox import Outbox
+from connectors.mqtt.outbox_file import OutboxFile
+from connectors.mqtt.testing import PATIENCE
+from operators.errors import EndpointError, InputError
+
+DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+
+
+def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - whatever it is
+    """A part of an object that is nobody else's business."""
+    for name in names:
+        owner = vars(owner)[name]
+    return owner
+
+
+@asynccontextmanager
+async def opened(path: Path, keep: int = 1000) -> AsyncGenerator[Outbox]:
+    box = Outbox(path, keep=keep, keep_for=1e9)
+    await box.open()
+    try:
+        yield box
+    finally:
+        await box.close()
+
+
+def use(path: Path, body: Callable[[Outbox], Awaitable[object]]) -> None:
+    async def main() -> None:
+        async with opened(path) as box:
+            await body(box)
+
+    asyncio.run(main())
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    for _ in range(1000):
+        if condition():
+            return
+        await asyncio.sleep(0.01)
+    pytest.fail("it did not happen within 10 s")
+
+
+async def send(box: Outbox, limit: int = 1000) -> list[str]:
+    """Take what waits, all of it acknowledged."""
+    found = list[str]()
+    while entries := await box.next(min(limit, 100)):
+        found += [Event.decode(entry.payload).identifier for entry in entries]
+        box.acknowledge(entries)
+        limit -= len(entries)
+        if limit <= 0:
+            break
+    return found
+
+
+class Failing:
+    """Makes the file fail as long as it is told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+        self.error: BaseException | None = error
+        append = OutboxFile.append
+
+        def fail(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
+            if self.error:
+                raise self.error
+            append(file, *args)
+
+        monkeypatch.setattr(OutboxFile, "append", fail)
+
+
+def test_numbers_go_on_from_run_to_run_and_what_was_not_acknowledged_is_given_again(tmp_path: Path) -> None:
+    path, epochs = tmp_path / "o.sqlite", list[str]()
+
+    async def first(box: Outbox) -> None:
+        await box.append([DRAFT] * 3)
+        await box.append([DRAFT])
+        assert box.waiting == 4
+        assert len(await send(box, 4)) == 4
+        await box.append([DRAFT] * 2)
+        epochs.append(box.epoch)
+        assert box.heads() == [(box.epoch, 4)]
+
+    async def second(box: Outbox) -> None:
+        await box.append([DRAFT])
+        assert box.waiting == 3
+        assert await send(box) == [f"{epochs[0]}-{seq}" for seq in (5, 6, 7)]
+        assert box.heads() == [(epochs[0], 7)]
+        assert not await box.next(10)
+
+    use(path, first)
+    use(path, second)
+    use(path, lambda box: until(lambda: box.waiting == 0))
+
+
+def test_each_is_given_once_until_it_is_rewound_and_then_what_is_not_acknowledged(tmp_path: Path) -> None:
+    async def body(box: Outbox) -> None:
+        await box.append([DRAFT] * 600)  # more than stay in memory
+        entries = [*await box.next(400), *await box.next(400)]
+        assert [entry.seq for entry in entries] == list(range(1, 601))
+        assert not await box.next(1)
+        box.acknowledge([entry for entry in entries if entry.seq % 100])
+        box.rewind()
+        found = list[int]()
+        while entries := await box.next(4):
+            found += [entry.seq for entry in entries]
+        assert found == [100, 200, 300, 400, 500, 600]
+        box.rewind(350)
+        assert [entry.seq for entry in await box.next(2)] == [400, 500]
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_a_range_is_given_as_far_as_it_is_kept_and_says_how_far_that_is(tmp_path: Path) -> None:
+    async def body(box: Outbox) -> None:
+        await box.append([DRAFT] * 600)
+        for first, last, limit, expected, until in (
+            (5, 7, 10, [5, 6, 7], 7),
+            (5, 900, 3, [5, 6, 7], 7),
+            (598, 900, 10, [598, 599, 600], 600),
+            (601, 900, 10, [], 600),
+        ):
+            entries, reached = await box.between(box.epoch, first, last, limit)
+            assert ([entry.seq for entry in entries], reached) == (expected, until)
+        assert await box.between("unknown", 3, 9, 10) == ([], 9)
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_old_events_are_forgotten_once_there_are_more_than_it_keeps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
+
+    async def main() -> None:
+        async with opened(tmp_path / "o.sqlite", keep=10) as box:
+            await box.append([DRAFT] * 50)
+            await box.append([DRAFT] * 5)
+            box.acknowledge(await box.next(50))
+            entries, _ = await box.between(box.epoch, 1, 100, 100)
+            for _ in range(1000):
+                if len(entries) < 55:
+                    break
+                await asyncio.sleep(0.01)
+                entries, _ = await box.between(box.epoch, 1, 100, 100)
+            assert [entry.seq for entry in entries] == list(range(46, 56))
+
+    asyncio.run(main())
+
+
+FULL = sqlite3.OperationalError("database or disk is full")
+
+
+def test_while_it_cannot_be_written_events_go_on_in_an_epoch_of_their_own_and_are_kept_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
+
+    async def body(box: Outbox) -> None:
+        await box.append([DRAFT] * 2)
+        epochs.append(box.epoch)
+        failing = Failing(monkeypatch, FULL)
+        await box.append([DRAFT] * 2)
+        await box.append([DRAFT])
+        epochs.append(box.epoch)
+        assert box.error == "cannot be used: database or disk is full"
+        sent.extend(await send(box, 4))
+        with pytest.raises(EndpointError):
+            await box.between(epochs[0], 1, 2, 10)
+        failing.error = None
+        await until(lambda: not box.error)
+        await box.append([DRAFT])
+        assert box.heads() == [(epochs[0], 2), (epochs[1], 2)]
+        sent.extend(await send(box))
+        assert box.waiting == 0
+
+    use(path, body)
+    first, second = epochs
+    assert first != second
+    assert sent == [f"{first}-{seq}" for seq in (1, 2)] + [f"{second}-{seq}" for seq in (1, 2, 3, 4)]
+
+    async def after(box: Outbox) -> None:
+        kept = [await box.between(epoch, 1, 9, 10) for epoch in epochs]
+        assert [[entry.seq for entry in entries] for entries, _ in kept] == [[1, 2], [1, 2, 3, 4]]
+        assert (box.epoch, box.waiting) == (second, 0)
+
+    use(path, after)
+    assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
+
+
+def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_given_twice(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox, "PATIENCE", 0.05)
+    stuck, append = threading.Event(), OutboxFile.append
+
+    def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
+        assert stuck.wait(PATIENCE)
+        append(file, *args)
+
+    async def body(box: Outbox) -> None:
+        await box.append([DRAFT])
+        monkeypatch.setattr(OutboxFile, "append", slow)
+        before = box.epoch
+        await box.append([DRAFT])
+        assert box.error == "the disk does not answer"
+        [_, late] = [*await box.next(1), *await box.next(1)]
+        assert (late.epoch, late.seq) == (box.epoch, 1)
+        stuck.set()
+        await until(lambda: not box.error)
+        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1]
+        assert [entry.seq for entry in (await box.between(box.epoch, 1, 9, 9))[0]] == [1]
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_memory_is_bounded_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outbox, "MEMORY", 10)
+
+    async def body(box: Outbox) -> None:
+        failing = Failing(monkeypatch, FULL)
+        await box.append([DRAFT] * 10)
+        with pytest.raises(EndpointError, match="memory takes no more than the 10 events that wait"):
+            await box.append([DRAFT])
+        await send(box)
+        await box.append([DRAFT])  # in place of one that the broker has
+        assert [entry.seq for entry in await box.next(9)] == [11]
+        failing.error = None
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, full = tmp_path / "o.sqlite", [True]
+    use(path, lambda box: box.append([DRAFT] * 3))
+    init = OutboxFile.__init__
+
+    def fail(self: OutboxFile, path: Path) -> None:
+        if full:
+            raise OSError(28, "No space left on device")
+        init(self, path)
+
+    monkeypatch.setattr(OutboxFile, "__init__", fail)
+
+    async def healed(box: Outbox) -> None:
+        full.clear()
+        await until(lambda: not box.error)
+        (before, _), _ = box.heads()
+        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
+        full.append(True)
+
+    use(path, healed)
+
+    async def body(box: Outbox) -> None:
+        await box.append([DRAFT])
+        assert [entry.seq for entry in await box.next(9)] == [1]
+        full.clear()
+        await until(lambda: not box.error)
+        assert box.waiting == 4
+        assert len(box.heads()) == 3  # a run each
+        assert [entry.seq for entry in await box.next(9)] == [1, 2, 3, 1]
+
+    use(path, body)
+
+
+def test_a_file_that_is_damaged_while_it_is_used_is_set_aside_and_events_go_on(tmp_path: Path) -> None:
+    path = tmp_path / "o.sqlite"
+
+    async def body(box: Outbox) -> None:
+        await box.append([DRAFT] * 600)
+        await until(lambda: len(inside(box, "_memory")) < 300)
+        before = box.epoch
+        inside(box, "_file", "_db").execute("UPDATE events SET payload = x'00' WHERE id = 17")
+        sent = await send(box)
+        assert box.error == "cannot be used: a row has changed"
+        assert sent  # what was in memory
+        await until(lambda: not box.error)
+        sent += await send(box)
+        assert sorted(sent) == sorted(f"{before}-{seq}" for seq in range(1, 601) if seq != 17)
+        assert box.epoch != before
+        assert [seq for seq in range(1, 601) if not (await box.between(before, seq, seq, 1))[0]] == [17]
+
+    use(path, body)
+    assert list(tmp_path.glob("o.sqlite.damaged-*"))
+
+
+def test_being_cancelled_while_it_takes_events_takes_them_whole(tmp_path: Path) -> None:
+    async def body(box: Outbox) -> None:
+        for turns in range(6):
+            writing = asyncio.create_task(box.append([DRAFT, DRAFT]))
+            for _ in range(turns):
+                await asyncio.sleep(0)
+            writing.cancel()
+            await asyncio.wait([writing])
+        await box.append([DRAFT])
+        numbers = [int(each.rpartition("-")[2]) for each in await send(box)]
+        assert numbers == list(range(1, len(numbers) + 1))
+        assert len(numbers) % 2
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_two_cannot_use_one_file_and_the_second_says_what_to_do(tmp_path: Path) -> None:
+    async def body(_: Outbox) -> None:
+        with pytest.raises(EndpointError, match=r"is in use: .* name another rig or outbox"):
+            await Outbox(tmp_path / "o.sqlite", keep=1, keep_for=1).open()
+
+    use(tmp_path / "o.sqlite", body)
+    use(tmp_path / "o.sqlite", lambda box: box.append([DRAFT]))
+
+
+def test_what_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(EndpointError, match=r"o\.sqlite: cannot be used: "):
+        use(tmp_path / "file" / "o.sqlite", lambda box: box.append([]))
+    other = sqlite3.connect(tmp_path / "other.sqlite")
+    other.execute("CREATE TABLE precious (x)")
+    other.close()
+    with pytest.raises(InputError, match="is no outbox"):
+        use(tmp_path / "other.sqlite", lambda box: box.append([]))
+
+
+def cut(path: Path, to: Path) -> None:
+    """What is on the disk just now."""
+    for part in ("", "-wal"):
+        shutil.copy(f"{path}{part}", f"{to}{part}")
+
+
+def durable(box: Outbox) -> bool:
+    return bool(inside(box, "_durable") == inside(box, "_written"))
+
+
+def test_after_a_power_cut_no_number_is_given_twice_and_what_was_lost_is_known_to_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
+
+    async def before(box: Outbox) -> None:
+        await box.append([DRAFT] * 5)
+        await until(lambda: durable(box))
+        cut(path, tmp_path / "cut.sqlite")
+        await box.append([DRAFT] * 3)
+        cut(path, tmp_path / "killed.sqlite")
+        sent.extend(await send(box))
+        epochs.append(box.epoch)
+
+    async def go_on(box: Outbox) -> None:
+        await box.append([DRAFT])
+        epochs.append(box.epoch)
+        sent.extend(await send(box))
+
+    use(path, before)
+    use(tmp_path / "killed.sqlite", go_on)  # the system was not started anew: nothing was lost
+    assert sent[-1] == f"{epochs[0]}-9"
+    monkeypatch.setattr(outbox, "boot", lambda: "the next")
+    use(path, go_on)  # was closed in order: the same
+    assert sent[-1] == f"{epochs[0]}-9"
+
+    async def after(box: Outbox) -> None:
+        await go_on(box)
+        assert sent[-1] == f"{box.epoch}-1"
+        assert box.heads() == [(epochs[0], 5), (box.epoch, 1)]
+        assert await box.between(epochs[0], 6, 8, 10) == ([], 8)
+        entries, reached = await box.between(epochs[0], 4, 8, 10)
+        assert ([entry.seq for entry in entries], reached) == ([4, 5], 8)
+
+    use(tmp_path / "cut.sqlite", after)
+    assert epochs[3] != epochs[0] == epochs[1] == epochs[2]
+
+
+def test_the_mark_that_numbers_may_be_lost_is_there_before_there_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, epochs = tmp_path / "o.sqlite", list[str]()
+
+    async def body(box: Outbox) -> None:
+        cut(box.path, tmp_path / f"{len(epochs)}.sqlite")
+        epochs.append(box.epoch)
+
+    use(path, body)
+    monkeypatch.setattr(outbox, "boot", lambda: "the next")
+    use(path, body)
+    use(tmp_path / "0.sqlite", body)
+    monkeypatch.setattr(outbox, "boot", lambda: "the one after")
+    use(tmp_path / "1.sqlite", body)
+    assert epochs[0] == epochs[1]
+    assert len(set(epochs)) == 3
+
+
+def test_no_event_waits_until_it_is_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stuck, sync = threading.Event(), OutboxFile.sync
+
+    def slow(file: OutboxFile) -> None:
+        assert stuck.wait(PATIENCE)
+        sync(file)
+
+    async def body(box: Outbox) -> None:
+        monkeypatch.setattr(OutboxFile, "sync", slow)
+        for _ in range(600):
+            await box.append([DRAFT])
+        assert len(await send(box)) == 600
+        assert len(inside(box, "_memory")) == 600
+        stuck.set()
+        await until(lambda: len(inside(box, "_memory")) < 300)
+        assert not box.error
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_what_could_not_be_made_durable_is_written_again_under_its_numbers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failures, sync = [OSError(5, "Input/output error")], OutboxFile.sync
+
+    def fail(file: OutboxFile) -> None:
+        if failures:
+            raise failures.pop()
+        sync(file)
+
+    async def body(box: Outbox) -> None:
+        before = box.epoch
+        monkeypatch.setattr(OutboxFile, "sync", fail)
+        await box.append([DRAFT] * 3)
+        await until(lambda: bool(box.error))
+        await box.append([DRAFT])
+        await until(lambda: not box.error and durable(box))
+        inside(box, "_memory").clear()
+        kept = {epoch: (await box.between(epoch, 1, 9, 10))[0] for epoch in (before, box.epoch)}
+        assert [[entry.seq for entry in entries] for entries in kept.values()] == [[1, 2, 3], [1]]
+        assert sorted(await send(box)) == sorted(
+            [*(f"{before}-{seq}" for seq in (1, 2, 3)), f"{box.epoch}-1"]
+        )
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_a_failure_while_events_are_written_spoils_neither_their_numbers_nor_those_after(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writing, go, append = threading.Event(), threading.Event(), OutboxFile.append
+
+    def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
+        writing.set()
+        assert go.wait(PATIENCE)
+        append(file, *args)
+
+    async def body(box: Outbox) -> None:
+        await box.append([DRAFT])
+        before = box.epoch
+        monkeypatch.setattr(OutboxFile, "append", slow)
+        coming = asyncio.create_task(box.append([DRAFT] * 2))
+        await asyncio.to_thread(writing.wait)
+        vars(Outbox)["_fail"](box, EndpointError("o", "is out of order"))
+        go.set()
+        await coming
+        await box.append([DRAFT])
+        await until(lambda: not box.error)
+        assert box.heads() == [(before, 0), (box.epoch, 0)]
+        found = await send(box)
+        assert sorted(found) == sorted([*(f"{before}-{seq}" for seq in (1, 2, 3)), f"{box.epoch}-1"])
+        inside(box, "_memory").clear()
+        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    failing, writing, go = threading.Event(), threading.Event(), threading.Event()
+    append, sync, failures = OutboxFile.append, OutboxFile.sync, [OSError(5, "Input/output error")]
+
+    def fail(file: OutboxFile) -> None:
+        if failures:
+            assert failing.wait(PATIENCE)
+            raise failures.pop()
+        sync(file)
+
+    def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
+        writing.set()
+        assert go.wait(PATIENCE)
+        append(file, *args)
+
+    async def body(box: Outbox) -> None:
+        before = box.epoch
+        monkeypatch.setattr(OutboxFile, "sync", fail)
+        await box.append([DRAFT])
+        monkeypatch.setattr(OutboxFile, "append", slow)
+        coming = asyncio.create_task(box.append([DRAFT] * 2))
+        await asyncio.to_thread(writing.wait)
+        failing.set()
+        await until(lambda: bool(box.error))
+        go.set()
+        await coming
+        await until(lambda: not box.error and durable(box))
+        inside(box, "_memory").clear()
+        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
+
+    use(tmp_path / "o.sqlite", body)
+
+
+def test_the_log_is_emptied_in_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
+    emptied, checkpoint = threading.Event(), OutboxFile.checkpoint
+
+    def noted(file: OutboxFile) -> None:
+        checkpoint(file)
+        emptied.set()
+
+    async def body(box: Outbox) -> None:
+        monkeypatch.setattr(OutboxFile, "checkpoint", noted)
+        await box.append([DRAFT] * 600)
+        await send(box)
+        assert await asyncio.to_thread(emptied.wait, PATIENCE)
+        assert path.stat().st_size > 600 * 200
+
+    path = tmp_path / "o.sqlite"
+    use(path, body)

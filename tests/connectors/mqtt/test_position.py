@@ -1,0 +1,151 @@
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from connectors import Event
+from connectors.fields import Fields
+from connectors.mqtt import position
+from connectors.mqtt.gap_request import GapAnswer
+from connectors.mqtt.position import Position, hold, load, read_heads, save
+from operators.errors import EndpointError, InputError
+
+UR10 = ("lab", "ur10")
+EVENT = Event("lab", "ur10", "0", "ab", 1, onset=True, time=1, probability=0.9, latency=1.0)
+
+
+def event(seq: int, epoch: str = "ab") -> Event:
+    return replace(EVENT, seq=seq, epoch=epoch)
+
+
+def gaps(position: Position) -> list[tuple[str, int, int]]:
+    return [(epoch, first, last) for _, epoch, first, last in position.gaps()]
+
+
+@given(st.lists(st.integers(1, 20)))
+def test_every_event_is_new_once(numbers: list[int]) -> None:
+    position = Position(everything=True)
+    taken = [number for number in numbers if position.take(event(number))]
+    assert taken == list(dict.fromkeys(numbers))
+
+
+def test_a_rig_begins_with_the_next_event_or_with_its_first() -> None:
+    for everything, missed in (False, []), (True, [("ab", 1, 6)]):
+        by_event, by_head = Position(everything=everything), Position(everything=everything)
+        assert by_event.take(event(7))
+        assert gaps(by_event) == missed
+        assert by_head.announce(UR10, {"ab": 6}) == []
+        assert gaps(by_head) == missed
+
+
+def test_a_head_that_is_ahead_shows_what_is_missed() -> None:
+    position = Position()
+    position.announce(UR10, {"ab": 5})
+    position.take(event(7))
+    position.announce(UR10, {"ab": 9})
+    assert gaps(position) == [("ab", 6, 6)]
+    position.take(event(6))
+    assert gaps(position) == [("ab", 8, 9)]
+
+
+def test_a_new_epoch_of_a_rig_that_is_known_is_wanted_from_its_first_event() -> None:
+    position = Position()
+    position.announce(UR10, {"ab": 5})
+    assert position.announce(UR10, {"ab": 6, "cd": 2}) == []
+    assert gaps(position) == [("ab", 6, 6), ("cd", 1, 2)]
+
+
+def test_what_an_answer_says_is_no_longer_kept_is_reported_once_and_missed_no_more() -> None:
+    position = Position(everything=True)
+    position.announce(UR10, {"ab": 9})
+    position.take(event(3))
+    answer = GapAnswer("ab", 1, 5, ((1, 4),))
+    assert position.settle(UR10, answer) == [
+        "lab/ur10: events 1 to 2 of epoch ab are lost: they are no longer kept",
+        "lab/ur10: event 4 of epoch ab is lost: it is no longer kept",
+    ]
+    assert position.settle(UR10, answer) == []
+    assert gaps(position) == [("ab", 5, 9)]
+    assert position.settle(("lab", "other"), answer) == []
+
+
+def test_an_epoch_that_the_rig_knows_no_more_is_reported_with_what_is_lost() -> None:
+    position = Position()
+    position.announce(UR10, {"ab": 5})
+    position.take(event(8))
+    [lost] = position.announce(UR10, {"cd": 0})
+    assert lost == ("lab/ur10: of epoch ab, which is no longer kept, 6 to 7, those after 8, if any, are lost")
+    assert position.announce(UR10, {"cd": 0}) == []
+
+
+def test_memory_is_bounded_and_what_is_given_up_for_it_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(position, "GAPS", 3)
+    monkeypatch.setattr(position, "RIGS", 2)
+    here, lost = Position(everything=True), list[str]()
+    for number in range(1, 11):
+        assert here.take(event(2 * number))
+        lost += here.give_up()
+    assert len(lost) == 8
+    assert lost[0] == "lab/ur10: event 1 of epoch ab is lost: it is given up: nobody answers"
+    for rig in "abc":
+        here.announce(("lab", rig), {"ab": 5})
+    assert here.encode().count(b'"site"') == 2
+
+
+def test_it_is_read_back_from_its_file_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "position"
+    before = load(path)
+    before.announce(UR10, {"ab": 5})
+    before.announce(UR10, {"ab": 9, "cd": 1})
+    before.take(event(7))
+    save(path, before.encode())
+    after = load(path)
+    assert gaps(after) == gaps(before) == [("ab", 6, 6), ("cd", 1, 1)]
+    assert after.encode() == before.encode() == path.read_bytes()
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{}", b'{"format":2,"rigs":[]}', b'{"format":1,"rigs":[{}]}', b"\0" * 100, b"[" * 10_000],
+)
+def test_a_file_that_is_none_is_refused_with_what_to_do(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "position"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"^{path}: .*remove it to begin anew$"):
+        load(path)
+
+
+def test_a_folder_that_is_not_there_is_an_error_of_one_line(tmp_path: Path) -> None:
+    with pytest.raises(EndpointError, match=r"position: cannot be written: No such file or directory$"):
+        save(tmp_path / "absent" / "position", b"")
+    with pytest.raises(EndpointError, match=r"position: cannot be written: No such file or directory$"):
+        hold(tmp_path / "absent" / "position")
+    with pytest.raises(EndpointError, match="cannot be read: Is a directory"):
+        load(tmp_path)
+
+
+def test_only_one_may_go_on_from_it_and_the_second_is_told_what_to_do(tmp_path: Path) -> None:
+    held = hold(tmp_path / "position")
+    with pytest.raises(EndpointError, match=r"position: is in use: .*; name another file$"):
+        hold(tmp_path / "position")
+    os.close(held)
+    os.close(hold(tmp_path / "position"))
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        b'{"epoch":"a"}',
+        b'{"epoch":"a","last_seq":-1}',
+        b'{"epoch":"a","last_seq":1,"before":7}',
+        b'{"epoch":"a","last_seq":1,"before":[{"epoch":"b"}]}',
+        b'{"epoch":"a","last_seq":1,"before":[' + b",".join([b"{}"] * 16) + b"]}",
+    ],
+)
+def test_a_head_that_is_malformed_is_refused(head: bytes) -> None:
+    with pytest.raises(InputError, match=r"^here: "):
+        read_heads(Fields.parse(head, "here"))

@@ -1,0 +1,82 @@
+import re
+import socket
+from pathlib import Path
+
+import pytest
+
+from connectors.web.access import TOKEN, TOKEN_FILE, Access
+from operators.errors import InputError, ParameterError
+
+SECRET = "0123456789abcdef"  # noqa: S105 - of tests
+
+
+def test_on_this_machine_everybody_is_let_in() -> None:
+    assert Access.of("127.0.0.1", None).lets_in(None)
+    assert Access.of("localhost", None).lets_in(None)
+
+
+@pytest.mark.parametrize("host", ["::", "192.168.1.5", "rig.lab"])
+def test_elsewhere_there_must_be_a_token(host: str) -> None:
+    with pytest.raises(ParameterError, match=f"token is None, must be set.* {TOKEN}"):
+        Access.of(host, None)
+    assert Access.of(host, SECRET).token == SECRET
+
+
+def test_the_token_comes_from_the_environment_or_a_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(TOKEN, SECRET)
+    assert Access.of("::", None).knows(SECRET)
+    (tmp_path / "token").write_text(f"{SECRET}-of-the-file\n")
+    monkeypatch.setenv(TOKEN_FILE, str(tmp_path / "token"))
+    assert Access.of("::", None).knows(f"{SECRET}-of-the-file")
+    monkeypatch.setenv(TOKEN_FILE, str(tmp_path / "none"))
+    with pytest.raises(InputError, match=re.escape(str(tmp_path / "none"))):
+        Access.of("::", None)
+
+
+@pytest.mark.parametrize("token", ["short", "x" * 300, "0123456789 abcdef", "0123456789abcdef\n", "é" * 20])
+def test_a_token_that_could_be_guessed_or_not_be_sent_is_refused_and_not_shown(token: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Access.of("127.0.0.1", token)
+    assert token not in str(caught.value)
+
+
+def test_only_the_cookie_of_the_token_opens() -> None:
+    access = Access(SECRET)
+    assert access.lets_in(access.cookie)
+    assert Access(SECRET).cookie == access.cookie  # a page comes back after a restart
+    assert not access.lets_in(None)
+    assert not access.lets_in("")
+    assert not access.lets_in(SECRET)
+    assert not access.lets_in(Access(SECRET + "0").cookie)
+    assert not access.lets_in("ü")
+    assert not access.knows("ü")
+    assert SECRET not in access.cookie
+
+
+def test_nobody_knows_a_token_where_there_is_none() -> None:
+    assert not Access().knows("")
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:8765", "", "localhost.evil.example", "a b", "[::1"]
+)
+def test_a_name_that_is_not_ours_is_refused(host: str) -> None:
+    assert not Access().is_named(host)
+
+
+def test_addresses_and_names_of_this_machine_are_ours() -> None:
+    for host in (
+        "127.0.0.1:8765",
+        "10.0.0.7",
+        "[fe80::1]:80",
+        "localhost",
+        "LOCALHOST.",
+        socket.gethostname(),
+    ):
+        assert Access().is_named(host), host
+
+
+def test_what_no_browser_is_to_read_goes_by_any_name() -> None:
+    assert Access(any_name=True).is_named("robot.example")

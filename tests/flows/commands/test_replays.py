@@ -1,0 +1,134 @@
+"""Replays of several recordings as a user meets them: whole processes, exit codes, what is printed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from shutil import copytree
+from time import monotonic
+from typing import Any
+
+import pytest
+
+from storage.layout import session_names
+
+WRONG = """
+from connectors import Console, Rig
+from flows.graph import Flow
+from operators import Debounce
+
+def wrong() -> Flow:
+    flow = Flow("wrong")
+    (flow.source(Rig().touch) | Debounce()).to(Console())
+    return flow
+"""
+SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
+
+
+def slipflow(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*SLIPFLOW, *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
+    )
+
+
+def test_a_dataset_is_replayed_session_by_session(tiny: Path, tmp_path: Path) -> None:
+    done = slipflow("run", "record", "--replay", tiny, "--set", f"out={tmp_path}", "--jobs", "2")
+    assert done.returncode == 0, done.stderr
+    *lines, total = done.stdout.splitlines()
+    names = session_names(tiny)
+    assert [line.split(" -> ")[0].rpartition("/")[2] for line in lines] == names
+    assert total.startswith(f"{len(names)} recordings, ")
+    assert len(session_names(tmp_path)) == len(names)
+
+
+def test_each_session_has_its_summary_and_a_failing_one_its_error(tiny: Path, tmp_path: Path) -> None:
+    dataset = copytree(tiny, tmp_path / "dataset")
+    first, second, third = [dataset / "sessions" / name for name in session_names(dataset)[:3]]
+    (second / "touch/part-000000.parquet").unlink()
+    done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second, third, "--json")
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: {second}: ")
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert [each["recording"] for each in found["sessions"]] == [str(first), str(second), str(third)]
+    assert [bool(each["error"]) for each in found["sessions"]] == [False, True, False]
+    assert found["sessions"][2]["sources"]["touch"]["rows"] > 1000
+
+
+def test_one_recording_is_told_to_a_program_as_several_are(tiny: Path) -> None:
+    first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
+    found = list[dict[str, Any]]()
+    for paths in ([first], [first, second], [first, "--pace", "1000"]):
+        done = slipflow("run", "live", "--set", "detector=psd", "--json", "--replay", *paths)
+        found.append(json.loads(done.stdout.splitlines()[-1]))
+        assert list(found[-1]) == ["sessions", "wall_seconds"]
+    assert {tuple(each) for one in found for each in one["sessions"]} == {tuple(found[0]["sessions"][0])}
+    one = found[0]["sessions"][0]
+    assert (one["recording"], one["error"]) == (str(first), None)
+    assert one["sources"]["touch"]["rows"] > 1000
+
+
+def test_what_several_replays_print_stands_below_the_name_of_its_recording(tiny: Path) -> None:
+    first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
+    done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second)
+    *lines, _total = done.stdout.splitlines()
+    heads = [number for number, line in enumerate(lines) if not line.startswith("  ")]
+    assert [lines[number].split(" -> ")[0] for number in heads] == [str(first), str(second)]
+    assert heads[0] == 0
+    for session, below in ((first, lines[1 : heads[1]]), (second, lines[heads[1] + 1 :])):
+        alone = slipflow("run", "live", "--set", "detector=psd", "--replay", session).stdout.splitlines()
+        assert [line.strip() for line in below] == [line for line in alone if "  finger " in line] != []
+
+
+def test_a_dataset_is_not_recorded_into_while_it_is_replayed(tiny: Path, tmp_path: Path) -> None:
+    dataset = copytree(tiny, tmp_path / "dataset")
+    before = session_names(dataset)
+    for paths in ([dataset], [dataset / "sessions" / before[0]]):
+        done = slipflow("run", "record", "--set", f"out={dataset}", "--replay", *paths)
+        assert done.returncode == 2
+        assert "is in the dataset that the flow records into" in done.stderr
+    assert session_names(dataset) == before
+
+
+def test_a_flow_that_is_wrong_is_told_of_once(tiny: Path, tmp_path: Path) -> None:
+    (tmp_path / "wrong.py").write_text(WRONG)
+    done = slipflow("run", tmp_path / "wrong.py", "--replay", tiny)
+    assert done.returncode == 2
+    assert done.stderr.count("Debounce takes Scores") == 1
+
+
+def test_wrong_usage_exits_with_2(tiny: Path) -> None:
+    for option in (["--follow"], ["--cluster-python", "python"]):
+        assert slipflow("run", "live", "--for", "1s", *option).returncode == 2
+    session = tiny / "sessions" / session_names(tiny)[0]
+    for arguments in (["--jobs", "2"], [str(session)], ["--replay", str(tiny), "--pace", "2"]):
+        assert slipflow("run", "live", *arguments).returncode == 2
+    broker = ["--set", "broker=mqtt://localhost"]
+    done = slipflow("run", "live", "--replay", tiny, "--jobs", "2", *broker)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: replay: jobs is 2, must be 1: mqtt cannot be shared by processes\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_all_and_commits_what_there_is(
+    tiny: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    arguments = ["run", "record", "--replay", *[str(tiny)] * 40, "--set", f"out={tmp_path}", "--jobs", "2"]
+    with subprocess.Popen(
+        [*SLIPFLOW, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as process:
+        deadline = monotonic() + 60
+        while not any(tmp_path.glob("sessions/*/session.json")):  # it has begun
+            assert process.poll() is None
+            assert monotonic() < deadline
+        os.killpg(process.pid, number)  # as a terminal does, to all of them
+        text, _ = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "not to the end" in text.splitlines()[-1]
+    done = slipflow("verify", tmp_path)
+    assert "all is there" in done.stdout
