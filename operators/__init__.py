@@ -34,6 +34,7 @@ from operators.errors import (
     OperatorError,
     ParameterError,
     SlipflowError,
+    because,
 )
 from operators.grip import Grip, Gripping, StepGrip
 from operators.health import FaultKind, Health
@@ -105,6 +106,7 @@ __all__ = [
     "Windows",
     "Zero",
     "Zeroed",
+    "because",
     "concat",
     "fit_clock",
     "ms",

@@ -21,7 +21,7 @@ from flows.node import Node, Part
 from flows.plan import Delivery, Entry, Plan
 from flows.running.replay_runner import ReplayRunner
 from operators.batch import Batch
-from operators.errors import EndpointError, InputError
+from operators.errors import EndpointError, InputError, because
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.files import make_folder, sync
@@ -150,4 +150,4 @@ def _commit(whole: Path, root: Path, session: str) -> None:
         os.rename(whole, target)  # noqa: PTH104 - as of folders, never onto one that holds anything
         sync(root / SESSIONS)
     except OSError as error:
-        raise EndpointError(str(root), f"cannot be written: {error.strerror or error}") from error
+        raise EndpointError(str(root), f"cannot be written: {because(error)}") from error

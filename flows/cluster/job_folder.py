@@ -23,7 +23,7 @@ from flows.cluster.assembly import JOBS, assemble
 from flows.cluster.claims import Claim, Done
 from flows.graph import Flow
 from flows.loading import READY_MADE, Declaration, load
-from operators.errors import EndpointError, InputError
+from operators.errors import EndpointError, InputError, because
 from operators.ports import Sink
 from storage import files
 
@@ -171,4 +171,4 @@ def _loaded(target: str) -> Declaration:
 
 
 def _unwritable(path: Path, error: OSError) -> EndpointError:
-    return EndpointError(str(path), f"cannot be written: {error.strerror or error}")
+    return EndpointError(str(path), f"cannot be written: {because(error)}")

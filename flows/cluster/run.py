@@ -16,7 +16,7 @@ from flows.cluster.job_manager import ENDED, JobManager
 from flows.cluster.segment import check_flow
 from flows.graph import Flow
 from flows.loading import Declaration
-from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
+from operators.errors import EndpointError, InputError, ParameterError, SlipflowError, because
 from operators.ports import Sink
 from storage.layout import SESSION, SESSIONS, session_folder, session_names
 
@@ -234,7 +234,7 @@ def _submitted(python: Path, url: str, folder: JobFolder, workers: int, *, follo
             [*command, "--follow"] if follow else command, capture_output=True, text=True, check=False
         )
     except OSError as error:
-        raise EndpointError(str(python), f"cannot be run: {error.strerror}") from error
+        raise EndpointError(str(python), f"cannot be run: {because(error)}") from error
     if done.returncode or not done.stdout.strip():
         lines = [line for line in done.stderr.splitlines() if line.strip()]
         causes = [line.strip() for line in lines if "Caused by:" in line or "Error" in line]

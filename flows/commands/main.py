@@ -45,7 +45,9 @@ def main() -> None:
     except OSError as error:
         if _debug or error.filename is None:
             raise
-        typer.echo(f"error: {error.filename}: {error.strerror}", err=True)
+        from operators.errors import because  # noqa: PLC0415 - loads numpy, which `slipflow --help` need not
+
+        typer.echo(f"error: {error.filename}: {because(error)}", err=True)
         sys.exit(2)
     except Exception as error:
         from operators.errors import SlipflowError  # noqa: PLC0415 - loads numpy, which `slipflow --help` need not

@@ -7,7 +7,7 @@ from typing import Any
 
 from flows.evaluation.page import Page
 from flows.figures import save
-from operators.errors import EndpointError
+from operators.errors import EndpointError, because
 
 
 def make_output_folder(folder: Path) -> None:
@@ -19,7 +19,7 @@ def make_output_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be made: {error.strerror}") from error
+        raise EndpointError(str(folder), f"cannot be made: {because(error)}") from error
 
 
 def write_page(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) -> list[Path]:
@@ -39,5 +39,5 @@ def write_page(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) 
                 paths.append(folder / section.file(name))
                 save(section.figure, paths[-1])
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be written: {error.strerror}") from error
+        raise EndpointError(str(folder), f"cannot be written: {because(error)}") from error
     return paths
