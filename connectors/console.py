@@ -31,7 +31,7 @@ class Console(Sink[Slips | Faults]):
         ParameterError: on a format that is neither text nor json.
     """
 
-    shared = True  # who runs several processes puts their lines in order
+    shared = True  # a parallel replay sorts the lines of its processes
 
     stream: TextIO = field(default_factory=lambda: sys.stdout, repr=False)
     format: Literal["text", "json"] = "text"

@@ -46,7 +46,11 @@ class Fields:
         return cls({"": document}, where).object("")
 
     def fail(self, name: str, must_be: str) -> NoReturn:
-        """Refuse a field."""
+        """Refuse a field.
+
+        Raises:
+            InputError: always, naming it.
+        """
         found = f"is {self.values[name]!r:.60}" if name in self.values else "is missing"
         raise InputError(self.where, f"{self.path}{name} {found}, must be {must_be}".lstrip())
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from connectors import Console, Mqtt, Rig, TakkTile
 from flows.graph import Flow
-from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero
-from storage import Dataset, load_debounce, load_detector
+from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
+from storage import Dataset, identify_detector, load_debounce, load_detector
 
 
 def fingertip(
@@ -26,12 +26,14 @@ def fingertip(
     touch = flow.source(Rig().touch if bus is None else TakkTile(bus, (row,)))
     debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
-    faults = touch | Health()
+    faults = touch | Health(clear_after=2 * s)
 
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        sinks.append(Mqtt(broker, site, rig, {"id": detector}, *rules, patient=True))  # it records meanwhile
+        sinks.append(
+            Mqtt(broker, site, rig, identify_detector(detector), *rules, patient=True)
+        )  # it records meanwhile
     if out:
         dataset = Dataset(out)
         touch.to(dataset)

@@ -10,9 +10,9 @@ import numpy as np
 from connectors import Console, Mqtt, Rig
 from flows.graph import Flow
 from flows.onsets import match_onsets
-from flows.record import ARM_LATENCY, collect
-from operators import Debounce, Label, Run, Score, Sink, Slips, ms
-from storage import Dataset, load_debounce, load_detector
+from flows.ready_made.record import ARM_LATENCY, declare_recording
+from operators import SLIP, Debounce, Label, Run, Score, Sink, Slips, ms
+from storage import Dataset, identify_detector, load_debounce, load_detector
 
 DETECTOR: Final = "tcn"
 
@@ -42,7 +42,7 @@ class Onsets(Sink[Slips]):
 
     async def write(self, batch: Slips) -> None:
         """Keep the times of onsets."""
-        self.times += batch.time[batch.state == 1].tolist()
+        self.times += batch.time[batch.state == SLIP].tolist()
 
 
 class Demo:
@@ -67,7 +67,7 @@ class Demo:
         self.onsets = Onsets()
         self.flow = Flow("demo")
         dataset = Dataset(str(out))
-        zeroed = collect(self.flow, self.rig, Label(speed=0.003, delay=ARM_LATENCY), dataset)
+        zeroed = declare_recording(self.flow, self.rig, Label(speed=0.003, delay=ARM_LATENCY), dataset)
         debounce = load_debounce(DETECTOR) or Debounce()
         slips = zeroed | Score(load_detector(DETECTOR)) | debounce
         slips.to(dataset)
@@ -80,7 +80,7 @@ class Demo:
                     "lab",
                     rig,
                     outbox=outbox,
-                    model={"id": DETECTOR},
+                    model=identify_detector(DETECTOR),
                     threshold=debounce.threshold,
                     consecutive=debounce.consecutive,
                     patient=patient,

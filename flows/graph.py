@@ -97,7 +97,7 @@ class Stream(Generic[B]):
         return Pair(self, other)
 
     def to(self, sink: Sink[B]) -> None:
-        """Send this stream to a sink, which is called as its class is; one sink may take several streams."""
+        """Send this stream to a sink, named after its class; one sink may take several streams."""
         self.flow.add_sink(sink, self.node)
 
 

@@ -22,7 +22,7 @@ from flows.graph import Flow
 from flows.parameter import Parameter
 from operators.errors import InputError, SlipflowError
 
-READY_MADE = Path(__file__).parent
+READY_MADE = Path(__file__).parent / "ready_made"
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,18 @@ class Declaration:
     def _instead_of(self, name: str) -> str:
         if not self.parameters:
             return "it has none"
-        if close := get_close_matches(name, self.parameters, 1):
+        if close := get_close_matches(name, self.parameters, 1, cutoff=0.7):
             return f"did you mean {close[0]!r}? It has {', '.join(self.parameters)}"
         return f"it has {', '.join(self.parameters)}"
+
+
+def ready_made() -> list[str]:
+    """The names of the ready-made flows.
+
+    >>> ready_made()
+    ['lift', 'live', 'record', 'relabel']
+    """
+    return sorted(file.stem for file in READY_MADE.glob("[!_]*.py"))
 
 
 def load(target: str) -> Declaration:
@@ -70,9 +79,8 @@ def load(target: str) -> Declaration:
     if file.is_dir():
         raise InputError(path, "is a folder: give the flow file in it, as FILE.py or FILE.py:FLOW")
     if not file.is_file():
-        raise InputError(
-            path, "no such flow file, and no ready-made flow: those are live, record, relabel and lift"
-        )
+        known = ", ".join(ready_made())
+        raise InputError(path, f"no such flow file, and no ready-made flow: those are {known}")
     found = _declared_in(_imported(file), file)
     if name and name not in found:
         raise InputError(path, f"holds no flow {name!r}; it holds {', '.join(found) or 'none'}")

@@ -2,7 +2,7 @@
 
 import types
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Final, Union, get_args, get_origin
 
@@ -33,7 +33,7 @@ class Parameter:
     def value(self, owner: str, text: str) -> object:
         """What a person wrote, as the type that is declared.
 
-        A bare number is one of the SI unit; a time is never bare.
+        A bare number is one of the SI unit; a time is never bare. Text is empty only where its default is.
 
         Args:
             owner: The flow, for the error.
@@ -50,6 +50,8 @@ class Parameter:
                 return _measured(owner, self.name, text, unit)
             if choice is bool and text.lower() in _TRUTH:
                 return _TRUTH[text.lower()]
+            if choice in (str, Path) and not text and self.default != "":
+                break  # as of a variable that is not set: a path would be this folder
             if choice in (int, float, str, Path):
                 try:
                     return choice(text)
@@ -103,9 +105,14 @@ def _named(choice: Any) -> str:  # noqa: ANN401 - the same
 
 
 def _measured(owner: str, name: str, text: str, unit: str) -> float:
-    if unit != "ns":  # a bare 70 would be 70 ns, and nobody means that
-        try:
-            return float(text)
-        except ValueError:
-            pass
+    if unit != "ns" and isfinite(bare := _number(text)):  # a bare 70 would be 70 ns, and nobody means that
+        return bare
     return quantity(owner, name, text, unit, signed=True)
+
+
+def _number(text: str) -> float:
+    """What a bare number is; infinite where there is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return inf

@@ -20,10 +20,11 @@ class Kind(NamedTuple):
     """A kind of quantity."""
 
     name: str
-    units: Mapping[str, str]  # how much of the unit that is reckoned in, as a fraction; smallest first
+    units: Mapping[str, str]  # each in the base unit, as a fraction; smallest first
     examples: str
 
 
+# by the base unit
 KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     {
         "ns": Kind(
@@ -36,13 +37,13 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
         "m/s": Kind("a speed", {"mm/s": "1/1000", "cm/s": "1/100", "m/s": "1"}, "3mm/s or 0.003m/s"),
         "N": Kind("a force", {"N": "1"}, "2N or 0.5N"),
     }
-)  # by the unit that is reckoned in
+)
 
 _LONGEST: Final = 40  # characters: a number has fewer
 
 
 def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = False) -> float:
-    """What a quantity is in the unit that is reckoned in, rounded once; whole ns for a time.
+    """What a quantity is in its base unit, rounded once; whole ns for a time.
 
     >>> quantity("record", "delay", "70 ms", "ns"), quantity("collect", "--depth", "1.5mm", "m")
     (70000000, 0.0015)
@@ -54,7 +55,7 @@ def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = Fals
         owner: Whose it is, for the error.
         name: What it is called there.
         text: As it was written.
-        unit: That is reckoned in: one of `KINDS`.
+        unit: The base unit: one of `KINDS`.
         signed: Whether it may be below 0.
 
     Raises:

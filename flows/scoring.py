@@ -9,9 +9,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from flows.trials import JUDGED, Trial
 from operators.batch import BAROMETERS, Counts, Flags, Reals
 from operators.detectors.detector import Detector, Streaming
+from operators.score import MISSING
 
 _BLOCK: Final = 512  # windows scored at once
-_MISSING: Final = 3  # cells of one sample that may be invalid, as in `Score`
 
 
 def probabilities(detector: Detector, trial: Trial) -> Reals:
@@ -35,7 +35,7 @@ def probabilities(detector: Detector, trial: Trial) -> Reals:
             begin = at + 1 - detector.length
             found[at : at + _BLOCK] = detector.score(windows[begin : begin + _BLOCK])
     if trial.valid is not None:
-        found[BAROMETERS - trial.valid.sum(axis=1) > _MISSING] = np.nan
+        found[BAROMETERS - trial.valid.sum(axis=1) > MISSING] = np.nan
     return found
 
 

@@ -25,7 +25,7 @@ from connectors.rig.scene import Scene
 from connectors.rig.variety import varied
 from flows.graph import Flow
 from flows.process_map import process_map
-from flows.record import collect
+from flows.ready_made.record import declare_recording
 from flows.running.clock import EventClock
 from flows.running.replay_runner import ReplayRunner
 from flows.splits import SPLITS, TURNS
@@ -224,7 +224,7 @@ async def _run(root: Path, delay: int, planned: Planned) -> None:
     played = _Played(planned.session, await _all(rig.touch, clock), await _all(rig.motion, clock))
     flow = Flow("simulate")
     dataset = Dataset(root, part_span=_WHOLE, host="simulated")
-    collect(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
+    declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
     runner = ReplayRunner(flow, played, planned.session, rows=len(played.motion))
     about = rig.touch.describe()
     episodes: list[Json] = [

@@ -72,7 +72,7 @@ class Trial:
         return np.arange(JUDGED, len(self), hop)
 
 
-def simulate(
+def simulated_trials(
     collection: Collection, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
 ) -> list[Trial]:
     """Every recording of a plan; `change` is what becomes of each scene first."""

@@ -42,6 +42,9 @@ class Align(Join[Zeroed, Motion, Sample]):
     The result is the ideal join as long as touch lags motion by `keep` at most, and motion lags touch by
     `wait` at most, or `wait` - `within` for nearest and linear, which look ahead. With ``wait=0`` and
     ``how="previous"`` every touch is decided at once.
+
+    Raises:
+        ParameterError: on a value that cannot be used; `wait` is at least `within`, but for previous.
     """
 
     within: int = 20 * ms  # ns
@@ -77,9 +80,8 @@ class Align(Join[Zeroed, Motion, Sample]):
         rows = self._held.take(max(self._newest, passed + 1))
         samples = Sample.empty() if rows is None else self._match(rows, oldest)
         if right.time.size:
-            self._motion.forget(
-                self._newest - self.keep - self.within, self.keep // 8
-            )  # at every row is slow
+            # not at every row, which is slow
+            self._motion.forget(self._newest - self.keep - self.within, self.keep // 8)
         return samples
 
     def flush(self) -> Sample:

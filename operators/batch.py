@@ -167,7 +167,11 @@ def maker(kind: type[AnyBatch]) -> Callable[..., AnyBatch]:
 
 
 def concat(kind: type[AnyBatch], batches: Sequence[AnyBatch]) -> AnyBatch:
-    """One batch of the rows of several, which belong to one fingertip; empty ones fall away."""
+    """One batch of the rows of several, which belong to one fingertip; empty ones fall away.
+
+    Raises:
+        BatchError: if they are of several fingertips.
+    """
     full = [batch for batch in batches if batch.time.size]
     if len(full) == 1:
         return full[0]
@@ -192,7 +196,8 @@ class Touch(Batch):
 
     counts: Counts = field(metadata=column(np.int16, BAROMETERS, unit="count"))  # (n, 6) raw ADC, 0..1023
     temperature: Counts = field(metadata=column(np.int16, BAROMETERS, unit="count"))  # (n, 6) raw ADC
-    valid: Flags = field(metadata=column(np.bool_, BAROMETERS))  # (n, 6) False: the cell did not answer
+    # (n, 6) False: the cell did not answer, or its answer cannot mean what it says
+    valid: Flags = field(metadata=column(np.bool_, BAROMETERS))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,9 @@ class Debounce(Operator[Scores, Slips]):
     slip lasts at least `minimum` from its start, the first decision of its run: an end that would come
     sooner waits. A slip still open when the stream ends is given no end.
 
+    Raises:
+        ParameterError: on a value that cannot be used.
+
     >>> scores = Scores(np.arange(5), np.array([0.9, 0.8, 0.9, 0.1, 0.2]))
     >>> slips = Debounce().push(scores)
     >>> slips.state, slips.start, slips.time

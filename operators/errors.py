@@ -85,7 +85,7 @@ class InputError(SlipflowError):
 
 
 class EndpointError(SlipflowError):
-    """A connector cannot reach or write to its place; the runner tries again with back-off."""
+    """A connector cannot reach or write to its place; a runner tries a source or sink again."""
 
     def __init__(self, place: str, reason: str) -> None:
         super().__init__(f"{place}: {reason}")

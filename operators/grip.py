@@ -25,6 +25,9 @@ class Gripping(Operator[Scores, Commands]):
 
     An object that still slips when `most` has been commanded for `patience` is given up: the force falls to
     `least`, in one command, and nothing more is commanded until the operator is made afresh.
+
+    Raises:
+        ParameterError: on a value that cannot be used.
     """
 
     force: float = 0.5  # N, to begin with
@@ -129,6 +132,9 @@ class StepGrip(Gripping):
     A slip that lasts is registered again after `consecutive` more decisions. The force never falls. The paper
     does not say how large its step was.
 
+    Raises:
+        ParameterError: on a value that cannot be used.
+
     >>> scores = Scores(np.arange(6) * 10 * ms, np.array([0.1, 0.9, 0.9, 0.9, 0.9, 0.1]))
     >>> StepGrip(force=1.0, step=0.2, settle=0).push(scores).force
     array([1. , 1.2, 1.4])
@@ -165,6 +171,9 @@ class Grip(Gripping):
     the newest such force is taken to be enough: once nothing has slipped for `calm`, the force falls to
     there, but not below `keep` of what it was when the slip ended.
 
+    Raises:
+        ParameterError: on a value that cannot be used.
+
     >>> scores = Scores(np.arange(5) * 10 * ms, np.array([0.1, 1.0, 1.0, 1.0, 0.1]))
     >>> Grip(force=1.0, gain=10.0, settle=0).push(scores).force
     array([1.     , 1.1    , 1.20125])
@@ -183,9 +192,10 @@ class Grip(Gripping):
     _slipped: float = field(default=0.0, init=False, repr=False)  # N, that did not hold
     _reached: float = field(default=0.0, init=False, repr=False)  # N, when the newest slip ended
     _since: int = field(default=0, init=False, repr=False)  # ns, of the newest decision within a slip
+    # ns, N: what was commanded when, `latency` back
     _given: deque[tuple[int, float]] = field(
         default_factory=deque[tuple[int, float]], init=False, repr=False, compare=False
-    )  # ns, N: what was commanded when, `latency` back
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

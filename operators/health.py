@@ -41,13 +41,20 @@ class Health(Operator[Touch, Faults]):
       not. So the stream should begin unloaded, drift while in contact is not seen, and a load that is
       perfectly still is taken for drift; so is a cell at its floor in zeroed counts, not in raw ones.
 
+    A fault but drift ends once the cell was sound for `clear_after`. Above 0, that makes one fault of many
+    where a cell is pressed to the end of its range again and again.
+
     Where the stream pauses nothing is known: a pause counts as 25 ms at most. Faults are told up to 200 ms
     after their time, because rows are examined that many at once.
+
+    Raises:
+        ParameterError: on a value that cannot be used.
     """
 
     dead_after: int = 500 * ms
     stuck_after: int = 2 * s
     saturated_after: int = 50 * ms
+    clear_after: int = 0
     floor: int = 10  # raw count, 1 % of full scale
     ceiling: int = 1013  # raw count
     drift: float = 30.0  # counts
@@ -57,6 +64,7 @@ class Health(Operator[Touch, Faults]):
     _age: int = field(default=0, init=False, repr=False)  # ns, of the stream without its pauses
     _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid
     _sound: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last seen sound, by kind
+    _faulty: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last at fault, by kind
     _active: Flags = field(init=False, repr=False, compare=False)  # (6, 4) by cell and kind
     _sums: Times = field(init=False, repr=False, compare=False)  # (3, 6) readings, their sum, their squares
     _first: Reals = field(init=False, repr=False, compare=False)  # (6,) mean of the first quiet second
@@ -66,10 +74,13 @@ class Health(Operator[Touch, Faults]):
         for name, unit in (*spans, ("drift", "counts")):
             if getattr(self, name) <= 0:
                 raise ParameterError("Health", name, getattr(self, name), f"above 0 {unit}")
+        if self.clear_after < 0:
+            raise ParameterError("Health", "clear_after", self.clear_after, "at least 0 ns")
         if self.floor >= self.ceiling:
             raise ParameterError("Health", "floor", self.floor, f"below the ceiling, {self.ceiling}")
         self._last = np.full(BAROMETERS, (self.floor + self.ceiling) // 2, np.int16)
         self._sound = np.zeros((3, BAROMETERS), np.int64)
+        self._faulty = np.full((3, BAROMETERS), -self.clear_after, np.int64)  # never yet
         self._active = np.zeros((BAROMETERS, len(FaultKind)), np.bool_)
         self._sums = np.zeros((3, BAROMETERS), np.int64)
         self._first = np.full(BAROMETERS, np.nan)
@@ -114,10 +125,13 @@ class Health(Operator[Touch, Faults]):
         )
 
     def _lasting(self, kind: FaultKind, sound: Flags, age: Times, after: int) -> Flags:
-        """Where a cell has not been seen sound for `after`; (n, 6)."""
+        """Where a cell has not been seen sound for `after`, or was so `clear_after` ago; (n, 6)."""
         seen = np.maximum.accumulate(np.where(sound, age, self._sound[kind]), axis=0)
         self._sound[kind] = seen[-1]
-        return age - seen >= after
+        faulty = age - seen >= after  # (n, 6)
+        last = np.maximum.accumulate(np.where(faulty, age, self._faulty[kind]), axis=0)
+        self._faulty[kind] = last[-1]
+        return faulty | (age - last < self.clear_after)
 
     def _drifting(self, time: Times, counts: Counts, valid: Flags) -> Flags:
         """Where the last quiet second of a cell lies off its first; (n, 6)."""

@@ -30,6 +30,9 @@ class Label(Operator[Sample, Labelled]):
     labels the touch at t: that of the last sample up to then, and at most `within` before then. A positive
     delay holds samples back until a newer one than that has come, or the stream ends. Speed and label are
     shifted so; velocity and pose stay those of t.
+
+    Raises:
+        ParameterError: on a value that cannot be used.
     """
 
     speed: float = 0.003  # m/s
@@ -39,9 +42,10 @@ class Label(Operator[Sample, Labelled]):
     delay: int = 0  # ns
     within: int = 20 * ms
     _unit: Vector[float] = field(default=(0.0, 0.0, 1.0), init=False, repr=False)
+    # labelled by their own motion
     _tail: Tail[Labelled] = field(
         default_factory=lambda: Tail(Labelled), init=False, repr=False, compare=False
-    )  # by their own motion
+    )
     _held: int = field(default=0, init=False, repr=False)  # of the tail, the newest rows, not yet given
 
     def __post_init__(self) -> None:

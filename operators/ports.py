@@ -68,6 +68,7 @@ class SinkStatus:
     dropped: int = 0  # rows that were given up, by policy or because the sink had failed
     failures: int = 0
     error: str = ""  # the newest failure; empty while it works
+    records: bool = False  # what it drops is missing in what is recorded of the run
 
 
 @dataclass
@@ -140,6 +141,7 @@ class Sink(ABC, Generic[Taken]):
     lossless: bool = True  # False: when the queue is full the oldest batch is dropped and counted
     capacity: int = 4096  # batches
     shared: bool = False  # True: several processes may write to its place at once, each a run of its own
+    records: bool = False  # True: it keeps the rows of a run; what it drops is missing for good
 
     @property
     @abstractmethod

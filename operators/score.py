@@ -13,7 +13,7 @@ from operators.operator import Operator
 from operators.window import Window
 
 _BLOCK: Final = 64  # windows that a detector is given at once: few enough to stay in cache
-_MISSING: Final = 3  # cells of the newest sample that may be invalid
+MISSING: Final = 3  # cells of the newest sample that may be invalid
 _made: Final = maker(Scores)
 
 
@@ -26,6 +26,9 @@ class Score(Operator[Zeroed, Scores]):
 
     A detector that can is streamed: it is given each sample once, and no window is kept. Where numba, which
     compiles that, is not installed, it is given windows as the others are, for several times the CPU.
+
+    Raises:
+        ParameterError: if `hop` is no number of samples.
     """
 
     detector: Detector
@@ -57,7 +60,7 @@ class Score(Operator[Zeroed, Scores]):
             return Scores.empty()
         if not answered:
             missing = BAROMETERS - batch.valid[rows].sum(axis=1)  # (n,)
-            probability = np.where(missing > _MISSING, np.nan, probability)
+            probability = np.where(missing > MISSING, np.nan, probability)
         return _made(batch.time[rows], probability, batch.finger)
 
 

@@ -19,6 +19,9 @@ class Window(Operator[Touch, Windows]):
     """The newest `length` samples at every `hop`-th sample, once there are as many.
 
     Windows overlap in memory and are read-only; that memory is never written again, so they may be kept.
+
+    Raises:
+        ParameterError: if `length` or `hop` is no number of samples.
     """
 
     length: int = 100  # samples

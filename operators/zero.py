@@ -21,6 +21,9 @@ class Zero(Operator[Touch, Zeroed]):
     When it is not given it is measured, as in TakkTile's own code: the median of a cell's valid counts in
     the first `scans` scans, rounded half to even. Those scans are held back until it is known. A cell that
     never answered in them has no baseline and stays invalid. What is zeroed already passes unchanged.
+
+    Raises:
+        ParameterError: on a baseline that no cell reads, or too few `scans`.
     """
 
     baseline: int | tuple[int, ...] | None = None  # raw ADC counts, of all cells or of each; None: measured

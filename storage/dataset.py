@@ -38,6 +38,7 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
     """
 
     shared = True
+    records = True
 
     def __init__(
         self, path: str | Path, *, part_span: int = 60 * s, part_rows: int = 100_000, host: str | None = None

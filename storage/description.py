@@ -8,7 +8,7 @@ from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from operators.batch import s
 from operators.errors import InputError
@@ -101,7 +101,12 @@ def describe_session(
                 for name, each in run.sources.items()
             },
             "sinks": {
-                name: {"rows": each.rows, "dropped": each.dropped, "failures": each.failures}
+                name: {
+                    "rows": each.rows,
+                    "dropped": each.dropped,
+                    "failures": each.failures,
+                    "records": each.records,
+                }
                 for name, each in run.sinks.items()
             },
             "clock_steps": [asdict(step) for step in run.clock_steps],
@@ -150,6 +155,21 @@ def read_session(folder: Path) -> Description:
     if not isinstance(about.get("session"), str):
         raise InputError(str(path), 'has no "session", the name of the session: put a copy back')
     return about
+
+
+def recorders(about: Description) -> tuple[str, ...]:
+    """The sinks that kept the rows of a session, by name; none before it is closed.
+
+    Sessions of older versions do not say so of a sink: there it is one that is called dataset.
+
+    >>> recorders({"sinks": {"lab": {"records": True}, "mqtt": {"records": False}, "dataset": {}}})
+    ('lab', 'dataset')
+
+    Raises:
+        AttributeError: if it says of its sinks what no session does.
+    """
+    sinks = cast("dict[str, dict[str, Any]]", about.get("sinks", {}))
+    return tuple(name for name, sink in sinks.items() if sink.get("records", name.startswith("dataset")))
 
 
 def _tellable(description: Description) -> bool:

@@ -5,10 +5,12 @@
     segment   "SLIPWAL1", 8 random bytes; then frames, the first of which describes the segment as JSON
     frame     "SLIP", length of the body (4 bytes), CRC-32 (4 bytes); body
     body      code (1), finger (2), rows (4), number of the first in its table (8); the columns, end to end
+    CRC-32    zlib's, of these, end to end: the 16 bytes with which the segment begins; where in the file the
+              frame begins (8); length of the body (4); the body
 
-All numbers are little-endian. The CRC is over length and body. It starts from the segment's random bytes and
-the frame's own place in the file: a frame that the disk gives back from elsewhere, such as from an older file
-whose blocks were used again, is never valid, nor is a tail of zeros or a repeated one.
+All numbers are little-endian and, but for the finger, not signed. Since segment and place are in the CRC, a
+frame that the disk gives back from elsewhere, such as from an older file whose blocks were used again, is
+never valid, nor is a tail of zeros or a repeated one.
 """
 
 import json
@@ -29,12 +31,15 @@ from operators.ports import Json
 from storage import files
 from storage.layout import TABLE_OF
 
+# of what bodies hold: raise it when that changes; other versions then refuse the segment and name it
 VERSION: Final = 2  # 1 told of all episodes each time
 EPISODE_LOG: Final = -1  # number of the segment that tells of episodes
 SINGLE_LOG: Final = -2  # of the one that has the rows of tables of one file
 LIMIT: Final = 64 * files.MiB  # bytes of a body, looked at before any are read
 WHOLE: Final = 8192 * files.MiB  # bytes of a segment, the same
 
+# of how segments and frames are laid out: raise its digit when that changes; to other versions such a segment
+# is damaged from its first byte, so a recovery by them puts it aside whole
 _PREAMBLE: Final = b"SLIPWAL1"
 _MAGIC: Final = b"SLIP"
 _PREFIX: Final = Struct("<4sII")
@@ -47,7 +52,7 @@ _EPISODES: Final = 254  # code; JSON follows
 _TOLD: Final = 1000  # episodes in a frame
 _SEARCHED: Final = 256 * files.MiB  # bytes, which a search for a frame may hash
 _UNREAD: Final = "; move it away, and the rest can be recovered"
-SALT: Final = len(_PREAMBLE) + 8  # bytes, with which a segment begins
+SALT_SIZE: Final = len(_PREAMBLE) + 8  # bytes, with which a segment begins
 
 
 class Rows(NamedTuple):
@@ -86,7 +91,7 @@ class Segment:
 
 def new_salt() -> bytes:
     """How a new segment begins."""
-    return _PREAMBLE + os.urandom(SALT - len(_PREAMBLE))
+    return _PREAMBLE + os.urandom(SALT_SIZE - len(_PREAMBLE))
 
 
 def describe(session: str, number: int) -> bytes:
@@ -162,10 +167,10 @@ def read_segment(data: bytes, where: str, session: str, number: int) -> Segment:
     Raises:
         InputError: if they are whole but of a slipflow that keeps other rows, or of another session.
     """
-    salt, offset = data[:SALT], SALT
+    salt, offset = data[:SALT_SIZE], SALT_SIZE
     body = _body(data, salt, offset) if salt.startswith(_PREAMBLE) else None
     if body is None:
-        return Segment([], [], Damage(0, len(data), more=len(data) > SALT))
+        return Segment([], [], Damage(0, len(data), more=len(data) > SALT_SIZE))
     kinds = _described(body, where, session, number)
     rows, changes = list[Rows](), list[Change]()
     while offset < len(data):

@@ -145,9 +145,8 @@ class Journal:
             try:
                 self._single.sync()
                 self._segment.sync()
-            except (
-                OSError
-            ):  # trying again could seem to work: the kernel may have forgotten what it did not write
+            except OSError:
+                # trying again could seem to work: the kernel may have forgotten what it did not write
                 self.suspect = True
                 raise
 

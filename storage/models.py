@@ -105,6 +105,21 @@ def load_detector(name: str | Path) -> Detector:
     raise InputError(str(name), f"is no detector: give {known} or a {' or '.join(_READERS)} file of weights")
 
 
+def identify_detector(name: str | Path) -> dict[str, str]:
+    """Which detector that is, for events to tell: its id, and the sha256 of its weights if it has any.
+
+    >>> identify_detector("psd")
+    {'id': 'psd'}
+
+    Raises:
+        InputError: if the file of its weights cannot be read.
+    """
+    path = shipped(str(name)) or Path(name)
+    if str(name) in DETECTORS or path.suffix not in _READERS:
+        return {"id": str(name)}
+    return {"id": path.stem, "sha256": hashlib.sha256(files.read(path, LIMIT)).hexdigest()}
+
+
 def shipped(name: str) -> Path | None:
     """The file of a trained detector that comes with the package; None where there is none of that name."""
     path = _SHIPPED / f"{name}.safetensors"

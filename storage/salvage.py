@@ -56,9 +56,8 @@ class Salvage:
         self._known_lost: list[str] = before.get("lost", [])
         self._known_cut: list[str] = before.get("cut", [])
         self._adopted: list[str] = []
-        self._doubtful: dict[
-            str, str
-        ] = {}  # by table, why its last file cannot be read, which no manifest lists
+        # by table, why its last file cannot be read, which no manifest lists
+        self._doubtful: dict[str, str] = {}
         self._holes: set[str] = set()  # tables of which a part is gone that no manifest lists
         self._unreadable: set[str] = set()  # files of tables
         self._aside: list[Path] = []  # what is kept as it is, but not read any more

@@ -133,6 +133,7 @@ class Session:
 
         Raises:
             InputError: naming the file that is missing, damaged or has the wrong columns.
+            ParameterError: if `rows` is less than 1.
         """
         if rows < 1:
             raise ParameterError("Session.read", "rows", rows, "at least 1")

@@ -7,7 +7,7 @@ from typing import Any, cast
 from operators.errors import InputError, because
 from operators.ports import Description
 from storage import files
-from storage.description import read_session
+from storage.description import read_session, recorders
 from storage.findings import Finding, Weight
 from storage.layout import (
     DAMAGED,
@@ -109,17 +109,18 @@ class SessionCheck:
             self._find("note", f"ended early: {about['error']}")
 
     def _check_streams(self, about: Description) -> None:
+        keep = recorders(about)
         for name, sink in cast("dict[str, dict[str, int]]", about.get("sinks", {})).items():
             if sink["dropped"]:
-                ours = name.startswith("dataset")
-                self._find("lossy" if ours else "note", f"{sink['dropped']} rows for {name} were dropped")
+                weight: Weight = "lossy" if name in keep else "note"
+                self._find(weight, f"{sink['dropped']} rows for {name} were dropped")
         for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
             for gap in stream["gaps"]:
                 seconds = (gap["end"] - gap["start"]) / 1e9
                 self._find("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
 
     def _check_journal(self) -> None:
-        from storage import frames, unlisted  # noqa: PLC0415 - what is not recorded or checked needs them not
+        from storage import frames, unlisted  # noqa: PLC0415 - unlisted imports pyarrow
 
         if self.recording or not (self.folder / JOURNAL).exists():
             return

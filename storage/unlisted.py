@@ -10,6 +10,7 @@ import pyarrow as pa
 from operators.batch import EVERY, s
 from operators.errors import InputError
 from operators.ports import Description
+from storage.description import recorders
 from storage.layout import EPISODES, JOURNAL, TABLES, Table, inside, segment_file, segments, single_log
 from storage.manifest import Part
 from storage.parts import flat, inspect_part, read_part
@@ -100,7 +101,7 @@ def shortfall(about: Description, parts: Iterable[Part]) -> str:
     """How many of the rows that a closed session says were recorded no part holds; empty: all are held."""
     sinks = cast("dict[str, dict[str, int]]", about.get("sinks", {}))
     try:
-        written = [sink["rows"] for name, sink in sinks.items() if name.startswith("dataset")]
+        written = [sinks[name]["rows"] for name in recorders(about)]
     except (AttributeError, LookupError, TypeError):  # who reads the description says so
         return ""
     there = sum(part.rows for part in parts if part.path != EPISODES)

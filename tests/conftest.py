@@ -1,7 +1,9 @@
 """Fixtures that several test folders share."""
 
+import asyncio
 import logging
 from collections.abc import Iterator
+from inspect import iscoroutinefunction, signature
 from pathlib import Path
 
 import pytest
@@ -9,10 +11,27 @@ from hypothesis import settings
 
 from connectors.mqtt.link import Link
 from connectors.mqtt.testing import TestBroker
+from flows.testing import run_virtually
 from operators.ports import Run
+
+LIMIT = 120.0  # s, after which a coroutine hangs
 
 settings.register_profile("slipflow", deadline=None, max_examples=50)  # machines are noisy: no test is timed
 settings.load_profile("slipflow")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a test that is a coroutine in an event loop of its own, in virtual time if it is so marked."""
+    test = pyfuncitem.obj
+    if not iscoroutinefunction(test):
+        return None
+    given = {name: pyfuncitem.funcargs[name] for name in signature(test).parameters}
+    if pyfuncitem.get_closest_marker("virtual"):
+        run_virtually(test(**given))
+    else:
+        asyncio.run(asyncio.wait_for(test(**given), LIMIT))
+    return True
 
 
 class SetClock:
@@ -66,6 +85,5 @@ def links(monkeypatch: pytest.MonkeyPatch) -> list[Link]:
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[TestBroker]:
     """A running mosquitto that lets everybody do everything."""
-    server = TestBroker(tmp_path)
-    yield server
-    server.close()
+    with TestBroker(tmp_path) as server:
+        yield server

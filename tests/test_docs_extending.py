@@ -1,14 +1,21 @@
 """The operator of docs/extending.md owes what every operator owes; the other parts are what they say."""
 
+import asyncio
 import inspect
+import resource
+import socket
 import sys
 from collections.abc import Callable
+from pathlib import Path
+from struct import pack
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
-from operators import Batch, Sink, Source
+from flows.running.clock import LoopClock
+from operators import Batch, EndpointError, Run, Sink, Slips, Source, Touch
 from operators.detectors import Detector
 from tests.operators import conftest, test_conformance
 from tests.pages import ROOT, block
@@ -66,3 +73,79 @@ def test_source_sink_and_detector_are_what_they_say(made: Callable[..., dict[str
     assert issubclass(made("notes.py")["Notes"], Sink)
     detector: Detector = made("jerk.py")["Jerk"]()
     assert (detector.name, detector.length) == ("jerk", 20)
+
+
+async def felt(source: Source[Touch], sent: bytes, *, reset: bool = False) -> list[list[int]]:
+    """What it makes of these bytes of a peer that then goes away, or has the connection reset."""
+
+    async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(sent)
+        await writer.drain()
+        if reset:
+            peer = writer.get_extra_info("socket")
+            peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, pack("ii", 1, 0))
+        writer.close()
+
+    counts = list[list[int]]()
+    async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
+        source.port = server.sockets[0].getsockname()[1]  # type: ignore[attr-defined]
+        async for touch in source.batches(LoopClock()):
+            assert touch.check().valid.all()
+            counts += touch.counts.tolist()
+    return counts
+
+
+def test_the_source_gives_whole_lines(made: Callable[..., dict[str, Any]]) -> None:
+    source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
+    assert asyncio.run(felt(source, b"1 2 3 4 5 6\n0 0 0 0 0 1023\n")) == [
+        [1, 2, 3, 4, 5, 6],
+        [0] * 5 + [1023],
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sent", "said"),
+    [
+        (b"1 2 3 4 5 60", r"sent b'1 2 3 4 5 60', must be a whole line of 6 counts"),  # it may have been 600
+        (b"1 2 3 4 5\n", "must be a whole line of 6 counts"),
+        (b"99999 2 3 4 5 6\n", "from 0 to 1023"),
+        (b"1 2 3 4 5 -6\n", "from 0 to 1023"),
+        (b"\xff 2 3 4 5 6\n", "must be a whole line"),
+        (b"1" * 5000, "sent a line of more than 1024 bytes"),
+    ],
+)
+def test_the_source_refuses_what_is_no_line_of_counts(
+    sent: bytes, said: str, made: Callable[..., dict[str, Any]]
+) -> None:
+    source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
+    with pytest.raises(EndpointError, match=said):
+        asyncio.run(felt(source, sent))
+
+
+def test_the_source_says_that_a_connection_was_lost(made: Callable[..., dict[str, Any]]) -> None:
+    source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
+    with pytest.raises(EndpointError, match="was lost: Connection reset by peer"):
+        asyncio.run(felt(source, b"", reset=True))
+
+
+def test_the_sink_takes_back_what_the_disk_had_no_room_for(
+    tmp_path: Path, made: Callable[..., dict[str, Any]]
+) -> None:
+    notes = made("notes.py")["Notes"](tmp_path / "notes.txt")
+    time = np.array([5, 9])
+    batch = Slips(time, np.array([1, 0], np.int8), time, np.full(2, 0.9), finger=0)
+    full = len("# one\n" + "5 0 onset\n")  # bytes
+    _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    async def main() -> None:
+        await notes.open(Run("one", "felt", LoopClock(), 0))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (full, most))
+        try:
+            with pytest.raises(EndpointError, match="cannot be written: No space left on device"):
+                await notes.write(batch)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+        await notes.write(batch)
+
+    asyncio.run(main())
+    assert notes.path.read_text() == "# one\n5 0 onset\n9 0 end\n"

@@ -18,7 +18,7 @@ from jsonschema import Draft202012Validator
 from connectors import Consumer, Event, Mqtt, MqttSignal
 from connectors.events import encode
 from connectors.mqtt.gap_request import GapAnswer, GapRequest
-from connectors.mqtt.testing import Received, TestBroker, TestListener
+from connectors.mqtt.testing import Received, TestBroker, TestListener, until
 from operators.batch import Scores, Slips, ms
 from operators.ports import Run
 from tests.pages import ROOT, block, commands, table
@@ -101,11 +101,7 @@ def test_what_a_rig_publishes_is_what_the_page_shows(broker: TestBroker, run: Ru
 
     sink = Mqtt(broker.url, model={"id": "tcn"}, threshold=0.777, consecutive=2)
     use(sink, run, body)
-    late = broker.listen(f"{RIG}/#", "test/end")
-    broker.publish("test/end", "now")
-    retained = set[str]()
-    while (received := late.next()).topic != "test/end":
-        retained.add(received.topic)
+    retained = {received.topic for received in broker.listen(f"{RIG}/#").rest()}
     assert retained == {topic(row) for row in rows if row["retained"] == "yes"}
     assert set(topics) - retained == {f"{RIG}/{name}" for name in ("0/event", "0/signal", "replay/logger-1")}
     published = {name: json.loads(found[f"{RIG}/0/{name}"].payload) for name in ("event", "state")}
@@ -140,7 +136,7 @@ def test_a_replay_publishes_what_the_page_shows_as_another_rig(
     rows = table(PAGE, "## Topics")
     [command] = [words for words in commands(PAGE) if "--rig" in words]
     followed = f"slip/v1/lab/{command[command.index('--rig') + 1]}"
-    replay, listener = replace(run, recording="stroke-9", live=live), broker.listen("slip/#", "test/end")
+    replay, listener = replace(run, recording="stroke-9", live=live), broker.listen("slip/#")
 
     async def body() -> None:
         signal = MqttSignal(broker.url)
@@ -151,10 +147,7 @@ def test_a_replay_publishes_what_the_page_shows_as_another_rig(
 
     sink = Mqtt(broker.url)
     use(sink, replay, body)
-    broker.publish("test/end", "now")
-    found = dict[str, Received]()
-    while (received := listener.next()).topic != "test/end":
-        found[received.topic] = received
+    found = {received.topic: received for received in listener.rest()}
     unasked = [topic(row) for row in rows if not row["topic"].startswith("`replay/")]
     assert found.keys() == {each.replace(RIG, followed) for each in unasked}
     event, info = (json.loads(found[f"{followed}/{name}"].payload) for name in ("0/event", "info"))
@@ -199,7 +192,7 @@ class Entered(Consumer):
 
 
 def follow(
-    broker: TestBroker, run: Run, work: Callable[[], Awaitable[None]], until: Callable[[], bool]
+    broker: TestBroker, run: Run, work: Callable[[], Awaitable[None]], came: Callable[[], bool]
 ) -> None:
     """Let `work` follow a rig that raises events on two fingertips once it is connected; wait for them."""
 
@@ -209,12 +202,7 @@ def follow(
         await Entered.begun.wait()
         await sink.write(slips(1, 0))
         await sink.write(slips(1, finger=2))
-        for _ in range(1000):
-            if until():
-                break
-            await asyncio.sleep(0.01)
-        else:
-            pytest.fail("they did not come within 10 s")
+        await until(came)
         working.cancel()
         await asyncio.wait([working])
 

@@ -1,10 +1,12 @@
 """The project's own habits: contracts, names, sizes, pages."""
 
+import ast
 import importlib
 import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import packages_distributions
 from pathlib import Path
@@ -13,10 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators import Operator, Scores, concat
+from operators import Operator, Scores, concat, errors
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("operators", "connectors", "storage", "flows")
+TREE = (*FOLDERS, "deploy", "tests")
+ERRORS = {name for name in vars(errors) if name.endswith("Error")}
 MODULES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
 
 
@@ -38,6 +42,19 @@ def test_the_readme_and_the_architecture_page_are_short() -> None:
     assert len((ROOT / "ARCHITECTURE.md").read_text().splitlines()) <= 120
 
 
+PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_module_that_a_page_names_is_there(page: Path) -> None:
+    named = re.findall(r"`([\w.-][\w./-]*\.py)`", page.read_text())  # /etc/... is not ours
+    tree = [
+        f"/{path.relative_to(ROOT).as_posix()}" for folder in TREE for path in (ROOT / folder).rglob("*.py")
+    ]
+    shown = re.findall(r"```python ([\w./-]+\.py)", page.read_text())  # a file that the page itself holds
+    assert [n for n in named if n not in shown and not any(path.endswith(f"/{n}") for path in tree)] == []
+
+
 def test_no_module_is_longer_than_400_lines() -> None:
     assert [p.name for p in MODULES if len(p.read_text().splitlines()) > 400] == []
 
@@ -50,6 +67,64 @@ def test_a_folder_says_what_it_is_in_a_sentence_and_sorts_its_exports(path: Path
     exports = list(getattr(module, "__all__", ()))
     assert exports == sorted(exports, key=lambda name: (not name.isupper(), not name[0].isupper(), name))
     assert all(hasattr(module, name) for name in exports)
+
+
+def raised(function: ast.AST) -> Iterator[str]:
+    """The errors of ours that a function raises itself, not in what is defined within it."""
+    for node in ast.iter_child_nodes(function):
+        match node:
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef() | ast.Lambda():
+                continue
+            case ast.Raise(exc=ast.Call(func=ast.Name(id=name))) if name in ERRORS:
+                yield name
+            case _:
+                yield from raised(node)
+
+
+def untold(tree: ast.Module) -> Iterator[str]:
+    """The public functions, and classes when they are made, that do not say what they raise."""
+    owners: list[ast.Module | ast.ClassDef] = [tree, *(n for n in tree.body if isinstance(n, ast.ClassDef))]
+    for owner in owners:
+        if isinstance(owner, ast.ClassDef) and owner.name.startswith("_"):
+            continue
+        for node in owner.body:
+            if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            makes = node.name in ("__init__", "__post_init__")
+            if node.name.startswith("_") and not makes:
+                continue
+            said = (ast.get_docstring(node) or "") + ((ast.get_docstring(owner) or "") if makes else "")
+            told = said.partition("Raises:")[2]
+            yield from (
+                f"{getattr(owner, 'name', '')}.{node.name}: {name}"
+                for name in raised(node)
+                if name not in told and "SlipflowError" not in told
+            )
+
+
+@pytest.mark.parametrize("folder", ["operators", "connectors", "storage"])
+def test_what_is_public_says_which_errors_it_raises(folder: str) -> None:
+    found = {
+        path.relative_to(ROOT).as_posix(): list(untold(ast.parse(path.read_text())))
+        for path in MODULES
+        if path.is_relative_to(ROOT / folder)
+    }
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+def test_an_error_that_is_not_told_is_noticed() -> None:
+    code = "class A:\n def __init__(self): raise InputError('a', 'b')\n def b(self):\n  'Raises: not that.'"
+    assert list(untold(ast.parse(f"{code}\n  if self: raise ParameterError()"))) == [
+        "A.__init__: InputError",
+        "A.b: ParameterError",
+    ]
+    assert list(untold(ast.parse(f"{code}\n  def c(): raise ParameterError()"))) == ["A.__init__: InputError"]
+
+
+def test_all_that_is_logged_is_under_one_name() -> None:
+    theirs = {'"pymodbus.logging"'}  # which is told to be quiet
+    names = {name for path in MODULES for name in re.findall(r"getLogger\((.*?)\)", path.read_text())}
+    assert [name for name in names - theirs if not re.fullmatch(r'"slipflow(\.\w+)?"', name)] == []
 
 
 def test_operators_import_without_anything_heavy() -> None:

@@ -9,7 +9,7 @@ from connectors.gripper.link import GripperLink
 from connectors.gripper.robotiq import Phase, Request, Status
 from operators.errors import EndpointError
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 
 @dataclass

@@ -15,7 +15,7 @@ from operators.batch import Commands
 from operators.errors import EndpointError, FlowError, ParameterError
 from operators.ports import Description, Run, Sink
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 FIRST_RETRY: Final = 0.1  # s
 LAST_RETRY: Final = 2.0  # s, up to which the back-off doubles

@@ -46,7 +46,12 @@ class Broker:
         match = _URL.fullmatch(url)
         port = int(match[4] or _PORTS[match[1]]) if match else 0
         if not (match and 0 < port < 2**16):
-            raise ParameterError(owner, "url", url, "like mqtt://host, mqtt://host:1883 or mqtts://host")
+            raise ParameterError(
+                owner,
+                "url",
+                url,
+                "like mqtt://host, mqtt://host:1883 or mqtts://host, the port from 1 to 65535",
+            )
         return cls(match[1], match[2] or match[3], port)
 
     def __str__(self) -> str:

@@ -116,11 +116,7 @@ class Consumer(AsyncIterator[Event]):
         return self
 
     async def __anext__(self) -> Event:
-        """The next event, however long it takes.
-
-        Raises:
-            StopAsyncIteration: never.
-        """
+        """The next event, however long it takes."""
         self._finish()
         while True:
             link = await self._linked()

@@ -9,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from connectors.events import Event, Fault, encode, faults, finger_name, timestamp, topic
+from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker
-from connectors.mqtt.health_report import HealthReports, clock_report
 from connectors.mqtt.message import Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import Entry

@@ -267,9 +267,8 @@ def reason_of(error: Exception) -> str:
 
 
 def _code(error: sqlite3.Error) -> int:
-    code: int = getattr(
-        error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT
-    )  # text that cannot be decoded has none
+    # text that cannot be decoded has none
+    code: int = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
     return code & 0xFF
 
 

@@ -1,20 +1,33 @@
 """Aids for testing what speaks MQTT: a real broker of one's own, and an independent subscriber."""
 
+import asyncio
 import os
 import shutil
 import signal
 import socket
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 from queue import Queue
 from threading import Thread
-from typing import NamedTuple
+from typing import NamedTuple, Self
+from uuid import uuid4
 
 from operators.errors import EndpointError
 
 PATIENCE = 10.0  # s, for what another process must do
-_READY = "test/ready"
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    """Wait until something is so that another thread, task or process brings about.
+
+    Raises:
+        TimeoutError: if it is not within 10 s.
+    """
+    async with asyncio.timeout(PATIENCE):
+        while not condition():  # noqa: ASYNC110 - what brings it about knows no event loop
+            await asyncio.sleep(0.01)
 
 
 class Received(NamedTuple):
@@ -31,14 +44,16 @@ class TestListener:
     __test__ = False
 
     def __init__(self, port: int, *topics: str) -> None:
-        """Subscribe to topic filters of a broker on loopback that retains a message on ``test/ready``."""
-        filters = [word for topic in (_READY, *topics) for word in ("-t", topic)]
+        """Subscribe to topic filters of a broker on loopback, and to a topic of its own below ``test``."""
+        self._port, self._mark = port, f"test/{uuid4()}"
+        _publish(port, self._mark, "ready", "-r")
+        filters = [word for topic in (self._mark, *topics) for word in ("-t", topic)]
         command = ["mosquitto_sub", *_where(port), *filters, "-F", "%r %t %p"]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)  # noqa: S603 - ours
         self._received = Queue[Received]()
         self._reader = Thread(target=self._read)
         self._reader.start()
-        self.next(_READY)  # so the subscription is there
+        self.next(self._mark)  # so the subscription is there
 
     def next(self, topic: str | None = None) -> Received:
         """The next message, or the next on `topic`, waiting for it.
@@ -50,6 +65,18 @@ class TestListener:
             received = self._received.get(timeout=PATIENCE)
             if topic in (None, received.topic):
                 return received
+
+    def rest(self) -> list[Received]:
+        """All that has come and was not yet asked for, in order.
+
+        Raises:
+            queue.Empty: if the broker brings nothing within 10 s.
+        """
+        _publish(self._port, self._mark, "end")
+        found = list[Received]()
+        while (received := self.next()).topic != self._mark:
+            found.append(received)
+        return found
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -66,7 +93,10 @@ class TestListener:
 
 
 class TestBroker:
-    """A mosquitto of one's own on a free loopback port; what it retains is lost when it stops."""
+    """A mosquitto of one's own on a free loopback port; what it retains is lost when it stops.
+
+    Used in a ``with`` block, it is closed at the end.
+    """
 
     __test__ = False
 
@@ -90,13 +120,23 @@ class TestBroker:
         self._listeners: list[TestListener] = []
         self.start()
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     @property
     def url(self) -> str:
         """Its address."""
         return f"mqtt://127.0.0.1:{self.port}"
 
     def start(self) -> None:
-        """Start it, again after `stop`; returns once it listens."""
+        """Start it, again after `stop`; returns once it listens.
+
+        Raises:
+            EndpointError: if it does not start, with what its log says.
+        """
         assert self._program
         with self._log.open("ab") as log:
             command = [self._program, "-c", str(self._config)]
@@ -119,12 +159,10 @@ class TestBroker:
 
     def publish(self, topic: str, payload: str, *options: str) -> None:
         """Publish with mosquitto_pub."""
-        command = ["mosquitto_pub", *_where(self.port), "-t", topic, "-m", payload, *options]
-        subprocess.run(command, check=True)  # noqa: S603 - ours
+        _publish(self.port, topic, payload, *options)
 
     def listen(self, *topics: str) -> TestListener:
         """A subscriber, which `close` closes."""
-        self.publish(_READY, "yes", "-r")
         self._listeners.append(listener := TestListener(self.port, *topics))
         return listener
 
@@ -133,6 +171,11 @@ class TestBroker:
         for listener in self._listeners:
             listener.close()
         self.stop()
+
+
+def _publish(port: int, topic: str, payload: str, *options: str) -> None:
+    command = ["mosquitto_pub", *_where(port), "-t", topic, "-m", payload, *options]
+    subprocess.run(command, check=True)  # noqa: S603 - ours
 
 
 def _where(port: int) -> list[str]:

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Final
 
-from connectors.mqtt.health_report import HealthReports
+from connectors.health_report import HealthReports
 from connectors.page.frames import Frames, Rows
 from connectors.page.messages import message
 from connectors.web.address import PAGE_PORT, address
@@ -148,12 +148,12 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
 
     def _report(self) -> dict[str, Json]:
         errors: dict[str, Json] = {name: source.error or None for name, source in self._run.sources.items()}
-        recorders: list[Json] = [name for name in self._run.sinks if name.startswith("dataset")]
+        recorders: list[Json] = [name for name, sink in self._run.sinks.items() if sink.records]
         return {**self._health, "errors": errors, "recorders": recorders}
 
     async def _settle(self) -> None:
         """Let the recorders, which end at the same time, write what waits: their last count is told."""
-        recorders = [sink for name, sink in self._run.sinks.items() if name.startswith("dataset")]
+        recorders = [sink for sink in self._run.sinks.values() if sink.records]
         for _ in range(_SETTLE if recorders and len(self._feed) else 0):
             before = [sink.rows for sink in recorders]
             await asyncio.sleep(_SETTLE_EVERY)

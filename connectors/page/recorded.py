@@ -41,10 +41,9 @@ class Recorded(Sink[Touch | Motion | Scores | Slips]):
         self.threshold, self.about = threshold, about
         self._of: dict[str, Json] = {"flow": flow, "dataset": dataset}
         self.start = self.end = 0  # ns, of the first and the last row
-        self._arriving: dict[
-            tuple[str, str], list[tuple[Times, NDArray[np.float32]]]
-        ] = {}  # by stream and fingertip
-        self._curves: dict[tuple[str, str], tuple[Times, NDArray[np.float32]]] = {}  # once all has come
+        # by stream and fingertip: as it comes, and once all has come
+        self._arriving: dict[tuple[str, str], list[tuple[Times, NDArray[np.float32]]]] = {}
+        self._curves: dict[tuple[str, str], tuple[Times, NDArray[np.float32]]] = {}
         self._events: list[tuple[int, str, bool, float]] = []  # ns, fingertip, onset, probability
         self._zeroed, self._rows = False, 0
 

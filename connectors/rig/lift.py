@@ -13,6 +13,9 @@ from operators.errors import ParameterError
 class Lift:
     """The hand goes straight up, in a trapezoid of velocity.
 
+    Raises:
+        ParameterError: on a height, a speed or an acceleration that is not above 0.
+
     >>> Lift(2.0, height=0.05, speed=0.1, acceleration=0.5).end
     2.7
     """

@@ -24,6 +24,9 @@ ROUGH: Final = 1.2  # assumed
 class Object:
     """A rigid body with a skin; it stands upright, its curved side towards the fingertip.
 
+    Raises:
+        ParameterError: on a value that no body has.
+
     >>> f"{OBJECTS['ball'].inertia:.2g} kg m2"
     '0.00018 kg m2'
     """

@@ -15,6 +15,9 @@ from operators.errors import ParameterError
 class Parameters:
     """Constants of one fingertip on one material, in SI units.
 
+    Raises:
+        ParameterError: on a value that cannot be used.
+
     >>> Parameters(columns=6, rows=4).columns
     6
     """

@@ -31,6 +31,9 @@ class Rig:
         fingers: Fingertips that feel the same motion, each with noise and cells of its own.
         remember: Seconds that `truth` reaches back, at least.
 
+    Raises:
+        ParameterError: on a pace that is not above 0, or without fingertips.
+
     >>> rig = Rig(seed=1)
     >>> rig.touch.kind.__name__, rig.motion.kind.__name__, rig.touch.fingers
     ('Touch', 'Motion', (0,))
@@ -226,7 +229,11 @@ class RigHand(Sink[Commands]):
         return f"hand of the rig {id(self._rig):x}"
 
     async def open(self, run: Run) -> None:
-        """Forget what an earlier run commanded."""
+        """Forget what an earlier run commanded.
+
+        Raises:
+            ParameterError: if the rig is not paced: a command would come too late.
+        """
         del run
         if self._rig.pace is None:
             raise ParameterError("Rig", "pace", None, "a number when its hand is commanded")

@@ -21,6 +21,9 @@ MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"
 class Move:
     """One episode: the arm stands still for `rest`, moves, and has stopped at its end.
 
+    Raises:
+        ParameterError: if it stands still for all of its length, or longer.
+
     >>> Move("translation", seconds=0.9, rest=0.3, direction_deg=45, speed=0.05).axis
     'oblique'
     """
@@ -108,6 +111,9 @@ class Timing:
     """When a stream samples the world, and what its stamps make of it.
 
     A sample taken at t (s) is stamped ``t + latency + jitter + offset + drift * t``.
+
+    Raises:
+        ParameterError: on a rate that is not above 0, or a share that is none.
     """
 
     rate: float  # Hz

@@ -16,6 +16,9 @@ class Tap:
 
     On top it goes down through the object's middle. On the side it goes along x (against x where the momentum
     is negative), a quarter of the object's length above its middle, so that it also turns the object.
+
+    Raises:
+        ParameterError: if it takes no time.
     """
 
     instant: float  # s since the run began

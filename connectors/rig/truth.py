@@ -15,13 +15,11 @@ STICK: Final = 150 * ms  # stick-slip has pauses of 50 to 100 ms
 class Truth(Batch):
     """The scene at the true instants of the touch samples."""
 
-    sliding: Reals = field(
-        metadata=column(np.float64, unit="m/s")
-    )  # (n,) mean over the pad since the last row
+    # (n,) mean over the pad since the last row
+    sliding: Reals = field(metadata=column(np.float64, unit="m/s"))
     force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal
-    velocity: Reals = field(
-        metadata=column(np.float64, 3, unit="m/s, rad/s")
-    )  # (n, 3) arm, at the pad's centre, with its shaking
+    # (n, 3) arm, at the pad's centre, with its shaking
+    velocity: Reals = field(metadata=column(np.float64, 3, unit="m/s, rad/s"))
 
     @property
     def slips(self) -> list[tuple[int, int]]:

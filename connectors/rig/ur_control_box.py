@@ -15,7 +15,7 @@ from connectors.rig.ur_variables import OUTPUTS
 from connectors.ur.rtde import Value, Version
 from operators.batch import Commands, Reals
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 CB3: Final = 3  # major version of the controllers that run at 125 Hz; later ones run at 500 Hz
 UNLOCK_AFTER: Final = 5.0  # s from a protective stop until it can be unlocked; dashboard manual

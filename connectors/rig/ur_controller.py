@@ -29,7 +29,7 @@ CATCH_UP: Final = (
     1.0  # s of cycles that are made up for when the host held us up; of more, the rest is skipped
 )
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 
 class Ports(NamedTuple):

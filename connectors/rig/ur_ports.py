@@ -23,7 +23,7 @@ from connectors.ur.rtde import (
     pack,
 )
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 UNREAD: Final = 1 << 16  # bytes that a client may leave unread until it is dropped
 HELD: Final = 1 << 15  # packages, a minute, that can be held up; then the oldest are lost

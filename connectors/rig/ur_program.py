@@ -20,7 +20,7 @@ from connectors.rig.ur_drive import Drive
 from connectors.rig.ur_variables import REGISTERS
 from operators.batch import Reals
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 READY: Final = 1
 DONE: Final = 2

@@ -16,7 +16,7 @@ from connectors.takktile.scan import Scan, Scanner, reason
 from operators.batch import ms, s
 from operators.errors import EndpointError
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 PERSISTENCE: Final = 250 * ms  # without a reading, and three scans, after which the sensor is lost
 PATIENCE: Final = 3.0  # s, for the thread to say something or to end

@@ -26,7 +26,7 @@ from connectors.ur.state import Bounds, State, Watch
 from operators.errors import EndpointError
 from operators.ports import Clock
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 BEGIN: Final = 30.0  # s, for the process to begin; it imports and uploads a program
 STAND: Final = 1.0  # s, for the arm to come to rest

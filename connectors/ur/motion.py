@@ -26,7 +26,7 @@ CB3_HIGHEST: Final = 125.0  # Hz
 _LONGEST: Final = 4e9  # s that a controller may have been up: 128 years
 _ROW: Final = np.dtype([("recipe", "u1"), ("timestamp", ">f8"), ("pose", ">f8", 6), ("speed", ">f8", 6)])
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 
 @dataclass(eq=False)

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 from connectors.ur.rtde import PROTOCOL, Kind, Packages, Recipe, RtdeError, Version, ask_outputs, pack, text
 
-log = logging.getLogger(__name__)
+log = logging.getLogger("slipflow")
 
 
 class Subscription:

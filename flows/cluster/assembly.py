@@ -36,9 +36,8 @@ class _Staged:
     """What the claims of one share came to, slice by slice."""
 
     claims: Iterator[Given]
-    _rest: dict[int, dict[_Place, Batch]] = field(
-        default_factory=dict[int, dict[_Place, Batch]], init=False
-    )  # by slice
+    # by slice
+    _rest: dict[int, dict[_Place, Batch]] = field(default_factory=dict[int, dict[_Place, Batch]], init=False)
 
     def take(self, number: int) -> dict[_Place, Batch]:
         """What operators gave for a slice; slices are asked for in order."""

@@ -1,8 +1,7 @@
 """Collecting a plan: each session is recorded through a flow while the arm carries it out."""
 
 import asyncio
-from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Final
@@ -55,14 +54,6 @@ def declare(
     return flow
 
 
-class CollectionRunner(LiveRunner):
-    """A live run that leaves signals to the collection, which stops the arm first."""
-
-    @contextmanager
-    def _signals(self) -> Generator[None]:
-        yield
-
-
 @dataclass
 class Collection:
     """What it takes to collect, and what was collected.
@@ -96,7 +87,7 @@ class Collection:
     driver: Driver = field(init=False)
     runs: list[Run] = field(default_factory=list[Run], init=False)
     interrupted: bool = field(default=False, init=False)
-    _runner: CollectionRunner | None = field(default=None, init=False)
+    _runner: LiveRunner | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         self.driver = Driver(self.arm, self.clock, blind=self.blind)
@@ -134,7 +125,8 @@ class Collection:
         felt, episodes = Felt(), list[Json]()
         place, dataset = session.surface.place, self.dataset()
         flow = declare(self.touch, self.motion, place, dataset=dataset, felt=felt, delay=self.delay)
-        runner = self._runner = CollectionRunner(flow, name, clock=self.clock)
+        # a signal is the collection's, which stops the arm first
+        runner = self._runner = LiveRunner(flow, name, clock=self.clock, signals=False)
         about: dict[str, Json] = {**self.about, **_described(session), "episodes": episodes}
         runner.run.describe["collection"] = about
         self.runs.append(runner.run)

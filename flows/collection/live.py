@@ -15,7 +15,7 @@ from connectors.ur.control import WATCHDOG
 from connectors.ur.state import Bounds, Watch
 from flows.collection.collect import APPEAR, PATIENCE, Collection
 from flows.collection.path import Place, Pose
-from flows.collection.plan import Plan, Session, extent
+from flows.collection.plan import Session, StrokePlan, extent
 from flows.collection.signals import answered
 from flows.collection.surface import Spot
 from flows.running.clock import LoopClock
@@ -78,7 +78,7 @@ class Collected:
 
 
 async def collect(
-    plan: Plan,
+    plan: StrokePlan,
     surfaces: Sequence[Spot],
     rigging: Rigging,
     *,

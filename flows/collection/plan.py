@@ -96,7 +96,7 @@ _POSITIVE: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class StrokePlan:
     """What to collect on each surface, and how.
 
     Raises:
@@ -132,20 +132,22 @@ class Plan:
     def __post_init__(self) -> None:
         for name in _POSITIVE:
             if not getattr(self, name) > 0:
-                raise ParameterError("Plan", name, getattr(self, name), "above 0")
+                raise ParameterError("StrokePlan", name, getattr(self, name), "above 0")
         for name in ("repeats", "rotations", "rounds", "depth", "rest"):
             if not getattr(self, name) >= 0:
-                raise ParameterError("Plan", name, getattr(self, name), "0 or above")
+                raise ParameterError("StrokePlan", name, getattr(self, name), "0 or above")
         for name in ("depth", "deepest"):
             if not getattr(self, name) <= DEEPEST:
                 must_be = f"at most {1000 * DEEPEST:g} mm, {DEEPEST} m: a fingertip gives way by a few mm"
-                raise ParameterError("Plan", name, getattr(self, name), must_be)
+                raise ParameterError("StrokePlan", name, getattr(self, name), must_be)
         if self.force is not None and not self.force > 0:
-            raise ParameterError("Plan", "force", self.force, "above 0 N")
+            raise ParameterError("StrokePlan", "force", self.force, "above 0 N")
         if self.near > self.clearance:
-            raise ParameterError("Plan", "near", self.near, f"at most the clearance, {self.clearance} m")
+            raise ParameterError(
+                "StrokePlan", "near", self.near, f"at most the clearance, {self.clearance} m"
+            )
         if not all(0 < speed < 0.3 for speed in self.speeds):  # noqa: PLR2004 - the label's limit
-            raise ParameterError("Plan", "speeds", self.speeds, "above 0 and below 0.3 m/s")
+            raise ParameterError("StrokePlan", "speeds", self.speeds, "above 0 and below 0.3 m/s")
 
     def sessions(self, surfaces: Sequence[Surface], seed: int) -> list[Session]:
         """All sessions, surface by surface; the order of directions, and the splits, are drawn.
@@ -158,7 +160,7 @@ class Plan:
         random = np.random.default_rng(seed)
         speeds = [speed for speed in self.speeds for _ in range(self.repeats)] + [None] * self.rotations
         if not (surfaces and speeds and self.rounds):
-            raise ParameterError("Plan", "sessions", 0, "1 or more")
+            raise ParameterError("StrokePlan", "sessions", 0, "1 or more")
         counted, sessions, first = dict[str, int](), list[Session](), int(random.integers(len(TURNS)))
         for surface in surfaces:
             for speed in speeds:
@@ -254,12 +256,12 @@ class Plan:
         return Line(beside(surface.place, (x, y, -self.clearance)), self.travel, self.acceleration)
 
 
-PLANS: Final[Mapping[str, Plan]] = MappingProxyType(
-    {"paper": Plan(), "tiny": Plan(speeds=(0.05,), repeats=1, rotations=1, rounds=1, rest=0.3)}
+PLANS: Final[Mapping[str, StrokePlan]] = MappingProxyType(
+    {"paper": StrokePlan(), "tiny": StrokePlan(speeds=(0.05,), repeats=1, rotations=1, rounds=1, rest=0.3)}
 )
 
 
-def named(name: str) -> Plan:
+def named(name: str) -> StrokePlan:
     """A built-in plan.
 
     Raises:

@@ -73,7 +73,7 @@ def summary(runs: Sequence[Run], strokes: int) -> dict[str, Any]:
                 "session": run.session,
                 "rows": {name: source.rows for name, source in run.sources.items()},
                 "gaps": sum(len(source.gaps) for source in run.sources.values()),
-                "dropped": sum(sink.dropped for name, sink in run.sinks.items() if name == "dataset"),
+                "dropped": sum(sink.dropped for sink in run.sinks.values() if sink.records),
                 "error": run.error or None,
             }
             for run in runs

@@ -65,11 +65,23 @@ def box(text: str) -> "Box":
     return (a, b, c), (d, e, f)
 
 
+def speeds(text: str) -> tuple[float, ...]:
+    """Speeds with commas between, m/s.
+
+    >>> speeds("10mm/s,0.02m/s")
+    (0.01, 0.02)
+
+    Raises:
+        ParameterError: if these are none.
+    """
+    return tuple(quantity(OWNER, "--speeds", each, "m/s") for each in text.split(","))
+
+
 def numbers(option: str, text: str, count: int | None = None) -> list[float]:
     """Numbers with commas between, as many as `count` if it is given.
 
-    >>> numbers("--speeds", "0.01,0.02")
-    [0.01, 0.02]
+    >>> numbers("--workspace", "0.1,0.2", 2)
+    [0.1, 0.2]
 
     Raises:
         ParameterError: if these are not.

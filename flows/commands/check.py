@@ -1,6 +1,7 @@
 """The commands that look at a flow without running it."""
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,13 +19,14 @@ if TYPE_CHECKING:
 def check(target: Target, *, settings: Settings = None, as_json: AsJson = False) -> None:
     """Find what is wrong with a flow without running it.
 
-    Lists its parameters with their defaults, ready for --set. Exits 2 if anything is wrong.
+    Lists its parameters as they are set or else by default, ready for --set. Exits 2 if anything is wrong.
     """
     from flows.loading import load
     from flows.validate import problems
 
     declaration = load(target)
-    flow = declaration.flow(named_settings(settings))
+    chosen = named_settings(settings)
+    flow = declaration.flow(chosen)
     found = [str(problem) for problem in problems(flow)]
     if as_json:
         parameters = {name: each.as_dict() for name, each in declaration.parameters.items()}
@@ -33,8 +35,9 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
         typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
     else:
         typer.echo(f"{flow.name} is sound; sources: {_names(flow.sources())}; sinks: {_names(flow.sinks())}")
-        for each in declaration.parameters.values():
-            typer.echo(f"  --set {each}")
+        for name, each in declaration.parameters.items():
+            value = each.value(flow.name, chosen[name]) if name in chosen else each.default
+            typer.echo(f"  --set {replace(each, default=value)}")
     if found:
         raise typer.Exit(2)
 

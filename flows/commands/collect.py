@@ -18,7 +18,7 @@ from flows.commands.options import AsJson, told
 if TYPE_CHECKING:
     from flows.collection.live import Collected, Rigging
     from flows.collection.path import Pose
-    from flows.collection.plan import Plan
+    from flows.collection.plan import StrokePlan
     from flows.collection.surface import Spot
 
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
@@ -55,7 +55,7 @@ def collect(
         bool, typer.Option("--virtual", help="On a virtual lab of one's own, at --robot or 127.0.0.1.")
     ] = False,
     speeds: Annotated[
-        str | None, typer.Option(metavar="V,V", help="Of strokes, m/s, as 0.01,0.02; else the plan's.")
+        str | None, typer.Option(metavar="SPEED,...", help="Of strokes, as 10mm/s,20mm/s; else the plan's.")
     ] = None,
     repeats: Annotated[int | None, typer.Option(help="Sessions of each speed; else the plan's.")] = None,
     rotations: Annotated[int | None, typer.Option(help="Sessions of rotations; else the plan's.")] = None,
@@ -138,7 +138,7 @@ def collect(
     chosen = named(plan)
     changed = replace(
         chosen,
-        speeds=chosen.speeds if speeds is None else tuple(text.numbers("--speeds", speeds)),
+        speeds=chosen.speeds if speeds is None else text.speeds(speeds),
         repeats=chosen.repeats if repeats is None else repeats,
         rotations=chosen.rotations if rotations is None else rotations,
         rounds=chosen.rounds if rounds is None else rounds,
@@ -187,7 +187,7 @@ def collect(
 
 
 async def _collect(
-    plan: "Plan",
+    plan: "StrokePlan",
     name: str,
     surfaces: "list[Spot]",
     rigging: "Rigging",
@@ -210,7 +210,7 @@ async def _collect(
         return await live.collect(plan, surfaces, rigging, name=name, seed=seed, told=told)
 
 
-def _check_pressing(plan: "Plan", *, limit: float, depth: str | None, deepest: str | None) -> None:
+def _check_pressing(plan: "StrokePlan", *, limit: float, depth: str | None, deepest: str | None) -> None:
     """Say which options do not go together."""
     if plan.force is None and deepest is not None:
         raise typer.BadParameter("--deepest is for --force: --depth says how deep to press without")
@@ -231,7 +231,7 @@ def _patience(text: str | None, usual: float) -> float:
 
 
 def _dry(
-    plan: "Plan",
+    plan: "StrokePlan",
     surfaces: "list[Spot]",
     rigging: "Rigging",
     robot: str | None,

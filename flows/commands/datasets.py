@@ -44,7 +44,7 @@ def verify(
     lossy or lost.
     """
     from flows.commands import verification_page as pages
-    from flows.figures import lacking
+    from flows.reports.figures import lacking
     from storage import verify as check
 
     if report is not None:
@@ -112,7 +112,7 @@ def simulate(
     ] = None,
     *,
     plan: Annotated[
-        str, typer.Option(help="paper: 45 minutes; wide: 30, each on a material of its own; tiny: 2.")
+        str, typer.Option(help="paper: 44 minutes; wide: 30, each on a material of its own; tiny: 2.")
     ] = "paper",
     seed: Annotated[int, typer.Option(help="Of everything random; the same seed gives the same bytes.")] = 0,
     delay: Annotated[

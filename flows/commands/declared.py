@@ -14,7 +14,7 @@ Target = Annotated[
     str,
     typer.Argument(
         metavar="FILE[:FLOW]",
-        help="A Python file that declares a flow (run as code), or one of live, record, relabel, lift.",
+        help="A Python file that declares a flow (run as code), or one of lift, live, record, relabel.",
     ),
 ]
 Settings = Annotated[

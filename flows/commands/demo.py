@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from flows.commands.event_log import Format, Log, in_json
-from flows.commands.execution import Duration, execute
+from flows.commands.execution import Duration, apart_from, execute
 from flows.commands.live_metrics import WithMetrics, add_metrics
 from flows.commands.live_page import Listen, NoBrowser, WithPage, add_page
 from flows.commands.options import AsJson
@@ -50,9 +50,8 @@ def demo(
     from flows.running.summary import Summary
 
     limit = None if duration is None else time("demo", "--for", duration)  # ns
-
-    broker = mqtt or demonstration.local_broker()  # nobody asked for one that was merely found
-    flow = demonstration.Demo(out, broker=broker, patient=mqtt is None, rig=rig, outbox=outbox, seed=seed)
+    broker, patient = (mqtt, False) if mqtt else (demonstration.local_broker(), True)  # nobody asked for it
+    flow = demonstration.Demo(out, broker=broker, patient=patient, rig=rig, outbox=outbox, seed=seed)
     if log is Format.JSON:
         flow.flow = in_json(flow.flow)
     if page:
@@ -61,7 +60,8 @@ def demo(
         add_metrics(flow.flow, metrics)
     typer.echo(flow.flow, err=True)
     typer.echo("starting; the first time, the simulated physics is compiled for some seconds", err=True)
-    done = asyncio.run(execute(flow.flow, None, limit, None, log))
+    with apart_from(result=as_json, log=log):
+        done = asyncio.run(execute(flow.flow, log=log, limit=limit))
     summary = Summary.of(done)
     if as_json:
         typer.echo(json.dumps({**summary.as_dict(), **flow.summary(done)}))

@@ -33,10 +33,10 @@ def evaluate(
     Says how right they are, and what users of slip events feel. Prints the paper's Tables I and III beside
     its figures, false alarms, missed slips and onset delay, and writes evaluation.html, .md and .json.
     """
-    from flows.evaluation import report
+    from flows.evaluation import evaluation_page as report
     from flows.evaluation.evaluate import evaluate as judge
-    from flows.evaluation.page_files import make_output_folder
-    from flows.figures import lacking
+    from flows.reports.figures import lacking
+    from flows.reports.files import make_output_folder
 
     make_output_folder(out)
     if reason := lacking():
@@ -122,7 +122,7 @@ def train(
             told("stopped; the same command goes on from the last check" if method == "tcn" else "stopped")
             raise
     if curve is not None:
-        from flows.figures import save
+        from flows.reports.figures import save
 
         save(draw({f"seed {model.card['seed']}": model.curve for model in found.models}), curve)
         told(f"written: {curve}")
@@ -170,7 +170,7 @@ def chart(
     """
     from flows.evaluation import chart_page
     from flows.evaluation.chart import chart as measure
-    from flows.evaluation.page_files import make_output_folder
+    from flows.reports.files import make_output_folder
 
     make_output_folder(out)
     models, names = model or [], method or []
@@ -195,8 +195,8 @@ def stress(
     figures.
     """
     from flows.evaluation import stress_page
-    from flows.evaluation.page_files import make_output_folder
     from flows.evaluation.stress import stress as measure
+    from flows.reports.files import make_output_folder
 
     make_output_folder(out)
     models, names = model or [], method or []

@@ -42,7 +42,8 @@ Log = Annotated[
 class JsonLines(logging.Formatter):
     """A log record as one line of JSON: time (UTC), event, level, what the event tells.
 
-    A record that names no event is the event log, with its text. Credentials in addresses are left out.
+    A record that names no event becomes an event called `log`, with its text. Credentials in addresses
+    are left out.
 
     >>> about = {"msg": "cannot reach mqtt://me:secret@host", "created": 5, "levelname": "INFO"}
     >>> print(JsonLines().format(logging.makeLogRecord(about)).partition(",")[2])

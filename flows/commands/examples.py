@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
+# by command
 EXAMPLES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         "run": (
@@ -61,7 +62,7 @@ EXAMPLES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
         ),
         "learn": ("slipflow experiment learn -o mine.safetensors",),
     }
-)  # by command
+)
 
 
 def examples(command: str) -> str:

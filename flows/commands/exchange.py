@@ -103,8 +103,9 @@ def import_(
         ),
     ] = None,
     slip_speed: Annotated[
-        float, typer.Option(help="Of the arm, m/s, above which it slips, where the file has no labels.")
-    ] = 0.003,
+        str,
+        typer.Option(metavar="SPEED", help="Of the arm, above which it slips, where the file has no labels."),
+    ] = "3mm/s",
     delay: Annotated[
         str, typer.Option(metavar="TIME", help="Label each touch by the arm's motion this much later.")
     ] = "0s",
@@ -122,7 +123,7 @@ def import_(
     """
     from connectors.csv.columns import ColumnMap
     from flows.importing import Import
-    from flows.quantity import time
+    from flows.quantity import quantity, time
     from operators import Label
 
     understood = Import(
@@ -132,7 +133,10 @@ def import_(
         rate=rate,
         finger=finger,
         zeroed=zeroed,
-        label=Label(speed=slip_speed, delay=time("import", "--delay", delay)),
+        label=Label(
+            speed=quantity("import", "--slip-speed", slip_speed, "m/s"),
+            delay=time("import", "--delay", delay),
+        ),
         session=session,
     )
     if not dry_run:

@@ -1,7 +1,8 @@
 """Carrying a flow out for a command, and saying what came of it."""
 
 import json
-from collections.abc import Sequence
+import sys
+from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,6 +24,11 @@ Duration = Annotated[
 ]
 
 
+def apart_from(*, result: bool, log: Format) -> AbstractContextManager[object]:
+    """What sinks print goes to stderr where stdout is for a result in JSON; a log for programs stays."""
+    return redirect_stdout(sys.stderr) if result and log is Format.TEXT else nullcontext()
+
+
 def session_name(flow: "Flow") -> str:
     """What a session that begins now is called."""
     from datetime import UTC, datetime
@@ -31,9 +37,21 @@ def session_name(flow: "Flow") -> str:
 
 
 async def execute(
-    flow: "Flow", recording: "Recording | None", limit: int | None, pace: float | None, log: Format
+    flow: "Flow",
+    *,
+    log: Format,
+    limit: int | None = None,
+    recording: "Recording | None" = None,
+    pace: float | None = None,
 ) -> "Run":
-    """Run a flow: live, or over a recording, at full speed or at a `pace`; `limit` (ns) ends it.
+    """Run a flow: live, or over a recording.
+
+    Args:
+        flow: To be run.
+        log: How what happens is told.
+        limit: When a live or a paced run ends at the latest, ns.
+        recording: To be replayed; None: it runs live.
+        pace: Of the replay, a multiple of real time; None: full speed.
 
     Raises:
         SlipflowError: if it cannot begin, or a replay fails.
@@ -58,8 +76,8 @@ async def execute(
         return await live.execute()
 
 
-def finish(run: "Run", replayed: "Sequence[Path]", seconds: float, log: Format, *, as_json: bool) -> None:
-    """Say what a run came to, after so many `seconds` of wall time.
+def finish(run: "Run", *, replayed: Path | None, seconds: float, log: Format, as_json: bool) -> None:
+    """Say what a run came to; it took so many `seconds` of wall time.
 
     Exits 130 if it was interrupted, 1 if a source was down at its end or rows were lost.
     """
@@ -68,8 +86,7 @@ def finish(run: "Run", replayed: "Sequence[Path]", seconds: float, log: Format, 
 
     summary = Summary.of(run)
     if as_json and replayed:
-        [path] = replayed
-        typer.echo(replays.as_json([Replayed(str(path), summary, error=run.error)], seconds))
+        typer.echo(replays.as_json([Replayed(str(replayed), summary, error=run.error)], seconds))
     elif as_json:
         typer.echo(json.dumps(summary.as_dict()))
     elif log is Format.TEXT:  # else the log has told it

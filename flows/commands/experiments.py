@@ -65,7 +65,7 @@ def tap(
     And the rest after it? Prints success beside the paper's, how trials failed, and what is registered where
     nothing slips. Writes tap.html, .md, .json and .svg.
     """
-    from flows.experiment import page
+    from flows.experiment import experiment_page as page
     from flows.experiment.experiment import BESIDE, DEFAULT, Method, experiment
 
     methods, objects = methods_of([Method(DEFAULT), *BESIDE["tap"]], method, None), objects_of(thing)
@@ -115,7 +115,8 @@ def lift(
     conditions = conditions_of(path, delay, rate, locks=locks)
     if ablation and conditions != conditions_of("direct", "0s", 100):
         raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it tries its own")
-    from flows.experiment import ablation_page, page, stress_page
+    from flows.experiment import ablation_page, stress_page
+    from flows.experiment import experiment_page as page
     from flows.experiment.ablation import METHODS
     from flows.experiment.ablation import ablation as ablate
     from flows.experiment.experiment import BESIDE, DEFAULT, Method, experiment
@@ -210,8 +211,8 @@ def _carry_out(
     as_json: bool,
 ) -> None:
     """Measure with a bar, write the page, say what was written and what it takes to have its figures."""
-    from flows.evaluation.page_files import make_output_folder
-    from flows.figures import lacking
+    from flows.reports.figures import lacking
+    from flows.reports.files import make_output_folder
 
     make_output_folder(out)
     with progress_bar(what) as update:

@@ -7,7 +7,9 @@ from typing import Annotated, Protocol
 
 import typer
 
-AsJson = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on the last line.")]
+AsJson = Annotated[
+    bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else on stdout.")
+]
 Models = Annotated[
     list[Path] | None,
     typer.Option("--model", metavar="FILE", help="A model to take in as well; may be given several times."),

@@ -52,8 +52,8 @@ def replay(
             progress=lambda number, rows: update(number, len(recordings), f"{rows:,} rows"),
         ):
             if each.printed or not (each.error or in_json):
-                typer.echo(_line(each))
-            typer.echo(indent(each.printed, "  "), nl=False)
+                typer.echo(_line(each), err=in_json)
+            typer.echo(indent(each.printed, "  "), nl=False, err=in_json)
             if each.error and (each.summary or not stopped()):
                 told(f"error: {each.recording}: {each.error.removeprefix(f'{each.recording}: ')}")
             done.append(each)

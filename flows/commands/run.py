@@ -9,7 +9,7 @@ import typer
 from flows.commands import on_cluster, replays
 from flows.commands.declared import Settings, Target, declared, named_settings
 from flows.commands.event_log import Format, Log, in_json
-from flows.commands.execution import Duration, execute, finish, session_name
+from flows.commands.execution import Duration, apart_from, execute, finish, session_name
 from flows.commands.live_metrics import WithMetrics, add_metrics
 from flows.commands.live_page import Listen, NoBrowser, WithPage, add_page
 from flows.commands.on_cluster import Follow, OnCluster, WithPython
@@ -68,31 +68,34 @@ def run(
     from flows.running.parallel_replay import apart, open_recording, recordings
 
     limit = None if duration is None else time("run", "--for", duration)  # ns
+    single = bool(pace is not None or page or listen or metrics or log is not Format.TEXT)
+    _check_together(
+        (
+            replay is None and bool(pace is not None or jobs is not None or more),
+            "--pace, --jobs and further recordings need --replay PATH: without it a flow runs live",
+        ),
+        (
+            bool(cluster) and (single or jobs is not None),
+            "--cluster: leave out --pace, --jobs, --page, --metrics and --log, of runs on this machine",
+        ),
+        (not cluster and bool(follow or python), "--follow and --cluster-python need --cluster URL"),
+        (
+            bool(replay and duration) and pace is None and not cluster,
+            "--for is of live runs and of --pace: a replay ends with its recording",
+        ),
+    )
     flow = declared(target, settings)
-    if replay is None and (pace is not None or jobs is not None or more):
-        raise typer.BadParameter(
-            "--pace, --jobs and further recordings need --replay PATH: without it a flow runs live"
-        )
-    if not cluster:
-        _check_replay(
-            full_speed=bool(replay) and pace is None, timed=bool(duration), clustered=bool(follow or python)
-        )
     given = [*(replay or ()), *(more or ())]
     if cluster:
-        if metrics or log is not Format.TEXT:
-            raise typer.BadParameter(
-                "--metrics and --log are of a run on this machine: leave them out with --cluster"
-            )
         at = on_cluster.Place(cluster, python, follow=follow, limit=limit)
         at.run(target, named_settings(settings), given, session_name(flow), as_json=as_json)
         return
     paths = recordings(given)
     apart(flow, paths)
     if len(paths) > 1:
-        if pace is not None or page or listen or metrics or log is not Format.TEXT:
-            raise typer.BadParameter(
-                "--pace, --page, --metrics and --log take one recording: leave them out, or give one"
-            )
+        _check_together(
+            (single, "--pace, --page, --metrics and --log take one recording: leave them out, or give one")
+        )
         replays.replay(target, named_settings(settings), paths, session_name(flow), jobs, in_json=as_json)
         return
     recording = open_recording(paths[0], told) if paths else None
@@ -103,13 +106,18 @@ def run(
     if metrics:
         add_metrics(flow, metrics)
     began = perf_counter()
-    done = asyncio.run(execute(flow, recording, limit, pace, log))
-    finish(done, paths, perf_counter() - began, log, as_json=as_json)
+    with apart_from(result=as_json, log=log):
+        done = asyncio.run(execute(flow, log=log, limit=limit, recording=recording, pace=pace))
+    replayed, seconds = next(iter(paths), None), perf_counter() - began
+    finish(done, replayed=replayed, seconds=seconds, log=log, as_json=as_json)
 
 
-def _check_replay(*, full_speed: bool, timed: bool, clustered: bool) -> None:
-    """Say which options do not go together on this machine."""
-    if clustered:
-        raise typer.BadParameter("--follow and --cluster-python need --cluster URL")
-    if full_speed and timed:
-        raise typer.BadParameter("--for is of live runs and of --pace: a replay ends with its recording")
+def _check_together(*cases: tuple[bool, str]) -> None:
+    """Make sure that no case holds of options that do not go together.
+
+    Raises:
+        BadParameter: saying why, if one does.
+    """
+    for holds, why in cases:
+        if holds:
+            raise typer.BadParameter(why)

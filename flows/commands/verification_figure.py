@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.figures import INK, MAIN, SECOND, Figure, grid, styled
+from flows.reports.figures import INK, MAIN, SECOND, Figure, grid, styled
 from operators.batch import s
 from storage.findings import severity
 from storage.verification import Checked, Verified

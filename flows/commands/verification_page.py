@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from flows.commands.options import check_output_file, counted
 from flows.commands.verification_figure import LANES, by_session, lanes
-from flows.evaluation.page import Page, Section, Table
-from flows.figures import lacking
+from flows.reports.figures import lacking
+from flows.reports.page import Page, Section, Table
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError, because
 from storage.findings import Finding, Weight, heaviest

@@ -35,7 +35,9 @@ class GradientBoosting:
             InputError: if scikit-learn is not installed.
         """
         if find_spec("sklearn") is None:
-            raise InputError("gradient_boosting", "needs scikit-learn: pip install 'slipflow[train]'")
+            raise InputError(
+                "gradient_boosting", "needs scikit-learn: in the clone, pip install -e '.[train]'"
+            )
         ensemble: Any = import_module("sklearn.ensemble")  # an extra, and slow to import
         model = ensemble.HistGradientBoostingClassifier(
             max_iter=300, max_leaf_nodes=31, min_samples_leaf=40, l2_regularization=1.0,

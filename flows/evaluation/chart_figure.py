@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flows.evaluation import published
 from flows.evaluation.chart_points import Point
-from flows.figures import FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
+from flows.reports.figures import FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
 
 _SIZE: Final = (12.0, 5.4)  # inches
 _LINE: Final = 11.0  # points from one name to the next below it

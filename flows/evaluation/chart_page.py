@@ -7,8 +7,8 @@ from pathlib import Path
 from flows.evaluation import chart_figure, published
 from flows.evaluation.chart import DEFAULT, Chart
 from flows.evaluation.chart_points import Point
-from flows.evaluation.page import NONE, Page, Section, Table, drawn, number, terminal_text
-from flows.evaluation.page_files import write_page
+from flows.reports.files import write_page
+from flows.reports.page import NONE, Page, Section, Table, drawn, number, terminal_text
 
 
 def page(of: Chart, command: str) -> Page:

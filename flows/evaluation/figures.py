@@ -10,7 +10,7 @@ from flows.evaluation.evaluate import Result
 from flows.evaluation.label_changes import EDGES
 from flows.evaluation.motions import Cell, Cells
 from flows.evaluation.published import SPEEDS, SURFACES, TABLE_3
-from flows.figures import CELLS, FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
+from flows.reports.figures import CELLS, FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
 
 _LINES: Final = ("-", "--", ":")
 _COLUMNS: Final = 5  # confusion matrices in a row

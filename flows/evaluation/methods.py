@@ -94,12 +94,13 @@ def _gradient_boosting(trials: Sequence[Trial]) -> Detector:
     return GradientBoosting.fitted(_seen(trials, GradientBoosting.length), labels(trials, _HOP))
 
 
+# by name, those that are fitted to the training split at hand
 FITTED: Final[Mapping[str, Callable[[Sequence[Trial]], Detector]]] = {
     "gradient_boosting": _gradient_boosting,
     "logistic": _logistic,
     "psd": _psd(25),
     "psd_1s": _psd(100),  # the paper's window
-}  # by name, those that are fitted to the training split at hand
+}
 
 
 def _seen(trials: Sequence[Trial], length: int) -> Counts:

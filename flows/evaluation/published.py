@@ -7,22 +7,25 @@ from typing import Final
 SURFACES: Final = ("plane", "sphere", "cylinder_y", "cylinder_x")
 SPEEDS: Final = (0.05, 0.075, 0.1)  # m/s
 
+# accuracy, precision, recall, F1; weighted over the two classes, %
 TABLE_1: Final[Mapping[str, tuple[float, float, float, float]]] = MappingProxyType(
     {
         "PSD threshold": (57.4, 57.9, 57.4, 57.5),
         "frequency CNN": (86.0, 86.0, 86.0, 86.0),
         "TCN": (91.3, 91.4, 91.4, 91.4),
     }
-)  # accuracy, precision, recall, F1; weighted over the two classes, %
+)
 
+# %, by the names that our detectors of the same kind have
 ACCURACY: Final[Mapping[str, float]] = MappingProxyType(
     {
         "psd": TABLE_1["PSD threshold"][0],
         "frequency_cnn": TABLE_1["frequency CNN"][0],
         "tcn": TABLE_1["TCN"][0],
     }
-)  # %, by the names that our detectors of the same kind have
+)
 
+# F1, %, on each of `SURFACES` and on all of them; by motion and speed, m/s
 TABLE_3: Final[Mapping[tuple[str, float | None], tuple[float, ...]]] = MappingProxyType(
     {
         ("primary", 0.05): (92.5, 88.8, 78.7, 94.0, 89.7),
@@ -33,6 +36,6 @@ TABLE_3: Final[Mapping[tuple[str, float | None], tuple[float, ...]]] = MappingPr
         ("oblique", 0.1): (96.4, 88.6, 93.5, 93.4, 93.8),
         ("rotation", None): (84.6, 74.5, 84.0, 86.1, 81.5),
     }
-)  # F1, %, on each of `SURFACES` and on all of them; by motion and speed, m/s
+)
 
 TABLE_3_ANY: Final = (94.0, 88.9, 88.0, 91.9)  # F1, %, of any motion on each of `SURFACES`

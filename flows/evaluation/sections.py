@@ -13,9 +13,10 @@ from flows.evaluation.events import EventMetrics
 from flows.evaluation.label_changes import EDGES
 from flows.evaluation.metrics import Confusion
 from flows.evaluation.motions import Cell, Cells
-from flows.evaluation.page import NONE, Section, Table, drawn, number
 from flows.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
+from flows.reports.page import NONE, Section, Table, drawn, number
 
+# the row of Table I that each method stands beside
 _PAPER_ROW: Final[Mapping[str, str]] = {
     "psd": "PSD threshold",
     "psd_1s": "PSD threshold",
@@ -23,7 +24,7 @@ _PAPER_ROW: Final[Mapping[str, str]] = {
     "frequency_cnn_interleaved": "frequency CNN",
     "paper_tcn": "TCN",
     "tcn": "TCN",
-}  # the row of Table I that each method stands beside
+}
 NEAR: Final = 60  # ms
 FAR: Final = 100  # ms
 

@@ -27,7 +27,7 @@ from flows.evaluation.stress_result import Condition, Outcome, Stress
 from flows.evaluation.tuning import tuned
 from flows.process_map import process_map
 from flows.scoring import probabilities
-from flows.trials import JUDGED, Trial, simulate
+from flows.trials import JUDGED, Trial, simulated_trials
 from operators import Debounce
 from operators.batch import Flags
 from operators.detectors.detector import Detector
@@ -73,7 +73,7 @@ def stress(
         raise ParameterError("stress", "seed", seed, "0 or above")
     if jobs is not None and jobs < 1:
         raise ParameterError("stress", "jobs", jobs, "1 or above")
-    fitting, nominal = simulate(training, seed + _FITTING), simulate(training, seed + _TUNING)
+    fitting, nominal = simulated_trials(training, seed + _FITTING), simulated_trials(training, seed + _TUNING)
     subjects = dict[str, tuple[Detector, Debounce]]()
     with one_thread():
         chosen, missing = methods(fitting, models, names, told)
@@ -133,7 +133,9 @@ class _Judge:
 
     def _outcome(self, condition: Condition) -> Outcome:
         field, value = condition.field, condition.value
-        trials = simulate(plan_of(field, self.plan), self.seed, lambda scene: stressed(scene, field, value))
+        trials = simulated_trials(
+            plan_of(field, self.plan), self.seed, lambda scene: stressed(scene, field, value)
+        )
         unscored, judged = dict[str, float](), dict[tuple[str, Truth], Judgement]()
         for name, (detector, debounce) in self.subjects.items():
             found = [probabilities(detector, trial) for trial in trials]

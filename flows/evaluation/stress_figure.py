@@ -8,7 +8,7 @@ from typing import Final
 from flows.evaluation.judgement import Truth
 from flows.evaluation.stress_fields import GRIDS, Grid
 from flows.evaluation.stress_result import Stress
-from flows.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
+from flows.reports.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
 
 _COLUMNS: Final = 7  # the barometers' fields are the first row
 _COLOURS: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)

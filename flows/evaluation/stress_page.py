@@ -7,11 +7,11 @@ from typing import Final
 
 from flows.evaluation import stress_figure
 from flows.evaluation.judgement import Judgement, Truth
-from flows.evaluation.page import NONE, Page, Section, Table, drawn, number, terminal_text
-from flows.evaluation.page_files import write_page
 from flows.evaluation.stress_fields import FALL, GOALS, GRIDS
 from flows.evaluation.stress_figure import MEASURES
 from flows.evaluation.stress_result import Stress
+from flows.reports.files import write_page
+from flows.reports.page import NONE, Page, Section, Table, drawn, number, terminal_text
 
 _AGAINST: Final[dict[Truth, str]] = {
     "label": "by the arm's speed, as the paper labels",

@@ -17,6 +17,7 @@ from flows.experiment.setting import Conditions, Nature
 DELAYS: Final = (0, 50, 100, 125, 150, 175, 200, 225, 250, 275, 300, 350, 400, 600)  # ms, added
 RATES: Final = (200.0, 50.0, 25.0, 20.0, 10.0)  # Hz; a detector that learnt at 100 takes each for 10 ms
 HELD: Final = (2, 4, 10, 20)  # samples at 100 Hz, of which one is a reading that is held for the others
+# the delay that is added with each, ms
 HARD: Final[Mapping[str, tuple[Conditions, int]]] = {
     "friction x0.5": (Conditions(nature=Nature(friction=0.5)), 0),
     "friction x0.5, +100 ms": (Conditions(nature=Nature(friction=0.5)), 100),
@@ -26,7 +27,7 @@ HARD: Final[Mapping[str, tuple[Conditions, int]]] = {
     "lift x2, +100 ms": (Conditions(pace=2.0), 100),
     "lift x4": (Conditions(pace=4.0), 0),
     "lift x4, +100 ms": (Conditions(pace=4.0), 100),
-}  # and the delay that is added, ms
+}
 METHODS: Final = (Method("tcn_grasp"), Method("tcn", STEPS))
 GOOD: Final = 90.0  # %, below which it is broken
 ENOUGH: Final = 10  # trials of each object; of fewer, one that fails is below 90 %

@@ -9,7 +9,7 @@ from connectors.rig.objects import OBJECTS
 from flows.experiment.ablation import GOOD, Ablation
 from flows.experiment.lifting import LAGS, LIFT
 from flows.experiment.measures import median
-from flows.figures import CELLS, FAINT, INK, Axes, Figure, grid, styled
+from flows.reports.figures import CELLS, FAINT, INK, Axes, Figure, grid, styled
 
 COLOURS: Final = dict(zip(OBJECTS, CELLS, strict=True))  # by object
 MARKS: Final = dict(zip(OBJECTS, "soD^vP", strict=True))

@@ -6,12 +6,12 @@ from typing import Any
 
 from connectors.rig.objects import OBJECTS
 from flows.evaluation.metrics import known
-from flows.evaluation.page import Page, drawn, terminal_text
-from flows.evaluation.page_files import write_page
 from flows.experiment import ablation_figure
 from flows.experiment.ablation import Ablation
 from flows.experiment.ablation_tables import NAME, sections, title
 from flows.experiment.measures import median, tried
+from flows.reports.files import write_page
+from flows.reports.page import Page, drawn, terminal_text
 
 
 def page(of: Ablation, command: str) -> Page:

@@ -8,11 +8,11 @@ import numpy as np
 
 from connectors.rig.objects import OBJECTS
 from flows.commands.options import counted
-from flows.evaluation.page import Section, Table, number
 from flows.experiment.ablation import ENOUGH, GOOD, Ablation
 from flows.experiment.budget import falling
 from flows.experiment.experiment import Found
 from flows.experiment.measures import median, numbers, tried
+from flows.reports.page import Section, Table, number
 
 NAME: Final = "lift-ablation"
 

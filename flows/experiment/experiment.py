@@ -12,8 +12,8 @@ from flows.experiment.lifting import Lifting, lift
 from flows.experiment.setting import Conditions
 from flows.experiment.tapping import Tapping, tap
 from flows.experiment.trial import By, Trace
-from flows.lift import controller
 from flows.process_map import process_map
+from flows.ready_made.lift import controller
 from operators import Gripping, StepGrip
 from operators.errors import InputError, ParameterError
 from storage import load_detector
@@ -56,6 +56,7 @@ class Method:
 
 
 DEFAULT: Final = "tcn_grasp"
+# what stands beside the default, unless told otherwise
 BESIDE: Final[Mapping[Kind, Sequence[Method]]] = {
     "tap": [Method(name) for name in ("tcn", "paper_tcn", "frequency_cnn", "psd")],
     "lift": [
@@ -64,7 +65,7 @@ BESIDE: Final[Mapping[Kind, Sequence[Method]]] = {
         Method("tcn", OURS),
         *(Method(name, STEPS) for name in ("tcn", "paper_tcn", "frequency_cnn", "psd")),
     ],
-}  # what stands beside the default, unless told otherwise
+}
 
 
 Outcome: TypeAlias = Lifting | Tapping

@@ -19,7 +19,7 @@ from flows.networks.recipe import Recipe
 from flows.runs import runs
 from flows.training.curve import Check
 from flows.training.model import Model, label_scores, write_model
-from flows.trials import Trial, by_split, simulate
+from flows.trials import Trial, by_split, simulated_trials
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import GraspTcn
 from operators.errors import ParameterError
@@ -69,8 +69,8 @@ def learn(
     told(f"simulating {grasps} grasps and two plans of strokes")
     kinds = {
         "grasps": list(handled(grasps, seed)),
-        "strokes": _split(simulate(strokes, seed + 1)),
-        "varied strokes": _split(simulate(replace(strokes, vary=varied), seed + 2)),
+        "strokes": _split(simulated_trials(strokes, seed + 1)),
+        "varied strokes": _split(simulated_trials(replace(strokes, vary=varied), seed + 2)),
     }
     learnt = {**kinds, "grasps": [replace(t, label=lasting(t.label)) for t in kinds["grasps"]]}
     parts = by_split(chain.from_iterable(learnt.values()))

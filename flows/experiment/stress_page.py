@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any, Final
 
-from flows.evaluation.page import Page, Section, Table, number, terminal_text
-from flows.evaluation.page_files import write_page
 from flows.experiment.measures import numbers, tried
 from flows.experiment.stress import NOMINAL, Stressed
+from flows.reports.files import write_page
+from flows.reports.page import Page, Section, Table, number, terminal_text
 
 GOOD: Final = 90.0  # %, of the mean
 

@@ -8,15 +8,16 @@ from typing import Final, TypeVar
 import numpy as np
 
 from flows.commands.options import counted
-from flows.evaluation.page import NONE, Section, Table, number
 from flows.experiment import measures
 from flows.experiment.experiment import Found, Outcome
 from flows.experiment.lifting import Lifting
 from flows.experiment.measures import median, numbers, tried
 from flows.experiment.tapping import Tapping
+from flows.reports.page import NONE, Section, Table, number
 
 Kept = TypeVar("Kept", bound=Outcome)
 
+# success of 20 trials with real objects, %
 PAPER: Final = {
     "tap": {
         "ball": 90,
@@ -34,7 +35,7 @@ PAPER: Final = {
         "foam_sleeve": 35,
         "metal_can": 95,
     },
-}  # success of 20 trials with real objects, %
+}
 QUIET: Final = 2.1  # s of each tap in which nothing is done to the object
 
 

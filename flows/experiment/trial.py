@@ -9,8 +9,8 @@ from connectors.rig.grasp import Grasp, Held
 from flows.experiment.hand import Grasping
 from flows.experiment.setting import Conditions
 from flows.graph import Flow
-from flows.lift import held_by
 from flows.plan import Plan
+from flows.ready_made.lift import held_by
 from flows.testing import TestSink, TestSource
 from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, s
 from operators.detectors import Detector

@@ -7,7 +7,7 @@ from flows.experiment import lifting, tapping
 from flows.experiment.experiment import Found, one
 from flows.experiment.setting import SLIDES, Setting
 from flows.experiment.trial import BASELINE, Trace
-from flows.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid, styled
+from flows.reports.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid, styled
 from flows.runs import runs
 from storage import load_detector
 

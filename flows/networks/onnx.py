@@ -29,7 +29,7 @@ def export(arrays: Mapping[str, NDArray[Any]], path: Path) -> None:
         OSError: if the file cannot be written.
     """
     if find_spec("onnx") is None:
-        raise InputError("ONNX export", "needs onnx: pip install 'slipflow[train]'")
+        raise InputError("ONNX export", "needs onnx: in the clone, pip install -e '.[train]'")
     import onnx  # noqa: PLC0415 - an extra
 
     library: Any = onnx  # it declares no types

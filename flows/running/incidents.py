@@ -5,6 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from operators.batch import s
+from operators.errors import SlipflowError
 from operators.ports import Gap, Json
 
 log = logging.getLogger("slipflow")
@@ -17,6 +18,15 @@ def event(name: str, **about: Json) -> dict[str, Any]:
     {'event': 'source_failed', 'about': {'source': 'touch'}}
     """
     return {"event": name, "about": about}
+
+
+def reason_of(error: Exception) -> str:
+    """What a failure says of itself; with the name of its type where slipflow or the system did not raise it.
+
+    >>> reason_of(OSError("the cable is out")), reason_of(KeyError("x"))
+    ('the cable is out', "KeyError: 'x'")
+    """
+    return str(error) if isinstance(error, SlipflowError | OSError) else f"{type(error).__name__}: {error}"
 
 
 def replay_elsewhere(sink: str, place: str) -> None:

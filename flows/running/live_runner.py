@@ -1,11 +1,9 @@
-"""Running a flow live: a task per source, operators called inline, a bounded queue and a task per sink."""
+"""Running a flow live: a task per source, operators called inline, an outlet per sink."""
 
 import asyncio
-import signal
-from collections import defaultdict, deque
-from collections.abc import AsyncGenerator, Generator, Mapping, Sequence
-from contextlib import aclosing, contextmanager, suppress
-from math import inf
+from collections import defaultdict
+from collections.abc import AsyncGenerator, Mapping, Sequence
+from contextlib import aclosing, nullcontext
 from typing import Any
 
 from flows.drawing import streams
@@ -13,17 +11,15 @@ from flows.graph import Flow
 from flows.node import Node
 from flows.plan import Delivery, Entry, Plan
 from flows.running import incidents
+from flows.running.back_off import FIRST_RETRY, LAST_RETRY
 from flows.running.clock import STEP, LoopClock
+from flows.running.outlet import Outlet
 from flows.running.replay_runner import recorded_of
+from flows.running.stopping import signals_to
 from operators.batch import Batch, ms
-from operators.errors import EndpointError, SlipflowError
 from operators.operator import Order
-from operators.ports import Clock, ClockStep, Gap, Run, Sink, SinkStatus, Source, SourceStatus
+from operators.ports import Clock, ClockStep, Gap, Run, Sink, Source, SourceStatus
 
-FIRST_RETRY = 0.1  # s
-LAST_RETRY = 5.0  # s, up to which the back-off doubles
-FAREWELL = 5.0  # s, how long a failing sink is retried once the run is over
-STUCK = 10.0  # s, that one write may take while others wait; then the sink counts as failing
 LOOK = 1.0  # s, between two looks at the host's clock
 TURN = 16  # rows
 BEHIND = 50 * ms  # ns; a source whose newest row is older catches up, as all do after a stall of the host
@@ -46,17 +42,19 @@ class LiveRunner:
         *,
         clock: Clock | None = None,
         duration: int | None = None,
+        signals: bool = True,
     ) -> None:
         """Get ready to run `flow` as `session` until its sources end, `duration` (ns) has passed, or `stop`.
 
         It is a replay if a source gives what was recorded: then a run that was stopped is not complete.
+        SIGINT and SIGTERM stop it, unless `signals` are left to whoever runs it.
 
         Raises:
             FlowError: if the flow is wired wrongly.
         """
         self.plan = Plan(flow)
         self.clock = clock or LoopClock()
-        self._duration = duration
+        self._duration, self._signals = duration, signals
         self._sources: dict[Node, Source[Any]] = {
             node: node.part for node in flow.nodes if isinstance(node.part, Source)
         }
@@ -73,10 +71,10 @@ class LiveRunner:
             self.run.describe[node.name] = source.describe()
             self.run.sources[node.name] = SourceStatus()
         self._outlets = {
-            node: _Outlet(node.name, node.part, self.run.sinks.setdefault(node.name, SinkStatus()))
-            for node in flow.nodes
-            if isinstance(node.part, Sink)
+            node: Outlet(node.name, node.part) for node in flow.nodes if isinstance(node.part, Sink)
         }
+        for outlet in self._outlets.values():
+            self.run.sinks[outlet.name] = outlet.status
         self._push = asyncio.Lock()  # a full sink makes all sources wait: the rows of a stream stay in order
         self._in_hand = 0  # batches taken from a source that wait for a sink with room
         self._delivered, self._ending = asyncio.Event(), False
@@ -105,7 +103,7 @@ class LiveRunner:
         Raises:
             SlipflowError: if a sink cannot be opened, or an operator fails; what it gave before is committed.
         """
-        opened: list[_Outlet] = []
+        opened: list[Outlet] = []
         for source in self._sources.values():
             await source.prepare()
         self.run.start = self.clock.now()
@@ -118,7 +116,7 @@ class LiveRunner:
             for outlet in opened:
                 await outlet.sink.close()
             raise
-        with self._signals():
+        with signals_to(self.stop) if self._signals else nullcontext():
             await self._carry()
         return self.run
 
@@ -128,7 +126,7 @@ class LiveRunner:
         ends: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
         watching = asyncio.create_task(self._watch_host())
         if self._duration is not None:
-            ends.append(asyncio.create_task(self.clock.sleep_until(self.run.start + self._duration)))
+            ends.append(asyncio.create_task(self.clock.sleep_until(self.clock.now() + self._duration)))
         reading = asyncio.gather(*readers)
         try:
             await asyncio.wait([reading, *ends], return_when=asyncio.FIRST_COMPLETED)
@@ -144,7 +142,7 @@ class LiveRunner:
                     task.result()  # raises what an operator raised: that ends the run
             await self._deliver(self.plan.flush())
         except Exception as error:
-            self.run.error = _text(error)
+            self.run.error = incidents.reason_of(error)
             raise
         finally:
             tasks: list[asyncio.Task[Any]] = [*readers, *ends, watching]
@@ -219,9 +217,9 @@ class LiveRunner:
                         yield batch
                 except Exception as error:  # noqa: BLE001 - whatever a device raises, it is tried again
                     if not failed_at:
-                        failed_at, reason = status.newest or self.run.start, _text(error)
+                        failed_at, reason = status.newest or self.run.start, incidents.reason_of(error)
                         incidents.source_failed(node.name, reason)
-                    status.up, status.error = False, _text(error)
+                    status.up, status.error = False, incidents.reason_of(error)
                     status.failures += 1
                 else:
                     return
@@ -247,142 +245,3 @@ class LiveRunner:
                 self.run.clock_steps.append(ClockStep(self.clock.now(), stray))
                 incidents.clock_set(stray, known)
             await asyncio.sleep(LOOK)
-
-    @contextmanager
-    def _signals(self) -> Generator[None]:
-        loop = asyncio.get_running_loop()
-        caught: list[signal.Signals] = []
-        try:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                loop.add_signal_handler(number, self.stop)
-                caught.append(number)
-        except (RuntimeError, ValueError):  # not in the main thread: whoever runs us there calls stop()
-            pass
-        try:
-            yield
-        finally:
-            for number in caught:
-                loop.remove_signal_handler(number)
-
-
-class _Outlet:
-    """A sink's queue and the task that empties it."""
-
-    def __init__(self, name: str, sink: Sink[Any], status: SinkStatus) -> None:
-        self.name, self.sink, self.status = name, sink, status
-        self._waiting: deque[Batch] = deque()
-        self._more, self._room = asyncio.Event(), asyncio.Event()
-        self._end, self._given_up = asyncio.Event(), asyncio.Event()
-        self._writing: float | None = None  # s of the loop, since when
-        self._dropped_before = 0  # rows, when it last worked
-
-    def offer(self, batch: Batch) -> bool:
-        """Queue a batch if there is room, or if this sink's policy makes some."""
-        if len(self._waiting) >= self.sink.capacity:
-            if not self.sink.lossless:
-                self._lose(self._waiting.popleft())
-            elif self.status.error or self._is_stuck():  # waiting for it would stop the others
-                self._lose(batch)
-                return True
-            else:
-                return False
-        self._waiting.append(batch)
-        self.status.queued = len(self._waiting)
-        self._more.set()
-        return True
-
-    async def put(self, batch: Batch) -> None:
-        """Queue a batch, waiting for room."""
-        while not self.offer(batch):
-            self._room.clear()
-            with suppress(TimeoutError):
-                async with asyncio.timeout(STUCK):
-                    await self._room.wait()
-
-    def complete(self) -> None:
-        """No more will come."""
-        self._end.set()
-        self._more.set()
-
-    def give_up(self) -> None:
-        """Retry no more."""
-        self._given_up.set()
-
-    async def carry(self) -> None:
-        """Write what is queued until all is written, then close."""
-        try:
-            while self._waiting or not self._end.is_set():
-                if not self._waiting:
-                    self._more.clear()
-                    await self._more.wait()
-                    continue
-                batch = self._waiting.popleft()
-                self.status.queued = len(self._waiting)
-                self._room.set()
-                await self._write(batch)
-            await self.sink.close()
-        except asyncio.CancelledError:
-            self._drop(*self._waiting)
-            self._failed(EndpointError(self.sink.place, "was given up while it was being written"))
-            raise
-        except Exception as error:  # noqa: BLE001 - the others must be closed too
-            self._failed(error)
-
-    def _lose(self, batch: Batch) -> None:
-        """Count a batch for which there is no room; say it once in each failure."""
-        if self.status.error and self.status.dropped == self._dropped_before:
-            incidents.sink_drops(self.name)
-        self.status.dropped += len(batch)
-
-    def _drop(self, *batches: Batch) -> None:
-        self.status.dropped += sum(map(len, batches))
-        self._waiting.clear()
-
-    def _is_stuck(self) -> bool:
-        """Whether the write at hand takes too long; it counts as failed until it ends."""
-        stuck = self._writing is not None and asyncio.get_running_loop().time() - self._writing >= STUCK
-        if stuck:
-            self._failed(EndpointError(self.sink.place, f"has been stuck for {STUCK:.0f} s"))
-        return stuck
-
-    async def _write(self, batch: Batch) -> None:
-        loop, retry, deadline = asyncio.get_running_loop(), FIRST_RETRY, inf
-        while True:
-            self._writing = loop.time()
-            try:
-                await self.sink.write(batch)
-            except asyncio.CancelledError:
-                self.status.dropped += len(batch)
-                raise
-            except Exception as error:  # noqa: BLE001 - whatever a sink raises must not stop the others
-                self._failed(error)
-            else:
-                if self.status.error:
-                    incidents.sink_restored(self.name, self.status.dropped - self._dropped_before)
-                    self.status.error = ""
-                self.status.rows += len(batch)
-                return
-            finally:
-                self._writing = None
-            if self._end.is_set():
-                deadline = min(deadline, loop.time() + FAREWELL)
-            if self._given_up.is_set() or loop.time() >= deadline:
-                self._drop(batch, *self._waiting)
-                return
-            interrupt = self._given_up if self._end.is_set() else self._end
-            with suppress(TimeoutError):
-                async with asyncio.timeout(retry):
-                    await interrupt.wait()
-            retry = min(2 * retry, LAST_RETRY)
-
-    def _failed(self, error: Exception) -> None:
-        if not self.status.error:
-            incidents.sink_failed(self.name, _text(error))
-            self._dropped_before = self.status.dropped
-        self.status.error = _text(error)
-        self.status.failures += 1
-        self._room.set()
-
-
-def _text(error: Exception) -> str:
-    return str(error) if isinstance(error, SlipflowError | OSError) else f"{type(error).__name__}: {error}"

@@ -139,7 +139,11 @@ def open_recording(path: Path, doubt: Callable[[str], object]) -> Recording:
         return Session.open(path)
     from connectors.csv.trace import CsvTrace  # noqa: PLC0415 - takes its time to import, and is rare
 
-    trace = CsvTrace(path)
+    try:
+        trace = CsvTrace(path)
+    except InputError as error:
+        told = f"{error.reason} (slipflow import has --map; then replay what it made)"
+        raise InputError(error.where, told) from error
     for each in trace.doubts:
         doubt(f"warning: {path}: {each} (slipflow import knows --units)")
     return trace

@@ -110,7 +110,7 @@ class ReplayRunner:
             self.run.describe[node.name] = cast("Source[Any]", node.part).describe()
             self.run.sources[node.name] = SourceStatus()
         for node in self._flow.sinks():
-            self.run.sinks[node.name] = SinkStatus()
+            self.run.sinks[node.name] = SinkStatus(records=cast("Sink[Any]", node.part).records)
 
     def stop(self) -> None:
         """End after the slice at hand, as if the recording ended there; the run tells that it did not."""

@@ -1,5 +1,6 @@
 """Ctrl-C and SIGTERM as a wish to end, which the work that is told of it can meet in good order."""
 
+import asyncio
 import signal
 import threading
 from collections.abc import Callable, Generator
@@ -33,3 +34,24 @@ def stopping() -> Generator[Callable[[], bool]]:
         yield asked.is_set
     finally:
         restore()
+
+
+@contextmanager
+def signals_to(stop: Callable[[], None]) -> Generator[None]:
+    """Let each SIGINT and SIGTERM call `stop` in the running event loop.
+
+    In a thread other than the main one none can: whoever runs the loop there calls it.
+    """
+    loop = asyncio.get_running_loop()
+    caught: list[signal.Signals] = []
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, stop)
+            caught.append(number)
+    except (RuntimeError, ValueError):  # not in the main thread
+        pass
+    try:
+        yield
+    finally:
+        for number in caught:
+            loop.remove_signal_handler(number)

@@ -10,7 +10,7 @@ from connectors.rig.paper import Collection
 from connectors.rig.scene import Move, Plan, Scene
 from flows.scene_report.judges import confusion, fitted
 from flows.scene_report.statistics import distance, measure
-from flows.trials import simulate
+from flows.trials import simulated_trials
 from operators.batch import Reals
 from operators.detectors import Detector
 
@@ -70,6 +70,7 @@ def _calm(plan: Collection) -> Collection:
     return CalmCollection(**{name: getattr(plan, name) for name in Collection.__dataclass_fields__})
 
 
+# what is missing in each
 TERMS: Final[Mapping[str, Change]] = {
     "response to shear": _physics(shear_gain=0.0),
     "tilt by drag": _physics(lever=0.0),
@@ -82,12 +83,13 @@ TERMS: Final[Mapping[str, Change]] = {
     "arm vibration": _plan(vibration=0.0),
     "pivot off the pad's centre": _plan(pivot=0.0),
     "force changes, taps and lifts": _calm,
-}  # what is missing in each
+}
+# instead of 8 x 6 nodes and 1 ms
 GRIDS: Final[Mapping[str, Change]] = {
     "6 x 4 nodes": _physics(columns=6, rows=4),
     "12 x 8 nodes": _physics(columns=12, rows=8),
     "steps of 0.5 ms": _physics(step=0.0005),
-}  # instead of 8 x 6 nodes and 1 ms
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,10 +133,10 @@ def ablate(
     by balanced accuracy, on other recordings of the whole scene: what they would lose if the scene that they
     learn from lacked the term.
     """
-    judged = [simulate(plan, seed + 1000) for seed in seeds]
+    judged = [simulated_trials(plan, seed + 1000) for seed in seeds]
 
     def row(changed: Collection, number: int) -> list[float]:
-        trials = simulate(changed, seeds[number])
+        trials = simulated_trials(changed, seeds[number])
         scores = [] if network is None else [confusion(network, trials, hop).accuracy]
         found = [confusion(detector, judged[number], hop).balanced for detector in fitted(trials, hop)]
         return [*scores, distance(measure(trials)), *found]

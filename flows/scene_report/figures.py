@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from flows.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
+from flows.reports.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
 from flows.scene_report.ablation import TERMS, Ablation
 from flows.scene_report.speed import Speed
 from flows.scene_report.statistics import FREQUENCIES, RATE, TABLE

@@ -11,7 +11,7 @@ from flows.evaluation.motions import Cells
 from flows.scene_report.ablation import GRIDS, TERMS
 from flows.scene_report.judges import cells, fitted
 from flows.simulate import PLANS
-from flows.trials import read, simulate
+from flows.trials import read, simulated_trials
 from operators.detectors import TRAINED, Detector
 from operators.errors import ParameterError
 from storage import load_detector
@@ -25,9 +25,8 @@ class Size:
     """How much is measured."""
 
     plan: Collection = field(default_factory=Collection)
-    reduced: Collection = field(
-        default_factory=lambda: Collection(repeats=2, rotations=1)
-    )  # ablation, fitting
+    # of the ablation and the fitting
+    reduced: Collection = field(default_factory=lambda: Collection(repeats=2, rotations=1))
     seeds: int = 3  # of the ablation
     hop: int = 5  # samples from one judged window to the next
     terms: tuple[str, ...] = (*TERMS, *GRIDS)  # of the ablation
@@ -66,9 +65,9 @@ class Measured:
         self.trace = None if trace is None else read(trace)
         told("simulating the plan")
         begin = process_time()
-        self.trials = simulate(size.plan, seed)
+        self.trials = simulated_trials(size.plan, seed)
         self.simulating = process_time() - begin  # CPU s, with alignment and labels
-        training = simulate(size.reduced, seed + 500)
+        training = simulated_trials(size.reduced, seed + 500)
         told("fitting the detectors")
         self.fitted_to = (
             f"{len(training)} simulated recordings ({sum(map(len, training))} samples) of another seed"

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from flows.figures import require, save
+from flows.reports.figures import require, save
+from flows.reports.files import make_output_folder, writing
 from flows.scene_report import sections as scene_sections
 from flows.scene_report.measured import NETWORK, Measured, Size
 
@@ -60,8 +61,10 @@ def write_report(
 
     Raises:
         InputError: if a file cannot be used, or matplotlib is not installed.
+        EndpointError: if the folder cannot be made, which is tried first, or written to.
     """
     require()
+    make_output_folder(folder)
     files = {"--judge": judge, "--trace": trace}
     for option, lost in (("--judge", NETWORK), ("--trace", "the real trace")):
         if files[option] is None:
@@ -69,13 +72,14 @@ def write_report(
     measured = Measured(seed, judge, trace, size or Size(), told)
     options = [f"{option} {path.name}" for option, path in files.items() if path is not None]
     command = " ".join(["slipflow simulate --report", folder.name, f"--seed {seed}", *options])
-    page = [HEAD]
+    page, path = [HEAD], folder / "scene.md"
     for name, make in SECTIONS.items():
         told(f"section: {name}")
         section = make(measured)
         figure = f"figures/scene-{name}.{form}"
-        save(section.figure, folder / figure)
+        with writing(folder):
+            save(section.figure, folder / figure)
         page += [f"## {section.title}", f"![{name}]({figure})", section.text, f"    {command}"]
-    path = folder / "scene.md"
-    path.write_text("\n\n".join(part.strip("\n") for part in page) + "\n", encoding="utf-8")
+    with writing(folder):
+        path.write_text("\n\n".join(part.strip("\n") for part in page) + "\n", encoding="utf-8")
     return path

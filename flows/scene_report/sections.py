@@ -12,7 +12,7 @@ from flows.evaluation.figures import motion as motion_figure
 from flows.evaluation.metrics import Confusion
 from flows.evaluation.motions import Cell, Cells, Chosen
 from flows.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
-from flows.figures import Figure
+from flows.reports.figures import Figure
 from flows.scene_report import figures as scene_figures
 from flows.scene_report.ablation import DISTANCE, GRIDS, TERMS, ablate
 from flows.scene_report.judges import confusion
@@ -25,9 +25,7 @@ from operators.batch import Reals
 from operators.detectors import Detector
 
 GOAL_JUDGE: Final = 82.0  # %, accuracy of the paper's TCN on the simulation
-GOAL_TRACE: Final = (
-    90.0  # %, balanced accuracy on the real trace of a detector that knows the simulation only
-)
+GOAL_TRACE: Final = 90.0  # %, balanced, on the real trace, of a detector that knows the simulation only
 GOAL_PLAN: Final = 10.0  # CPU s for the whole plan
 _SHOWN: Final = 200  # samples of a recording before what is shown
 SKIPPED_JUDGE: Final = "**Skipped: the paper's TCN, because no `--judge` was given.**"

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from flows.figures import CELLS, FAINT, Figure, grid, styled
+from flows.reports.figures import CELLS, FAINT, Figure, grid, styled
 
 
 @dataclass(frozen=True, slots=True)

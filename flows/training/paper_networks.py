@@ -52,10 +52,6 @@ class Network(nn.Module):
     def arrays(self) -> Arrays:
         """The arrays that the detector of this network takes; float32."""
 
-    def parameter_count(self) -> int:
-        """How many numbers training changes along their gradient."""
-        return sum(parameter.numel() for parameter in self.parameters())
-
 
 class PaperTcnNetwork(Network):
     """The paper's temporal convolutional network; what it computes stands at `PaperTcn`.
@@ -154,9 +150,7 @@ class FrequencyCnnNetwork(Network):
         values = self.drop(image).view(count, 2, 3, BINS).permute(0, 3, 1, 2)  # (n, 51, 2, 3)
         for convolution, norm in zip(self.convolutions, self.norms, strict=True):
             values = self.drop_channels(norm(functional.relu(convolution(values))))
-        values = values.permute(0, 2, 3, 1).flatten(
-            1
-        )  # (n, 40): the channels of one place, then of the other
+        values = values.permute(0, 2, 3, 1).flatten(1)  # (n, 40), channels of one place, then the other
         for dense, norm in zip(self.dense, self.dense_norms, strict=True):
             values = self.drop(functional.relu(norm(dense(values))))  # (n, 40), (n, 20)
         logits: Tensor = self.out(values)

@@ -134,7 +134,7 @@ def train(
 
 def _check(out: Path, method: str, seeds: int, lag: float | None) -> None:
     if find_spec("torch") is None:
-        raise InputError("training", "needs PyTorch: pip install 'slipflow[train]'")
+        raise InputError("training", "needs PyTorch: in the clone, pip install -e '.[train]'")
     if method not in METHODS:
         raise ParameterError("train", "method", method, f"one of {', '.join(METHODS)}")
     if out.suffix != ".safetensors":

@@ -15,7 +15,8 @@ from operators.batch import BAROMETERS, UNKNOWN, Flags, Reals
 from operators.errors import InputError
 
 LENGTH: Final = 100  # samples
-MIRRORED: Final = (  # where each cell's counts come from, in every motion of the pad that maps it onto itself
+# where each cell's counts come from, in every motion of the pad that maps it onto itself
+MIRRORED: Final = (
     MIRROR_X,
     MIRROR_Y,
     tuple(MIRROR_X[cell] for cell in MIRROR_Y),  # turned by 180 degrees

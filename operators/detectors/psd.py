@@ -22,6 +22,9 @@ class Psd:
     Defaults follow from real signals: arm vibration reaches 12 Hz and moves loaded cells by 6 to 15 counts
     a sample, stick-slip is strongest at 14 to 20 Hz and moves them by 25 to 50. Materials that stick and
     slip more slowly need a lower `cutoff`, and `fitted` finds the threshold for labelled windows.
+
+    Raises:
+        ParameterError: on a value that cannot be used, such as a `cutoff` beyond the highest bin.
     """
 
     length: int = 25  # samples
@@ -54,7 +57,11 @@ class Psd:
         return power
 
     def fitted(self, windows: Counts | Reals, labels: Codes) -> Self:
-        """The same with the threshold of the best balanced accuracy on windows with labels (n,)."""
+        """The same with the threshold of the best balanced accuracy on windows with labels (n,).
+
+        Raises:
+            ParameterError: if none of them is slip, or none static.
+        """
         power = self.power(windows)
         slip, static = np.sort(power[labels == SLIP]), np.sort(power[labels == STATIC])
         if not len(slip) or not len(static):

@@ -16,6 +16,9 @@ Shapes: TypeAlias = Mapping[str, tuple[int, ...]]
 def check(owner: str, weights: Weights, shapes: Shapes) -> None:
     """Make sure that the arrays named in `shapes` are there, have these shapes and are finite.
 
+    Raises:
+        InputError: naming the first that is not so.
+
     >>> check("Net", {"bias": np.zeros(3)}, {"bias": (2,)})
     Traceback (most recent call last):
     operators.errors.InputError: Net weights: bias has shape (3,), must be (2,)

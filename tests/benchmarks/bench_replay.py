@@ -28,8 +28,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from flows.figures import MAIN, SECOND, Figure, grid, save, styled
 from flows.graph import Flow
+from flows.reports.figures import MAIN, SECOND, Figure, grid, save, styled
 from flows.running.clock import EventClock
 from flows.running.parallel_replay import Replays, recordings
 from flows.running.replay_runner import ReplayRunner

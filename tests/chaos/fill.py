@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
-from connectors.mqtt.health_report import HealthReports
+from connectors.health_report import HealthReports
 from flows.graph import Flow
 from flows.running.live_runner import LiveRunner
 from flows.testing import TestSink

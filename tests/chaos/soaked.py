@@ -15,7 +15,7 @@ from pathlib import Path
 
 from connectors import Rig
 from flows.graph import Flow
-from flows.record import collect
+from flows.ready_made.record import declare_recording
 from flows.running.live_runner import LiveRunner
 from operators import Debounce, Label, Score, ms, s
 from storage import Dataset, load_detector
@@ -29,7 +29,7 @@ LATENCY = 70 * ms  # ns, of the simulated arm
 async def main(folder: Path, pace: float, seconds: float) -> object:
     """Run; say what happened."""
     flow, dataset, rig = Flow("soaked"), Dataset(folder), Rig(seed=0, pace=pace)
-    zeroed = collect(flow, rig, Label(speed=0.003, delay=LATENCY), dataset)
+    zeroed = declare_recording(flow, rig, Label(speed=0.003, delay=LATENCY), dataset)
     (zeroed | Score(load_detector("tcn")) | Debounce(threshold=0.78, consecutive=2, release=12)).to(dataset)
     runner = LiveRunner(flow, SESSION)
     running, touch = asyncio.create_task(runner.execute()), runner.run.sources["touch"]

@@ -136,9 +136,23 @@ def test_an_imported_session_replays_like_its_trace_and_trains(tmp_path: Path, w
     assert trial.split == "train"
 
 
+def test_a_folder_of_other_things_is_not_made_a_dataset(tmp_path: Path, write: Write) -> None:
+    trace = write(f"t,{CELLS}", [f"{n / 100},{n % 2},2,3,4,5,6" for n in range(50)])
+    out = tmp_path / "thesis"
+    out.mkdir()
+    (out / "chapter.txt").touch()
+    with pytest.raises(
+        InputError, match=r"thesis: holds other files and is no dataset: give a folder of its own"
+    ):
+        asyncio.run(Import(trace, out, GUESS).write())
+    assert [path.name for path in out.iterdir()] == ["chapter.txt"]
+
+
 def test_progress_tells_how_many_rows_are_done(tmp_path: Path, write: Write) -> None:
     told = list[int]()
-    understood = Import(write(f"t,{CELLS}", [f"{k},{counts(0)}" for k in range(2500)]), tmp_path, GUESS)
+    understood = Import(
+        write(f"t,{CELLS}", [f"{k},{counts(0)}" for k in range(2500)]), tmp_path / "data", GUESS
+    )
     asyncio.run(understood.write(told.append))
     assert told == [1000, 2000, 2500]
 

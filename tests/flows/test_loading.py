@@ -112,7 +112,7 @@ def test_what_is_wrong_with_a_file_is_one_line_with_its_place(
 
 def test_a_missing_file_and_a_missing_flow_are_told(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"nowhere\.py: no such flow file, .* those are live, record, relabel and lift"
+        InputError, match=r"nowhere\.py: no such flow file, .* those are lift, live, record, relabel"
     ):
         load("nowhere.py")
     with pytest.raises(InputError, match="is a folder: give the flow file in it"):

@@ -43,6 +43,9 @@ def test_text_becomes_the_type_that_is_declared(kind: object, text: str, value: 
         (Duration, "70", "a time with its unit: 500ms, 30s, 5min or 1h"),
         (Duration, "70mm", "a time with its unit: 500ms, 30s, 5min or 1h"),
         (Speed, "fast", "a speed with its unit: 3mm/s or 0.003m/s"),
+        (Speed, "nan", "a speed with its unit: 3mm/s or 0.003m/s"),
+        (Force, "1e400", "a force with its unit: 2N or 0.5N"),
+        (Force, "-inf", "a force with its unit: 2N or 0.5N"),
     ],
 )
 def test_what_is_of_another_kind_is_told_with_what_it_takes(kind: object, text: str, takes: str) -> None:
@@ -58,7 +61,6 @@ def test_what_is_of_another_kind_is_told_with_what_it_takes(kind: object, text: 
         (Parameter("speed", Speed, 0.003), "speed=3mm/s"),
         (Parameter("force", Force, 0.0), "force=0N"),
         (Parameter("delay", Duration | None, None), "delay=None"),
-        (Parameter("limit", Speed, float("inf")), "limit=inf"),
         (Parameter("seed", int, 3), "seed=3"),
     ],
 )
@@ -68,6 +70,10 @@ def test_what_is_listed_sets_the_default_again(parameter: Parameter, text: str) 
     assert parameter.value("flow", listed.partition("=")[2]) == parameter.default
 
 
+def test_a_default_without_end_is_listed_too() -> None:
+    assert str(Parameter("limit", Speed, float("inf"))).startswith("limit=inf  (a speed with its unit: ")
+
+
 def test_a_program_is_told_default_and_unit() -> None:
     assert Parameter("delay", Duration, 70 * ms).as_dict() == {
         "default": 70_000_000,
@@ -75,3 +81,10 @@ def test_a_program_is_told_default_and_unit() -> None:
         "takes": "a time with its unit: 500ms, 30s, 5min or 1h",
     }
     assert Parameter("out", Path, Path("a")).as_dict() == {"default": "a", "unit": None, "takes": "a path"}
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_empty_text_as_of_a_variable_that_is_not_set_is_refused(kind: object) -> None:
+    with pytest.raises(ParameterError, match="record: out is '', must be "):
+        Parameter("out", kind, "recordings").value("record", "")
+    assert Parameter("note", str, "").value("record", "") == ""

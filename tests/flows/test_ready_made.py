@@ -10,9 +10,9 @@ from connectors import CsvTrace, Rig
 from connectors.rig.scene import Move, Moves, Scene
 from flows.demo import Demo
 from flows.graph import Flow
-from flows.live import live
 from flows.loading import load
-from flows.record import record
+from flows.ready_made.live import live
+from flows.ready_made.record import record
 from flows.running.clock import LoopClock
 from flows.running.live_runner import LiveRunner
 from flows.running.replay_runner import ReplayRunner, first_time, replayed

@@ -13,7 +13,7 @@ import pytest
 
 from connectors import Rig
 from flows.graph import Flow
-from flows.record import collect
+from flows.ready_made.record import declare_recording
 from flows.running.clock import LoopClock
 from flows.running.live_runner import LiveRunner
 from flows.simulate import Collected, recordings, simulate
@@ -22,8 +22,7 @@ from flows.testing import run_virtually
 from operators import Label, ms
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from storage import Dataset, Session
-
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
+from tests.command import slipflow
 
 
 def hashes(folder: Path) -> dict[str, str]:
@@ -98,7 +97,7 @@ def test_a_session_is_what_the_live_flow_records_of_the_same_scene(tmp_path: Pat
     async def live() -> None:
         flow = Flow("simulate")
         rig = Rig(planned.scene, planned.seed, pace=1.0)
-        collect(flow, rig, Label(speed=0.003, rotation=0.2), Dataset(tmp_path))
+        declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), Dataset(tmp_path))
         await LiveRunner(flow, planned.session, clock=LoopClock(planned.start)).execute()
 
     run_virtually(live())
@@ -208,8 +207,8 @@ def test_parameters_that_cannot_be_are_told_before_anything_is_written(tmp_path:
 
 def test_the_command_simulates_and_says_how_to_open_it(tmp_path: Path, tiny: Collected) -> None:
     out = tmp_path / "data"
-    command = [*SLIPFLOW, "simulate", str(out), "--plan", "tiny"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = slipflow("simulate", out, "--plan", "tiny")
+    assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert lines[3].startswith("all          12 sessions   13,")
     opening = lines[-1].replace("python", sys.executable, 1)
@@ -217,15 +216,15 @@ def test_the_command_simulates_and_says_how_to_open_it(tmp_path: Path, tiny: Col
     assert f"shape: ({tiny.all.samples:_}, " in opened.stdout
     assert done.stderr == ""
 
-    again = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    again = slipflow("simulate", out, "--plan", "tiny")
     assert again.returncode == 2
     assert again.stderr.startswith(f"error: {out}: must be a new or empty folder")
 
 
 def test_the_command_tells_a_program(tmp_path: Path, tiny: Collected) -> None:
     out = tmp_path / "data"
-    command = [*SLIPFLOW, "simulate", str(out), "--plan", "tiny", "--jobs", "1", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1", "--json")
+    assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told["seconds"] > 0
     assert {**told, "seconds": 0, "dataset": ""} == {**tiny.summary(), "seconds": 0, "dataset": ""}

@@ -6,11 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from connectors.rig.paper import Collection
 from connectors.rig.scene import Faults, Move, Moves, Scene
 from connectors.rig.stress import stressed
 from flows.simulate import recordings, simulate
 from flows.splits import SPLITS, TURNS
-from flows.trials import Trial, by_split, load, trial
+from flows.trials import Trial, by_split, load, simulated_trials, trial
 from operators.batch import Flags
 from operators.errors import InputError
 
@@ -94,3 +95,12 @@ def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> N
     assert tuple(parts) == SPLITS
     assert sum(map(len, parts.values())) == len(trials)
     assert all(each.split == split for split, found in parts.items() for each in found)
+
+
+def test_the_same_seed_gives_the_same_trials() -> None:
+    plan = Collection(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
+    first, again, other = (simulated_trials(plan, seed) for seed in (0, 0, 1))
+    counts = [[trial.counts.tobytes() for trial in trials] for trials in (first, again, other)]
+    assert counts[0] == counts[1] != counts[2]
+    assert {trial.surface for trial in first} == {"plane", "sphere"}
+    assert {trial.speed for trial in first} == {0.05, None}

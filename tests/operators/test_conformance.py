@@ -213,6 +213,7 @@ CASES: Final = [
     Case(StepGrip(settle=50 * ms), (_scores,)),
     Case(Health(), (_touch(Touch),)),
     Case(Health(dead_after=30 * ms, stuck_after=50 * ms, drift=3), (_touch(Zeroed),)),
+    Case(Health(dead_after=30 * ms, stuck_after=50 * ms, clear_after=40 * ms), (_touch(Touch),)),
 ]
 
 every = pytest.mark.parametrize("case", CASES, ids=lambda case: repr(case.step).split(" object")[0])

@@ -79,6 +79,14 @@ def test_a_cell_at_either_end_of_its_range_for_50_ms_is_saturated(rail: int) -> 
     assert _changes(counts, valid, kind=Zeroed) == []
 
 
+def test_a_fault_that_comes_again_before_it_is_cleared_has_not_ended() -> None:
+    counts, valid = _touch(4)
+    for again in (100, 130, 160):
+        counts[again : again + 10, 4] = 0
+    saturated = [(1.04, 4, FaultKind.SATURATED, True), (2.19, 4, FaultKind.SATURATED, False)]
+    assert _changes(counts, valid, Health(clear_after=500 * ms)) == saturated
+
+
 def test_a_saturated_cell_that_dies_is_dead_instead() -> None:
     counts, valid = _touch(4)
     counts[100:120, 4] = 0

@@ -3,7 +3,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 from storage import Dataset, Session, verify
 from storage.description import describe_session
 from storage.layout import session_names
+from tests.storage.made import new_batch, new_run
 
 
 def record(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
@@ -49,11 +50,7 @@ def record(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
     cuts=st.lists(st.integers(0, 30), max_size=12), bounds=st.tuples(st.integers(1, 500), st.integers(1, 50))
 )
 def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
-    tmp_path_factory: pytest.TempPathFactory,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    cuts: list[int],
-    bounds: tuple[int, int],
+    tmp_path_factory: pytest.TempPathFactory, cuts: list[int], bounds: tuple[int, int]
 ) -> None:
     span, most = bounds[0] * ms, bounds[1]
     root, whole = tmp_path_factory.mktemp("data"), new_batch(Touch, sum(cuts))
@@ -70,9 +67,7 @@ def test_however_a_stream_is_cut_it_comes_back_bit_for_bit_in_bounded_parts(
         assert times[-1] - times[0] < max(span, longest * 10 * ms)
 
 
-def test_every_batch_goes_to_the_table_of_its_type(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+def test_every_batch_goes_to_the_table_of_its_type(tmp_path: Path) -> None:
     kinds = [Touch, Motion, Labelled, Slips, Clocks]
     record(Dataset(tmp_path), new_run(), [new_batch(kind) for kind in kinds])
     session = Session.open(tmp_path)
@@ -80,9 +75,7 @@ def test_every_batch_goes_to_the_table_of_its_type(
     assert [session.fingers(kind) for kind in kinds] == [(0,), (-1,), (0,), (0,), (-1,)]
 
 
-def test_the_line_that_opens_a_table_with_polars_just_works(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+def test_the_line_that_opens_a_table_with_polars_just_works(tmp_path: Path) -> None:
     batches = [new_batch(Labelled, 10, start=turn * 100 * ms) for turn in range(4)]
     record(Dataset(tmp_path, part_span=100 * ms), new_run(), batches)
     frame = pl.read_parquet(f"{tmp_path}/sessions/*/samples/*.parquet")
@@ -92,9 +85,7 @@ def test_the_line_that_opens_a_table_with_polars_just_works(
     assert frame.schema["counts"] == pl.Array(pl.Int16, 6)
 
 
-def test_all_tables_are_committed_together(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+def test_all_tables_are_committed_together(tmp_path: Path) -> None:
     batches = [
         new_batch(kind, 10, start=turn * 100 * ms) for turn in range(4) for kind in (Touch, Motion, Labelled)
     ]
@@ -106,7 +97,7 @@ def test_all_tables_are_committed_together(
 
 @pytest.mark.parametrize("live", [True, False])
 def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any], *, live: bool
+    tmp_path: Path, *, live: bool
 ) -> None:
     run = new_run(live=live)
     run.wired = {str(tmp_path): (Touch, Slips, Clocks), "elsewhere": (Faults,)}
@@ -121,11 +112,8 @@ def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(
     assert verify(tmp_path).findings == ()
 
 
-def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+async def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, failing = new_run(), [True]
     run.wired = {str(tmp_path): (Slips,)}
@@ -136,40 +124,30 @@ def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again(
         describe_session(folder, run, ended=ended, **named)
 
     monkeypatch.setattr("storage.writer.describe_session", describe)
-
-    async def main() -> None:
-        sink = Dataset(tmp_path)
-        await sink.open(run)
-        await sink.write(new_batch(Slips))
-        with pytest.raises(EndpointError, match="No space left"):
-            await sink.close()
+    sink = Dataset(tmp_path)
+    await sink.open(run)
+    await sink.write(new_batch(Slips))
+    with pytest.raises(EndpointError, match="No space left"):
         await sink.close()
-
-    asyncio.run(main())
+    await sink.close()
     assert len(Session.open(tmp_path).frame("slips")) == 5
 
 
-def test_what_the_session_says_of_itself_is_written_first_and_completed_last(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+async def test_what_the_session_says_of_itself_is_written_first_and_completed_last(tmp_path: Path) -> None:
     rig: dict[str, Json] = {"seed": 7, "episodes": [{"start": 0, "end": 20 * ms, "motion": "hold"}]}
     run, baseline = new_run(describe={"rig": rig}), list[Json]([500] * 6)
-
-    async def main() -> None:
-        dataset = Dataset(tmp_path)
-        await dataset.open(run)
-        before = Session.open(tmp_path)
-        assert before.about["complete"] is False
-        assert before.about["sources"] == {"rig": {"seed": 7}}
-        assert before.frame("episodes")["motion"].to_list() == ["hold"]
-        await dataset.write(new_batch(Labelled))
-        run.describe["rig"] = {**rig, "baseline": baseline}
-        run.sources["rig"] = SourceStatus(rows=5, late=2, gaps=[Gap(1, 2, "unplugged")])
-        run.sinks["mqtt"] = SinkStatus(rows=5, dropped=1, failures=3)
-        run.clock_steps.append(ClockStep(7, -3_600_000_000_000))
-        await dataset.close()
-
-    asyncio.run(main())
+    dataset = Dataset(tmp_path)
+    await dataset.open(run)
+    before = Session.open(tmp_path)
+    assert before.about["complete"] is False
+    assert before.about["sources"] == {"rig": {"seed": 7}}
+    assert before.frame("episodes")["motion"].to_list() == ["hold"]
+    await dataset.write(new_batch(Labelled))
+    run.describe["rig"] = {**rig, "baseline": baseline}
+    run.sources["rig"] = SourceStatus(rows=5, late=2, gaps=[Gap(1, 2, "unplugged")])
+    run.sinks["mqtt"] = SinkStatus(rows=5, dropped=1, failures=3)
+    run.clock_steps.append(ClockStep(7, -3_600_000_000_000))
+    await dataset.close()
     session = Session.open(tmp_path)
     about: Any = session.about
     assert about["complete"] is True
@@ -180,54 +158,40 @@ def test_what_the_session_says_of_itself_is_written_first_and_completed_last(
     assert about["sources"]["rig"] == {"seed": 7, "baseline": baseline}
     gap = {"start": 1, "end": 2, "reason": "unplugged"}
     assert about["streams"]["rig"] == {"rows": 5, "late": 2, "gaps": [gap]}
-    assert about["sinks"]["mqtt"] == {"rows": 5, "dropped": 1, "failures": 3}
+    assert about["sinks"]["mqtt"] == {"rows": 5, "dropped": 1, "failures": 3, "records": False}
     assert about["clock_steps"] == [{"time": 7, "offset": -3_600_000_000_000}]
     assert session.frame("samples")["episode"].to_list() == [0, 0, -1, -1, -1]
 
 
-def test_a_session_whose_run_failed_is_not_complete_and_says_why(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+async def test_a_session_whose_run_failed_is_not_complete_and_says_why(tmp_path: Path) -> None:
     run = new_run()
     run.declaration = ("scores = TestSource(Scores)",)
-
-    async def main() -> None:
-        dataset = Dataset(tmp_path)
-        await dataset.open(run)
-        await dataset.write(new_batch(Labelled))
-        run.error = "Press: ZeroDivisionError"
-        await dataset.close()
-
-    asyncio.run(main())
+    dataset = Dataset(tmp_path)
+    await dataset.open(run)
+    await dataset.write(new_batch(Labelled))
+    run.error = "Press: ZeroDivisionError"
+    await dataset.close()
     session = Session.open(tmp_path)
     assert (session.about["complete"], session.about["error"]) == (False, "Press: ZeroDivisionError")
     assert session.about["declaration"] == ["scores = TestSource(Scores)"]
     assert len(session.frame("samples")) == 5
 
 
-def test_episodes_that_a_source_tells_of_as_they_begin_are_kept(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+async def test_episodes_that_a_source_tells_of_as_they_begin_are_kept(tmp_path: Path) -> None:
     told = list[Json]()
     run = new_run(describe={"rig": {"episodes": told}})
-
-    async def main() -> None:
-        dataset = Dataset(tmp_path)
-        await dataset.open(run)
-        told.append({"start": 0, "end": 20 * ms, "motion": "hold"})
-        await dataset.write(new_batch(Labelled))
-        told.append({"start": 20 * ms, "end": 40 * ms, "motion": "tap"})
-        await dataset.close()
-
-    asyncio.run(main())
+    dataset = Dataset(tmp_path)
+    await dataset.open(run)
+    told.append({"start": 0, "end": 20 * ms, "motion": "hold"})
+    await dataset.write(new_batch(Labelled))
+    told.append({"start": 20 * ms, "end": 40 * ms, "motion": "tap"})
+    await dataset.close()
     session = Session.open(tmp_path)
     assert session.frame("episodes")["motion"].to_list() == ["hold", "tap"]
     assert session.frame("samples")["episode"].to_list() == [0, 0, 1, 1, -1]
 
 
-def test_zeroed_counts_come_back_as_zeroed(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+def test_zeroed_counts_come_back_as_zeroed(tmp_path: Path) -> None:
     record(Dataset(tmp_path), new_run(), [new_batch(Zeroed)])
     session = Session.open(tmp_path)
     assert session.about["zeroed"] is True
@@ -235,9 +199,7 @@ def test_zeroed_counts_come_back_as_zeroed(
     assert (session.fingers(Touch), session.fingers(Zeroed)) == ((0,), (0,))
 
 
-def test_what_no_table_takes_is_refused_and_nothing_of_it_is_kept(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+async def test_what_no_table_takes_is_refused_and_nothing_of_it_is_kept(tmp_path: Path) -> None:
     good, broken = new_batch(Touch), new_batch(Touch)
     broken = Touch(broken.time, broken.counts.astype(float), broken.temperature, broken.valid, finger=0)
     aside = Motion(*(getattr(new_batch(Motion), name) for name in columns(Motion)), finger=2)
@@ -248,25 +210,19 @@ def test_what_no_table_takes_is_refused_and_nothing_of_it_is_kept(
         (aside, ParameterError, "finger of a Motion is 2, must be EVERY"),
         (broken, BatchError, r"Touch\.counts: is float64"),
     ]
-
-    async def main() -> None:
-        dataset = Dataset(tmp_path)
-        await dataset.open(new_run())
-        await dataset.write(good)
-        for batch, error, complaint in refused:
-            with pytest.raises(error, match=complaint):
-                await dataset.write(batch)
-        await dataset.close()
-
-    asyncio.run(main())
+    dataset = Dataset(tmp_path)
+    await dataset.open(new_run())
+    await dataset.write(good)
+    for batch, error, complaint in refused:
+        with pytest.raises(error, match=complaint):
+            await dataset.write(batch)
+    await dataset.close()
     session = Session.open(tmp_path)
     assert session.tables == ("touch",)
     assert len(session.frame("touch")) == len(good)
 
 
-def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(
-    tmp_path: Path, new_run: Callable[..., Run]
-) -> None:
+def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     for place, complaint in (
         (tmp_path / "file", "file: is a file, must be a folder"),
@@ -282,9 +238,7 @@ def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(
     assert (tmp_path / "file").read_text() == "mine"
 
 
-def test_a_session_is_never_written_over(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+def test_a_session_is_never_written_over(tmp_path: Path) -> None:
     record(Dataset(tmp_path), new_run(), [new_batch(Touch)])
     with pytest.raises(EndpointError, match="has a session 'one' already"):
         record(Dataset(tmp_path), new_run(), [])
@@ -294,15 +248,13 @@ def test_a_session_is_never_written_over(
 
 
 @pytest.mark.parametrize("name", ["..", "../two", "/etc", "a/b", ""])
-def test_a_session_cannot_leave_the_dataset(tmp_path: Path, new_run: Callable[..., Run], name: str) -> None:
+def test_a_session_cannot_leave_the_dataset(tmp_path: Path, name: str) -> None:
     with pytest.raises(ParameterError, match="must be a file name"):
         record(Dataset(tmp_path / "data"), new_run(name), [])
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_of_sessions_that_leads_elsewhere_is_refused(
-    tmp_path: Path, new_run: Callable[..., Run]
-) -> None:
+def test_a_folder_of_sessions_that_leads_elsewhere_is_refused(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "data/sessions").symlink_to(tmp_path / "elsewhere")
@@ -311,7 +263,7 @@ def test_a_folder_of_sessions_that_leads_elsewhere_is_refused(
     assert list((tmp_path / "elsewhere").iterdir()) == []
 
 
-def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path, new_run: Callable[..., Run]) -> None:
+def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "dataset.json").write_text('{"version": 2}')
     with pytest.raises(InputError, match=r"dataset\.json: is of version 2, this slipflow knows 1"):
         record(Dataset(tmp_path), new_run(), [])
@@ -319,19 +271,14 @@ def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path, new_run: Cal
 
 
 @pytest.mark.parametrize("value", [float("nan"), [float("inf")]])
-def test_a_description_that_cannot_be_json_is_refused_at_the_start(
-    tmp_path: Path, new_run: Callable[..., Run], value: Json
-) -> None:
+def test_a_description_that_cannot_be_json_is_refused_at_the_start(tmp_path: Path, value: Json) -> None:
     with pytest.raises(InputError, match="description of source 'rig': cannot be JSON"):
         record(Dataset(tmp_path), new_run(describe={"rig": {"rate": value}}), [])
     assert session_names(tmp_path) == []
 
 
 def test_the_disk_is_never_touched_in_the_thread_of_the_event_loop(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     threads: list[int] = []
     fsync = os.fsync
@@ -348,11 +295,8 @@ def test_the_disk_is_never_touched_in_the_thread_of_the_event_loop(
     assert threading.get_ident() not in threads
 
 
-def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writing, go_on = threading.Event(), threading.Event()
 
@@ -361,30 +305,24 @@ def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_no
             writing.set()
             assert go_on.wait(60)
 
-    async def main() -> None:
-        dataset = Dataset(tmp_path, part_span=s)
-        await dataset.open(new_run(live=False))
-        await dataset.write(new_batch(Touch))
-        with monkeypatch.context() as patch:
-            patch.setattr("storage.steps.reach", wait)
-            task = asyncio.create_task(dataset.write(new_batch(Touch, start=2 * s)))
-            assert await asyncio.to_thread(writing.wait, 60)
-            task.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await task
-            closing = asyncio.create_task(dataset.close())  # while the commit is still in its thread
-            go_on.set()
-            await closing
-
-    asyncio.run(main())
+    dataset = Dataset(tmp_path, part_span=s)
+    await dataset.open(new_run(live=False))
+    await dataset.write(new_batch(Touch))
+    with monkeypatch.context() as patch:
+        patch.setattr("storage.steps.reach", wait)
+        task = asyncio.create_task(dataset.write(new_batch(Touch, start=2 * s)))
+        assert await asyncio.to_thread(writing.wait, 60)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        closing = asyncio.create_task(dataset.close())  # while the commit is still in its thread
+        go_on.set()
+        await closing
     assert Session.open(tmp_path).frame("touch")["time"].to_list() == [n * 10 * ms for n in range(5)]
 
 
-def test_what_is_recorded_live_goes_on_while_a_commit_waits_for_the_disk(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+async def test_what_is_recorded_live_goes_on_while_a_commit_waits_for_the_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writing, go_on = threading.Event(), threading.Event()
 
@@ -393,32 +331,26 @@ def test_what_is_recorded_live_goes_on_while_a_commit_waits_for_the_disk(
             writing.set()
             assert go_on.wait(60)
 
-    async def main() -> None:
-        dataset = Dataset(tmp_path, part_span=100 * ms)
-        await dataset.open(new_run())
-        monkeypatch.setattr("storage.steps.reach", wait)
-        for number in range(19):
-            await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
-        assert await asyncio.to_thread(writing.wait, 60)
-        await dataset.write(new_batch(Touch, 1, start=190 * ms))
-        full = asyncio.create_task(dataset.write(new_batch(Touch, 1, start=200 * ms)))
-        await asyncio.to_thread(lambda: None)
-        assert not full.done()  # as much as a part holds waits already
-        go_on.set()
-        await full
-        await dataset.close()
-
-    asyncio.run(main())
+    dataset = Dataset(tmp_path, part_span=100 * ms)
+    await dataset.open(new_run())
+    monkeypatch.setattr("storage.steps.reach", wait)
+    for number in range(19):
+        await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
+    assert await asyncio.to_thread(writing.wait, 60)
+    await dataset.write(new_batch(Touch, 1, start=190 * ms))
+    full = asyncio.create_task(dataset.write(new_batch(Touch, 1, start=200 * ms)))
+    await asyncio.to_thread(lambda: None)
+    assert not full.done()  # as much as a part holds waits already
+    go_on.set()
+    await full
+    await dataset.close()
     session = Session.open(tmp_path)
     assert session.frame("touch")["time"].to_list() == [n * 10 * ms for n in range(21)]
     assert [part.rows for part in session.listed.values()] == [10, 10, 1]
 
 
-def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go_on, took = threading.Event(), list[int]()
 
@@ -433,29 +365,23 @@ def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
             if len(took) == 10:
                 ten.set()
 
-    async def main() -> None:
-        dataset = Dataset(tmp_path)
-        await dataset.open(new_run())
-        monkeypatch.setattr("storage.steps.reach", wait)
-        ten = asyncio.Event()
-        writing = asyncio.create_task(write(dataset, ten))
-        await ten.wait()
-        for _ in range(100):
-            await asyncio.sleep(0)
-        assert len(took) == 10  # what a kill could cost
-        go_on.set()
-        await writing
-        await dataset.close()
-
-    asyncio.run(main())
+    dataset = Dataset(tmp_path)
+    await dataset.open(new_run())
+    monkeypatch.setattr("storage.steps.reach", wait)
+    ten = asyncio.Event()
+    writing = asyncio.create_task(write(dataset, ten))
+    await ten.wait()
+    for _ in range(100):
+        await asyncio.sleep(0)
+    assert len(took) == 10  # what a kill could cost
+    go_on.set()
+    await writing
+    await dataset.close()
     assert len(Session.open(tmp_path).frame("touch")) == 30
 
 
 def test_a_full_disk_is_told_at_each_write_until_there_is_room_and_costs_no_row(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = False
 
@@ -492,17 +418,12 @@ def test_a_full_disk_is_told_at_each_write_until_there_is_room_and_costs_no_row(
     assert session.about["complete"] is True
 
 
-def test_a_replay_keeps_no_journal(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
-    async def main() -> None:
-        dataset = Dataset(tmp_path)
-        await dataset.open(new_run(live=False))
-        await dataset.write(new_batch(Touch, 100))
-        assert not (tmp_path / "sessions/one/journal").exists()
-        await dataset.close()
-
-    asyncio.run(main())
+async def test_a_replay_keeps_no_journal(tmp_path: Path) -> None:
+    dataset = Dataset(tmp_path)
+    await dataset.open(new_run(live=False))
+    await dataset.write(new_batch(Touch, 100))
+    assert not (tmp_path / "sessions/one/journal").exists()
+    await dataset.close()
 
 
 @pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}])
@@ -518,9 +439,7 @@ def test_the_same_folder_is_the_same_place_however_it_is_named(
     assert Dataset("data/../data/").place == Dataset(tmp_path / "data").place == str(tmp_path / "data")
 
 
-def test_a_dataset_takes_one_run_after_another(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
+def test_a_dataset_takes_one_run_after_another(tmp_path: Path) -> None:
     dataset = Dataset(tmp_path)
     record(dataset, new_run(), [new_batch(Touch)])
     record(dataset, new_run("two"), [new_batch(Zeroed, 3)])

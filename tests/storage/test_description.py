@@ -1,12 +1,11 @@
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from operators.batch import s
-from operators.ports import Run
 from storage import description, files
 from storage.description import describe_dataset, describe_session, read_dataset, read_session
+from tests.storage.made import new_run
 
 
 @pytest.mark.parametrize(
@@ -18,7 +17,7 @@ from storage.description import describe_dataset, describe_session, read_dataset
     ],
 )
 def test_the_start_is_given_to_the_nanosecond_as_a_number_and_as_rfc_3339(
-    tmp_path: Path, new_run: Callable[..., Run], start: int, text: str
+    tmp_path: Path, start: int, text: str
 ) -> None:
     run = new_run()
     run.start = start
@@ -40,7 +39,7 @@ def test_of_several_processes_that_begin_a_dataset_one_describes_it(
     assert read_dataset(tmp_path)["by"] == "another"
 
 
-def test_it_names_the_software_and_the_host(tmp_path: Path, new_run: Callable[..., Run]) -> None:
+def test_it_names_the_software_and_the_host(tmp_path: Path) -> None:
     describe_session(tmp_path, new_run())
     about = read_session(tmp_path)
     assert str(about["software"]).startswith("slipflow 0.")

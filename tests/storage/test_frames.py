@@ -1,5 +1,7 @@
 import json
-from collections.abc import Callable, Sequence
+import struct
+import zlib
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, cast
 
@@ -13,6 +15,7 @@ from operators.ports import Json
 from storage import frames
 from storage.following import put_together
 from storage.frames import Change, Damage, Rows, read_segment
+from tests.storage.made import new_batch, same
 
 KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
 
@@ -20,7 +23,7 @@ KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
 def segment(bodies: Sequence[bytes], salt: bytes | None = None) -> bytes:
     data = salt or frames.new_salt()
     for body in (frames.describe("one", 3), *bodies):
-        data += frames.seal(body, data[: frames.SALT], len(data))
+        data += frames.seal(body, data[: frames.SALT_SIZE], len(data))
     return data
 
 
@@ -33,13 +36,21 @@ def bits(batch: Batch) -> list[bytes]:
 
 
 @pytest.fixture(scope="module")
-def written(new_batch: Callable[..., Any]) -> list[Rows]:
+def written() -> list[Rows]:
     return [Rows(10 * n, new_batch(kind, n + 1, finger=n, seed=n)) for n, kind in enumerate(KINDS)]
 
 
 @pytest.fixture(scope="module")
 def data(written: list[Rows]) -> bytes:
     return segment(list(frames.bodies(written)))
+
+
+def test_a_frame_is_as_the_format_says() -> None:
+    salt, body, place = frames.new_salt(), b"body", 4711
+    checked = salt + struct.pack("<QI", place, len(body)) + body
+    written = b"SLIP" + struct.pack("<II", len(body), zlib.crc32(checked)) + body
+    assert frames.seal(body, salt, place) == written
+    assert (salt[:8], len(salt)) == (b"SLIPWAL1", 16)
 
 
 def is_prefix(found: frames.Segment, written: list[Rows]) -> bool:
@@ -49,23 +60,17 @@ def is_prefix(found: frames.Segment, written: list[Rows]) -> bool:
 
 
 @given(drawn=st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 9), st.integers(0, 2**40))))
-def test_rows_come_back_bit_for_bit(
-    new_batch: Callable[..., Any],
-    alike: Callable[[Batch, Batch], None],
-    drawn: list[tuple[type[Batch], int, int]],
-) -> None:
+def test_rows_come_back_bit_for_bit(drawn: list[tuple[type[Batch], int, int]]) -> None:
     written = [Rows(first, new_batch(kind, rows, finger=rows % 3, seed=rows)) for kind, rows, first in drawn]
     found = read(segment(list(frames.bodies(written))))
     assert found.damage is None
     full = [rows for rows in written if len(rows.batch)]
     assert [rows.first for rows in found.rows] == [rows.first for rows in full]
     for one, other in zip(found.rows, full, strict=True):
-        alike(one.batch, other.batch)
+        same(one.batch, other.batch)
 
 
-def test_a_large_batch_becomes_several_frames(
-    new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_large_batch_becomes_several_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(frames, "LIMIT", 1500)
     batch = new_batch(Motion, 100)
     found = read(segment(list(frames.bodies([Rows(7, batch)]))))
@@ -76,7 +81,7 @@ def test_a_large_batch_becomes_several_frames(
     )
 
 
-def test_rows_that_follow_on_each_other_share_a_frame(new_batch: Callable[..., Any]) -> None:
+def test_rows_that_follow_on_each_other_share_a_frame() -> None:
     touch = [new_batch(Touch, 2, start=n, finger=int(n > 3), seed=n) for n in range(6)]
     motion = [new_batch(Motion, 1, start=n, seed=n) for n in range(6)]
     written = [Rows(2 * n, touch[n]) for n in range(6)]
@@ -130,7 +135,7 @@ def test_wherever_it_is_cut_a_prefix_is_left(data: bytes, written: list[Rows]) -
         counts.append(len(found.rows))
         if found.damage:
             assert found.damage.offset + found.damage.size == end
-            assert found.damage.more == (found.damage.offset == 0 and end > frames.SALT)
+            assert found.damage.more == (found.damage.offset == 0 and end > frames.SALT_SIZE)
     assert counts == sorted(counts)
     assert set(counts) == set(range(len(KINDS)))
 
@@ -142,7 +147,7 @@ def test_whatever_fills_the_tail_no_row_is_made_up(data: bytes, written: list[Ro
         tail = {
             "zeros": bytes(left),
             "garbage": bytes(37 * n % 251 for n in range(left)),
-            "repeated": (data[frames.SALT : end] * left)[:left],
+            "repeated": (data[frames.SALT_SIZE : end] * left)[:left],
         }[filling]
         found = read(data[:end] + tail)
         assert is_prefix(found, written)
@@ -173,7 +178,7 @@ def test_damage_with_whole_frames_behind_it_is_told_from_a_cut_off_end(data: byt
         assert damage.more is more
 
 
-def test_a_frame_from_elsewhere_is_never_valid(new_batch: Callable[..., Any]) -> None:
+def test_a_frame_from_elsewhere_is_never_valid() -> None:
     body = next(frames.bodies([Rows(0, new_batch(Touch, 3))]))
     one, other = segment([body, body, body]), segment([body, body, body])
     size = (len(one) - len(segment([]))) // 3

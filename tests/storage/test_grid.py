@@ -1,22 +1,18 @@
 """Sessions on a regular grid of time."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators.batch import EVERY, Labelled, Motion, Touch, ms
+from operators.batch import EVERY, Motion, Touch, ms
 from operators.errors import InputError
-from storage import Session
 from storage.grid import Holdings, frames, holdings
+from tests.storage.made import new_batch, new_samples, record
 
-Record = Callable[..., Session]
-NewSamples = Callable[..., Labelled]
 MOVED = Holdings((0,), velocity=True, pose=False)
 
 
@@ -25,9 +21,7 @@ def poses(time: list[int]) -> Motion:
     return Motion(np.array(time), np.array(time), np.zeros((len(time), 6)), known, finger=EVERY)
 
 
-def test_each_sample_is_a_frame_where_they_are_regular(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_each_sample_is_a_frame_where_they_are_regular(tmp_path: Path) -> None:
     samples = new_samples(np.arange(50) * 10 * ms + 7)
     cut = frames(record(tmp_path, [samples]), 100, MOVED)
     (found,) = cut.stretches
@@ -44,11 +38,7 @@ def test_each_sample_is_a_frame_where_they_are_regular(
     rate=st.sampled_from([1, 30, 50, 99, 100, 1000]),
 )
 def test_a_frame_is_a_sample_near_its_instant_and_no_sample_is_two_frames(
-    tmp_path_factory: pytest.TempPathFactory,
-    record: Record,
-    new_samples: NewSamples,
-    steps: list[int],
-    rate: int,
+    tmp_path_factory: pytest.TempPathFactory, steps: list[int], rate: int
 ) -> None:
     samples = new_samples(np.cumsum(steps))
     cut = frames(record(tmp_path_factory.mktemp("any"), [samples]), rate, MOVED)
@@ -65,9 +55,7 @@ def test_a_frame_is_a_sample_near_its_instant_and_no_sample_is_two_frames(
     assert len(set(used)) == len(used)
 
 
-def test_a_gap_cuts_and_of_two_samples_for_one_instant_the_nearer_is_kept(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_a_gap_cuts_and_of_two_samples_for_one_instant_the_nearer_is_kept(tmp_path: Path) -> None:
     times = np.array([0, 10, 13, 18, 50, 60, 90]) * ms
     cut = frames(record(tmp_path, [new_samples(times)]), 100, MOVED)
     assert [each.time.tolist() for each in cut.stretches] == [
@@ -76,7 +64,7 @@ def test_a_gap_cuts_and_of_two_samples_for_one_instant_the_nearer_is_kept(
     ]  # the last stands alone
 
 
-def test_an_instant_needs_every_fingertip(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+def test_an_instant_needs_every_fingertip(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     missing = new_samples(np.delete(time, 5) + 4 * ms, finger=2)
     session = record(tmp_path, [new_samples(time), missing])
@@ -89,9 +77,7 @@ def test_an_instant_needs_every_fingertip(tmp_path: Path, record: Record, new_sa
     assert one.counts[1].tolist() == [10, 11, 12, 13, 14, 15, 2010, 2011, 2012, 2013, 2014, 2015]
 
 
-def test_what_is_asked_for_of_the_arm_has_to_be_known(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_what_is_asked_for_of_the_arm_has_to_be_known(tmp_path: Path) -> None:
     samples = new_samples(np.arange(6) * 10 * ms)
     samples.velocity[2, 4] = np.nan
     session = record(tmp_path, [samples, poses([0, 8 * ms, 40 * ms])])
@@ -102,15 +88,13 @@ def test_what_is_asked_for_of_the_arm_has_to_be_known(
     assert np.isnan(still.velocity[2]).any()
 
 
-def test_a_pose_that_lies_far_off_is_unknown(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+def test_a_pose_that_lies_far_off_is_unknown(tmp_path: Path) -> None:
     session = record(tmp_path, [new_samples(np.arange(9) * 10 * ms), poses([20 * ms])])
     (found,) = frames(session, 100, Holdings((0,), velocity=True, pose=True)).stretches
     assert found.time.tolist() == [0, 10 * ms, 20 * ms, 30 * ms, 40 * ms]
 
 
-def test_a_barometer_that_did_not_answer_reads_what_it_read_last_and_is_marked(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_a_barometer_that_did_not_answer_reads_what_it_read_last_and_is_marked(tmp_path: Path) -> None:
     samples = new_samples(np.arange(3) * 10 * ms)
     valid = samples.valid.copy()
     valid[1, 3] = False
@@ -120,14 +104,12 @@ def test_a_barometer_that_did_not_answer_reads_what_it_read_last_and_is_marked(
     assert found.valid[:, 3].tolist() == [True, False, True]
 
 
-def test_late_rows_are_put_in_their_place(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+def test_late_rows_are_put_in_their_place(tmp_path: Path) -> None:
     session = record(tmp_path, [new_samples(np.array([0, 20, 10, 30]) * ms)])
     (found,) = frames(session, 100, MOVED).stretches
     assert found.counts[:, 0].tolist() == [0, 20, 10, 30]
 
 
-def test_a_session_without_samples_is_refused(
-    tmp_path: Path, record: Record, new_batch: Callable[..., Any]
-) -> None:
+def test_a_session_without_samples_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="holds no samples, which frames are made of"):
         holdings(record(tmp_path, [new_batch(Touch)]))

@@ -1,8 +1,7 @@
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,6 +12,7 @@ from storage.following import put_together
 from storage.frames import Rows, read_segment
 from storage.journal import MOST, SOON, Journal
 from storage.layout import episode_log, segments, single_log
+from tests.storage.made import new_batch
 
 
 class Steps:
@@ -67,9 +67,7 @@ def found(folder: Path) -> list[tuple[str, int, int]]:
     ]
 
 
-def test_what_is_added_is_appended_by_itself(
-    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
-) -> None:
+def test_what_is_added_is_appended_by_itself(journal: Journal, step: Steps, tmp_path: Path) -> None:
     assert journal.add(Rows(0, new_batch(Touch, 1)))
     step.wait()
     with journal.held():
@@ -77,7 +75,7 @@ def test_what_is_added_is_appended_by_itself(
 
 
 def test_rows_that_wait_are_appended_at_once_when_there_are_some(
-    tmp_path: Path, step: Steps, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, step: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
     journal = Journal(tmp_path, "one", {})
@@ -89,9 +87,7 @@ def test_rows_that_wait_are_appended_at_once_when_there_are_some(
     journal.leave()
 
 
-def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(
-    journal: Journal, step: Steps, new_batch: Callable[..., Any]
-) -> None:
+def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(journal: Journal, step: Steps) -> None:
     step.go_on.clear()
     took = [journal.add(Rows(number, new_batch(Touch, 1))) for number in range(2 * MOST)]
     assert took == [True] * MOST + [False] * MOST
@@ -99,9 +95,7 @@ def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(
     assert not journal.add(Rows(0, new_batch(Slips, MOST + 1)))
 
 
-def test_what_does_not_fit_waits_for_what_came_before(
-    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
-) -> None:
+def test_what_does_not_fit_waits_for_what_came_before(journal: Journal, step: Steps, tmp_path: Path) -> None:
     step.go_on.clear()
     assert journal.add(Rows(0, new_batch(Touch, MOST)))
     step.wait()
@@ -115,7 +109,7 @@ def test_what_does_not_fit_waits_for_what_came_before(
 
 
 def test_a_full_disk_refuses_rows_until_there_is_room_and_loses_and_repeats_none(
-    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
+    journal: Journal, step: Steps, tmp_path: Path
 ) -> None:
     step.failing = True
     assert journal.add(Rows(0, new_batch(Touch, SOON)))
@@ -131,7 +125,7 @@ def test_a_full_disk_refuses_rows_until_there_is_room_and_loses_and_repeats_none
 
 
 def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_may(
-    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any]
+    journal: Journal, tmp_path: Path
 ) -> None:
     kept = [Rows(3, new_batch(Slips, 2))]
     journal.append(Rows(0, new_batch(Touch, 4)), *kept)
@@ -144,7 +138,7 @@ def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_m
 
 
 def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
-    tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
     journal, touch = Journal(tmp_path, "one", {}), [new_batch(Touch, 1) for _ in range(3)]
@@ -160,7 +154,7 @@ def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
 
 
 def test_a_segment_that_cannot_be_begun_leaves_the_old_one_in_use(
-    journal: Journal, step: Steps, tmp_path: Path, new_batch: Callable[..., Any]
+    journal: Journal, step: Steps, tmp_path: Path
 ) -> None:
     journal.append(Rows(0, new_batch(Touch, 1)))
     step.failing = True
@@ -175,7 +169,7 @@ def test_a_segment_that_cannot_be_begun_leaves_the_old_one_in_use(
 
 
 def test_a_slow_fsync_does_not_hold_up_what_is_appended(
-    tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     syncing, go_on, fsync = threading.Event(), threading.Event(), os.fsync
 
@@ -198,7 +192,7 @@ def test_a_slow_fsync_does_not_hold_up_what_is_appended(
 
 
 def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
-    tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failed = threading.Event()
 
@@ -244,9 +238,7 @@ def test_episodes_are_kept_as_they_begin_and_outlive_the_segments(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_its_threads_end_with_it_and_what_waited_is_there(
-    tmp_path: Path, new_batch: Callable[..., Any]
-) -> None:
+def test_its_threads_end_with_it_and_what_waited_is_there(tmp_path: Path) -> None:
     before = threading.active_count()
     journal, batch = Journal(tmp_path, "one", {}), list[Batch]([new_batch(Touch, 1)])
     assert threading.active_count() == before + 2
@@ -259,7 +251,7 @@ def test_its_threads_end_with_it_and_what_waited_is_there(
 
 
 def test_rows_of_a_table_of_one_file_are_appended_once_and_outlive_the_segments(
-    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any]
+    journal: Journal, tmp_path: Path
 ) -> None:
     def refuse() -> list[Rows]:
         raise AssertionError
@@ -273,7 +265,7 @@ def test_rows_of_a_table_of_one_file_are_appended_once_and_outlive_the_segments(
 
 
 def test_after_a_failed_fsync_they_are_written_anew_from_memory(
-    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> None:
         raise OSError(5, "Input/output error")
@@ -293,7 +285,7 @@ def test_after_a_failed_fsync_they_are_written_anew_from_memory(
 
 
 def test_what_could_not_be_appended_to_both_is_not_taken_by_either(
-    journal: Journal, tmp_path: Path, new_batch: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(step: str) -> None:
         if step == "append frames":

@@ -1,7 +1,6 @@
 """Sessions as a LeRobot dataset, read back by its documented layout alone."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,13 +9,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from operators.batch import EVERY, Labelled, Motion, ms
+from operators.batch import EVERY, Motion, ms
 from operators.errors import EndpointError, InputError, ParameterError
 from storage import Session
 from storage.lerobot import export
-
-Record = Callable[..., Session]
-NewSamples = Callable[..., Labelled]
+from tests.storage.made import new_samples, record
 
 
 @dataclass
@@ -116,7 +113,7 @@ def poses(time: Any) -> Motion:  # noqa: ANN401 - whole numbers
     return Motion(stamps, stamps, np.zeros((len(stamps), 6)), known, finger=EVERY)
 
 
-def test_values_are_those_of_the_sessions(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+def test_values_are_those_of_the_sessions(tmp_path: Path) -> None:
     time = np.arange(60) * 10 * ms + 1_700_000_000_000_000_000
     samples = [new_samples(time), new_samples(time + 2 * ms, finger=3)]
     session = record(tmp_path, [*samples, poses(time)])
@@ -133,9 +130,7 @@ def test_values_are_those_of_the_sessions(tmp_path: Path, record: Record, new_sa
     assert (done.episodes, done.frames, done.samples, done.gaps) == (1, 60, 60, 0)
 
 
-def test_a_gap_makes_two_episodes_that_say_when_they_began(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_a_gap_makes_two_episodes_that_say_when_they_began(tmp_path: Path) -> None:
     time = np.delete(np.arange(60) * 10 * ms, [20, 21, 22])
     done = export([record(tmp_path, [new_samples(time)])], tmp_path / "out")
     found = Read.open(tmp_path / "out")
@@ -145,9 +140,7 @@ def test_a_gap_makes_two_episodes_that_say_when_they_began(
     assert (done.episodes, done.frames, done.samples, done.gaps) == (2, 57, 57, 1)
 
 
-def test_splits_are_kept_and_their_episodes_stand_together(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_splits_are_kept_and_their_episodes_stand_together(tmp_path: Path) -> None:
     sessions = list[Session]()
     for name, split in (("a", "test"), ("b", "train"), ("c", None), ("d", "validation"), ("e", "test")):
         episode = {"start": 0, "end": 100 * ms, "motion": "hold", "split": split}
@@ -160,9 +153,7 @@ def test_splits_are_kept_and_their_episodes_stand_together(
     assert [each["slipflow/session"] for each in found.episodes] == ["b", "c", "d", "a", "e"]
 
 
-def test_tasks_are_what_the_arm_did_or_what_is_told(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_tasks_are_what_the_arm_did_or_what_is_told(tmp_path: Path) -> None:
     episodes = [
         {"start": 0, "end": 50 * ms, "motion": "hold"},
         {"start": 50 * ms, "end": 90 * ms, "motion": "translation"},
@@ -185,9 +176,7 @@ def test_tasks_are_what_the_arm_did_or_what_is_told(
     assert told.tasks == {0: "wipe the table"}
 
 
-def test_the_arm_is_left_out_unless_every_session_has_it(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_the_arm_is_left_out_unless_every_session_has_it(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     moving, still = new_samples(time), new_samples(time)
     still.velocity[:] = np.nan
@@ -199,7 +188,7 @@ def test_the_arm_is_left_out_unless_every_session_has_it(
     Read.open(tmp_path / "both").check()
 
 
-def test_a_lower_rate_takes_fewer_samples(tmp_path: Path, record: Record, new_samples: NewSamples) -> None:
+def test_a_lower_rate_takes_fewer_samples(tmp_path: Path) -> None:
     samples = new_samples(np.arange(58) * 10 * ms)
     export([record(tmp_path, [samples])], tmp_path / "out", rate=20)
     found = Read.open(tmp_path / "out")
@@ -208,9 +197,7 @@ def test_a_lower_rate_takes_fewer_samples(tmp_path: Path, record: Record, new_sa
     assert found.values(0, "observation.state").tolist() == samples.counts[::5].tolist()
 
 
-def test_what_cannot_be_exported_leaves_nothing(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_what_cannot_be_exported_leaves_nothing(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     one = record(tmp_path / "data", [new_samples(time)], "a")
     other = record(tmp_path / "data", [new_samples(time, finger=1)], "b")
@@ -230,9 +217,7 @@ def test_what_cannot_be_exported_leaves_nothing(
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
-def test_a_folder_that_is_there_is_not_replaced(
-    tmp_path: Path, record: Record, new_samples: NewSamples
-) -> None:
+def test_a_folder_that_is_there_is_not_replaced(tmp_path: Path) -> None:
     session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)])
     with pytest.raises(EndpointError, match="must be a new or empty folder"):
         export([session], tmp_path)

@@ -1,7 +1,6 @@
 """Rows of a session as MCAP messages."""
 
 import json
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from operators.batch import EVERY, Clocks, Motion, Slips, Zeroed, s
 from operators.errors import InputError
 from storage.layout import CLOCKS, MOTION, SLIPS, TABLES, TOUCH, Table
 from storage.mcap_messages import episode_message, episode_schema, messages, schema, topic
+from tests.storage.made import new_batch
 
 SIMPLE = {"object", "array", "number", "integer", "boolean", "string"}
 
@@ -34,7 +34,7 @@ def test_a_schema_is_one_that_foxglove_reads(table: Table) -> None:
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_a_message_keeps_its_schema(table: Table, new_batch: Callable[..., Any]) -> None:
+def test_a_message_keeps_its_schema(table: Table) -> None:
     validator: Any = Draft202012Validator(schema(table, table.kind))
     batch = new_batch(table.kind, 20, start=s)
     for name, column in table.columns.items():
@@ -82,7 +82,7 @@ def test_zeroed_counts_have_a_schema_of_their_own() -> None:
     assert schema(TOUCH, Zeroed)["title"] == "slipflow.Zeroed"
 
 
-def test_a_row_of_before_1970_is_refused(new_batch: Callable[..., Any]) -> None:
+def test_a_row_of_before_1970_is_refused() -> None:
     with pytest.raises(InputError, match="motion, a row at -1 ns: is of before 1970"):
         list(messages(MOTION, new_batch(Motion, 1, start=-1)))
     with pytest.raises(InputError, match="episodes, a row at -5 ns: is of before 1970"):

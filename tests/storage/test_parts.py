@@ -1,7 +1,6 @@
 import hashlib
 import subprocess
 import sys
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
@@ -18,10 +17,11 @@ from storage.episodes import Episodes
 from storage.layout import MOTION, TOUCH, Table
 from storage.parts import read_part, write_part
 from storage.schema import schema, to_arrow
+from tests.storage.made import new_batch
 
 
 @pytest.fixture(scope="session")
-def rows(new_batch: Callable[..., Any]) -> pa.Table:
+def rows() -> pa.Table:
     return to_arrow(TOUCH, [new_batch(Touch, 10)], Episodes.described({}))
 
 
@@ -120,7 +120,7 @@ def test_further_columns_are_ignored(rows: pa.Table, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("table", "kind"), [(TOUCH, Touch), (MOTION, Motion)])
 def test_times_are_delta_packed_and_all_is_zstd(
-    new_batch: Callable[..., Any], tmp_path: Path, table: Table, kind: type[Touch | Motion]
+    tmp_path: Path, table: Table, kind: type[Touch | Motion]
 ) -> None:
     path = tmp_path / "x.parquet"
     sha256 = write_part(path, to_arrow(table, [new_batch(kind, 1000)], Episodes.described({})))

@@ -1,7 +1,6 @@
 """A session as a Rerun recording, read back by the library's reader."""
 
 import json
-from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,11 +12,9 @@ from operators.batch import Faults, Labelled, Motion, Slips, Touch, Zeroed, s
 from operators.errors import EndpointError, InputError
 from operators.score import Score
 from operators.zero import Zero
-from storage import Session, load_detector, rrd_file
+from storage import load_detector, rrd_file
 from storage.rrd_file import export
-
-Record = Callable[..., Session]
-NewBatch = Callable[..., Any]
+from tests.storage.made import new_batch, record
 
 
 def read(path: Path) -> dict[str, dict[str, list[Any]]]:
@@ -35,9 +32,7 @@ def read(path: Path) -> dict[str, dict[str, list[Any]]]:
 
 
 @pytest.mark.rerun
-def test_counts_come_back_at_their_times_and_none_of_a_mute_cell(
-    tmp_path: Path, record: Record, new_batch: NewBatch
-) -> None:
+def test_counts_come_back_at_their_times_and_none_of_a_mute_cell(tmp_path: Path) -> None:
     batches = [new_batch(Touch, 50, start=s + finger, finger=finger, seed=finger) for finger in (0, 2)]
     path = tmp_path / "one.rrd"
     assert export(record(tmp_path, batches), path) == {"/touch/0": 50, "/touch/2": 50}
@@ -51,9 +46,7 @@ def test_counts_come_back_at_their_times_and_none_of_a_mute_cell(
 
 
 @pytest.mark.rerun
-def test_speeds_are_those_of_the_arm_and_of_the_contact(
-    tmp_path: Path, record: Record, new_batch: NewBatch
-) -> None:
+def test_speeds_are_those_of_the_arm_and_of_the_contact(tmp_path: Path) -> None:
     motion, samples = new_batch(Motion, 30, start=s), new_batch(Labelled, 40, start=s, finger=1)
     motion.velocity[:] = np.arange(180).reshape(30, 6)
     path = tmp_path / "one.rrd"
@@ -65,9 +58,7 @@ def test_speeds_are_those_of_the_arm_and_of_the_contact(
 
 
 @pytest.mark.rerun
-def test_the_probability_is_what_the_detector_says(
-    tmp_path: Path, record: Record, new_batch: NewBatch
-) -> None:
+def test_the_probability_is_what_the_detector_says(tmp_path: Path) -> None:
     touch = new_batch(Touch, 300, start=s)
     touch.valid[:] = True
     touch.counts[:] = 700 + np.arange(300)[:, None] % 7
@@ -86,7 +77,7 @@ def test_the_probability_is_what_the_detector_says(
 
 
 @pytest.mark.rerun
-def test_slips_and_faults_are_lines_of_text(tmp_path: Path, record: Record) -> None:
+def test_slips_and_faults_are_lines_of_text(tmp_path: Path) -> None:
     time = np.array([s, 2 * s])
     slips = Slips(time, np.array([1, 0], np.int8), time, np.array([0.93, 0.1]), finger=2)
     cells, kinds = np.array([3, 3], np.int8), np.array([1, 1], np.int8)
@@ -103,7 +94,7 @@ def test_slips_and_faults_are_lines_of_text(tmp_path: Path, record: Record) -> N
 
 
 @pytest.mark.rerun
-def test_the_file_says_what_the_session_says(tmp_path: Path, record: Record, new_batch: NewBatch) -> None:
+def test_the_file_says_what_the_session_says(tmp_path: Path) -> None:
     session, path = record(tmp_path, [new_batch(Touch, 5)]), tmp_path / "one.rrd"
     export(session, path)
     [[text]] = read(path)["/session"]["TextDocument:text"]
@@ -112,7 +103,7 @@ def test_the_file_says_what_the_session_says(tmp_path: Path, record: Record, new
 
 @pytest.mark.rerun
 def test_what_fails_leaves_nothing_and_what_is_there_stays(
-    tmp_path: Path, record: Record, new_batch: NewBatch, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session, path = record(tmp_path / "data", [new_batch(Touch, 50)]), tmp_path / "one.rrd"
 
@@ -137,9 +128,7 @@ def test_what_fails_leaves_nothing_and_what_is_there_stays(
     assert path.read_text() == "mine"
 
 
-def test_without_the_library_it_says_how_to_get_it(
-    tmp_path: Path, record: Record, new_batch: NewBatch, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_the_library_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def nothing(_: str) -> None:
         return None
 

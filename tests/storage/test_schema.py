@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
@@ -13,6 +12,7 @@ from storage.episodes import Episodes
 from storage.layout import SAMPLES, TABLE_OF, TABLES, Table
 from storage.parts import read_part, write_part
 from storage.schema import batch_type, from_arrow, schema, to_arrow
+from tests.storage.made import new_batch, same
 
 KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
 NONE = Episodes.described({})
@@ -22,11 +22,7 @@ NONE = Episodes.described({})
 @settings(deadline=None)
 @given(cuts=st.lists(st.tuples(st.integers(0, 2), st.integers(1, 9)), min_size=1, max_size=6))
 def test_batches_come_back_bit_for_bit(
-    new_batch: Callable[..., Any],
-    alike: Callable[[Batch, Batch], None],
-    tmp_path_factory: pytest.TempPathFactory,
-    kind: type[Batch],
-    cuts: list[tuple[int, int]],
+    tmp_path_factory: pytest.TempPathFactory, kind: type[Batch], cuts: list[tuple[int, int]]
 ) -> None:
     batches = [new_batch(kind, rows, finger=finger, seed=rows) for finger, rows in cuts]
     table, path = TABLE_OF[kind], tmp_path_factory.getbasetemp() / "round.parquet"
@@ -36,7 +32,7 @@ def test_batches_come_back_bit_for_bit(
     found = from_arrow(table, kind, rows)
     assert list(found) == sorted({batch.finger for batch in batches})
     for finger, batch in found.items():
-        alike(batch, _as_stored(table, concat(kind, [each for each in batches if each.finger == finger])))
+        same(batch, _as_stored(table, concat(kind, [each for each in batches if each.finger == finger])))
 
 
 def test_columns_stand_in_the_order_that_the_dataset_promises() -> None:
@@ -51,9 +47,7 @@ def test_columns_stand_in_the_order_that_the_dataset_promises() -> None:
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_units_stand_in_the_field_metadata_of_the_file(
-    new_batch: Callable[..., Any], tmp_path: Path, table: Table
-) -> None:
+def test_units_stand_in_the_field_metadata_of_the_file(tmp_path: Path, table: Table) -> None:
     write_part(tmp_path / "x.parquet", to_arrow(table, [new_batch(table.kind)], NONE))
     found = read_part(tmp_path / "x.parquet", schema(table)).schema
     for name, column in table.columns.items():
@@ -63,9 +57,7 @@ def test_units_stand_in_the_field_metadata_of_the_file(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_polars_reads_arrays_with_their_width(
-    new_batch: Callable[..., Any], tmp_path: Path, kind: type[Batch]
-) -> None:
+def test_polars_reads_arrays_with_their_width(tmp_path: Path, kind: type[Batch]) -> None:
     table, batch = TABLE_OF[kind], new_batch(kind)
     write_part(tmp_path / "x.parquet", to_arrow(table, [batch], NONE))
     frame = pl.read_parquet(tmp_path / "x.parquet")
@@ -74,7 +66,7 @@ def test_polars_reads_arrays_with_their_width(
         assert frame[name].to_numpy().tobytes() == expected.tobytes()
 
 
-def test_samples_carry_the_number_of_their_episode(new_batch: Callable[..., Any]) -> None:
+def test_samples_carry_the_number_of_their_episode() -> None:
     batch = new_batch(Labelled, 6)
     episodes = Episodes.described(
         {"rig": {"episodes": [{"start": int(batch.time[1]), "end": int(batch.time[3])}]}}
@@ -82,7 +74,7 @@ def test_samples_carry_the_number_of_their_episode(new_batch: Callable[..., Any]
     assert to_arrow(SAMPLES, [batch], episodes)["episode"].to_pylist() == [-1, 0, 0, -1, -1, -1]
 
 
-def test_what_samples_do_not_keep_comes_back_as_unknown(new_batch: Callable[..., Any]) -> None:
+def test_what_samples_do_not_keep_comes_back_as_unknown() -> None:
     batch = new_batch(Labelled, 3)
     batch.velocity[1] = np.nan
     found = from_arrow(SAMPLES, Labelled, to_arrow(SAMPLES, [batch], NONE))[0]

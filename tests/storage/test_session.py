@@ -17,12 +17,13 @@ from storage.layout import TOUCH
 from storage.parts import read_part, write_part
 from storage.schema import schema, to_arrow
 from storage.writer import SessionWriter
+from tests.storage.made import new_batch, new_run, same
 
 NONE = Episodes.described({})
 
 
 @pytest.fixture
-def dataset(tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]) -> Path:
+def dataset(tmp_path: Path) -> Path:
     """Two fingertips in three parts, and an episode."""
 
     async def main() -> None:
@@ -57,16 +58,11 @@ def test_it_describes_its_episodes_so_that_a_replay_can_record_them_again(datase
 
 
 @pytest.mark.parametrize("rows", [1, 3, 10, 1000])
-def test_rows_come_in_the_order_recorded_and_in_bounded_batches(
-    dataset: Path,
-    new_batch: Callable[..., Any],
-    alike: Callable[[Batch, Batch], None],
-    rows: int,
-) -> None:
+def test_rows_come_in_the_order_recorded_and_in_bounded_batches(dataset: Path, rows: int) -> None:
     batches = list(Session.open(dataset).read(Touch, 2, rows))
     assert max(map(len, batches)) == min(rows, 10)
     written = [new_batch(Touch, 10, start=n * 100 * ms, finger=2, seed=n + 20) for n in range(3)]
-    alike(concat(Touch, batches), concat(Touch, written))
+    same(concat(Touch, batches), concat(Touch, written))
 
 
 def test_there_is_nothing_of_what_was_not_recorded(dataset: Path) -> None:
@@ -91,7 +87,7 @@ def test_a_session_opens_by_its_own_folder(folder: Path) -> None:
     assert Session.open(folder).name == "one"
 
 
-def test_a_dataset_of_several_sessions_lists_them(dataset: Path, new_run: Callable[..., Run]) -> None:
+def test_a_dataset_of_several_sessions_lists_them(dataset: Path) -> None:
     asyncio.run(Dataset(dataset).open(new_run("two")))
     with pytest.raises(
         InputError, match=r"holds 2 sessions, give one, as .*/sessions/two; there are one, two$"
@@ -233,13 +229,13 @@ def record(root: Path, run: Run, batches: Sequence[Batch]) -> SessionWriter:
 
 
 @pytest.fixture
-def thirty(new_batch: Callable[..., Any]) -> list[Batch]:
+def thirty() -> list[Batch]:
     return [new_batch(Touch, 5, start=turn * 50 * ms, seed=turn) for turn in range(6)]
 
 
 @pytest.mark.parametrize("live", [True, False])
 def test_a_session_that_is_being_recorded_is_read_as_far_as_it_is_committed(
-    tmp_path: Path, new_run: Callable[..., Run], thirty: list[Batch], *, live: bool
+    tmp_path: Path, thirty: list[Batch], *, live: bool
 ) -> None:
     writer = record(tmp_path, new_run(live=live), thirty)
     session = Session.open(tmp_path)
@@ -252,7 +248,7 @@ def test_a_session_that_is_being_recorded_is_read_as_far_as_it_is_committed(
 
 
 def test_a_part_that_is_not_listed_yet_is_not_read_beside_the_journal(
-    tmp_path: Path, new_run: Callable[..., Run], thirty: list[Batch]
+    tmp_path: Path, thirty: list[Batch]
 ) -> None:
     writer = record(tmp_path, new_run(), thirty[:2])
     folder = tmp_path / "sessions/one"
@@ -274,7 +270,7 @@ def test_a_copy_of_a_part_is_not_read(folder: Path, *, listed: bool) -> None:
 
 
 def test_a_session_whose_recorder_is_gone_is_put_right_when_it_is_opened(
-    tmp_path: Path, new_run: Callable[..., Run], thirty: list[Batch]
+    tmp_path: Path, thirty: list[Batch]
 ) -> None:
     record(tmp_path, new_run(), thirty)
     session = Session.open(tmp_path)
@@ -284,11 +280,7 @@ def test_a_session_whose_recorder_is_gone_is_put_right_when_it_is_opened(
 
 
 def test_on_a_disk_that_cannot_be_written_what_is_committed_is_read_and_the_rest_told_of_once(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    thirty: list[Batch],
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path, thirty: list[Batch], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(*_: object) -> None:
         raise OSError(30, "Read-only file system")

@@ -18,6 +18,10 @@ EPISODES = Part("episodes.parquet", 5, 0, 9, "0" * 64)
         ({"dataset": {"rows": 29}}, ""),
         ({"dataset": {"rows": 1034}, "mqtt": {"rows": 9999}}, "1,004 of the 1,034 rows"),
         ({"dataset": {"rows": 40}, "dataset-2": {"rows": 40}}, ""),  # which of them is not known
+        (
+            {"lab": {"rows": 1034, "records": True}, "dataset": {"rows": 9, "records": False}},
+            "1,004 of the 1,034 rows",
+        ),
         ({"dataset": 3}, ""),
         ([], ""),
     ],

@@ -1,53 +1,20 @@
-import errno
 import json
-import os
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from shutil import copytree, rmtree
-from typing import Any
 
 import pytest
 
-from operators.batch import Batch, Labelled, Motion, Slips, Touch, ms
 from operators.errors import InputError
-from operators.ports import Gap, Run, SinkStatus, SourceStatus
-from storage import Session, recover, verify
-from storage.layout import TOUCH
-from storage.manifest import read_manifest, write_manifest
-from storage.parts import read_part
-from storage.schema import schema
-from storage.writer import SessionWriter
+from storage import Session, verify
+from storage.manifest import read_manifest
+from tests.storage.made import leave, new_run, side_by_side, two_sessions
 
-
-def record(root: Path, run: Run, batches: list[Batch], *, close: bool = True) -> SessionWriter:
-    writer = SessionWriter(root, run, part_span=100 * ms, part_rows=1000)
-    for batch in batches:
-        if writer.full(batch):
-            writer.commit()
-        assert writer.add(batch)
-    if close:
-        writer.close()
-    return writer
+BATCHES = side_by_side(5)
 
 
 @pytest.fixture(scope="module")
-def batches(new_batch: Callable[..., Any]) -> list[Batch]:
-    return [
-        new_batch(kind, 5, start=turn * 50 * ms, seed=turn)
-        for turn in range(5)
-        for kind in (Touch, Motion, Labelled, Slips)
-    ]
-
-
-@pytest.fixture(scope="module")
-def whole(
-    tmp_path_factory: pytest.TempPathFactory, new_run: Callable[..., Run], batches: list[Batch]
-) -> Path:
-    root = tmp_path_factory.mktemp("whole")
-    record(root, new_run(describe={"rig": {"episodes": [{"start": 0, "end": 9}]}}), batches)
-    record(root, new_run("two"), batches[:4])
-    return root
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return two_sessions(tmp_path_factory.mktemp("whole"), BATCHES)
 
 
 @pytest.fixture
@@ -64,9 +31,9 @@ def test_a_dataset_that_is_all_there_is_good_and_its_rows_are_counted(dataset: P
 
     found = verify(dataset, tell)
     assert (found.code, found.findings, found.sessions) == (0, (), 2)
-    assert (found.files, found.rows) == (11 + 4, 101 + 20)
+    assert (found.files, found.rows) == (11 + 4, 126 + 25)
     assert told[-1] == (15, 15, "two")
-    assert verify(dataset / "sessions/two").rows == 20
+    assert verify(dataset / "sessions/two").rows == 25
 
 
 @pytest.mark.parametrize("seed", range(200))
@@ -84,123 +51,6 @@ def test_a_flipped_bit_in_any_listed_file_or_the_manifest_is_found(
     assert found.code == 1 or read_manifest(folder) == read_manifest(whole / "sessions/one")
     if found.code:
         assert path.name in found.findings[0].text
-
-
-def test_a_missing_part_is_lost(dataset: Path) -> None:
-    (dataset / "sessions/one/touch/part-000001.parquet").unlink()
-    found = verify(dataset)
-    assert found.code == 1
-    [finding] = found.findings
-    assert finding.session == "one"
-    assert "part-000001.parquet: cannot be read: No such file" in finding.text
-
-
-def test_rows_that_the_manifest_counts_otherwise_are_lost(dataset: Path) -> None:
-    folder = dataset / "sessions/two"
-    parts = [*read_manifest(folder).values()]
-    write_manifest(folder, [*parts[1:], replace(parts[0], rows=6)])
-    assert verify(folder).code == 1
-
-
-def test_samples_out_of_the_order_of_time_are_found(
-    tmp_path: Path, new_run: Callable[..., Run], new_batch: Callable[..., Any]
-) -> None:
-    record(tmp_path, new_run(), [new_batch(Labelled, 3, start=50 * ms), new_batch(Labelled, 3)])
-    found = verify(tmp_path)
-    assert (found.code, len(found.findings)) == (3, 1)
-    assert "are not in the order of time" in found.findings[0].text
-
-
-def test_a_journal_waits_to_be_recovered_and_what_was_recovered_stays_known(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
-) -> None:
-    record(tmp_path, new_run(), batches, close=False)
-    before = verify(tmp_path)
-    assert before.code == 3
-    assert "slipflow recover" in before.findings[0].text
-    recover(tmp_path / "sessions/one")
-    after = verify(tmp_path)
-    assert (after.code, after.rows) == (3, 100)
-    assert "was recovered: 5 rows of touch" in after.findings[0].text
-
-
-def test_a_journal_that_is_damaged_in_the_middle_is_lost(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
-) -> None:
-    record(tmp_path, new_run(), batches, close=False)
-    [path] = tmp_path.rglob("0*.wal")
-    data = bytearray(path.read_bytes())
-    last = data.rindex(b"SLIP")
-    data[data.rindex(b"SLIP", 0, last) + 15] ^= 1  # the frame before the last
-    path.write_bytes(data)
-    assert [each.weight for each in verify(tmp_path).findings] == ["repairable", "lost"]
-
-
-def test_a_session_that_is_being_recorded_is_good_as_far_as_it_is_committed(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
-) -> None:
-    writer = record(tmp_path, new_run(), batches, close=False)
-    found = verify(tmp_path)
-    assert (found.code, [each.weight for each in found.findings]) == (0, ["note"])
-    assert found.rows == 60
-    writer.close()
-
-
-def test_what_session_json_says_is_weighed(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
-) -> None:
-    run = new_run()
-    run.sources["touch"] = SourceStatus(gaps=[Gap(0, 2_500_000_000, "unplugged")])
-    run.sinks |= {"dataset": SinkStatus(dropped=7), "mqtt": SinkStatus(dropped=3)}
-    record(tmp_path, run, batches)
-    found = {each.text: each.weight for each in verify(tmp_path).findings}
-    assert found == {
-        "7 rows for dataset were dropped": "lossy",
-        "3 rows for mqtt were dropped": "note",
-        "touch was down for 2.5 s: unplugged": "note",
-    }
-
-
-def test_files_that_nobody_lists_are_told_of(dataset: Path) -> None:
-    folder = dataset / "sessions/two"
-    (folder / "touch/part-000001.parquet").write_bytes((folder / "touch/part-000000.parquet").read_bytes())
-    (folder / "motion/part-000001.parquet.tmp").write_bytes(b"half")
-    assert [each.weight for each in verify(folder).findings] == ["repairable", "note"]
-
-
-def test_a_file_that_nobody_lists_and_nobody_can_read_is_lost(dataset: Path) -> None:
-    folder = dataset / "sessions/two"
-    (folder / "MANIFEST.json").unlink()
-    (folder / "touch/part-000000.parquet").write_bytes(b"half")
-    found = {each.text for each in verify(folder).findings if each.weight == "lost"}
-    assert any("is damaged or no Parquet file" in each and "not in the manifest" in each for each in found)
-
-
-def test_what_may_not_be_looked_into_is_lost_and_the_check_goes_on(
-    dataset: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    real = Path.stat
-
-    def stat(path: Path, *, follow_symlinks: bool = True) -> os.stat_result:
-        if path.parent.name == "one":
-            raise PermissionError(errno.EACCES, "Permission denied", str(path))
-        return real(path, follow_symlinks=follow_symlinks)
-
-    whole = verify(dataset)
-    monkeypatch.setattr(Path, "stat", stat)
-    found = verify(dataset)
-    assert (found.code, found.names) == (1, whole.names)
-    assert any("cannot be read: Permission denied; give this user" in each.text for each in found.findings)
-    assert {each.session for each in found.findings} == {"one"}
-
-
-@pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
-@pytest.mark.parametrize("content", ["{", '{"version": 9}', '{"version": 1, "session": "one", "sinks": [3]}'])
-def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
-    if name == "dataset.json" and "sinks" in content:
-        content = "[]"
-    (dataset / name).write_text(content)
-    assert verify(dataset).code == 1
 
 
 @pytest.mark.parametrize("left", ["MANIFEST.json", "touch/part-000000.parquet", "journal/000000.wal"])
@@ -222,39 +72,16 @@ def test_a_dataset_without_sessions_is_not_all_there(dataset: Path) -> None:
     assert "holds no session" in found.findings[0].text
 
 
-def test_what_a_lost_part_held_is_told(dataset: Path) -> None:
-    (dataset / "sessions/two/touch/part-000000.parquet").unlink()
-    assert verify(dataset).findings[0].text.endswith("No such file or directory; it held 5 rows, 0.0 s")
-
-
-def test_rows_that_a_closed_session_counts_are_missed_where_no_manifest_tells_of_them(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]
-) -> None:
-    run = new_run()
-    run.sinks["dataset"] = SinkStatus(rows=100)
-    folder = record(tmp_path, run, batches).folder
-    assert verify(folder).code == 0
-    last = max(folder.glob("touch/*.parquet"))
-    rows = len(read_part(last, schema(TOUCH)))
-    last.unlink()
-    (folder / "MANIFEST.json").unlink()
-    text = f"{rows} of the 100 rows that were recorded are in no part"
-    assert recover(folder).lost == (text,)
-    assert [each.text for each in verify(folder).findings if each.weight == "lost"] == [
-        f"lost before it was recovered: {text}"
-    ]
-
-
 def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(InputError, match=r"no such folder|is no session"):
             verify(path)
 
 
-def test_verifying_changes_nothing(tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch]) -> None:
-    record(tmp_path, new_run(), batches, close=False)
+def test_verifying_changes_nothing(tmp_path: Path) -> None:
+    leave(tmp_path, new_run(), BATCHES)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     verify(tmp_path)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
     assert json.loads((tmp_path / "sessions/one/session.json").read_text())["complete"] is False
-    assert len(Session.open(tmp_path).frame("touch")) == 25
+    assert len(Session.open(tmp_path).frame("touch")) == 50

@@ -4,28 +4,22 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import polars as pl
 import pytest
 
-from operators.batch import Batch, Faults, Labelled, Motion, Slips, Touch, concat, ms
+from operators.batch import Batch, Faults, Labelled, Touch, ms
 from operators.errors import EndpointError
 from operators.ports import Json, Run
 from storage.following import put_together
 from storage.frames import EPISODE_LOG, read_segment
-from storage.layout import TABLE_OF, episode_log
+from storage.layout import episode_log
 from storage.session import Session
 from storage.writer import SessionWriter
+from tests.storage.made import STREAMS, new_batch, new_run, rows, side_by_side
 
-STREAMS: list[tuple[type[Batch], int]] = [
-    (Touch, 0),
-    (Touch, 1),
-    (Motion, -1),
-    (Labelled, 0),
-    (Slips, 0),
-    (Faults, 1),
-]
+SIX: list[tuple[type[Batch], int]] = [*STREAMS, (Faults, 1)]
+BATCHES = side_by_side(4, SIX)
 
 
 class Killed(BaseException):
@@ -50,16 +44,6 @@ class Disk:
             real(*args)
 
         return call
-
-
-@pytest.fixture(scope="session")
-def batches(new_batch: Callable[..., Any]) -> list[Batch]:
-    """Six streams side by side, 5 rows and 50 ms at a time."""
-    return [
-        new_batch(kind, 5, start=turn * 50 * ms, finger=finger, seed=100 * turn + number)
-        for turn in range(4)
-        for number, (kind, finger) in enumerate(STREAMS)
-    ]
 
 
 def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
@@ -92,20 +76,13 @@ def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
 
 def rows_found(folder: Path, batches: Sequence[Batch]) -> int:
     """How much a reader finds, once it is sure that it is the beginning of each stream, bit for bit."""
-    session, total = Session.open(folder), 0
-    for kind, finger in STREAMS:
-        found = concat(kind, list(session.read(kind, finger)))
-        written = concat(kind, [batch for batch in batches if type(batch) is kind and batch.finger == finger])
-        for name in TABLE_OF[kind].columns:
-            assert getattr(found, name).tobytes() == getattr(written, name)[: len(found)].tobytes()
-        total += len(found)
     for path in folder.rglob("*.parquet"):
         assert len(pl.read_parquet(path)) > 0
-    return total
+    return sum(rows(folder, batches, SIX))
 
 
 def test_a_failure_at_any_step_costs_nothing_but_a_second_try(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(step: int) -> None:
         if step == last:
@@ -117,15 +94,15 @@ def test_a_failure_at_any_step_costs_nothing_but_a_second_try(
         root = tmp_path / str(last)
         with monkeypatch.context() as patch:
             Disk(fail).watch(patch)
-            failures = record(root, new_run(live=False), batches)
-        assert rows_found(root, batches) == sum(map(len, batches))
+            failures = record(root, new_run(live=False), BATCHES)
+        assert rows_found(root, BATCHES) == sum(map(len, BATCHES))
         assert Session.open(root).about["complete"] is True
         assert list(root.rglob("*.tmp")) == []
     assert last > 30
 
 
 def test_with_a_journal_too_a_failure_at_any_step_costs_nothing_but_a_second_try(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     counting, reached, last = Lock(), list[str](), 0
 
@@ -142,8 +119,8 @@ def test_with_a_journal_too_a_failure_at_any_step_costs_nothing_but_a_second_try
         root = tmp_path / str(last)
         with monkeypatch.context() as patch:
             patch.setattr("storage.steps.reach", fail)
-            record(root, new_run(), batches)
-        assert rows_found(root, batches) == sum(map(len, batches)), last
+            record(root, new_run(), BATCHES)
+        assert rows_found(root, BATCHES) == sum(map(len, BATCHES)), last
         assert Session.open(root).about["complete"] is True
         assert list(root.rglob("*.tmp")) == []
         assert not (root / "sessions/one/journal").exists()
@@ -151,7 +128,7 @@ def test_with_a_journal_too_a_failure_at_any_step_costs_nothing_but_a_second_try
 
 
 def test_a_kill_at_any_step_leaves_whole_parts_and_a_dataset_that_goes_on(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def kill(step: int) -> None:
         if step == last:
@@ -163,33 +140,33 @@ def test_a_kill_at_any_step_leaves_whole_parts_and_a_dataset_that_goes_on(
         root = tmp_path / str(last)
         with monkeypatch.context() as patch, suppress(Killed):
             Disk(kill).watch(patch)
-            record(root, new_run(live=False), batches)
+            record(root, new_run(live=False), BATCHES)
             done = True
         if (root / "sessions/one/session.json").exists():
-            found.append(rows_found(root / "sessions/one", batches))
-        record(root, new_run("two", live=False), batches[:6])
-        assert rows_found(root / "sessions/two", batches[:6]) == 30
+            found.append(rows_found(root / "sessions/one", BATCHES))
+        record(root, new_run("two", live=False), BATCHES[:6])
+        assert rows_found(root / "sessions/two", BATCHES[:6]) == 30
     assert found == sorted(found)
-    assert found[-1] == sum(map(len, batches))
+    assert found[-1] == sum(map(len, BATCHES))
 
 
 def test_a_reader_sees_only_whole_parts_at_any_step_of_the_writer(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found: list[int] = []
 
     def look(_: int) -> None:
         if (tmp_path / "sessions/one/session.json").exists():
-            found.append(rows_found(tmp_path, batches))
+            found.append(rows_found(tmp_path, BATCHES))
 
     Disk(look).watch(monkeypatch)
-    record(tmp_path, new_run(live=False), batches)
+    record(tmp_path, new_run(live=False), BATCHES)
     assert found == sorted(found)
     assert len(set(found)) > 6
 
 
 def test_a_disk_that_stays_full_keeps_no_more_in_memory_and_loses_nothing_that_was_taken(
-    tmp_path: Path, new_run: Callable[..., Run], batches: list[Batch], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> None:
         raise OSError(28, "No space left on device")
@@ -197,7 +174,7 @@ def test_a_disk_that_stays_full_keeps_no_more_in_memory_and_loses_nothing_that_w
     writer, taken = _open(tmp_path, new_run(live=False)), list[Batch]()
     with monkeypatch.context() as patch:
         Disk(fail).watch(patch)
-        for batch in batches:
+        for batch in BATCHES:
             with suppress(EndpointError):
                 if writer.full(batch):
                     writer.commit()
@@ -208,7 +185,7 @@ def test_a_disk_that_stays_full_keeps_no_more_in_memory_and_loses_nothing_that_w
     assert rows_found(tmp_path, taken) == sum(map(len, taken))
 
 
-def recorded(writer: SessionWriter, told: list[Json], new_batch: Callable[..., Any]) -> list[int]:
+def recorded(writer: SessionWriter, told: list[Json]) -> list[int]:
     """Tell of an episode and commit its rows, four times; give how many their file has each time."""
     there = list[int]()
     for number in range(1, 5):
@@ -221,16 +198,11 @@ def recorded(writer: SessionWriter, told: list[Json], new_batch: Callable[..., A
 
 @pytest.mark.parametrize(("live", "there"), [(True, [1, 1, 1, 1]), (False, [2, 3, 4, 5])])
 def test_episodes_of_a_live_run_are_in_their_file_at_the_end_and_in_the_journal_until_then(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    there: list[int],
-    *,
-    live: bool,
+    tmp_path: Path, there: list[int], *, live: bool
 ) -> None:
     told: list[Json] = [{"start": 0, "end": 100 * ms}]
     writer = _open(tmp_path, new_run(describe={"rig": {"episodes": told}}, live=live))
-    assert recorded(writer, told, new_batch) == there
+    assert recorded(writer, told) == there
     if live:
         data = episode_log(writer.folder).read_bytes()
         changes = read_segment(data, "", "one", EPISODE_LOG).changes
@@ -242,10 +214,7 @@ def test_episodes_of_a_live_run_are_in_their_file_at_the_end_and_in_the_journal_
 
 
 def test_a_commit_of_a_live_run_never_puts_all_episodes_together(
-    tmp_path: Path,
-    new_run: Callable[..., Run],
-    new_batch: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError

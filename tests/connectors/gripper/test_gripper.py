@@ -1,121 +1,31 @@
 import asyncio
-import logging
-from collections.abc import AsyncGenerator, Callable, Coroutine
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import inf, nan
-from typing import Any, cast
 
-import numpy as np
 import pytest
 
 from connectors import Gripper
 from connectors.gripper import link as gripper_link
 from connectors.gripper.force import ForceScale
-from connectors.gripper.robotiq import Mode, Phase, Request
-from connectors.rig.gripper_mechanism import RELEASED, Mechanism
-from connectors.rig.gripper_server import GripperServer
+from connectors.gripper.robotiq import Request
+from connectors.rig.gripper_mechanism import RELEASED
 from flows.graph import Flow
-from flows.running.clock import LoopClock
 from flows.running.live_runner import LiveRunner
-from flows.testing import TestSource, run_virtually
-from operators import EndpointError, FlowError, InputError, ParameterError, ms, s
+from flows.testing import TestSource
+from operators import EndpointError, FlowError, InputError, ParameterError, ms
 from operators.batch import Commands
 from operators.ports import Run
+from tests.connectors.gripper.lab import SCALE, commands, counted, lab
 
+pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
-
-IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' own wire without sockets: virtual time cannot overtake it
-PORT = 5020
-SCALE = ForceScale()
-
-
-@dataclass
-class Scene:
-    """Remembers with what force it was gripped (N), and since when (s)."""
-
-    told: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
-    gripped: asyncio.Event = field(default_factory=asyncio.Event)
-
-    def command(self, commands: Commands) -> None:
-        self.told += zip((commands.time / s).tolist(), commands.force.tolist(), strict=True)
-        self.gripped.set()
-
-    @property
-    def forces(self) -> list[float]:
-        return [force for _, force in self.told]
-
-
-@dataclass
-class Lab:
-    """A served gripper on the event loop's time, a sink that commands it, and what goes over the wire."""
-
-    server: GripperServer
-    scene: Scene
-    run: Run
-    asked: list[tuple[float, bytes]]  # s of the loop, and a request's bytes after the transaction's number
-
-    def gripper(self, **parameters: Any) -> Gripper:  # noqa: ANN401 - those of a gripper
-        return Gripper(self.server.host, self.server.port, **parameters)
-
-    @property
-    def writes(self) -> list[Request]:
-        return [Request.decode(data[-6:]) for _, data in self.asked if data[5] == 16]
-
-
-@asynccontextmanager
-async def lab(
-    host: str = IN_MEMORY,
-    port: int = PORT,
-    **parameters: Any,  # noqa: ANN401 - those of a server
-) -> AsyncGenerator[Lab]:
-    loop, scene, asked = asyncio.get_running_loop(), Scene(), list[tuple[float, bytes]]()
-    begun = loop.time()
-    server = GripperServer(
-        scene, host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters
-    )
-    pass_on = server._pass  # pyright: ignore[reportPrivateUsage]
-
-    def listen(sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
-        if data and not sending:
-            asked.append((loop.time(), data[2:]))
-        return pass_on(sending, data)
-
-    server._pass = listen  # type: ignore[method-assign]
-    async with server:
-        yield Lab(server, scene, Run("run1", "live", LoopClock(), 0), asked)
-
-
-def commands(*forces: float, velocity: float = nan) -> Commands:
-    return Commands(
-        np.arange(len(forces)), np.array(forces, float), np.full((len(forces), 6), velocity)
-    ).check()
-
-
-def counted(gripper: Gripper) -> dict[str, int]:
-    return cast("dict[str, int]", gripper.describe()["counted"])
-
-
-def taken_by_nobody(mechanism: Mechanism, request: Request, now: int) -> None:
-    del mechanism, request, now
 
 
 def found_nowhere(name: str) -> None:
     del name
 
 
-def virtually(test: Callable[[], Coroutine[Any, Any, None]]) -> Callable[[], None]:
-    """Have a test run in virtual time."""
-
-    def run() -> None:
-        run_virtually(test())
-
-    run.__name__ = test.__name__
-    return run
-
-
-@virtually
 async def test_opening_and_closing_the_fingers_are_the_manuals_frames() -> None:
     async with lab() as at:
         gripper = at.gripper()
@@ -129,7 +39,6 @@ async def test_opening_and_closing_the_fingers_are_the_manuals_frames() -> None:
         assert close == bytes.fromhex("00 00 00 0D 02 10 00 00 00 03 06 09 00 00 FF FF FF")
 
 
-@virtually
 async def test_the_fingers_grip_once_a_force_is_commanded_and_the_object_is_detected() -> None:
     async with lab(met=51) as at:
         gripper = at.gripper(speed=200, position=180)
@@ -150,17 +59,12 @@ async def test_the_fingers_grip_once_a_force_is_commanded_and_the_object_is_dete
         assert gripper.status is None
 
 
-@virtually
 async def test_a_force_that_is_given_is_gripped_with_from_the_beginning() -> None:
-    async with lab() as at:
-        gripper = at.gripper(force=20.0)
-        await gripper.open(at.run)
+    async with lab() as at, at.gripping(force=20.0):
         await asyncio.sleep(10)
         assert at.scene.forces == [SCALE.force(28)]
-        await gripper.close()
 
 
-@virtually
 async def test_a_gripper_that_is_ready_keeps_what_it_holds() -> None:
     async with lab() as at:
         for force in (20.0, None, 30.0):
@@ -172,26 +76,8 @@ async def test_a_gripper_that_is_ready_keeps_what_it_holds() -> None:
         assert len(at.writes) == 3
 
 
-@virtually
-async def test_its_mode_is_set_before_its_fingers_go() -> None:
-    async with lab() as at:
-        gripper = at.gripper(mode=Mode.SCISSOR)
-        await gripper.open(at.run)
-        assert gripper.status
-        assert (gripper.status.mode, gripper.status.phase) == (Mode.SCISSOR, Phase.READY)
-        assert [(each.mode, each.go) for each in at.writes] == [(Mode.BASIC, False), (Mode.SCISSOR, False)]
-        await gripper.write(commands(15.0))
-        await asyncio.sleep(10)
-        assert at.scene.forces == [15.0]
-        assert gripper.status.object_detected
-        await gripper.close()
-
-
-@virtually
 async def test_requests_keep_their_distance_the_newest_force_wins_and_the_others_are_counted() -> None:
-    async with lab() as at:
-        gripper = at.gripper(force=15.0)
-        await gripper.open(at.run)
+    async with lab() as at, at.gripping(force=15.0) as gripper:
         await asyncio.sleep(5.05)  # between two looks
         begun = asyncio.get_running_loop().time()
         for register in range(1, 250):  # one each ms
@@ -209,14 +95,10 @@ async def test_requests_keep_their_distance_the_newest_force_wins_and_the_others
         assert counted(gripper)["taken"] == 249
         assert counted(gripper)["taken"] - counted(gripper)["superseded"] == len(sent)
         assert at.scene.forces[-1] == SCALE.force(249)
-        await gripper.close()
 
 
-@virtually
 async def test_rows_without_a_force_and_velocities_change_nothing() -> None:
-    async with lab() as at:
-        gripper = at.gripper(force=15.0)
-        await gripper.open(at.run)
+    async with lab() as at, at.gripping(force=15.0) as gripper:
         await gripper.write(commands(20.0, 30.0, nan, nan, velocity=0.1))
         await gripper.write(commands(nan, nan, velocity=0.1))
         await gripper.write(commands())
@@ -225,67 +107,19 @@ async def test_rows_without_a_force_and_velocities_change_nothing() -> None:
         assert counted(gripper) == {
             "taken": 2, "superseded": 1, "limited": 0, "sent": 3, "restarts": 0, "failures": 0,
         }  # fmt: skip
-        await gripper.close()
 
 
-@virtually
 async def test_forces_beyond_the_limits_are_brought_to_them_and_counted() -> None:
-    async with lab() as at:
-        gripper = at.gripper(limits=(20.0, 40.0))
-        await gripper.open(at.run)
+    async with lab() as at, at.gripping(limits=(20.0, 40.0)) as gripper:
         for force in (5.0, 41.0, 30.0, -inf, inf):
             await gripper.write(commands(force))
             await asyncio.sleep(0.1)
         assert [each.force for each in at.writes[1:]] == [28, 141, 85, 28, 141]
         assert counted(gripper)["limited"] == 4
-        await gripper.close()
 
 
-@pytest.mark.parametrize("drop", [False, True])
-def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
-    *, drop: bool, caplog: pytest.LogCaptureFixture
-) -> None:
-    async def test() -> None:
-        async with lab() as at:
-            gripper = at.gripper()
-            await gripper.open(at.run)
-            await gripper.write(commands(30.0))
-            await asyncio.sleep(5)
-            at.server.restart(drop=drop)
-            await asyncio.sleep(10)
-            await gripper.write(commands(40.0))
-            await asyncio.sleep(1)
-            assert at.scene.forces == [SCALE.force(85), 0.0, SCALE.force(85), SCALE.force(141)]
-            assert (counted(gripper)["restarts"], counted(gripper)["failures"]) == (1, drop)
-            await gripper.close()
-
-    run_virtually(test())
-    told = [record.message.split(" ", 1)[1] for record in caplog.records if record.levelno >= logging.WARNING]
-    lost = ["the connection is lost, trying again"] if drop else []
-    back = ["is back"] if drop else []
-    assert told == [*lost, "has restarted: it is activated again", *back]
-
-
-@virtually
-async def test_a_command_that_meets_a_restarted_gripper_is_obeyed_once_it_is_ready() -> None:
-    async with lab() as at:
-        gripper = at.gripper(force=15.0)
-        await gripper.open(at.run)
-        await asyncio.sleep(5.05)  # between two looks
-        at.server.restart(drop=False)
-        await gripper.write(commands(30.0))  # sets off the activation
-        await asyncio.sleep(10)
-        assert at.scene.forces == [15.0, 0.0, SCALE.force(85)]
-        assert [each.force for each in at.writes[2:]] == [85, 85]
-        assert counted(gripper)["restarts"] == 1
-        await gripper.close()
-
-
-@virtually
 async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_answers() -> None:
-    async with lab() as at:
-        gripper = at.gripper(force=15.0)
-        await gripper.open(at.run)
+    async with lab() as at, at.gripping(force=15.0) as gripper:
         await asyncio.sleep(5)
         at.server.silence()
         await asyncio.sleep(1.2)
@@ -302,14 +136,10 @@ async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_
         assert at.scene.forces == [15.0, SCALE.force(85)]
         assert (counted(gripper)["taken"], counted(gripper)["superseded"]) == (3, 2)
         await gripper.write(commands(30.0))
-        await gripper.close()
 
 
-@virtually
 async def test_written_again_after_a_failure_a_batch_is_taken_once() -> None:
-    async with lab() as at:
-        gripper = at.gripper()
-        await gripper.open(at.run)
+    async with lab() as at, at.gripping() as gripper:
         at.server.refuse()
         await asyncio.sleep(0.2)
         batch = commands(20.0, 99.0)
@@ -322,10 +152,8 @@ async def test_written_again_after_a_failure_a_batch_is_taken_once() -> None:
         assert [counted(gripper)[name] for name in ("taken", "superseded", "limited")] == [2, 1, 1]
         await asyncio.sleep(4)
         assert at.scene.forces == [60.0]
-        await gripper.close()
 
 
-@virtually
 async def test_a_fault_that_only_a_reset_ends_is_left_to_people_during_a_run_and_reset_at_its_beginning() -> (
     None
 ):
@@ -348,55 +176,6 @@ async def test_a_fault_that_only_a_reset_ends_is_left_to_people_during_a_run_and
         await gripper.close()
 
 
-@virtually
-async def test_somebody_who_resets_it_has_it_activated_again() -> None:
-    async with lab() as at:
-        gripper = at.gripper(force=20.0)
-        await gripper.open(at.run)
-        await asyncio.sleep(5)
-        at.server.mechanism.fail(RELEASED)
-        await asyncio.sleep(5)
-        at.server.mechanism.restart()
-        await asyncio.sleep(10)
-        assert at.scene.forces == [SCALE.force(28), 0.0, SCALE.force(28)]
-        await gripper.write(commands(20.0))
-        await gripper.close()
-
-
-def test_the_status_counts_once_the_request_is_echoed(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def test() -> None:
-        async with lab() as at:
-            gripper = at.gripper(patience=0.5)
-            await gripper.open(at.run)
-            await asyncio.sleep(1)
-            with monkeypatch.context() as patch:
-                patch.setattr(Mechanism, "ask", taken_by_nobody)
-                await gripper.write(commands(30.0))
-                before = gripper.status
-                await asyncio.sleep(0.4)
-                assert gripper.status is before
-                await asyncio.sleep(0.2)
-                with pytest.raises(EndpointError, match=r"does not take a request within 0.5 s"):
-                    await gripper.write(commands(nan))
-            await asyncio.sleep(5)
-            assert gripper.status
-            assert (gripper.status.echo, gripper.status.object_detected) == (255, True)
-            await gripper.close()
-
-    run_virtually(test())
-
-
-@virtually
-async def test_an_activation_that_takes_too_long_fails() -> None:
-    async with lab(activation=3600.0) as at:
-        loop = asyncio.get_running_loop()
-        gripper, begun = at.gripper(activation=10.0), loop.time()
-        with pytest.raises(EndpointError, match=r"is not ready within 10.0 s"):
-            await gripper.open(at.run)
-        assert 10 < loop.time() - begun < 10.5
-
-
-@virtually
 async def test_closing_sends_what_is_pending_or_says_that_it_could_not() -> None:
     async with lab() as at:
         gripper = at.gripper(force=15.0)
@@ -413,20 +192,6 @@ async def test_closing_sends_what_is_pending_or_says_that_it_could_not() -> None
         await gripper.close()  # nothing is left to be done
 
 
-@virtually
-async def test_a_command_whose_answer_is_missing_counts_as_not_sent() -> None:
-    async with lab() as at:
-        gripper = at.gripper()
-        await gripper.open(at.run)
-        at.server.silence()
-        await gripper.write(commands(20.0))
-        await asyncio.sleep(0.5)
-        assert at.writes[-1].force == 28
-        with pytest.raises(EndpointError, match=r"does not answer within|is not ready"):
-            await gripper.close()
-
-
-@virtually
 async def test_no_replay_moves_the_gripper_paced_or_not() -> None:
     async with lab() as at:
         paced = replace(at.run, recording="grasp-1")
@@ -440,7 +205,6 @@ async def test_no_replay_moves_the_gripper_paced_or_not() -> None:
         assert not at.asked
 
 
-@virtually
 async def test_a_flow_with_a_recorded_source_does_not_begin() -> None:
     class Recorded(TestSource[Commands]):
         @property
@@ -455,7 +219,6 @@ async def test_a_flow_with_a_recorded_source_does_not_begin() -> None:
         assert not at.asked
 
 
-@virtually
 async def test_a_flow_commands_it_and_goes_on_when_the_gripper_comes_back() -> None:
     async with lab() as at:
         batches = [commands(15.0 + row)[:1] for row in range(40)]

@@ -13,17 +13,11 @@ from connectors.mqtt.gap_request import GapRequest
 from connectors.mqtt.message import Message
 from connectors.mqtt.outbox import Outbox
 from operators.errors import EndpointError
+from tests.inside import inside
 
 RIG = "slip/v1/lab/rig"
 REPLY = f"{RIG}/replay/me"
 DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
-
-
-def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - whatever it is
-    """A part of an object that is nobody else's business."""
-    for name in names:
-        owner = vars(owner)[name]
-    return owner
 
 
 def use(tmp_path: Path, count: int, body: Callable[[GapAnswers, Outbox], Awaitable[None]]) -> None:

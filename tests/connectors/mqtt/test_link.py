@@ -49,15 +49,12 @@ def test_what_was_sent_has_arrived(broker: TestBroker) -> None:
     assert [listener.next().topic for _ in range(3)] == ["a/b", "a/c", "a/d"]
 
 
-def test_a_connection_waits_for_no_full_packets_and_not_long_for_an_answer(broker: TestBroker) -> None:
-    async def main() -> None:
-        link = await connect(Broker.parse(broker.url), "test")
-        client = vars(link)["_client"]
-        assert client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-        assert link.timeout == client.connect_timeout == module.TIMEOUT
-        await link.leave()
-
-    asyncio.run(main())
+async def test_a_connection_waits_for_no_full_packets_and_not_long_for_an_answer(broker: TestBroker) -> None:
+    link = await connect(Broker.parse(broker.url), "test")
+    client = vars(link)["_client"]
+    assert client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert link.timeout == client.connect_timeout == module.TIMEOUT
+    await link.leave()
 
 
 def test_nobody_listening_is_one_clear_line(broker: TestBroker) -> None:
@@ -147,21 +144,17 @@ def test_a_lost_connection_is_noticed_while_sending(
     asyncio.run(main(), debug=True)
 
 
-def test_an_answer_that_does_not_come_is_given_up(
+async def test_an_answer_that_does_not_come_is_given_up(
     broker: TestBroker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "TIMEOUT", 0.2)
-
-    async def main() -> None:
-        link = await connect(Broker.parse(broker.url), "test")
-        assert broker.process
-        broker.process.send_signal(signal.SIGSTOP)
-        with pytest.raises(EndpointError, match=r"connection lost \(no answer within 0\.2 s\)$"):
-            await link.send("a", b"x")
-        assert not link.alive
-        await link.leave()
-
-    asyncio.run(main())
+    link = await connect(Broker.parse(broker.url), "test")
+    assert broker.process
+    broker.process.send_signal(signal.SIGSTOP)
+    with pytest.raises(EndpointError, match=r"connection lost \(no answer within 0\.2 s\)$"):
+        await link.send("a", b"x")
+    assert not link.alive
+    await link.leave()
 
 
 def test_a_user_with_the_right_password_may_do_what_the_broker_allows(guarded: TestBroker) -> None:
@@ -187,7 +180,7 @@ def test_wrong_credentials_are_refused_with_a_hint(
         asyncio.run(use(guarded.url))
 
 
-def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
+async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
     async def refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read(1000)
         writer.write(b"\x20\x03\x00\x00\x00")  # CONNACK
@@ -196,16 +189,13 @@ def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
         await reader.read(1000)
         writer.close()
 
-    async def main() -> None:
-        async with await asyncio.start_server(refuse, "127.0.0.1", 0) as serving:
-            link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
-            with pytest.raises(
-                EndpointError, match=r"refuses to subscribe to a/#: Not authorized; its access list must"
-            ):
-                await link.listen("a/#")
-            await link.leave()
-
-    asyncio.run(main())
+    async with await asyncio.start_server(refuse, "127.0.0.1", 0) as serving:
+        link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
+        with pytest.raises(
+            EndpointError, match=r"refuses to subscribe to a/#: Not authorized; its access list must"
+        ):
+            await link.listen("a/#")
+        await link.leave()
 
 
 @pytest.fixture
@@ -279,13 +269,10 @@ def test_messages_sent_together_arrive_in_order_and_each_refusal_is_told(guarded
     assert [number for number, refusal in enumerate(refusals) if refusal] == [7]
 
 
-def test_a_message_larger_than_anything_of_ours_is_not_delivered(broker: TestBroker) -> None:
-    async def main() -> None:
-        link = await connect(Broker.parse(broker.url), "test")
-        await link.listen("a/#")
-        await link.send("a/large", b"x" * (module.PACKET + 1))
-        await link.send("a/small", b"x")
-        assert (await link.receive())[0] == "a/small"
-        await link.leave()
-
-    asyncio.run(main())
+async def test_a_message_larger_than_anything_of_ours_is_not_delivered(broker: TestBroker) -> None:
+    link = await connect(Broker.parse(broker.url), "test")
+    await link.listen("a/#")
+    await link.send("a/large", b"x" * (module.PACKET + 1))
+    await link.send("a/small", b"x")
+    assert (await link.receive())[0] == "a/small"
+    await link.leave()

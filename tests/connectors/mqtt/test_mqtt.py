@@ -3,7 +3,8 @@ import json
 import signal
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
@@ -19,24 +20,19 @@ from connectors.mqtt import link, mqtt
 from connectors.mqtt.gap_request import GapRequest
 from connectors.mqtt.link import Link
 from connectors.mqtt.outbox_file import OutboxFile
-from connectors.mqtt.testing import Received, TestBroker, TestListener
+from connectors.mqtt.testing import Received, TestBroker, TestListener, until
 from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
+from tests.inside import inside
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
 SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
 RIG = "slip/v1/lab/rig"
+REFUSED = r"cannot connect: Connection refused; is the broker running, and is this its port\?"
 NOW = 100 * s  # what the clock of the run shows
-
-
-def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - whatever it is
-    """A part of an object that is nobody else's business."""
-    for name in names:
-        owner = vars(owner)[name]
-    return owner
 
 
 def slips(*states: int, finger: int = 0, probability: float = 0.9) -> Slips:
@@ -50,17 +46,13 @@ def fault(barometer: int, kind: FaultKind, *, begins: bool) -> Faults:
     return Faults(np.array([NOW]), *columns, finger=0)
 
 
-def use(sink: Mqtt, run: Run, body: Callable[[], Awaitable[None]]) -> None:
-    """Do something while the sink is open."""
-
-    async def main() -> None:
-        await sink.open(run)
-        try:
-            await body()
-        finally:
-            await sink.close()
-
-    asyncio.run(main())
+@asynccontextmanager
+async def opened(sink: Mqtt, run: Run) -> AsyncGenerator[None]:
+    await sink.open(run)
+    try:
+        yield
+    finally:
+        await sink.close()
 
 
 def event(listener: TestListener, finger: str = "0") -> Event:
@@ -75,28 +67,17 @@ def read(received: Received) -> Any:  # noqa: ANN401 - JSON
     return json.loads(received.payload)
 
 
-async def until(condition: Callable[[], bool]) -> None:
-    for _ in range(1000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    pytest.fail("it did not happen within 10 s")
-
-
 async def sent(sink: Mqtt) -> None:
     """Wait until the broker has all events."""
     await until(lambda: not inside(sink, "_outbox").waiting)
 
 
-def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: Run) -> None:
+async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url, model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.5, consecutive=2)
-
-    async def body() -> None:
+    async with opened(sink, run):
         await sink.write(slips(1, 0))
         await sink.write(slips(1, finger=2, probability=float("nan")))
-
-    use(sink, run, body)
     found = [event(listener), event(listener), event(listener, "2")]
     first = Event(
         "lab",
@@ -119,11 +100,11 @@ def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: 
     assert found == [first, second, third]
 
 
-def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: Run) -> None:
+async def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: Run) -> None:
     run.describe["touch"] = {"sensor": "TakkTile", "rate_hz": 100.0, "noise": float("nan")}
     found: dict[str, Any] = {}
-
-    async def body() -> None:
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
         await sink.write(slips(1, 0, 1))
         await sent(sink)
         await inside(sink, "_sender", "_idle").wait()
@@ -132,9 +113,6 @@ def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: R
             received = listener.next()
             assert received.retained
             found[received.topic.removeprefix(f"{RIG}/")] = read(received)
-
-    sink = Mqtt(broker.url)
-    use(sink, run, body)
     epoch = found["head"]["epoch"]
     health = found.pop("health")
     assert (health["epoch"], health["session"]) == (epoch, "run1")
@@ -165,43 +143,39 @@ def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: R
     }
 
 
-def test_leaving_in_order_says_offline_and_when(broker: TestBroker, run: Run, links: list[Link]) -> None:
-    async def body() -> None:
-        pass
-
+async def test_leaving_in_order_says_offline_and_when(
+    broker: TestBroker, run: Run, links: list[Link]
+) -> None:
     listener = broker.listen(f"{RIG}/status")
-    use(Mqtt(broker.url), run, body)
+    async with opened(Mqtt(broker.url), run):
+        pass
     assert not links[0].alive
     assert read(listener.next())["state"] == "online"
     farewell = read(listener.next())
     assert (farewell["state"], farewell["since"]) == ("offline", "1970-01-01T00:01:40.000000000Z")
 
 
-def test_faults_mark_the_events_while_they_last(broker: TestBroker, run: Run) -> None:
+async def test_faults_mark_the_events_while_they_last(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url)
-
-    async def body() -> None:
+    async with opened(sink, run):
         await sink.write(fault(3, FaultKind.STUCK, begins=True))
         await sink.write(fault(1, FaultKind.DEAD, begins=True))
         await sink.write(slips(1))
         await sink.write(slips(1, finger=1))
         await sink.write(fault(3, FaultKind.STUCK, begins=False))
         await sink.write(slips(0))
-
-    use(sink, run, body)
     assert event(listener).degraded == (Fault(1, "dead"), Fault(3, "stuck"))
     assert event(listener, "1").degraded == ()
     assert event(listener).degraded == (Fault(1, "dead"),)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-def test_a_broker_that_comes_back_gets_the_events_and_all_that_it_should_retain(
+async def test_a_broker_that_comes_back_gets_the_events_and_all_that_it_should_retain(
     broker: TestBroker, run: Run, number: signal.Signals
 ) -> None:
     sink = Mqtt(broker.url)
-
-    async def body() -> None:
+    async with opened(sink, run):
         await sink.write(slips(1))
         await sent(sink)
         broker.stop(number)
@@ -217,10 +191,8 @@ def test_a_broker_that_comes_back_gets_the_events_and_all_that_it_should_retain(
         assert found[f"{RIG}/head"] == {"epoch": inside(sink, "_outbox").epoch, "last_seq": 4}
         assert {f"{RIG}/info", f"{RIG}/health"} < set(found)
 
-    use(sink, run, body)
 
-
-def test_events_that_waited_arrive_in_order_however_many_they_are(
+async def test_events_that_waited_arrive_in_order_however_many_they_are(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sink, gate, connect = Mqtt(broker.url), asyncio.Event(), Link.connect
@@ -229,7 +201,7 @@ def test_events_that_waited_arrive_in_order_however_many_they_are(
         await gate.wait()
         await connect(self)
 
-    async def body() -> None:
+    async with opened(sink, run):
         monkeypatch.setattr(Link, "connect", late)
         broker.stop()
         for _ in range(20):
@@ -241,38 +213,31 @@ def test_events_that_waited_arrive_in_order_however_many_they_are(
         found = [Event.decode(each.payload.encode()).seq for each in received]
         assert found == list(range(1, 801))
 
-    use(sink, run, body)
 
-
-def test_what_the_broker_did_not_get_is_sent_by_the_next_run_and_the_numbers_go_on(
+async def test_what_the_broker_did_not_get_is_sent_by_the_next_run_and_the_numbers_go_on(
     broker: TestBroker, run: Run, caplog: pytest.LogCaptureFixture
 ) -> None:
     sink = Mqtt(broker.url)
-
-    async def offline() -> None:
+    async with opened(sink, run):
         await sink.write(slips(1))
         await sent(sink)
         broker.stop()
         await sink.write(slips(0, 1))
-
-    async def online() -> None:
-        await sink.write(slips(0))
-        await sent(sink)
-
-    use(sink, run, offline)
     assert f"2 events wait in {inside(sink, '_outbox').path} for the next run" in caplog.messages[-1]
     broker.start()
     listener = broker.listen(f"{RIG}/+/event", f"{RIG}/0/state")
-    use(sink, Run("run2", "live", run.clock, 0), online)
+    async with opened(sink, Run("run2", "live", run.clock, 0)):
+        await sink.write(slips(0))
+        await sent(sink)
     found = [event(listener) for _ in range(3)]
     assert [(each.seq, each.session) for each in found] == [(2, "run1"), (3, "run1"), (4, "run2")]
     assert len({each.epoch for each in found}) == 1
 
 
-def test_a_writer_that_is_cancelled_loses_nothing_that_it_wrote(broker: TestBroker, run: Run) -> None:
+async def test_a_writer_that_is_cancelled_loses_nothing_that_it_wrote(broker: TestBroker, run: Run) -> None:
     listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
+    async with opened(sink, run):
 
-    async def body() -> None:
         async def keep_writing() -> None:
             for state in range(10_000):
                 await sink.write(slips(state % 2))
@@ -281,27 +246,23 @@ def test_a_writer_that_is_cancelled_loses_nothing_that_it_wrote(broker: TestBrok
         await asyncio.to_thread(lambda: [event(listener) for _ in range(10)])
         writing.cancel()
         await asyncio.wait([writing])
-
-    use(sink, run, body)
     last = inside(sink, "_outbox").heads()[-1][1]
     again = Mqtt(broker.url)
-    use(again, run, lambda: again.write(slips(1)))
+    async with opened(again, run):
+        await again.write(slips(1))
     assert [event(listener).seq for _ in range(last - 9)] == list(range(11, last + 2))
 
 
-def test_two_runs_cannot_publish_as_one_rig(broker: TestBroker, run: Run) -> None:
+async def test_two_runs_cannot_publish_as_one_rig(broker: TestBroker, run: Run) -> None:
     first, second = Mqtt(broker.url), Mqtt(broker.url)
-
-    async def body() -> None:
+    async with opened(first, run):
         with pytest.raises(EndpointError, match="two runs may not publish as one rig"):
             await second.open(run)
         await first.write(slips(1))
         await sent(first)
 
-    use(first, run, body)
 
-
-def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_says_so(
+async def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_says_so(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
@@ -321,7 +282,7 @@ def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_says_so(
             if bool(report["outbox"]["error"]) is failing:
                 return report["outbox"]
 
-    async def body() -> None:
+    async with opened(sink, run):
         await sink.write(slips(1))
         monkeypatch.setattr(OutboxFile, "append", fail)
         await sink.write(slips(0, 1))
@@ -331,18 +292,15 @@ def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_says_so(
         assert (await health(failing=False))["waiting"] == 0
         await sink.write(slips(0))
         await sent(sink)
-
-    use(sink, run, body)
     found = [event(listener) for _ in range(4)]
     assert [each.seq for each in found] == [1, 1, 2, 3]
     assert [each.epoch == found[0].epoch for each in found] == [True, False, False, False]
     caplog.clear()  # that was an error, and meant
 
 
-def test_who_asks_for_events_gets_them_and_no_other_topic_does(broker: TestBroker, run: Run) -> None:
+async def test_who_asks_for_events_gets_them_and_no_other_topic_does(broker: TestBroker, run: Run) -> None:
     sink = Mqtt(broker.url)
-
-    async def body() -> None:
+    async with opened(sink, run):
         await sink.write(slips(1, 0, 1))
         await sent(sink)
         listener = broker.listen(f"{RIG}/replay/me", "elsewhere")
@@ -354,18 +312,15 @@ def test_who_asks_for_events_gets_them_and_no_other_topic_does(broker: TestBroke
         assert [Event.decode(each.payload.encode()).seq for each in found[:2]] == [2, 3]
         assert read(found[2])["missing"] == []
 
-    use(sink, run, body)
 
-
-def test_health_is_published_again_and_again(
+async def test_health_is_published_again_and_again(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
     run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=NOW - 5 * ms)
     run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
     sink = Mqtt(broker.url)
-
-    async def body() -> None:
+    async with opened(sink, run):
         await sink.write(fault(3, FaultKind.STUCK, begins=True))
         offset, drift, residual = np.array([3 * s]), np.array([-5e-05]), np.array([0.004])
         await sink.write(Clocks(np.array([NOW]), offset, drift, residual))
@@ -377,10 +332,8 @@ def test_health_is_published_again_and_again(
         clock = {"time_ns": NOW, "offset_ms": 3000.0, "drift_ppm": -50.0, "residual_ms": 4.0}
         assert reports[-1]["clock"] == clock
 
-    use(sink, run, body)
 
-
-def test_without_any_event_the_connection_is_made_again_and_its_loss_logged_once(
+async def test_without_any_event_the_connection_is_made_again_and_its_loss_logged_once(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.01)
@@ -394,32 +347,26 @@ def test_without_any_event_the_connection_is_made_again_and_its_loss_logged_once
             raise
 
     monkeypatch.setattr(Link, "connect", counted)
-
-    async def body() -> None:
+    async with opened(Mqtt(broker.url), run):
         broker.stop()
         for _ in range(3):
             await failures.acquire()
         await asyncio.to_thread(broker.start)
         listener = await asyncio.to_thread(broker.listen, f"{RIG}/status")
         assert read(await asyncio.to_thread(listener.next))["state"] == "online"
-
-    use(Mqtt(broker.url), run, body)
     assert len(caplog.messages) == 2
     assert caplog.messages[0].startswith(f"{broker.url}: connection lost")
     assert caplog.messages[1] == f"{broker.url}: connected again, 0 events wait"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_run_ends_in_peace_though_the_broker_is_gone_or_hangs(
+async def test_a_run_ends_in_peace_though_the_broker_is_gone_or_hangs(
     broker: TestBroker, run: Run, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link, "TIMEOUT", 0.1)
-
-    async def body() -> None:
+    async with opened(Mqtt(broker.url), run):
         assert broker.process
         broker.process.send_signal(number)
-
-    use(Mqtt(broker.url), run, body)
 
 
 PUBLISH_AND_WAIT = """
@@ -439,7 +386,7 @@ asyncio.run(main(*sys.argv[1:]))
 """
 
 
-def test_a_killed_run_is_offline_soon_but_not_if_another_has_taken_its_place(
+async def test_a_killed_run_is_offline_soon_but_not_if_another_has_taken_its_place(
     broker: TestBroker, run: Run
 ) -> None:
     command = [sys.executable, "-c", PUBLISH_AND_WAIT, broker.url]
@@ -448,28 +395,24 @@ def test_a_killed_run_is_offline_soon_but_not_if_another_has_taken_its_place(
     ]
     listener = broker.listen("slip/v1/lab/+/status")
     for process in started:
-        with process as opened:
-            assert opened.stdout
-            assert opened.stdout.readline() == "open\n"
-            opened.kill()
-
-    async def body() -> None:
+        with process:
+            assert process.stdout
+            assert process.stdout.readline() == "open\n"
+            process.kill()
+    async with opened(Mqtt(broker.url), run):
         while read(await asyncio.to_thread(listener.next, "slip/v1/lab/lost/status"))["state"] != "offline":
             pass
         status = broker.listen(f"{RIG}/status").next()
         assert read(status)["state"] == "online"
         assert read(status)["session"] == "run1"
 
-    use(Mqtt(broker.url), run, body)
 
-
-def test_a_connection_that_is_back_soon_was_never_offline(
+async def test_a_connection_that_is_back_soon_was_never_offline(
     broker: TestBroker, run: Run, links: list[Link]
 ) -> None:
     sink, lost = Mqtt(broker.url), Mqtt(broker.url, rig="lost")
     listener = broker.listen("slip/v1/lab/+/status")
-
-    async def body() -> None:
+    async with opened(sink, run):
         await lost.open(run)
         inside(lost, "_sender", "_sending").cancel()  # so that it does not come back
         for each in list(links):
@@ -482,30 +425,25 @@ def test_a_connection_that_is_back_soon_was_never_offline(
         assert read(seen[-1])["since"] is None  # the broker speaks for it
         await lost.close()
 
-    use(sink, run, body)
-
 
 def test_a_run_that_cannot_connect_does_not_begin(broker: TestBroker, run: Run) -> None:
     broker.stop()
-    with pytest.raises(EndpointError, match=f"^{broker.url}: cannot connect: Connection refused"):
+    with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
         asyncio.run(Mqtt(broker.url).open(run))
 
 
 def test_a_run_that_may_not_publish_does_not_begin(tmp_path: Path, run: Run, links: list[Link]) -> None:
     rights = tmp_path / "rights"
     rights.write_text("topic read #\n")
-    broker = TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}")
-    try:
+    with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
         with pytest.raises(
-            EndpointError, match=f"refuses to publish {RIG}/status: Not authorized; its access list must"
+            EndpointError, match=f"refuses to publish {RIG}/status: Not authorized; its access"
         ):
             asyncio.run(Mqtt(broker.url).open(run))
         assert not links[0].alive
-    finally:
-        broker.close()
 
 
-def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_come_when_it_is_allowed(
+async def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_come_when_it_is_allowed(
     tmp_path: Path,
     run: Run,
     links: list[Link],
@@ -517,31 +455,25 @@ def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_come_w
     allowed = ("status", "info", "head", "health", "0/event", "0/state", "1/state")
     some = "".join(f"topic readwrite {RIG}/{name}\n" for name in allowed)
     rights.write_text(f"{some}topic read #\ntopic write test/#\n")
-    broker = TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}")
-    sink = Mqtt(broker.url)
-
-    async def body() -> None:
-        listener = broker.listen(f"{RIG}/+/event", f"{RIG}/health")
-        for state in (1, 0):
-            await sink.write(slips(state, finger=1))
-            await sink.write(slips(state))
-        found = [(await asyncio.to_thread(event, listener)).seq for _ in range(2)]
-        assert found == [2, 4]
-        health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
-        while health["outbox"] != {"error": None, "waiting": 2, "refused": [refused]}:
+    with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
+        sink = Mqtt(broker.url)
+        async with opened(sink, run):
+            listener = broker.listen(f"{RIG}/+/event", f"{RIG}/health")
+            for state in (1, 0):
+                await sink.write(slips(state, finger=1))
+                await sink.write(slips(state))
+            found = [(await asyncio.to_thread(event, listener)).seq for _ in range(2)]
+            assert found == [2, 4]
             health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
-        assert len(links) == 1
-        assert links[0].alive
-        rights.write_text("topic readwrite #\n")
-        assert broker.process
-        broker.process.send_signal(signal.SIGHUP)  # reads the rights again
-        assert [(await asyncio.to_thread(event, listener, "1")).seq for _ in range(2)] == [1, 3]
-        await sent(sink)
-
-    try:
-        use(sink, run, body)
-    finally:
-        broker.close()
+            while health["outbox"] != {"error": None, "waiting": 2, "refused": [refused]}:
+                health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
+            assert len(links) == 1
+            assert links[0].alive
+            rights.write_text("topic readwrite #\n")
+            assert broker.process
+            broker.process.send_signal(signal.SIGHUP)  # reads the rights again
+            assert [(await asyncio.to_thread(event, listener, "1")).seq for _ in range(2)] == [1, 3]
+            await sent(sink)
     assert [message.partition("; ")[0] for message in caplog.messages] == [
         f"{broker.url}: refuses to publish {refused}: Not authorized",
         f"{broker.url}: lets us publish {refused} again",
@@ -567,11 +499,14 @@ def test_a_rig_says_before_it_is_replayed_where_that_goes(run: Run) -> None:
         asyncio.run(again.open(run))
 
 
-def test_an_event_of_a_replay_has_no_latency_and_satisfies_the_schema(broker: TestBroker, run: Run) -> None:
+async def test_an_event_of_a_replay_has_no_latency_and_satisfies_the_schema(
+    broker: TestBroker, run: Run
+) -> None:
     listener = broker.listen("slip/#")
     run.recording = "stroke-9"
     sink = Mqtt(broker.url)
-    use(sink, run, lambda: sink.write(slips(1)))
+    async with opened(sink, run):
+        await sink.write(slips(1))
     document = read(listener.next(f"{RIG}-replay/0/event"))
     validate(document, SCHEMA, Draft202012Validator)
     assert (document["source"], document["data"]["latency_ms"]) == ("/lab/rig-replay/0", None)

@@ -2,7 +2,7 @@ import asyncio
 import shutil
 import sqlite3
 import threading
-from collections.abc import AsyncGenerator, Awaitable, Callable
+from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -13,17 +13,11 @@ from connectors.events import Event
 from connectors.mqtt import outbox
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import OutboxFile
-from connectors.mqtt.testing import PATIENCE
+from connectors.mqtt.testing import PATIENCE, until
 from operators.errors import EndpointError, InputError
+from tests.inside import inside
 
 DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
-
-
-def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - whatever it is
-    """A part of an object that is nobody else's business."""
-    for name in names:
-        owner = vars(owner)[name]
-    return owner
 
 
 @asynccontextmanager
@@ -34,22 +28,6 @@ async def opened(path: Path, keep: int = 1000) -> AsyncGenerator[Outbox]:
         yield box
     finally:
         await box.close()
-
-
-def use(path: Path, body: Callable[[Outbox], Awaitable[object]]) -> None:
-    async def main() -> None:
-        async with opened(path) as box:
-            await body(box)
-
-    asyncio.run(main())
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    for _ in range(1000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    pytest.fail("it did not happen within 10 s")
 
 
 async def send(box: Outbox, limit: int = 1000) -> list[str]:
@@ -79,10 +57,11 @@ class Failing:
         monkeypatch.setattr(OutboxFile, "append", fail)
 
 
-def test_numbers_go_on_from_run_to_run_and_what_was_not_acknowledged_is_given_again(tmp_path: Path) -> None:
+async def test_numbers_go_on_from_run_to_run_and_what_was_not_acknowledged_is_given_again(
+    tmp_path: Path,
+) -> None:
     path, epochs = tmp_path / "o.sqlite", list[str]()
-
-    async def first(box: Outbox) -> None:
+    async with opened(path) as box:
         await box.append([DRAFT] * 3)
         await box.append([DRAFT])
         assert box.waiting == 4
@@ -90,21 +69,20 @@ def test_numbers_go_on_from_run_to_run_and_what_was_not_acknowledged_is_given_ag
         await box.append([DRAFT] * 2)
         epochs.append(box.epoch)
         assert box.heads() == [(box.epoch, 4)]
-
-    async def second(box: Outbox) -> None:
+    async with opened(path) as box:
         await box.append([DRAFT])
         assert box.waiting == 3
         assert await send(box) == [f"{epochs[0]}-{seq}" for seq in (5, 6, 7)]
         assert box.heads() == [(epochs[0], 7)]
         assert not await box.next(10)
-
-    use(path, first)
-    use(path, second)
-    use(path, lambda box: until(lambda: box.waiting == 0))
+    async with opened(path) as box:
+        await until(lambda: box.waiting == 0)
 
 
-def test_each_is_given_once_until_it_is_rewound_and_then_what_is_not_acknowledged(tmp_path: Path) -> None:
-    async def body(box: Outbox) -> None:
+async def test_each_is_given_once_until_it_is_rewound_and_then_what_is_not_acknowledged(
+    tmp_path: Path,
+) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         await box.append([DRAFT] * 600)  # more than stay in memory
         entries = [*await box.next(400), *await box.next(400)]
         assert [entry.seq for entry in entries] == list(range(1, 601))
@@ -118,55 +96,46 @@ def test_each_is_given_once_until_it_is_rewound_and_then_what_is_not_acknowledge
         box.rewind(350)
         assert [entry.seq for entry in await box.next(2)] == [400, 500]
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_a_range_is_given_as_far_as_it_is_kept_and_says_how_far_that_is(tmp_path: Path) -> None:
-    async def body(box: Outbox) -> None:
+async def test_a_range_is_given_as_far_as_it_is_kept_and_says_how_far_that_is(tmp_path: Path) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         await box.append([DRAFT] * 600)
-        for first, last, limit, expected, until in (
+        for first, last, limit, expected, far in (
             (5, 7, 10, [5, 6, 7], 7),
             (5, 900, 3, [5, 6, 7], 7),
             (598, 900, 10, [598, 599, 600], 600),
             (601, 900, 10, [], 600),
         ):
             entries, reached = await box.between(box.epoch, first, last, limit)
-            assert ([entry.seq for entry in entries], reached) == (expected, until)
+            assert ([entry.seq for entry in entries], reached) == (expected, far)
         assert await box.between("unknown", 3, 9, 10) == ([], 9)
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_old_events_are_forgotten_once_there_are_more_than_it_keeps(
+async def test_old_events_are_forgotten_once_there_are_more_than_it_keeps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
-
-    async def main() -> None:
-        async with opened(tmp_path / "o.sqlite", keep=10) as box:
-            await box.append([DRAFT] * 50)
-            await box.append([DRAFT] * 5)
-            box.acknowledge(await box.next(50))
+    async with opened(tmp_path / "o.sqlite", keep=10) as box:
+        await box.append([DRAFT] * 50)
+        await box.append([DRAFT] * 5)
+        box.acknowledge(await box.next(50))
+        entries, _ = await box.between(box.epoch, 1, 100, 100)
+        for _ in range(1000):
+            if len(entries) < 55:
+                break
+            await asyncio.sleep(0.01)
             entries, _ = await box.between(box.epoch, 1, 100, 100)
-            for _ in range(1000):
-                if len(entries) < 55:
-                    break
-                await asyncio.sleep(0.01)
-                entries, _ = await box.between(box.epoch, 1, 100, 100)
-            assert [entry.seq for entry in entries] == list(range(46, 56))
-
-    asyncio.run(main())
+        assert [entry.seq for entry in entries] == list(range(46, 56))
 
 
 FULL = sqlite3.OperationalError("database or disk is full")
 
 
-def test_while_it_cannot_be_written_events_go_on_in_an_epoch_of_their_own_and_are_kept_later(
+async def test_while_it_cannot_be_written_events_go_on_in_an_epoch_of_their_own_and_are_kept_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
-
-    async def body(box: Outbox) -> None:
+    async with opened(path) as box:
         await box.append([DRAFT] * 2)
         epochs.append(box.epoch)
         failing = Failing(monkeypatch, FULL)
@@ -183,22 +152,17 @@ def test_while_it_cannot_be_written_events_go_on_in_an_epoch_of_their_own_and_ar
         assert box.heads() == [(epochs[0], 2), (epochs[1], 2)]
         sent.extend(await send(box))
         assert box.waiting == 0
-
-    use(path, body)
     first, second = epochs
     assert first != second
     assert sent == [f"{first}-{seq}" for seq in (1, 2)] + [f"{second}-{seq}" for seq in (1, 2, 3, 4)]
-
-    async def after(box: Outbox) -> None:
+    async with opened(path) as box:
         kept = [await box.between(epoch, 1, 9, 10) for epoch in epochs]
         assert [[entry.seq for entry in entries] for entries, _ in kept] == [[1, 2], [1, 2, 3, 4]]
         assert (box.epoch, box.waiting) == (second, 0)
-
-    use(path, after)
     assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
 
 
-def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_given_twice(
+async def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_given_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "PATIENCE", 0.05)
@@ -208,7 +172,7 @@ def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_given_tw
         assert stuck.wait(PATIENCE)
         append(file, *args)
 
-    async def body(box: Outbox) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         await box.append([DRAFT])
         monkeypatch.setattr(OutboxFile, "append", slow)
         before = box.epoch
@@ -221,13 +185,12 @@ def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_given_tw
         assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1]
         assert [entry.seq for entry in (await box.between(box.epoch, 1, 9, 9))[0]] == [1]
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_memory_is_bounded_while_the_disk_is_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_memory_is_bounded_while_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(outbox, "MEMORY", 10)
-
-    async def body(box: Outbox) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         failing = Failing(monkeypatch, FULL)
         await box.append([DRAFT] * 10)
         with pytest.raises(EndpointError, match="memory takes no more than the 10 events that wait"):
@@ -237,14 +200,13 @@ def test_memory_is_bounded_while_the_disk_is_full(tmp_path: Path, monkeypatch: p
         assert [entry.seq for entry in await box.next(9)] == [11]
         failing.error = None
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
+async def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, full = tmp_path / "o.sqlite", [True]
-    use(path, lambda box: box.append([DRAFT] * 3))
+    async with opened(path) as box:
+        await box.append([DRAFT] * 3)
     init = OutboxFile.__init__
 
     def fail(self: OutboxFile, path: Path) -> None:
@@ -253,17 +215,13 @@ def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
         init(self, path)
 
     monkeypatch.setattr(OutboxFile, "__init__", fail)
-
-    async def healed(box: Outbox) -> None:
+    async with opened(path) as box:
         full.clear()
         await until(lambda: not box.error)
         (before, _), _ = box.heads()
         assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
         full.append(True)
-
-    use(path, healed)
-
-    async def body(box: Outbox) -> None:
+    async with opened(path) as box:
         await box.append([DRAFT])
         assert [entry.seq for entry in await box.next(9)] == [1]
         full.clear()
@@ -272,13 +230,10 @@ def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
         assert len(box.heads()) == 3  # a run each
         assert [entry.seq for entry in await box.next(9)] == [1, 2, 3, 1]
 
-    use(path, body)
 
-
-def test_a_file_that_is_damaged_while_it_is_used_is_set_aside_and_events_go_on(tmp_path: Path) -> None:
+async def test_a_file_that_is_damaged_while_it_is_used_is_set_aside_and_events_go_on(tmp_path: Path) -> None:
     path = tmp_path / "o.sqlite"
-
-    async def body(box: Outbox) -> None:
+    async with opened(path) as box:
         await box.append([DRAFT] * 600)
         await until(lambda: len(inside(box, "_memory")) < 300)
         before = box.epoch
@@ -291,13 +246,11 @@ def test_a_file_that_is_damaged_while_it_is_used_is_set_aside_and_events_go_on(t
         assert sorted(sent) == sorted(f"{before}-{seq}" for seq in range(1, 601) if seq != 17)
         assert box.epoch != before
         assert [seq for seq in range(1, 601) if not (await box.between(before, seq, seq, 1))[0]] == [17]
-
-    use(path, body)
     assert list(tmp_path.glob("o.sqlite.damaged-*"))
 
 
-def test_being_cancelled_while_it_takes_events_takes_them_whole(tmp_path: Path) -> None:
-    async def body(box: Outbox) -> None:
+async def test_being_cancelled_while_it_takes_events_takes_them_whole(tmp_path: Path) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         for turns in range(6):
             writing = asyncio.create_task(box.append([DRAFT, DRAFT]))
             for _ in range(turns):
@@ -309,27 +262,26 @@ def test_being_cancelled_while_it_takes_events_takes_them_whole(tmp_path: Path) 
         assert numbers == list(range(1, len(numbers) + 1))
         assert len(numbers) % 2
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_two_cannot_use_one_file_and_the_second_says_what_to_do(tmp_path: Path) -> None:
-    async def body(_: Outbox) -> None:
+async def test_two_cannot_use_one_file_and_the_second_says_what_to_do(tmp_path: Path) -> None:
+    async with opened(tmp_path / "o.sqlite"):
         with pytest.raises(EndpointError, match=r"is in use: .* name another rig or outbox"):
             await Outbox(tmp_path / "o.sqlite", keep=1, keep_for=1).open()
+    async with opened(tmp_path / "o.sqlite") as box:
+        await box.append([DRAFT])
 
-    use(tmp_path / "o.sqlite", body)
-    use(tmp_path / "o.sqlite", lambda box: box.append([DRAFT]))
 
-
-def test_what_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
+async def test_what_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(EndpointError, match=r"o\.sqlite: cannot be used: "):
-        use(tmp_path / "file" / "o.sqlite", lambda box: box.append([]))
+        async with opened(tmp_path / "file" / "o.sqlite") as box:
+            await box.append([])
     other = sqlite3.connect(tmp_path / "other.sqlite")
     other.execute("CREATE TABLE precious (x)")
     other.close()
     with pytest.raises(InputError, match="is no outbox"):
-        use(tmp_path / "other.sqlite", lambda box: box.append([]))
+        async with opened(tmp_path / "other.sqlite") as box:
+            await box.append([])
 
 
 def cut(path: Path, to: Path) -> None:
@@ -342,12 +294,17 @@ def durable(box: Outbox) -> bool:
     return bool(inside(box, "_durable") == inside(box, "_written"))
 
 
-def test_after_a_power_cut_no_number_is_given_twice_and_what_was_lost_is_known_to_be(
+async def test_after_a_power_cut_no_number_is_given_twice_and_what_was_lost_is_known_to_be(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
 
-    async def before(box: Outbox) -> None:
+    async def go_on(box: Outbox) -> None:
+        await box.append([DRAFT])
+        epochs.append(box.epoch)
+        sent.extend(await send(box))
+
+    async with opened(path) as box:
         await box.append([DRAFT] * 5)
         await until(lambda: durable(box))
         cut(path, tmp_path / "cut.sqlite")
@@ -355,32 +312,24 @@ def test_after_a_power_cut_no_number_is_given_twice_and_what_was_lost_is_known_t
         cut(path, tmp_path / "killed.sqlite")
         sent.extend(await send(box))
         epochs.append(box.epoch)
-
-    async def go_on(box: Outbox) -> None:
-        await box.append([DRAFT])
-        epochs.append(box.epoch)
-        sent.extend(await send(box))
-
-    use(path, before)
-    use(tmp_path / "killed.sqlite", go_on)  # the system was not started anew: nothing was lost
+    async with opened(tmp_path / "killed.sqlite") as box:
+        await go_on(box)
     assert sent[-1] == f"{epochs[0]}-9"
     monkeypatch.setattr(outbox, "boot", lambda: "the next")
-    use(path, go_on)  # was closed in order: the same
+    async with opened(path) as box:
+        await go_on(box)
     assert sent[-1] == f"{epochs[0]}-9"
-
-    async def after(box: Outbox) -> None:
+    async with opened(tmp_path / "cut.sqlite") as box:
         await go_on(box)
         assert sent[-1] == f"{box.epoch}-1"
         assert box.heads() == [(epochs[0], 5), (box.epoch, 1)]
         assert await box.between(epochs[0], 6, 8, 10) == ([], 8)
         entries, reached = await box.between(epochs[0], 4, 8, 10)
         assert ([entry.seq for entry in entries], reached) == ([4, 5], 8)
-
-    use(tmp_path / "cut.sqlite", after)
     assert epochs[3] != epochs[0] == epochs[1] == epochs[2]
 
 
-def test_the_mark_that_numbers_may_be_lost_is_there_before_there_is_one(
+async def test_the_mark_that_numbers_may_be_lost_is_there_before_there_is_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, epochs = tmp_path / "o.sqlite", list[str]()
@@ -389,24 +338,28 @@ def test_the_mark_that_numbers_may_be_lost_is_there_before_there_is_one(
         cut(box.path, tmp_path / f"{len(epochs)}.sqlite")
         epochs.append(box.epoch)
 
-    use(path, body)
+    async with opened(path) as box:
+        await body(box)
     monkeypatch.setattr(outbox, "boot", lambda: "the next")
-    use(path, body)
-    use(tmp_path / "0.sqlite", body)
+    async with opened(path) as box:
+        await body(box)
+    async with opened(tmp_path / "0.sqlite") as box:
+        await body(box)
     monkeypatch.setattr(outbox, "boot", lambda: "the one after")
-    use(tmp_path / "1.sqlite", body)
+    async with opened(tmp_path / "1.sqlite") as box:
+        await body(box)
     assert epochs[0] == epochs[1]
     assert len(set(epochs)) == 3
 
 
-def test_no_event_waits_until_it_is_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_no_event_waits_until_it_is_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stuck, sync = threading.Event(), OutboxFile.sync
 
     def slow(file: OutboxFile) -> None:
         assert stuck.wait(PATIENCE)
         sync(file)
 
-    async def body(box: Outbox) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         monkeypatch.setattr(OutboxFile, "sync", slow)
         for _ in range(600):
             await box.append([DRAFT])
@@ -416,10 +369,8 @@ def test_no_event_waits_until_it_is_durable(tmp_path: Path, monkeypatch: pytest.
         await until(lambda: len(inside(box, "_memory")) < 300)
         assert not box.error
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_what_could_not_be_made_durable_is_written_again_under_its_numbers(
+async def test_what_could_not_be_made_durable_is_written_again_under_its_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failures, sync = [OSError(5, "Input/output error")], OutboxFile.sync
@@ -429,7 +380,7 @@ def test_what_could_not_be_made_durable_is_written_again_under_its_numbers(
             raise failures.pop()
         sync(file)
 
-    async def body(box: Outbox) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         before = box.epoch
         monkeypatch.setattr(OutboxFile, "sync", fail)
         await box.append([DRAFT] * 3)
@@ -443,10 +394,8 @@ def test_what_could_not_be_made_durable_is_written_again_under_its_numbers(
             [*(f"{before}-{seq}" for seq in (1, 2, 3)), f"{box.epoch}-1"]
         )
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_a_failure_while_events_are_written_spoils_neither_their_numbers_nor_those_after(
+async def test_a_failure_while_events_are_written_spoils_neither_their_numbers_nor_those_after(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writing, go, append = threading.Event(), threading.Event(), OutboxFile.append
@@ -456,7 +405,7 @@ def test_a_failure_while_events_are_written_spoils_neither_their_numbers_nor_tho
         assert go.wait(PATIENCE)
         append(file, *args)
 
-    async def body(box: Outbox) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         await box.append([DRAFT])
         before = box.epoch
         monkeypatch.setattr(OutboxFile, "append", slow)
@@ -473,10 +422,8 @@ def test_a_failure_while_events_are_written_spoils_neither_their_numbers_nor_tho
         inside(box, "_memory").clear()
         assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came_before_it(
+async def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came_before_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failing, writing, go = threading.Event(), threading.Event(), threading.Event()
@@ -493,7 +440,7 @@ def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came_befor
         assert go.wait(PATIENCE)
         append(file, *args)
 
-    async def body(box: Outbox) -> None:
+    async with opened(tmp_path / "o.sqlite") as box:
         before = box.epoch
         monkeypatch.setattr(OutboxFile, "sync", fail)
         await box.append([DRAFT])
@@ -508,10 +455,8 @@ def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came_befor
         inside(box, "_memory").clear()
         assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
 
-    use(tmp_path / "o.sqlite", body)
 
-
-def test_the_log_is_emptied_in_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_log_is_emptied_in_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
     emptied, checkpoint = threading.Event(), OutboxFile.checkpoint
 
@@ -519,12 +464,10 @@ def test_the_log_is_emptied_in_a_pause(tmp_path: Path, monkeypatch: pytest.Monke
         checkpoint(file)
         emptied.set()
 
-    async def body(box: Outbox) -> None:
+    path = tmp_path / "o.sqlite"
+    async with opened(path) as box:
         monkeypatch.setattr(OutboxFile, "checkpoint", noted)
         await box.append([DRAFT] * 600)
         await send(box)
         assert await asyncio.to_thread(emptied.wait, PATIENCE)
         assert path.stat().st_size > 600 * 200
-
-    path = tmp_path / "o.sqlite"
-    use(path, body)

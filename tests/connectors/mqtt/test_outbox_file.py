@@ -2,19 +2,12 @@ import random
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from connectors.mqtt.outbox_file import Damaged, Entry, Epoch, OutboxFile
 from operators.errors import InputError
-
-
-def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - whatever it is
-    """A part of an object that is nobody else's business."""
-    for name in names:
-        owner = vars(owner)[name]
-    return owner
+from tests.inside import inside
 
 
 def entry(number: int, epoch: str = "ab", base: int = 0) -> Entry:

@@ -17,6 +17,7 @@ from connectors.mqtt.message import Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import Entry
 from connectors.mqtt.sender import Sender
+from connectors.mqtt.testing import until
 from operators.errors import EndpointError, InputError
 
 RIG = "slip/v1/lab/rig"
@@ -124,14 +125,6 @@ async def opened(tmp_path: Path) -> AsyncGenerator[tuple[Sender, Outbox]]:
         await outbox.close()
 
 
-async def until(condition: Callable[[], bool]) -> None:
-    for _ in range(1000):
-        if condition():
-            return
-        await asyncio.sleep(0.01)
-    pytest.fail("it did not happen within 10 s")
-
-
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sender, "FIRST_RETRY", 0.01)
@@ -139,120 +132,103 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sender, "FAREWELL", 0.2)
 
 
+@pytest.fixture
+def peer(monkeypatch: pytest.MonkeyPatch) -> Peer:
+    return Peer(monkeypatch)
+
+
 def draft(finger: str) -> Event:
     return Event("lab", "rig", finger, "", 0, onset=True, time=1, probability=0.9, latency=1.0)
 
 
-def test_each_event_is_sent_once_in_order_and_what_follows_only_when_the_broker_has_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_each_event_is_sent_once_in_order_and_what_follows_only_when_the_broker_has_it(
+    tmp_path: Path, peer: Peer
 ) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        async with opened(tmp_path) as (sending, outbox):
-            await sending.start("me", WILL, ONLINE)
-            assert peer.got == [("status", "online")]
-            peer.holds.clear()
-            await outbox.append([DRAFT] * 3)
-            await outbox.append([DRAFT])
-            peer.holds.set()
-            await until(lambda: not outbox.waiting and ("head", "4") in peer.got)
-        for number in range(1, 5):
-            if ("head", str(number)) in peer.got:
-                assert peer.got.index(("head", str(number))) > peer.got.index(("0/event", str(number)))
-        assert peer.events() == ["1", "2", "3", "4"]
-        assert peer.got[-1] == ("status", "offline")
-
-    asyncio.run(main())
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        assert peer.got == [("status", "online")]
+        peer.holds.clear()
+        await outbox.append([DRAFT] * 3)
+        await outbox.append([DRAFT])
+        peer.holds.set()
+        await until(lambda: not outbox.waiting and ("head", "4") in peer.got)
+    for number in range(1, 5):
+        if ("head", str(number)) in peer.got:
+            assert peer.got.index(("head", str(number))) > peer.got.index(("0/event", str(number)))
+    assert peer.events() == ["1", "2", "3", "4"]
+    assert peer.got[-1] == ("status", "offline")
 
 
-def test_a_new_connection_gets_what_is_retained_first_and_then_all_that_was_not_acknowledged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_a_new_connection_gets_what_is_retained_first_and_then_all_that_was_not_acknowledged(
+    tmp_path: Path, peer: Peer
 ) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        async with opened(tmp_path) as (sending, outbox):
-            await sending.start("me", WILL, ONLINE)
-            await outbox.append([DRAFT] * 2)
-            await until(lambda: ("head", "2") in peer.got)
-            peer.holds.clear()
-            await outbox.append([DRAFT] * 40)
-            peer.away = True
-            peer.connections[0].lose()
-            peer.holds.set()
-            await outbox.append([DRAFT])
-            peer.away = False
-            await until(lambda: not outbox.waiting and ("head", "43") in peer.got)
-        first, second = peer.connections
-        assert first.left
-        assert [said(each) for each in second.got[:2]] == ["online", "2"]
-        assert [said(each) for each in second.got if each.topic.endswith("/event")] == [
-            str(n) for n in range(3, 44)
-        ]
-        assert max(second.batches) <= sender.WINDOW
-
-    asyncio.run(main())
-
-
-def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        await outbox.append([DRAFT] * 2)
+        await until(lambda: ("head", "2") in peer.got)
+        peer.holds.clear()
+        await outbox.append([DRAFT] * 40)
         peer.away = True
-        async with opened(tmp_path) as (sending, outbox):
-            with pytest.raises(EndpointError, match="nobody there"):
-                await sending.start("me", WILL, ONLINE)
-            await sending.start("me", WILL, ONLINE, patient=True)
-            await outbox.append([DRAFT] * 2)
-            await until(lambda: bool(caplog.messages))
-            assert outbox.waiting == 2
-            peer.away = False
-            await until(lambda: not outbox.waiting and ("head", "2") in peer.got)
-        assert peer.got[0] == ("status", "online")
-        assert peer.events() == ["1", "2"]
+        peer.connections[0].lose()
+        peer.holds.set()
+        await outbox.append([DRAFT])
+        peer.away = False
+        await until(lambda: not outbox.waiting and ("head", "43") in peer.got)
+    first, second = peer.connections
+    assert first.left
+    assert [said(each) for each in second.got[:2]] == ["online", "2"]
+    assert [said(each) for each in second.got if each.topic.endswith("/event")] == [
+        str(n) for n in range(3, 44)
+    ]
+    assert max(second.batches) <= sender.WINDOW
 
-    asyncio.run(main())
+
+async def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_there(
+    tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
+) -> None:
+    peer.away = True
+    async with opened(tmp_path) as (sending, outbox):
+        with pytest.raises(EndpointError, match="nobody there"):
+            await sending.start("me", WILL, ONLINE)
+        await sending.start("me", WILL, ONLINE, patient=True)
+        await outbox.append([DRAFT] * 2)
+        await until(lambda: bool(caplog.messages))
+        assert outbox.waiting == 2
+        peer.away = False
+        await until(lambda: not outbox.waiting and ("head", "2") in peer.got)
+    assert peer.got[0] == ("status", "online")
+    assert peer.events() == ["1", "2"]
     away, back = caplog.messages
     assert "nobody there, trying again; events wait in" in away
     assert "connected again, 2 events wait" in back
 
 
-def test_a_patient_one_tells_at_once_of_a_password_that_cannot_be_read(
+async def test_a_patient_one_tells_at_once_of_a_password_that_cannot_be_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "nowhere"))
-
-    async def main() -> None:
-        Peer(monkeypatch)
-        async with opened(tmp_path) as (sending, _):
-            with pytest.raises(InputError, match="cannot read the password"):
-                await sending.start("me", WILL, ONLINE, patient=True)
-
-    asyncio.run(main())
+    async with opened(tmp_path) as (sending, _):
+        with pytest.raises(InputError, match="cannot read the password"):
+            await sending.start("me", WILL, ONLINE, patient=True)
 
 
-def test_of_what_is_retained_the_newest_is_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        async with opened(tmp_path) as (sending, _):
-            await sending.start("me", WILL, ONLINE)
-            peer.holds.clear()
-            sending.retain(Message(f"{RIG}/health", b"0"))
-            await until(lambda: bool(peer.waiting))
-            for number in range(1, 50):
-                sending.retain(Message(f"{RIG}/health", str(number).encode()))
-            peer.holds.set()
-            await until(lambda: ("health", "49") in peer.got)
-        assert [what for topic, what in peer.got if topic == "health"] == ["0", "49"]
-
-    asyncio.run(main())
+async def test_of_what_is_retained_the_newest_is_sent(tmp_path: Path, peer: Peer) -> None:
+    async with opened(tmp_path) as (sending, _):
+        await sending.start("me", WILL, ONLINE)
+        peer.holds.clear()
+        sending.retain(Message(f"{RIG}/health", b"0"))
+        await until(lambda: bool(peer.waiting))
+        for number in range(1, 50):
+            sending.retain(Message(f"{RIG}/health", str(number).encode()))
+        peer.holds.set()
+        await until(lambda: ("health", "49") in peer.got)
+    assert [what for topic, what in peer.got if topic == "health"] == ["0", "49"]
 
 
-def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_allowed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+async def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_allowed(
+    tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
+    with caplog.at_level(logging.WARNING):
         async with opened(tmp_path) as (sending, outbox):
             await sending.start("me", WILL, ONLINE)
             peer.refused |= {f"{RIG}/1/event", f"{RIG}/info"}
@@ -266,9 +242,6 @@ def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_allowed(
             await until(lambda: not outbox.waiting and not sending.refused and ("info", "new") in peer.got)
             assert peer.events()[20:] == [str(number) for number in range(2, 41, 2)]
             assert ("info", "old") not in peer.got
-
-    with caplog.at_level(logging.WARNING):
-        asyncio.run(main())
     assert sorted(caplog.messages) == [
         f"mqtt://localhost:1883: lets us publish {RIG}/1/event again",
         f"mqtt://localhost:1883: lets us publish {RIG}/info again",
@@ -276,108 +249,86 @@ def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_allowed(
     ]
 
 
-def test_what_is_refused_at_the_beginning_is_an_error_and_the_connection_is_left(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_what_is_refused_at_the_beginning_is_an_error_and_the_connection_is_left(
+    tmp_path: Path, peer: Peer
 ) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        peer.refused.add(ONLINE.topic)
-        async with opened(tmp_path) as (sending, _):
-            with pytest.raises(EndpointError, match="refuses"):
-                await sending.start("me", WILL, ONLINE)
-            assert [each.left for each in peer.connections] == [True]
-
-    asyncio.run(main())
-
-
-def test_where_nobody_may_ask_events_are_sent_and_that_is_told_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        peer.refused.add(f"{RIG}/replay/request")
-        async with opened(tmp_path) as (sending, outbox):
+    peer.refused.add(ONLINE.topic)
+    async with opened(tmp_path) as (sending, _):
+        with pytest.raises(EndpointError, match="refuses"):
             await sending.start("me", WILL, ONLINE)
-            for _ in range(2):
-                await outbox.append([DRAFT])
-                await until(lambda: not outbox.waiting)
-                peer.connections[-1].lose()
-                await until(lambda: peer.connections[-1].alive)
+        assert [each.left for each in peer.connections] == [True]
 
-    asyncio.run(main())
+
+async def test_where_nobody_may_ask_events_are_sent_and_that_is_told_once(
+    tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
+) -> None:
+    peer.refused.add(f"{RIG}/replay/request")
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        for _ in range(2):
+            await outbox.append([DRAFT])
+            await until(lambda: not outbox.waiting)
+            peer.connections[-1].lose()
+            await until(lambda: peer.connections[-1].alive)
     assert sum("nobody can ask" in message for message in caplog.messages) == 1
 
 
-def test_events_wait_for_no_more_than_a_slice_of_an_answer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_events_wait_for_no_more_than_a_slice_of_an_answer(tmp_path: Path, peer: Peer) -> None:
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        await outbox.append([DRAFT] * 100)
+        await until(lambda: not outbox.waiting)
+        peer.holds.clear()
+        request = GapRequest(outbox.epoch, 1, 100, f"{RIG}/replay/you")
+        peer.connections[0].requests.put_nowait(request.encode())
+        await until(lambda: bool(vars(sending)["_answers"]))
+        await outbox.append([DRAFT] * 40)
+        peer.holds.set()
+        await until(lambda: any('"missing"' in what for topic, what in peer.got if topic == "replay/you"))
+    kinds = [topic for topic, _ in peer.got if topic in ("0/event", "replay/you")][100:]
+    begun = kinds.index("0/event")
+    assert begun <= SLICE  # that was under way
+    assert kinds[begun:] == [*["0/event"] * 40, *["replay/you"] * (101 - begun)]
+
+
+async def test_closing_sends_what_still_can_be_and_waits_no_longer_than_it_may(
+    tmp_path: Path, peer: Peer
 ) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        async with opened(tmp_path) as (sending, outbox):
-            await sending.start("me", WILL, ONLINE)
-            await outbox.append([DRAFT] * 100)
-            await until(lambda: not outbox.waiting)
-            peer.holds.clear()
-            request = GapRequest(outbox.epoch, 1, 100, f"{RIG}/replay/you")
-            peer.connections[0].requests.put_nowait(request.encode())
-            await until(lambda: bool(vars(sending)["_answers"]))
-            await outbox.append([DRAFT] * 40)
-            peer.holds.set()
-            await until(lambda: any('"missing"' in what for topic, what in peer.got if topic == "replay/you"))
-        kinds = [topic for topic, _ in peer.got if topic in ("0/event", "replay/you")][100:]
-        begun = kinds.index("0/event")
-        assert begun <= SLICE  # that was under way
-        assert kinds[begun:] == [*["0/event"] * 40, *["replay/you"] * (101 - begun)]
-
-    asyncio.run(main())
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        await outbox.append([DRAFT] * 50)
+    assert len(peer.events()) == 50
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        peer.holds.clear()
+        await outbox.append([DRAFT])
+        stuck = asyncio.create_task(sending.close(WILL))
+        await asyncio.sleep(0)
+        await until(vars(sending)["_sending"].done)
+        peer.holds.set()  # the farewell is bounded by the link
+        await stuck
+        assert outbox.waiting == 1
 
 
-def test_closing_sends_what_still_can_be_and_waits_no_longer_than_it_may(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_a_broker_that_is_away_is_told_once_and_again_when_it_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        async with opened(tmp_path) as (sending, outbox):
-            await sending.start("me", WILL, ONLINE)
-            await outbox.append([DRAFT] * 50)
-        assert len(peer.events()) == 50
-        async with opened(tmp_path) as (sending, outbox):
-            await sending.start("me", WILL, ONLINE)
-            peer.holds.clear()
-            await outbox.append([DRAFT])
-            stuck = asyncio.create_task(sending.close(WILL))
-            await asyncio.sleep(0)
-            await until(vars(sending)["_sending"].done)
-            peer.holds.set()  # the farewell is bounded by the link
-            await stuck
-            assert outbox.waiting == 1
+    tries = list[Any]()
+    async with opened(tmp_path) as (sending, outbox):
+        await sending.start("me", WILL, ONLINE)
+        peer.away = True
+        connect = module.connect
 
-    asyncio.run(main())
+        async def counted(*arguments: Any) -> Any:  # noqa: ANN401
+            tries.append(arguments)
+            return await connect(*arguments)
 
-
-def test_a_broker_that_is_away_is_told_once_and_again_when_it_is_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    async def main() -> None:
-        peer = Peer(monkeypatch)
-        tries = list[Any]()
-        async with opened(tmp_path) as (sending, outbox):
-            await sending.start("me", WILL, ONLINE)
-            peer.away = True
-            connect = module.connect
-
-            async def counted(*arguments: Any) -> Any:  # noqa: ANN401
-                tries.append(arguments)
-                return await connect(*arguments)
-
-            monkeypatch.setattr(module, "connect", counted)
-            peer.connections[0].lose()
-            await outbox.append([DRAFT])
-            await until(lambda: len(tries) > 3)
-            peer.away = False
-            await until(lambda: not outbox.waiting)
-
-    asyncio.run(main())
+        monkeypatch.setattr(module, "connect", counted)
+        peer.connections[0].lose()
+        await outbox.append([DRAFT])
+        await until(lambda: len(tries) > 3)
+        peer.away = False
+        await until(lambda: not outbox.waiting)
     first, second = caplog.messages
     assert first.endswith(f"trying again; events wait in {tmp_path}/o.sqlite")
     assert second.endswith("connected again, 1 events wait")

@@ -68,7 +68,7 @@ class ServedPage(Served):
         self.run = Run(self._session, "demo", clock, clock.now())
         self.run.sources["touch"] = SourceStatus(rows=100, newest=clock.now(), up=True)
         self.run.sources["motion"] = SourceStatus(error="10.0.0.2: unplugged")
-        self.run.sinks["dataset"] = SinkStatus(rows=1234)
+        self.run.sinks["dataset"] = SinkStatus(rows=1234, records=True)
         await self.page.open(self.run)
 
     @property

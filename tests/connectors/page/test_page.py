@@ -70,15 +70,15 @@ def test_what_comes_together_goes_out_in_one_frame(run: Run) -> None:
 
 def test_health_is_that_of_the_run(run: Run) -> None:
     run.sources["touch"] = SourceStatus(rows=500, newest=NOW - 30 * ms, up=False, error="unplugged")
-    run.sinks["dataset"], run.sinks["page"] = SinkStatus(rows=7), SinkStatus()
+    run.sinks["lab"], run.sinks["page"] = SinkStatus(rows=7, records=True), SinkStatus()
 
     async def main() -> None:
         async with opened(Page(port=0), run) as (_, heard):
             report = await next_of(heard, "report")
             assert report["sources"]["touch"]["state"] == "down"
             assert report["errors"] == {"touch": "unplugged"}
-            assert report["recorders"] == ["dataset"]
-            assert report["sinks"]["dataset"]["rows"] == 7
+            assert report["recorders"] == ["lab"]
+            assert report["sinks"]["lab"]["rows"] == 7
             assert "events" in await next_of(heard, "report")  # a second later, for those who lost some
 
     asyncio.run(main())
@@ -106,7 +106,7 @@ def test_the_end_of_a_run_is_told_after_all_that_came_before(run: Run) -> None:
 
 
 def test_the_end_tells_the_count_of_a_recorder_that_was_not_done_yet(run: Run) -> None:
-    recorder = run.sinks["dataset"] = SinkStatus(rows=7, queued=1)
+    recorder = run.sinks["dataset"] = SinkStatus(rows=7, queued=1, records=True)
 
     async def record() -> None:
         await asyncio.sleep(0.15)
@@ -140,7 +140,7 @@ def test_without_a_browser_nothing_is_sent_and_closing_is_clean(run: Run) -> Non
 
 
 def test_without_a_browser_closing_waits_for_no_recorder(run: Run) -> None:
-    run.sinks["dataset"] = SinkStatus(rows=7, queued=1)  # never done
+    run.sinks["dataset"] = SinkStatus(rows=7, queued=1, records=True)  # never done
 
     async def main() -> None:
         page = Page(port=0)

@@ -3,7 +3,7 @@ import asyncio
 import numpy as np
 import pytest
 
-from connectors.rig.handling import GraspLab, Handling, opened
+from connectors.rig.handling import Handling
 from connectors.rig.lift import Lift
 from connectors.rig.objects import named
 from flows.running.clock import LoopClock
@@ -71,25 +71,6 @@ def test_a_command_without_force_or_before_the_run_changes_nothing() -> None:
 def test_its_time_must_be_above_nothing() -> None:
     with pytest.raises(ParameterError, match="seconds"):
         Handling(BOX, seconds=0.0)
-
-
-def test_a_lab_feels_on_the_hosts_clock_and_obeys_from_a_commands_time_on() -> None:
-    now = [START]
-    lab = GraspLab(opened(BOX, 0, Lift(5.0)), now=lambda: now[0])
-    lab.command(_force(START + s // 2, 5.0))
-    before, _ = lab.touch(0, START + s // 2)
-    after, temperature = lab.touch(0, START + 2 * s)
-    assert (after < before - 20).any()  # counts fall as pressure rises
-    assert (temperature > 0).all()
-    assert lab.happened[-1].force == pytest.approx(5.0, rel=0.02)
-
-
-def test_a_lab_gives_the_newest_reading_to_who_asks_too_soon_or_for_the_past() -> None:
-    lab = GraspLab(opened(BOX, 0, Lift(5.0)), now=lambda: START)
-    newest, _ = lab.touch(0, START + s)
-    for time in (START + s + 100, START):
-        again, _ = lab.touch(0, time)
-        assert (again == newest).all()
 
 
 def test_the_physics_is_compiled_before_the_run() -> None:

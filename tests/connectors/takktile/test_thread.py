@@ -25,16 +25,21 @@ class Skin:
 
 
 class Counted(dict[str, int]):
-    """Tells when enough scans have been missed."""
+    """Tells when scans have been missed again and again without one that was made."""
 
     def __init__(self) -> None:
         super().__init__(made=0, silent=0, late=0, missed=0)
         self.enough = threading.Event()
+        self._before, self._again = 0, 0
 
     def __setitem__(self, name: str, value: int) -> None:
         super().__setitem__(name, value)
-        if name == "missed" and value >= 10:
-            self.enough.set()
+        if name == "made":
+            self._again = 0
+        elif name == "missed" and value > self._before:
+            self._before, self._again = value, self._again + 1
+            if self._again >= 10:
+                self.enough.set()
 
 
 @pytest.fixture(autouse=True)

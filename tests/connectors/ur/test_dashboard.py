@@ -42,6 +42,6 @@ def test_one_that_says_nothing_is_not_waited_for(silent: bool, why: str) -> None
         asyncio.run(main())
 
 
-def test_none_is_said() -> None:
+def test_a_dashboard_that_nobody_serves_is_an_error() -> None:
     with pytest.raises(EndpointError, match=r"dashboard://127\.0\.0\.1:1"):
         asyncio.run(ur_dashboard.ask("127.0.0.1", "stop", port=1))

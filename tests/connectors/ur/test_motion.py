@@ -126,7 +126,7 @@ def test_packages_that_never_came_are_counted_and_told_once(caplog: pytest.LogCa
                 loop.call_later(begin + 0.4, here.controller.resume)
             return await here.take(300), here.source.describe()
 
-    with caplog.at_level(logging.WARNING, "connectors.ur.motion"):
+    with caplog.at_level(logging.WARNING, "slipflow"):
         motion, about = run_virtually(main())
     steps = np.diff(motion.device_time) // (8 * ms)
     assert about["missed"] == (steps - 1).sum() == 100

@@ -20,7 +20,7 @@ from connectors.rig.truth import Truth
 from connectors.rig.virtual_lab import VirtualLab, scene, virtual_lab
 from flows.collection.live import Collected, Rigging, collect, room
 from flows.collection.path import Pose
-from flows.collection.plan import Plan, Session
+from flows.collection.plan import Session, StrokePlan
 from flows.collection.surface import Spot, Surface
 from operators import (
     EVERY,
@@ -45,7 +45,7 @@ pytestmark = pytest.mark.skipif(
 HOST = f"127.0.{os.getpid() % 250 + 1}.3"  # of this process: ur-rtde knows one port only
 BUS = f"/dev/i2c-{os.getpid()}"
 PLACE: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
-QUICK = Plan(
+QUICK = StrokePlan(
     speeds=(0.1,),
     repeats=1,
     rotations=0,
@@ -62,7 +62,7 @@ FORCE = 1.5  # N
 
 
 @dataclass(frozen=True)
-class Few(Plan):
+class Few(StrokePlan):
     """A plan of which only the first strokes of each session are made."""
 
     strokes: int = 2
@@ -96,7 +96,7 @@ class Made(NamedTuple):
 
 def made(
     out: Path,
-    plan: Plan = QUICK,
+    plan: StrokePlan = QUICK,
     act: Callable[[VirtualLab], None] | None = None,
     *,
     pressed: bool = True,
@@ -311,7 +311,7 @@ def test_pressed_too_deep_the_arm_is_stopped_and_what_there_is_committed(tmp_pat
     interrupted(made(tmp_path / "data", deep, limit=3.0), "N, more than 3 N")
 
 
-def test_no_sensor_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_sensor_there_are_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flows.collection.live.APPEAR", 0.5)
     with pytest.raises(EndpointError, match=BUS):
         made(tmp_path / "data", act=lambda lab: lab.bus.unplug(), pressed=False)

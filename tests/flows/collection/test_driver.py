@@ -11,7 +11,7 @@ from connectors.ur.state import State
 from flows.collection.driver import Driver
 from flows.collection.felt import Felt
 from flows.collection.path import Extent, Place, Pose, Slide, Trace
-from flows.collection.plan import Plan, Session
+from flows.collection.plan import Session, StrokePlan
 from flows.collection.surface import Surface
 from flows.running.clock import LoopClock
 from flows.testing import run_virtually
@@ -86,7 +86,7 @@ class Pressed(Felt):
 
 
 def session(strokes: int = 2, *, rotations: bool = False, force: float | None = None) -> Session:
-    plan = Plan(
+    plan = StrokePlan(
         speeds=() if rotations else (0.1,), repeats=1, rotations=int(rotations), rounds=1, force=force
     )
     (whole,) = plan.sessions([Surface("sphere", PLACE)], seed=0)

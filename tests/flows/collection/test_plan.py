@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flows.collection.path import Extent, Line, Pose, Slide, Tare, Touchdown, Trace, beside
-from flows.collection.plan import PLANS, Plan, Session, extent, named
+from flows.collection.plan import PLANS, Session, StrokePlan, extent, named
 from flows.collection.surface import Surface
 from operators import ParameterError
 
@@ -15,13 +15,13 @@ PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 PLANE = Surface("plane", PLACE)
 
 
-def only(plan: Plan, place: Pose = PLACE) -> Session:
+def only(plan: StrokePlan, place: Pose = PLACE) -> Session:
     (session,) = plan.sessions([Surface("plane", place)], seed=0)
     return session
 
 
-STROKES = Plan(speeds=(0.1,), repeats=1, rotations=0)
-TURNS = Plan(speeds=(), rotations=1)
+STROKES = StrokePlan(speeds=(0.1,), repeats=1, rotations=0)
+TURNS = StrokePlan(speeds=(), rotations=1)
 
 
 def test_the_papers_plan_has_every_surface_speed_and_direction_and_rotations() -> None:

@@ -1,7 +1,7 @@
 import pytest
 
 from flows.collection.surface import Spot
-from flows.collection.text import box, curvature, numbers, surface
+from flows.collection.text import box, curvature, speeds, surface
 from operators.errors import ParameterError
 
 
@@ -36,7 +36,7 @@ def test_corners_are_six_numbers() -> None:
         box("1")
 
 
-@pytest.mark.parametrize("text", ["", "a", "1,", "1;2"])
-def test_what_are_no_numbers_is_told(text: str) -> None:
-    with pytest.raises(ParameterError, match=r"--speeds is .* must be numbers with commas between"):
-        numbers("--speeds", text)
+@pytest.mark.parametrize("text", ["", "a", "10mm/s,", "0.01,0.02"])
+def test_what_are_no_speeds_is_told(text: str) -> None:
+    with pytest.raises(ParameterError, match=r"--speeds is .* must be a speed with its unit: 3mm/s"):
+        speeds(text)

@@ -12,15 +12,10 @@ from pathlib import Path
 
 import pytest
 
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
+from tests.command import SLIPFLOW, slipflow
+
 HOST = f"127.0.{os.getpid() % 250 + 1}.4"  # of this process: ur-rtde knows one port only
 SPHERE = "sphere@0.4,0,0.1,3.1415926,0,0"
-
-
-def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=120, check=False, cwd=cwd
-    )
 
 
 def test_a_dry_run_prints_the_path_its_duration_and_its_bounds(tmp_path: Path) -> None:
@@ -101,9 +96,9 @@ def test_a_dry_run_with_a_force_says_how_deep_it_may_go(tmp_path: Path) -> None:
         (["tiny", "--virtual", "--watchdog", "0"], "0.1"),
         (["tiny", "--virtual", "--patience", "2"], "must be a time with its unit: 500ms"),
         (["tiny", "--virtual", "--patience", "20ms"], "must be 50ms or more"),
-        (["tiny", "--dry-run", "--speeds", "fast"], "--speeds is 'fast', must be numbers with commas"),
+        (["tiny", "--dry-run", "--speeds", "fast"], "--speeds is 'fast', must be a speed with its unit"),
         (["tiny", "--dry-run", "--surface", "sphere:0.01"], "0.0212 m or more"),
-        (["tiny", "--dry-run", "--speeds", "0.5"], "below 0.3 m/s"),
+        (["tiny", "--dry-run", "--speeds", "0.5m/s"], "below 0.3 m/s"),
         (["tiny", "--dry-run", "--force", "2"], "--force is '2', must be a force with its unit: 2N"),
         (["tiny", "--dry-run", "--force", "0N"], "above 0 N"),
         (["tiny", "--dry-run", "--force", "2N", "--depth", "1mm"], "--depth or --force, not both"),

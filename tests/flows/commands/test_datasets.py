@@ -2,8 +2,6 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 from shutil import copyfile
 
@@ -16,12 +14,7 @@ from operators.ports import Run
 from storage import Session
 from storage.lock import lock
 from storage.writer import SessionWriter
-
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
-
-
-def slipflow(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=300, check=False)
+from tests.command import slipflow
 
 
 def record(root: Path, session: str, *, close: bool) -> Path:

@@ -1,26 +1,17 @@
 """`slipflow evaluate` as a user meets it."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from flows import figures
 from flows.commands import detectors as detector_commands
 from flows.networks.recipe import Recipe
+from flows.reports import figures
 from flows.training.curve import Check
 from flows.training.train import train
 from storage.models import shipped
-
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
-
-
-def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=300, check=False, cwd=cwd
-    )
+from tests.command import slipflow
 
 
 def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_path: Path) -> None:
@@ -120,6 +111,6 @@ def test_evaluate_says_beforehand_that_it_cannot_draw(
     monkeypatch.setattr(figures, "find_spec", nothing)
     detector_commands.evaluate(tiny, method=["psd"], out=tmp_path / "out", as_json=True)
     assert (
-        "the page will be without figures, which need matplotlib: pip install 'slipflow[report]'"
+        "the page will be without figures, which need matplotlib: in the clone, pip install -e '.[report]'"
         in capsys.readouterr().err
     )

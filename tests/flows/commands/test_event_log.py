@@ -1,8 +1,6 @@
 import asyncio
 import json
 import logging
-import subprocess
-import sys
 from collections.abc import Iterator
 from io import StringIO
 from pathlib import Path
@@ -18,8 +16,7 @@ from flows.running.live_runner import LiveRunner
 from flows.testing import TestSink, TestSource, run_virtually
 from flows.validate import problems
 from operators import Debounce, Faults, Run, Scores, Slips
-
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
+from tests.command import slipflow
 
 
 @pytest.fixture
@@ -144,8 +141,7 @@ def test_run_with_log_json_prints_nothing_but_objects(tmp_path: Path) -> None:
         for k in range(300)
     ]
     trace.write_text("\n".join(["t,s1,s2,s3,s4,s5,s6", *rows, ""]))
-    command = [*SLIPFLOW, "run", "live", "--set", "detector=psd", "--replay", str(trace), "--log", "json"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = slipflow("run", "live", "--set", "detector=psd", "--replay", trace, "--log", "json")
     assert done.returncode == 0, done.stderr
     events = [each["event"] for each in objects(done.stdout)]
     assert (events[0], events[-1]) == ("run_begins", "run_ends")

@@ -1,25 +1,17 @@
 """`slipflow export` and `slipflow import` as a user meets them."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import polars as pl
 import pytest
 
 from storage.layout import session_names
+from tests.command import slipflow
 
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
 TRACE = "t,p0,p1,p2,p3,p4,p5,slip\n" + "".join(
     f"{k / 100},{','.join(str(500 + (k + c) % 5) for c in range(6))},{k // 50 % 2}\n" for k in range(300)
 )
-
-
-def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=120, check=False, cwd=cwd
-    )
 
 
 def test_a_dataset_becomes_a_lerobot_dataset(tiny: Path, tmp_path: Path) -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from flows import figures
 from flows.commands.experiments import app
+from flows.reports import figures
 
 ONE = ["--method", "psd", "--object", "ball", "--trials", "1", "--jobs", "1"]
 
@@ -49,7 +49,7 @@ def test_what_it_takes_to_have_figures_is_told(tmp_path: Path, monkeypatch: pyte
 
     monkeypatch.setattr(figures, "find_spec", nothing)
     result = CliRunner().invoke(app, ["lift", *ONE, "--rule", "none", "--out", str(tmp_path)])
-    assert "; figures need matplotlib: pip install 'slipflow[report]'" in result.stderr
+    assert "; figures need matplotlib: in the clone, pip install -e '.[report]'" in result.stderr
     assert not (tmp_path / "lift.svg").exists()
 
 

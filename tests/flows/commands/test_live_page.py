@@ -22,8 +22,7 @@ from flows.graph import Flow
 from flows.testing import TestSink, TestSource
 from flows.validate import problems
 from operators import Debounce, Touch, Zero
-
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
+from tests.command import SLIPFLOW, slipflow
 
 
 def names(flow: Flow) -> list[str]:
@@ -128,7 +127,6 @@ def test_a_page_for_others_without_a_token_is_one_line_that_says_so(
     monkeypatch.delenv("SLIPFLOW_PAGE_TOKEN", raising=False)
     trace = tmp_path / "trace.csv"
     trace.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(20)))
-    command = [*SLIPFLOW, "run", "live", "--replay", str(trace), "--listen", "0.0.0.0:0"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = slipflow("run", "live", "--replay", trace, "--listen", "0.0.0.0:0")
     assert done.returncode == 2
     assert done.stderr.splitlines()[-1].startswith("error: Page: token is None, must be set")

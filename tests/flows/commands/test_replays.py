@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from pathlib import Path
 from shutil import copytree
 from time import monotonic
@@ -13,6 +12,7 @@ from typing import Any
 import pytest
 
 from storage.layout import session_names
+from tests.command import SLIPFLOW, slipflow
 
 WRONG = """
 from connectors import Console, Rig
@@ -24,13 +24,6 @@ def wrong() -> Flow:
     (flow.source(Rig().touch) | Debounce()).to(Console())
     return flow
 """
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
-
-
-def slipflow(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*SLIPFLOW, *map(str, arguments)], capture_output=True, text=True, timeout=120, check=False
-    )
 
 
 def test_a_dataset_is_replayed_session_by_session(tiny: Path, tmp_path: Path) -> None:
@@ -49,8 +42,8 @@ def test_each_session_has_its_summary_and_a_failing_one_its_error(tiny: Path, tm
     (second / "touch/part-000000.parquet").unlink()
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second, third, "--json")
     assert done.returncode == 1
-    assert done.stderr.startswith(f"error: {second}: ")
-    found = json.loads(done.stdout.splitlines()[-1])
+    assert f"\nerror: {second}: " in done.stderr  # what was printed stands there, too
+    found = json.loads(done.stdout)
     assert [each["recording"] for each in found["sessions"]] == [str(first), str(second), str(third)]
     assert [bool(each["error"]) for each in found["sessions"]] == [False, True, False]
     assert found["sessions"][2]["sources"]["touch"]["rows"] > 1000

@@ -2,18 +2,10 @@
 
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 from connectors.rig.ur_controller import PORTS
-
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
-
-
-def slipflow(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*SLIPFLOW, *arguments], capture_output=True, text=True, timeout=120, check=False, cwd=cwd
-    )
+from tests.command import SLIPFLOW, slipflow
 
 
 def test_the_rig_says_where_things_are_and_ends_at_ctrl_c(tmp_path: Path) -> None:

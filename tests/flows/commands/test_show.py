@@ -3,7 +3,6 @@ import json
 import re
 import signal
 import subprocess
-import sys
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
@@ -13,14 +12,13 @@ import pytest
 from connectors.web.access import TOKEN, TOKEN_FILE
 from flows.commands.show import load, show
 from flows.demo import Demo
-from flows.record import record
+from flows.ready_made.record import record
 from flows.running.clock import LoopClock
 from flows.running.live_runner import LiveRunner
 from flows.testing import run_virtually
 from operators import InputError, ParameterError, s
 from storage import Session
-
-SLIPFLOW = [sys.executable, "-c", "from flows.commands.main import main; main()"]
+from tests.command import SLIPFLOW, slipflow
 
 
 @pytest.fixture(scope="module")
@@ -86,9 +84,7 @@ def test_the_command_serves_the_session_until_it_is_stopped(session: Session) ->
 
 
 def test_what_cannot_be_shown_is_told(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [*SLIPFLOW, "show", str(tmp_path)], capture_output=True, text=True, timeout=60, check=False
-    )
+    done = slipflow("show", tmp_path)
     assert done.returncode == 2
     [line] = done.stderr.splitlines()
     assert line.startswith(f"error: {tmp_path}: is no session")

@@ -68,11 +68,11 @@ def test_without_matplotlib_the_page_says_what_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        verification_page, "lacking", lambda: "need matplotlib: pip install 'slipflow[report]'"
+        verification_page, "lacking", lambda: "need matplotlib: in the clone, pip install -e '.[report]'"
     )
     [sessions, _] = page(verified(), tmp_path, "").sections
     assert sessions.figure is None
-    assert "pip install 'slipflow[report]'" in sessions.text
+    assert "pip install -e '.[report]'" in sessions.text
 
 
 def test_rows_go_to_the_bins_they_are_of_and_none_gets_lost() -> None:

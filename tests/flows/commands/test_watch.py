@@ -1,15 +1,13 @@
 import re
 import subprocess
-import sys
 
 import pytest
 
 from connectors import Event
 from connectors.mqtt.testing import TestBroker
+from tests.command import SLIPFLOW, slipflow
 
 pytestmark = pytest.mark.broker
-
-COMMAND = [sys.executable, "-c", "from flows.commands.main import main; main()", "watch"]
 
 
 @pytest.mark.parametrize(("latency", "soon"), [(8, "8.0 ms, "), (None, "")])
@@ -20,7 +18,10 @@ def test_events_are_printed_a_line_each_and_what_is_wrong_beside(
     broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
     broker.publish("slip/v1/lab/ur10/1/event", "{}", "-r")
     watch = subprocess.Popen(
-        [*COMMAND, broker.url, "--rig", "ur10"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [*SLIPFLOW, "watch", broker.url, "--rig", "ur10"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     assert watch.stdout
     assert watch.stderr
@@ -35,7 +36,7 @@ def test_events_are_printed_a_line_each_and_what_is_wrong_beside(
 
 @pytest.mark.parametrize("options", [["mqtt://127.0.0.1:1"], ["localhost"], ["--since", "yesterday"]])
 def test_what_cannot_be_watched_is_one_line_and_exit_code_2(options: list[str]) -> None:
-    done = subprocess.run([*COMMAND, *options], capture_output=True, text=True, check=False)
+    done = slipflow("watch", *options)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
     assert done.stderr

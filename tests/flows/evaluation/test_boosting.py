@@ -37,5 +37,5 @@ def test_without_scikit_learn_it_says_what_to_install(monkeypatch: pytest.Monkey
         del name
 
     monkeypatch.setattr(boosting, "find_spec", missing)
-    with pytest.raises(InputError, match=re.escape("pip install 'slipflow[train]'")):
+    with pytest.raises(InputError, match=re.escape("pip install -e '.[train]'")):
         GradientBoosting.fitted(*shaking(0))

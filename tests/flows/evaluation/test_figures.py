@@ -5,7 +5,7 @@ import pytest
 
 from flows.evaluation import figures
 from flows.evaluation.evaluate import Evaluation, evaluate
-from flows.figures import Figure, save
+from flows.reports.figures import Figure, save
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from flows.evaluation.stress import judged, stress
 from flows.evaluation.stress_fields import GOALS, GRIDS
 from flows.evaluation.stress_result import Condition, Stress
 from flows.scoring import probabilities
-from flows.trials import Trial, simulate
+from flows.trials import Trial, simulated_trials
 from operators import Debounce
 from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd
@@ -90,7 +90,7 @@ def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: 
 
 
 def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None:
-    trials = simulate(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
+    trials = simulated_trials(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
     answers = [probabilities(Psd(), trial) for trial in trials]
     expected = Judgement.of(trials, answers, Debounce(), "label")
     assert found.at("psd", "friction", 0.3) == expected
@@ -137,9 +137,9 @@ def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.Mo
 
     def noted(plan: Collection, seed: int, *_: object) -> list[Trial]:
         seeds.append(seed)
-        return simulate(plan, seed)
+        return simulated_trials(plan, seed)
 
-    monkeypatch.setattr("flows.evaluation.stress.simulate", noted)
+    monkeypatch.setattr("flows.evaluation.stress.simulated_trials", noted)
     found = stress(names=["psd"], seed=SEED, plan=TINY, training=TINY, jobs=1, told=told.append)
     assert found.names == ("psd",)
     assert SEED in seeds[2:]

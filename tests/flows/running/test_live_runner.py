@@ -31,42 +31,7 @@ from operators import (
     ms,
     s,
 )
-
-
-def scores(first: int, count: int, probability: float = 0.9) -> list[Scores]:
-    """One-row batches, 10 ms apart, from the `first`-th on."""
-    rows = range(first, first + count)
-    return [Scores(np.array([k * 10 * ms]), np.array([probability])) for k in rows]
-
-
-def execute(flow: Flow, *, duration: int | None = None) -> Run:
-    async def main() -> Run:
-        return await LiveRunner(flow, "test", duration=duration).execute()
-
-    return run_virtually(main())
-
-
-def times(sink: TestSink) -> list[int]:
-    return [time // (10 * ms) for time in sink.rows(Scores).time.tolist()]
-
-
-class Endless(Source[Scores]):
-    """A score every 10 ms, for ever."""
-
-    def __init__(self) -> None:
-        self.closed = False
-
-    @property
-    def kind(self) -> type[Scores]:
-        return Scores
-
-    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
-        try:
-            while True:
-                await clock.sleep_until(clock.now() + 10 * ms)
-                yield Scores(np.array([clock.now()]), np.array([0.9]))
-        finally:
-            self.closed = True
+from tests.flows.running.live import Endless, execute, scores, times
 
 
 def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
@@ -77,6 +42,15 @@ def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
     assert (sink.opened, sink.closed) == (1, 1)
     assert run.sources["scores"].rows == run.sinks["testsink"].rows == 50
     assert not run.sources["scores"].up
+
+
+def test_a_run_tells_which_of_its_sinks_record() -> None:
+    flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
+    recorder.records = True
+    touch = flow.source(TestSource(Scores, scores(0, 5)))
+    touch.to(recorder)
+    touch.to(viewer)
+    assert [sink.records for sink in execute(flow).sinks.values()] == [True, False]
 
 
 def test_a_run_ends_after_its_duration() -> None:
@@ -102,6 +76,22 @@ def test_a_signal_flushes_and_commits(number: signal.Signals) -> None:
     run_virtually(main())
     assert len(sink.rows(Slips)) == 1
     assert sink.closed == 1
+
+
+def test_signals_that_are_left_to_others_end_no_run() -> None:
+    flow, sink, heard = Flow("f"), TestSink(), list[int]()
+    flow.source(Endless()).to(sink)
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        loop.add_signal_handler(signal.SIGTERM, heard.append, 1)
+        loop.call_later(0.5, os.kill, os.getpid(), signal.SIGTERM)
+        await LiveRunner(flow, "test", duration=s, signals=False).execute()
+        loop.remove_signal_handler(signal.SIGTERM)
+
+    run_virtually(main())
+    assert heard == [1]
+    assert len(sink.written) >= 98
 
 
 def test_a_failing_source_is_started_again_and_its_gap_recorded(caplog: pytest.LogCaptureFixture) -> None:
@@ -147,46 +137,6 @@ def test_a_source_that_breaks_its_type_has_failed() -> None:
     )
 
 
-def test_a_failing_sink_is_retried_with_the_same_batch_and_loses_nothing() -> None:
-    flow = Flow("f")
-    failing, other = (
-        TestSink(failures=[None, EndpointError("x", "down"), EndpointError("x", "down")]),
-        TestSink(),
-    )
-    stream = flow.source(TestSource(Scores, scores(0, 100)))
-    stream.to(failing)
-    stream.to(other)
-    run = execute(flow)
-    assert times(failing) == times(other) == list(range(100))
-    status = run.sinks["testsink"]
-    assert (status.failures, status.dropped, status.error) == (2, 0, "")
-
-
-def test_a_sink_that_never_works_stops_nobody_and_its_rows_are_counted() -> None:
-    flow = Flow("f")
-    dead, other = TestSink(failures=[OSError("dead")] * 10_000, capacity=10), TestSink()
-    stream = flow.source(TestSource(Scores, scores(0, 1000)))
-    stream.to(dead)
-    stream.to(other)
-    run = execute(flow)
-    assert times(other) == list(range(1000))
-    assert run.sinks["testsink"].dropped == 1000
-    assert run.sinks["testsink"].error == "dead"
-
-
-def test_a_slow_lossless_sink_makes_the_source_wait_and_gets_everything() -> None:
-    flow = Flow("f")
-
-    async def slowly() -> None:
-        await asyncio.sleep(0.05)  # five times slower than the source
-
-    slow = TestSink(capacity=3, hold=slowly)
-    flow.source(TestSource(Scores, scores(0, 100))).to(slow)
-    run = execute(flow)
-    assert times(slow) == list(range(100))
-    assert run.sinks["testsink"].dropped == 0
-
-
 @dataclass
 class Numbered(Join[Scores, Scores, Scores]):
     """Numbers what comes, by its time."""
@@ -227,38 +177,6 @@ def test_what_another_source_gives_just_as_a_full_sink_has_room_does_not_overtak
     assert times(slow) == [0, 1, 2, 3]
 
 
-def test_a_lossless_sink_that_is_stuck_counts_as_failing_and_no_longer_holds_up_the_others() -> None:
-    flow, other = Flow("f"), TestSink()
-    stuck = TestSink(capacity=10, hold=lambda: asyncio.sleep(60))
-    stream = flow.source(TestSource(Scores, scores(0, 3000)))
-    stream.to(stuck)
-    stream.to(other)
-    run = execute(flow, duration=30 * s)
-    assert times(other) == list(range(3000))
-    status = run.sinks["testsink"]
-    assert status.rows + status.dropped == 3000
-    assert status.dropped > 2500
-    assert status.failures >= 1
-
-
-def test_a_stuck_sink_works_again_once_its_write_ends(caplog: pytest.LogCaptureFixture) -> None:
-    flow, waits = Flow("f"), [60.0]
-    sink = TestSink(capacity=10, hold=lambda: asyncio.sleep(waits.pop() if waits else 0))
-    flow.source(TestSource(Scores, scores(0, 9000))).to(sink)
-    with caplog.at_level(logging.WARNING):
-        run = execute(flow)
-    kept = times(sink)
-    assert kept[:11] == list(range(11))
-    assert kept[-1] == 8999
-    assert run.sinks["testsink"].dropped == 9000 - len(kept)
-    assert not run.sinks["testsink"].error
-    assert [record.message.partition(":")[0] for record in caplog.records] == [
-        "testsink failed",
-        "testsink drops rows until it works again",
-        f"testsink works again; {9000 - len(kept)} rows were dropped",
-    ]
-
-
 def test_a_step_of_the_hosts_clock_is_noted_and_changes_no_stamp(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -284,24 +202,6 @@ def test_a_step_of_the_hosts_clock_is_noted_and_changes_no_stamp(
         "the host's clock was set by -3600.000 s; time stamps go on",
         "the host's clock was set by +0.050 s; time stamps go on",
     ]
-
-
-def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
-    flow = Flow("f")
-
-    async def slowly() -> None:
-        await asyncio.sleep(0.05)
-
-    slow, other = TestSink(capacity=3, hold=slowly, lossless=False), TestSink()
-    stream = flow.source(TestSource(Scores, scores(0, 100)))
-    stream.to(slow)
-    stream.to(other)
-    run = execute(flow)
-    dropped = run.sinks["testsink"].dropped
-    assert times(other) == list(range(100))
-    assert dropped > 50
-    assert len(times(slow)) + dropped == 100
-    assert times(slow)[-3:] == [97, 98, 99]
 
 
 def test_an_operator_that_fails_ends_the_run_after_committing_what_came_before() -> None:
@@ -356,23 +256,6 @@ def test_a_source_that_never_waits_leaves_the_others_their_turn() -> None:
     run = execute(flow)
     assert run.sinks["testsink"].dropped == 0
     assert len(sink.written) == 1000
-
-
-def test_a_second_stop_gives_up_failing_sinks_at_once() -> None:
-    flow = Flow("f")
-    dead = TestSink(failures=[OSError("dead")] * 10_000)
-    flow.source(Endless()).to(dead)
-
-    async def main() -> float:
-        runner = LiveRunner(flow, "test")
-        loop = asyncio.get_running_loop()
-        loop.call_later(1, runner.stop)
-        loop.call_later(1.5, runner.stop)
-        await runner.execute()
-        return loop.time()
-
-    assert run_virtually(main()) < 2
-    assert dead.closed == 1
 
 
 class Recorded(Endless):
@@ -465,24 +348,6 @@ def test_fingertips_of_one_source_are_not_late_against_each_other() -> None:
     batches = [Scores(np.arange(3), np.ones(3), finger=finger) for finger in (0, 1)]
     flow.source(TestSource(Scores, batches, fingers=(0, 1))).to(sink)
     assert execute(flow).sources["scores"].late == 0
-
-
-def test_a_third_stop_ends_a_run_whose_sink_hangs() -> None:
-    async def for_ever() -> None:
-        await asyncio.Event().wait()
-
-    flow = Flow("f")
-    flow.source(Endless()).to(TestSink(hold=for_ever))
-
-    async def main() -> Run:
-        runner = LiveRunner(flow, "test")
-        for after in (1, 2, 3):
-            asyncio.get_running_loop().call_later(after, runner.stop)
-        return await runner.execute()
-
-    run = run_virtually(main())
-    assert run.sinks["testsink"].dropped == run.sources["scores"].rows > 0
-    assert "given up" in run.sinks["testsink"].error
 
 
 def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> None:

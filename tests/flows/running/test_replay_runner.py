@@ -116,6 +116,16 @@ def test_the_sources_of_a_replay_are_up_while_it_lasts() -> None:
     assert not any(source.up for source in run.sources.values())
 
 
+def test_a_replay_tells_which_of_its_sinks_record() -> None:
+    flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
+    recorder.records = True
+    touch = flow.source(TestSource(Touch))
+    touch.to(recorder)
+    touch.to(viewer)
+    run = asyncio.run(ReplayRunner(flow, recording(), "again").execute())
+    assert [sink.records for sink in run.sinks.values()] == [True, False]
+
+
 def test_sinks_that_a_replay_writes_elsewhere_are_told_of(caplog: pytest.LogCaptureFixture) -> None:
     class Moved(TestSink):
         @property

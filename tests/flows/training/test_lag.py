@@ -5,14 +5,14 @@ import pytest
 
 from connectors.rig.paper import Collection
 from flows.training.lag import lags, relabelled
-from flows.trials import Trial, simulate
+from flows.trials import Trial, simulated_trials
 
 PLAN = Collection(speeds=(0.05, 0.1), repeats=1, rotations=0)
 
 
 @pytest.fixture(scope="module")
 def recordings() -> list[Trial]:
-    return simulate(PLAN, seed=5)
+    return simulated_trials(PLAN, seed=5)
 
 
 def _later(trial: Trial, samples: int) -> Trial:

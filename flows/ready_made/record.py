@@ -17,11 +17,11 @@ def record(
     The simulated arm tells of its motion `delay` after the barometers felt it.
     """
     flow = Flow("record")
-    collect(flow, Rig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))
+    declare_recording(flow, Rig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))
     return flow
 
 
-def collect(flow: Flow, rig: Rig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
+def declare_recording(flow: Flow, rig: Rig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
     """Declare how both streams of a rig, and the samples labelled from them, come into a dataset.
 
     Returns:

@@ -1,12 +1,13 @@
 """Writing a page of findings: HTML, Markdown, its numbers as JSON, and its figures."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from flows.evaluation.page import Page
-from flows.figures import save
+from flows.reports.figures import save
+from flows.reports.page import Page
 from operators.errors import EndpointError, because
 
 
@@ -22,6 +23,19 @@ def make_output_folder(folder: Path) -> None:
         raise EndpointError(str(folder), f"cannot be made: {because(error)}") from error
 
 
+@contextmanager
+def writing(folder: Path) -> Generator[None]:
+    """What is within it writes into a folder.
+
+    Raises:
+        EndpointError: if that fails.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise EndpointError(str(folder), f"cannot be written: {because(error)}") from error
+
+
 def write_page(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) -> list[Path]:
     """Write ``NAME.html``, ``NAME.md``, ``NAME.json`` and each section's figure into a folder; their paths.
 
@@ -31,13 +45,11 @@ def write_page(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) 
     make_output_folder(folder)
     texts = {"html": page.html(), "md": page.markdown(name), "json": json.dumps(numbers, indent=1) + "\n"}
     paths = [folder / f"{name}.{ending}" for ending in texts]
-    try:
+    with writing(folder):
         for path, text in zip(paths, texts.values(), strict=True):
             path.write_text(text, encoding="utf-8")
         for section in page.sections:
             if section.figure is not None:
                 paths.append(folder / section.file(name))
                 save(section.figure, paths[-1])
-    except OSError as error:
-        raise EndpointError(str(folder), f"cannot be written: {because(error)}") from error
     return paths

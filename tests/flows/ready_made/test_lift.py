@@ -9,20 +9,21 @@ from connectors import Gripper, TakkTile
 from connectors.gripper.force import ForceScale
 from connectors.rig.grasp import Held
 from connectors.rig.gripper_server import GripperServer
-from connectors.rig.handling import GraspLab, Handling, opened
+from connectors.rig.handling import Handling, opened
 from connectors.rig.holding import least_force
 from connectors.rig.i2c_bus import I2cBus
 from connectors.rig.lift import Lift
 from connectors.rig.objects import OBJECTS, named
 from flows.graph import Flow
-from flows.lift import controller, held_by, lift
 from flows.loading import load
+from flows.ready_made.lift import controller, held_by, lift
 from flows.running.clock import LoopClock
 from flows.running.live_runner import LiveRunner
 from flows.testing import TestSink, run_virtually
 from flows.validate import problems
 from operators import Commands, Grip, InputError, ParameterError, Run, s
 from storage import load_detector
+from tests.connectors.rig.grasp_lab import GraspLab
 
 DETECTOR = "tcn_grasp"
 UP = Lift(5.5)  # the gripper wakes up, the baseline is taken, the fingers close

@@ -6,7 +6,7 @@ from html import escape
 from math import isfinite
 from typing import Final
 
-from flows.figures import Figure, inline, lacking
+from flows.reports.figures import Figure, inline, lacking
 
 NONE: Final = "-"  # in tables, where there is no number
 _STYLE: Final = """

@@ -1,9 +1,9 @@
 from html.parser import HTMLParser
 from pathlib import Path
 
-from flows.evaluation.page import Page, Section, Table
-from flows.evaluation.page_files import write_page
-from flows.figures import Figure, grid, styled
+from flows.reports.figures import Figure, grid, styled
+from flows.reports.files import write_page
+from flows.reports.page import Page, Section, Table
 
 TABLE = Table(["method", "F1 < 90"], [["<b>tcn</b>", "1 & 2"], ["psd", "3"]], caption="a > b")
 

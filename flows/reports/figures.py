@@ -51,7 +51,7 @@ STYLE: Final[Any] = {
 
 def lacking() -> str:
     """Why no figure can be drawn, and what to do; empty where they can be."""
-    return "" if find_spec("matplotlib") else "need matplotlib: pip install 'slipflow[report]'"
+    return "" if find_spec("matplotlib") else "need matplotlib: in the clone, pip install -e '.[report]'"
 
 
 def require() -> None:

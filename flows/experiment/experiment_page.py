@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from flows.evaluation.metrics import known
-from flows.evaluation.page import Page, drawn, terminal_text
-from flows.evaluation.page_files import write_page
 from flows.experiment import trial_figure
 from flows.experiment.experiment import Found
 from flows.experiment.measures import failures, numbers, tried
 from flows.experiment.tables import best, sections
+from flows.reports.files import write_page
+from flows.reports.page import Page, drawn, terminal_text
 
 
 def page(of: Found, command: str) -> Page:

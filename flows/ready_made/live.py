@@ -2,8 +2,8 @@
 
 from connectors import Console, Mqtt, Rig
 from flows.graph import Flow
-from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero
-from storage import load_debounce, load_detector
+from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
+from storage import identify_detector, load_debounce, load_detector
 
 
 def live(
@@ -15,11 +15,12 @@ def live(
     debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
 
-    faults = touch | Health()
+    faults = touch | Health(clear_after=2 * s)
 
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
-        sinks.append(Mqtt(broker, site=site, rig=rig))
+        rules = debounce.threshold, debounce.consecutive
+        sinks.append(Mqtt(broker, site, rig, identify_detector(detector), *rules))
     for sink in sinks:
         slips.to(sink)
         faults.to(sink)

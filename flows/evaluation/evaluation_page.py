@@ -7,9 +7,9 @@ from flows.evaluation import sections
 from flows.evaluation.evaluate import Evaluation
 from flows.evaluation.metrics import known
 from flows.evaluation.motions import Cell, Cells
-from flows.evaluation.page import Page
-from flows.evaluation.page_files import write_page
 from flows.evaluation.published import SURFACES, TABLE_3
+from flows.reports.files import write_page
+from flows.reports.page import Page
 
 
 def page(of: Evaluation, command: str) -> Page:

@@ -13,7 +13,7 @@ import pytest
 
 from connectors import Consumer, Event, Mqtt, MqttSignal
 from connectors.mqtt.outbox_place import default_path
-from connectors.mqtt.testing import Received, TestBroker, TestListener
+from connectors.mqtt.testing import Received, TestBroker
 from flows.graph import Flow
 from flows.running.clock import LoopClock
 from flows.running.live_runner import LiveRunner
@@ -123,15 +123,6 @@ class Fed(Source[Touch]):
             yield felt(clock.now(), 1)
 
 
-def all_of(broker: TestBroker, listener: TestListener) -> list[Received]:
-    """What has come to a listener that also hears ``test/end``."""
-    broker.publish("test/end", "now")
-    found = list[Received]()
-    while (received := listener.next()).topic != "test/end":
-        found.append(received)
-    return found
-
-
 def sessions(received: list[Received], rig: str) -> list[Any]:
     """The sessions of the events among them."""
     topic = f"{rig}/0/event"
@@ -140,7 +131,7 @@ def sessions(received: list[Received], rig: str) -> list[Any]:
 
 @BOTH
 def test_who_follows_a_live_rig_hears_nothing_of_a_replay_beside_it(broker: TestBroker, replay: Way) -> None:
-    rig, both = broker.listen(f"{RIG}/#", "test/end"), broker.listen("slip/#", "test/end")
+    rig, both = broker.listen(f"{RIG}/#"), broker.listen("slip/#")
 
     async def main() -> None:
         fingertip = Fed()
@@ -155,8 +146,8 @@ def test_who_follows_a_live_rig_hears_nothing_of_a_replay_beside_it(broker: Test
         await live
 
     asyncio.run(main())
-    assert {each.topic.removeprefix(RIG)[0] for each in all_of(broker, rig)} <= {"/"}
-    heard = all_of(broker, both)
+    assert {each.topic.removeprefix(RIG)[0] for each in rig.rest()} <= {"/"}
+    heard = both.rest()
     assert sessions(heard, RIG) == ["live", "live"]
     assert sessions(heard, REPLAY) == ["again"] * 7
     ours = [json.loads(each.payload) for each in heard if each.topic.startswith(f"{RIG}/")]
@@ -176,10 +167,10 @@ def test_what_a_rig_has_retained_and_written_down_stays_through_a_replay(
         await LiveRunner(declared(broker.url, given(3)), "live").execute()
 
     asyncio.run(live())
-    before = all_of(broker, broker.listen(f"{RIG}/#", "test/end"))
+    before = broker.listen(f"{RIG}/#").rest()
     outbox = default_path("lab", "rig").read_bytes()
     asyncio.run(replay(declared(broker.url, given())))
-    assert all_of(broker, broker.listen(f"{RIG}/#", "test/end")) == before
+    assert broker.listen(f"{RIG}/#").rest() == before
     assert default_path("lab", "rig").read_bytes() == outbox
     named = tmp_path / "named.sqlite"
     asyncio.run(replay(declared(broker.url, given(), "other", named)))
@@ -191,9 +182,9 @@ def test_what_a_rig_has_retained_and_written_down_stays_through_a_replay(
 def test_a_replay_is_named_in_its_info_and_its_events_are_of_the_recordings_time(
     broker: TestBroker, replay: Way
 ) -> None:
-    listener = broker.listen(f"{REPLAY}/#", "test/end")
+    listener = broker.listen(f"{REPLAY}/#")
     asyncio.run(replay(declared(broker.url, given())))
-    heard = all_of(broker, listener)
+    heard = listener.rest()
     [info] = [json.loads(each.payload) for each in heard if each.topic == f"{REPLAY}/info"]
     assert (info["recording"], info["session"]) == ("stroke-9", "again")
     events = [Event.decode(each.payload.encode()) for each in heard if each.topic == f"{REPLAY}/0/event"]
@@ -205,16 +196,16 @@ def test_a_replay_is_named_in_its_info_and_its_events_are_of_the_recordings_time
 
 @BOTH
 def test_a_flow_whose_rig_is_called_a_replay_is_for_replays(broker: TestBroker, replay: Way) -> None:
-    listener = broker.listen("slip/#", "test/end")
+    listener = broker.listen("slip/#")
     asyncio.run(replay(declared(broker.url, given(), "rig-replay")))
-    assert sessions(all_of(broker, listener), REPLAY) == ["again"] * 7
+    assert sessions(listener.rest(), REPLAY) == ["again"] * 7
 
     async def live() -> None:
         await LiveRunner(declared(broker.url, given(), "rig-replay"), "live").execute()
 
     with pytest.raises(ParameterError, match="rig is 'rig-replay', must be a name that does not end in"):
         asyncio.run(live())
-    assert not all_of(broker, listener)
+    assert not listener.rest()
 
 
 @BOTH

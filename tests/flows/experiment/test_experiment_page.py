@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.experiment import page
+from flows.experiment import experiment_page as page
 from flows.experiment.experiment import Found, Kind
 
 

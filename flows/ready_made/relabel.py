@@ -3,7 +3,7 @@
 from connectors import Rig
 from flows.graph import Flow
 from flows.quantity import Duration, Speed
-from flows.record import ARM_LATENCY
+from flows.ready_made.record import ARM_LATENCY
 from operators import Align, Debounce, Label, Score, Zero, ms
 from storage import Dataset, load_debounce, load_detector
 

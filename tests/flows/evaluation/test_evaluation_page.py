@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.evaluation import report, sections
+from flows.evaluation import evaluation_page as report
+from flows.evaluation import sections
 from flows.evaluation.evaluate import Evaluation, evaluate
 from flows.evaluation.events import EventMetrics
-from flows.evaluation.page_files import make_output_folder
-from operators.errors import EndpointError
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +97,3 @@ def test_what_was_not_judged_is_named(found: Evaluation, written: dict[str, str]
 def test_a_split_that_was_fitted_to_is_called_no_test(tiny: Path) -> None:
     page = report.page(evaluate(tiny, names=["psd"], split="train"), "x")
     assert "this is no test" in page.text
-
-
-def test_a_folder_that_cannot_be_is_told(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(EndpointError, match="cannot be made"):
-        make_output_folder(tmp_path / "file" / "out")

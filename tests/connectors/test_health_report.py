@@ -2,7 +2,7 @@ from typing import Any
 
 import pytest
 
-from connectors.mqtt.health_report import HealthReports
+from connectors.health_report import HealthReports
 from operators.batch import ms, s
 from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 

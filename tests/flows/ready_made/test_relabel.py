@@ -3,7 +3,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flows.relabel import relabel
+from flows.ready_made.relabel import relabel
 from flows.running.replay_runner import ReplayRunner
 from flows.validate import problems
 from operators import Labelled, Slips

@@ -5,21 +5,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
-import numpy as np
 import pytest
 
 from connectors.rig.paper import Collection
-from flows import figures
 from flows.evaluation.motions import Cell
+from flows.reports import figures
 from flows.scene_report.judges import cells as judged_cells
 from flows.scene_report.judges import confusion, fitted
 from flows.scene_report.measured import Size
 from flows.scene_report.report import SECTIONS, write_report
-from flows.scene_report.statistics import TABLE, Published, distance, measure
-from flows.trials import Trial, simulate
-from operators.errors import InputError, ParameterError
+from flows.scene_report.statistics import TABLE, distance, measure
+from flows.trials import Trial, simulated_trials
+from operators.errors import EndpointError, InputError
 
-SHARED = Path(__file__).parents[2].parent / "shared" / "real"
+SHARED = Path(__file__).parents[4] / "shared" / "real"
 TINY = Collection(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
 SIZE = Size(TINY, TINY, seeds=2, hop=10, terms=("texture", "6 x 4 nodes"), timed=0.5)
 
@@ -41,7 +40,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 @pytest.fixture(scope="module")
 def trials() -> list[Trial]:
-    return simulate(TINY, 0)
+    return simulated_trials(TINY, 0)
 
 
 def cells(page: str, row: str) -> list[str]:
@@ -81,7 +80,7 @@ def test_the_numbers_of_the_tables_are_those_computed(written: Written, trials: 
             assert shown == pytest.approx(found[row.key], rel=5e-3, abs=5e-3, nan_ok=True), row.key
     assert f"**{distance(found):.2f}**" in written.page
 
-    _, logistic = fitted(simulate(TINY, 500), SIZE.hop)
+    _, logistic = fitted(simulated_trials(TINY, 500), SIZE.hop)
     judged = judged_cells(logistic, trials, SIZE.hop)
     first, second = (judged.at(Cell("primary", 0.05, surface)).f1 for surface in ("plane", "sphere"))
     assert [text.split()[0] for text in cells(written.page, "primary, 5 cm/s")[:2]] == [
@@ -110,22 +109,11 @@ def test_without_matplotlib_it_says_what_to_install_before_it_measures(
         del name
 
     monkeypatch.setattr(figures, "find_spec", missing)
-    with pytest.raises(InputError, match=re.escape("pip install 'slipflow[report]'")):
+    with pytest.raises(InputError, match=re.escape("pip install -e '.[report]'")):
         write_report(tmp_path, told=pytest.fail)
 
 
-def test_an_unknown_plan_is_refused() -> None:
-    with pytest.raises(ParameterError, match="plan is 'huge', must be one of paper, wide, tiny"):
-        Size.of("huge")
-
-
-def test_a_statistic_inside_the_published_range_has_no_distance() -> None:
-    row = Published("x", "x", (2.0,), (4.0,))
-    assert [row.distance(np.array([value])) for value in (1.0, 2.0, 3.0, 4.0, 7.0)] == [1 / 3, 0, 0, 0, 1]
-
-
-def test_the_same_seed_gives_the_same_trials(trials: list[Trial]) -> None:
-    again = simulate(TINY, 0)
-    assert [trial.counts.tobytes() for trial in again] == [trial.counts.tobytes() for trial in trials]
-    assert {trial.surface for trial in trials} == {"plane", "sphere"}
-    assert {trial.speed for trial in trials} == {0.05, None}
+def test_a_folder_that_cannot_be_made_is_told_before_anything_is_measured(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EndpointError, match=r"file/x: cannot be made: .*; a file has a name that must be"):
+        write_report(tmp_path / "file" / "x", told=pytest.fail)

@@ -1,0 +1,107 @@
+import asyncio
+import logging
+from math import nan
+
+import pytest
+
+from connectors.gripper.robotiq import Mode, Phase, Request
+from connectors.rig.gripper_mechanism import RELEASED, Mechanism
+from operators import EndpointError
+from tests.connectors.gripper.lab import SCALE, commands, counted, lab
+
+pytestmark = pytest.mark.virtual
+pytest.importorskip("pymodbus")
+
+
+def taken_by_nobody(mechanism: Mechanism, request: Request, now: int) -> None:
+    del mechanism, request, now
+
+
+async def test_its_mode_is_set_before_its_fingers_go() -> None:
+    async with lab() as at, at.gripping(mode=Mode.SCISSOR) as gripper:
+        assert gripper.status
+        assert (gripper.status.mode, gripper.status.phase) == (Mode.SCISSOR, Phase.READY)
+        assert [(each.mode, each.go) for each in at.writes] == [(Mode.BASIC, False), (Mode.SCISSOR, False)]
+        await gripper.write(commands(15.0))
+        await asyncio.sleep(10)
+        assert at.scene.forces == [15.0]
+        assert gripper.status.object_detected
+
+
+@pytest.mark.parametrize("drop", [False, True])
+async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
+    *, drop: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with lab() as at, at.gripping() as gripper:
+        await gripper.write(commands(30.0))
+        await asyncio.sleep(5)
+        at.server.restart(drop=drop)
+        await asyncio.sleep(10)
+        await gripper.write(commands(40.0))
+        await asyncio.sleep(1)
+        assert at.scene.forces == [SCALE.force(85), 0.0, SCALE.force(85), SCALE.force(141)]
+        assert (counted(gripper)["restarts"], counted(gripper)["failures"]) == (1, drop)
+    told = [record.message.split(" ", 1)[1] for record in caplog.records if record.levelno >= logging.WARNING]
+    lost = ["the connection is lost, trying again"] if drop else []
+    back = ["is back"] if drop else []
+    assert told == [*lost, "has restarted: it is activated again", *back]
+
+
+async def test_a_command_that_meets_a_restarted_gripper_is_obeyed_once_it_is_ready() -> None:
+    async with lab() as at, at.gripping(force=15.0) as gripper:
+        await asyncio.sleep(5.05)  # between two looks
+        at.server.restart(drop=False)
+        await gripper.write(commands(30.0))  # sets off the activation
+        await asyncio.sleep(10)
+        assert at.scene.forces == [15.0, 0.0, SCALE.force(85)]
+        assert [each.force for each in at.writes[2:]] == [85, 85]
+        assert counted(gripper)["restarts"] == 1
+
+
+async def test_somebody_who_resets_it_has_it_activated_again() -> None:
+    async with lab() as at, at.gripping(force=20.0) as gripper:
+        await asyncio.sleep(5)
+        at.server.mechanism.fail(RELEASED)
+        await asyncio.sleep(5)
+        at.server.mechanism.restart()
+        await asyncio.sleep(10)
+        assert at.scene.forces == [SCALE.force(28), 0.0, SCALE.force(28)]
+        await gripper.write(commands(20.0))
+
+
+async def test_the_status_counts_once_the_request_is_echoed(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with lab() as at, at.gripping(patience=0.5) as gripper:
+        await asyncio.sleep(1)
+        with monkeypatch.context() as patch:
+            patch.setattr(Mechanism, "ask", taken_by_nobody)
+            await gripper.write(commands(30.0))
+            before = gripper.status
+            await asyncio.sleep(0.4)
+            assert gripper.status is before
+            await asyncio.sleep(0.2)
+            with pytest.raises(EndpointError, match=r"does not take a request within 0.5 s"):
+                await gripper.write(commands(nan))
+        await asyncio.sleep(5)
+        assert gripper.status
+        assert (gripper.status.echo, gripper.status.object_detected) == (255, True)
+
+
+async def test_an_activation_that_takes_too_long_fails() -> None:
+    async with lab(activation=3600.0) as at:
+        loop = asyncio.get_running_loop()
+        gripper, begun = at.gripper(activation=10.0), loop.time()
+        with pytest.raises(EndpointError, match=r"is not ready within 10.0 s"):
+            await gripper.open(at.run)
+        assert 10 < loop.time() - begun < 10.5
+
+
+async def test_a_command_whose_answer_is_missing_counts_as_not_sent() -> None:
+    async with lab() as at:
+        gripper = at.gripper()
+        await gripper.open(at.run)
+        at.server.silence()
+        await gripper.write(commands(20.0))
+        await asyncio.sleep(0.5)
+        assert at.writes[-1].force == 28
+        with pytest.raises(EndpointError, match=r"does not answer within|is not ready"):
+            await gripper.close()

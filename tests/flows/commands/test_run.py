@@ -1,0 +1,154 @@
+"""`slipflow run` as a user meets it: whole processes, exit codes, one-line errors."""
+
+import json
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from tests.command import SLIPFLOW, error, slipflow
+
+HEADER = "t,s1,s2,s3,s4,s5,s6"
+
+
+def trace(folder: Path, *rows: str, header: str = HEADER) -> str:
+    path = folder / "trace.csv"
+    path.write_text("\n".join([header, *rows, ""]))
+    return str(path)
+
+
+def shaking(folder: Path, samples: int = 300) -> str:
+    """A zeroed trace that rests and then shakes."""
+    rows = [
+        f"{k / 100},{','.join(str(-100 - (300 * (k % 3) if k > samples // 2 else 0)) for _ in range(6))}"
+        for k in range(samples)
+    ]
+    return trace(folder, *rows)
+
+
+def test_a_trace_replayed_through_the_live_flow_gives_events(tmp_path: Path) -> None:
+    done = slipflow("run", "live", "--replay", shaking(tmp_path), "--json")
+    assert done.returncode == 0, done.stderr
+    assert "slip onset" in done.stdout
+    [summary] = json.loads(done.stdout.splitlines()[-1])["sessions"]
+    assert summary["sources"]["touch"]["rows"] == 300
+    assert summary["sinks"]["console"]["rows"] > 0
+
+
+def test_a_trace_in_units_that_can_hardly_be_is_replayed_with_a_warning(tmp_path: Path) -> None:
+    fast = tmp_path / "fast.csv"
+    fast.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 1000},1,2,3,4,5,6\n" for k in range(200)))
+    done = slipflow("run", "live", "--set", "detector=psd", "--replay", str(fast))
+    assert done.returncode == 0, done.stderr
+    assert "fast.csv: it comes at 1000 Hz, detectors are made for 100 Hz" in done.stderr
+
+
+def test_a_paced_replay_prints_the_same_events_as_a_full_speed_one(tmp_path: Path) -> None:
+    path = shaking(tmp_path, 120)
+    full = slipflow("run", "live", "--set", "detector=psd", "--replay", path)
+    paced = slipflow("run", "live", "--set", "detector=psd", "--replay", path, "--pace", "4")
+    events = [
+        [line.split("  p ")[0] for line in done.stdout.splitlines() if "slip" in line]
+        for done in (full, paced)
+    ]
+    assert events[0] == events[1] != []
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (["0.00,1,2,3,4,5,6", "0.01,1,2,nan,4,5,6"], "line 3, column s3"),
+        (["0.00,1,2,3,4,5,6", "0.01,1,2,3,inf,5,6"], "line 3, column s4"),
+        (["0.02,1,2,3,4,5,6", "0.01,1,2,3,4,5,6"], "line 3"),
+        (["0.00,1,2,3,4,5,six"], "line 2, column s6"),
+        ([], "has no rows"),
+    ],
+    ids=["nan", "infinity", "backwards", "text", "empty"],
+)
+def test_a_bad_trace_is_one_line_that_names_its_place(tmp_path: Path, rows: list[str], message: str) -> None:
+    path = trace(tmp_path, *rows)
+    line = error("run", "live", "--replay", path)
+    assert line.startswith(path)
+    assert message in line
+
+
+def test_other_bad_input_is_one_line_each(tmp_path: Path) -> None:
+    here = shaking(tmp_path)
+    wrong = tmp_path / "wrong.csv"
+    wrong.write_text("a,b\n1,2\n")
+    broken = tmp_path / "broken.py"
+    broken.write_text("def broken(:\n")
+    assert "no such flow file" in error("run", "nowhere.py")
+    assert "broken.py:1: invalid syntax" in error("run", str(broken))
+    assert "missing.csv" in error("run", "live", "--replay", str(tmp_path / "missing.csv"))
+    assert "wrong.csv" in error("run", "live", "--replay", str(wrong))
+    assert str(tmp_path / "none") in error("run", "live", "--replay", str(tmp_path / "none"))
+    assert "oracle: is no detector: give " in error("check", "live", "--set", "detector=oracle")
+    assert error("check", "live", "--set", "seeds=1").startswith(
+        "live: has no parameter 'seeds'; did you mean 'seed'? It has detector, broker, "
+    )
+    assert "holds no motion stream" in error("run", "record", "--replay", here)
+
+
+def test_an_output_that_cannot_be_written_is_told_before_anything_runs(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    line = error("run", "record", "--set", f"out={tmp_path / 'file'}", "--for", "1s")
+    assert str(tmp_path / "file") in line
+
+
+def test_a_broker_that_is_not_there_is_told(tmp_path: Path) -> None:
+    done = slipflow("run", "live", "--replay", shaking(tmp_path), "--set", "broker=mqtt://127.0.0.1:1")
+    told, line = done.stderr.splitlines()
+    assert "the replay goes to" in told
+    assert (done.returncode, line.startswith("error: mqtt://127.0.0.1:1: cannot connect")) == (2, True)
+
+
+def test_a_live_run_is_one_object_for_a_program() -> None:
+    done = slipflow("run", "live", "--for", "100ms", "--json")
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert list(found) == ["session", "flow", "seconds", "sources", "sinks", "error"]
+    assert (found["flow"], found["error"]) == ("live", None)
+
+
+def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    process = subprocess.Popen(
+        [*SLIPFLOW, "run", "record", "--set", f"out={out}"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+    try:
+        process.communicate(timeout=6)
+    except subprocess.TimeoutExpired:
+        process.send_signal(signal.SIGTERM)
+    text, _ = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert "rows out, 0 dropped" in text
+    [about] = out.glob("sessions/*/session.json")
+    assert json.loads(about.read_text())["complete"] is True
+    samples = pl.read_parquet(f"{out}/sessions/*/samples/*.parquet")
+    assert len(samples) > 100
+    assert samples["label"].is_in([-1, 0, 1]).all()
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 5min or 1h"),
+        ("--pace 2", "--pace, --jobs and further recordings need --replay PATH: without it"),
+        ("--replay x.csv --for 5s", "--for is of live runs and of --pace: a replay ends with its"),
+        ("--replay x.csv y.csv --pace 1", "--pace, --page, --metrics and --log take one recording: leave"),
+        ("--follow", "--follow and --cluster-python need --cluster URL"),
+        ("--cluster http://x", "--cluster needs --replay PATH"),
+        ("--cluster http://x --replay x.csv --page", "--cluster: leave out --pace, --jobs, --page, "),
+        ("--cluster http://x --replay x.csv --jobs 2", "--cluster: leave out --pace, --jobs, --page, "),
+        ("--set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
+        ("--set =1", "--set : write it as NAME=VALUE"),
+    ],
+)
+def test_options_that_do_not_go_together_are_one_line(words: str, line: str) -> None:
+    assert error("run", "live", *words.split()).startswith(line)

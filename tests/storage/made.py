@@ -1,0 +1,155 @@
+"""Runs, batches and sessions to test with."""
+
+import asyncio
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.batch import (
+    EVERY,
+    AnyBatch,
+    Batch,
+    Clocks,
+    Labelled,
+    Motion,
+    Slips,
+    Touch,
+    columns,
+    concat,
+    ms,
+    s,
+)
+from operators.ports import Description, Run
+from storage import Dataset, Session
+from storage.layout import TABLE_OF
+from storage.writer import SessionWriter
+
+STREAMS: list[tuple[type[Batch], int]] = [(Touch, 0), (Touch, 1), (Motion, -1), (Labelled, 0), (Slips, 0)]
+
+
+class StoppedClock:
+    """A minute after the run began."""
+
+    def now(self) -> int:
+        return 1_700_000_060 * s
+
+    async def sleep_until(self, time: int) -> None:
+        raise AssertionError(time)
+
+
+def new_run(
+    session: str = "one", describe: Mapping[str, Description] | None = None, *, live: bool = True
+) -> Run:
+    """A run of the flow `slip`."""
+    start = 1_700_000_000 * s + 5
+    return Run(session, "slip", StoppedClock(), start, live=live, describe=dict(describe or {}))
+
+
+def new_batch(
+    kind: type[AnyBatch], rows: int = 5, *, start: int = 0, finger: int = 0, seed: int = 0
+) -> AnyBatch:
+    """Rows 10 ms apart whose other columns are random bits: every NaN and every extreme occurs."""
+    random = np.random.default_rng(seed)
+    values: list[Any] = [start + np.arange(rows) * 10 * ms]
+    for column in list(columns(kind).values())[1:]:
+        shape = (rows, *column.shape)
+        if column.dtype == np.bool_:
+            values.append(random.random(shape) < 0.5)
+        else:
+            bits = random.bytes(int(np.prod(shape)) * column.dtype.itemsize)
+            values.append(np.frombuffer(bits, column.dtype).reshape(shape).copy())
+    return kind(*values, finger=EVERY if issubclass(kind, Motion | Clocks) else finger)
+
+
+def new_samples(time: Sequence[int] | NDArray[Any], finger: int = 0) -> Labelled:
+    """Samples at given instants whose values tell their place; the arm's motion is known."""
+    row = np.arange(len(time))
+    counts = (np.arange(6) + 10 * row[:, None] + 1000 * finger).astype(np.int16)
+    wide = row[:, None] + np.arange(6) / 8
+    there = np.ones(len(time), np.bool_)
+    return Labelled(
+        np.asarray(time, np.int64),
+        counts,
+        np.full_like(counts, -1),
+        np.ones(counts.shape, np.bool_),
+        wide,
+        np.full((len(time), 6), np.nan),
+        there,
+        wide[:, 0],
+        (row % 3 - 1).astype(np.int8),
+        finger=finger,
+    )
+
+
+def record(
+    root: Path, batches: Sequence[Any], session: str = "one", episodes: Sequence[Mapping[str, Any]] = ()
+) -> Session:
+    """Write batches as a session of a dataset, in parts of 20 rows, and open it."""
+
+    async def main() -> None:
+        sink = Dataset(root, part_rows=20)
+        await sink.open(new_run(session, {"touch": {"episodes": [dict(each) for each in episodes]}}))
+        for batch in batches:
+            await sink.write(batch)
+        await sink.close()
+
+    asyncio.run(main())
+    return Session.open(root / "sessions" / session)
+
+
+def same(left: Batch, right: Batch) -> None:
+    """One is the other, bit for bit."""
+    assert type(left) is type(right)
+    assert left.finger == right.finger
+    for each in columns(type(left)):
+        one, other = getattr(left, each), getattr(right, each)
+        assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes())
+
+
+def side_by_side(turns: int, streams: Sequence[tuple[type[Batch], int]] = STREAMS) -> list[Batch]:
+    """Several streams, 5 rows and 50 ms at a time."""
+    return [
+        new_batch(kind, 5, start=turn * 50 * ms, finger=finger, seed=100 * turn + number)
+        for turn in range(turns)
+        for number, (kind, finger) in enumerate(streams)
+    ]
+
+
+def write(root: Path, run: Run, batches: Sequence[Batch]) -> SessionWriter:
+    """Record: of 250 ms that is two parts of each table, and 5 rows (10 of two fingertips) in the journal."""
+    writer = SessionWriter(root, run, part_span=100 * ms, part_rows=1000)
+    for batch in batches:
+        if writer.full(batch):
+            writer.commit()
+        if not writer.add(batch):
+            writer.append(batch)
+    return writer
+
+
+def leave(root: Path, run: Run, batches: Sequence[Batch]) -> Path:
+    """The same, and be gone without closing the session."""
+    return write(root, run, batches).folder
+
+
+def two_sessions(root: Path, batches: Sequence[Batch]) -> Path:
+    """A dataset of the sessions one, of all the batches, and two, of the first five."""
+    write(root, new_run(describe={"rig": {"episodes": [{"start": 0, "end": 9}]}}), batches).close()
+    write(root, new_run("two"), batches[:5]).close()
+    return root
+
+
+def rows(
+    folder: Path, batches: Sequence[Batch], streams: Sequence[tuple[type[Batch], int]] = STREAMS
+) -> list[int]:
+    """How many there are of each stream, once it is sure that they are its beginning, bit for bit."""
+    session, counts = Session.open(folder), list[int]()
+    for kind, finger in streams:
+        found = concat(kind, list(session.read(kind, finger)))
+        written = concat(kind, [batch for batch in batches if type(batch) is kind and batch.finger == finger])
+        for name in TABLE_OF[kind].columns:
+            assert getattr(found, name).tobytes() == getattr(written, name)[: len(found)].tobytes()
+        counts.append(len(found))
+    return counts

@@ -1,0 +1,296 @@
+from pathlib import Path
+from shutil import copyfile, copytree, rmtree
+
+import pytest
+
+from operators.batch import Slips, Touch, Zeroed, concat, ms
+from operators.errors import InputError
+from storage import Session, frames, recover, verify
+from storage.frames import read_segment
+from storage.layout import TOUCH, segments, single_log
+from storage.manifest import read_manifest, write_manifest
+from storage.parts import read_part, write_part
+from storage.schema import schema
+from tests.storage.made import leave, new_batch, new_run, rows, side_by_side
+
+BATCHES = side_by_side(5)
+
+
+@pytest.fixture
+def left(tmp_path: Path) -> Path:
+    return leave(tmp_path / "data", new_run(), BATCHES)
+
+
+def test_a_part_that_was_not_listed_yet_is_listed_and_its_rows_are_there_once(
+    left: Path, tmp_path: Path
+) -> None:
+    whole = tmp_path / "whole"
+    copytree(left, whole)
+    recover(whole)
+    for name in ("touch/part-000002.parquet", "slips.parquet"):
+        (left / name).write_bytes((whole / name).read_bytes())
+    done = recover(left)
+    assert done.adopted == ("touch/part-000002.parquet", "slips.parquet")
+    assert done.rows == {"touch": 10, "motion": 5, "samples": 5, "slips": 25}
+    assert rows(left, BATCHES) == [25] * 5
+
+
+@pytest.mark.parametrize("damage", ["lost", "flipped"])
+def test_a_manifest_that_is_gone_is_made_again_from_whole_parts(left: Path, damage: str) -> None:
+    path = left / "MANIFEST.json"
+    listed = read_manifest(left)
+    if damage == "lost":
+        path.unlink()
+    else:
+        text = path.read_text().replace('"rows": 20', '"rows": 21', 1)
+        assert text != path.read_text()
+        path.write_text(text)
+    assert set(recover(left).adopted) == set(listed)
+    assert {name: read_manifest(left)[name] for name in listed} == listed
+    assert rows(left, BATCHES) == [25] * 5
+
+
+def test_with_manifest_and_a_part_damaged_nothing_is_joined_that_may_not_follow(left: Path) -> None:
+    (left / "MANIFEST.json").unlink()
+    (left / "touch/part-000000.parquet").write_bytes(b"gone")
+    done = recover(left)
+    assert not done.complete
+    assert "touch" in done.lost[0]
+    assert "touch: 10 rows that do not follow on row" in done.lost[1]
+    assert (left / "damaged/touch-part-000000.parquet").read_bytes() == b"gone"
+    assert list((left / "damaged").glob("*.wal"))
+    session = Session.open(left)
+    found = concat(Touch, list(session.read(Touch, 0)))
+    assert found.time.tolist() == [n * 10 * ms for n in range(10, 20)]
+    assert len(session.frame("motion")) == 25
+
+
+def test_damage_in_the_middle_ends_the_tables_there_and_what_is_behind_it_is_kept_aside(left: Path) -> None:
+    [path] = segments(left).values()
+    data = bytearray(path.read_bytes())
+    frame = data.rindex(b"SLIP", 0, data.rindex(b"SLIP"))  # the last but one
+    data[frame + 20] ^= 4
+    path.write_bytes(data)
+    done = recover(left)
+    assert not done.complete
+    assert "whole frames are behind it" in done.lost[0]
+    assert (left / "damaged" / f"journal-{path.name}").read_bytes() == data
+    counts = rows(left, BATCHES)
+    assert [20] * 4 <= counts < [25] * 5
+    assert verify(left).worst == "lost"
+    assert not recover(left).changed
+    assert verify(left).worst == "lost"
+
+
+@pytest.mark.parametrize("manifest", ["whole", "gone"])
+def test_a_copy_of_a_part_is_put_aside_and_told_of(left: Path, manifest: str) -> None:
+    recover(left)
+    copyfile(left / "touch/part-000000.parquet", left / "touch/part-000007.parquet")
+    if manifest == "gone":
+        (left / "touch/part-000007.parquet").rename(left / "touch/part-000003.parquet")
+        (left / "MANIFEST.json").unlink()
+    done = recover(left)
+    assert "is a copy of touch/part-000000.parquet" in done.done[0]
+    assert done.changed
+    assert rows(left, BATCHES) == [25] * 5
+    assert [path.name[:10] for path in (left / "damaged").iterdir()] == ["touch-part"]
+    assert verify(left).worst == "repaired"
+    assert not recover(left).changed
+
+
+def test_rows_that_are_there_already_in_other_words_are_put_aside(left: Path) -> None:
+    recover(left)
+    again = read_part(left / "touch/part-000002.parquet", schema(TOUCH)).slice(2)
+    write_part(left / "touch/part-000003.parquet", again)
+    assert len(Session.open(left).frame("touch")) == 50
+    [told] = recover(left).done
+    assert "part-000003.parquet: has rows of the same time as touch/part-000002.parquet" in told
+    assert rows(left, BATCHES) == [25] * 5
+
+
+def test_fingertips_may_share_the_time_of_another_part(tmp_path: Path) -> None:
+    folder = leave(tmp_path, new_run(), [new_batch(Touch, finger=finger) for finger in (0, 1)])
+    recover(folder)
+    whole = read_part(folder / "touch/part-000000.parquet", schema(TOUCH))
+    write_part(folder / "touch/part-000000.parquet", whole.slice(0, 5))
+    write_part(folder / "touch/part-000001.parquet", whole.slice(5))
+    (folder / "MANIFEST.json").unlink()
+    assert recover(folder).adopted == ("touch/part-000000.parquet", "touch/part-000001.parquet")
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_damaged_manifest_still_tells_of_a_part_that_is_gone_with_it(left: Path, number: int) -> None:
+    recover(left)
+    (left / f"touch/part-00000{number}.parquet").unlink()
+    path = left / "MANIFEST.json"
+    path.write_text(path.read_text().replace('"rows": 20', '"rows": 21'))
+    damaged = path.read_bytes()
+    done = recover(left)
+    assert f"touch/part-00000{number}.parquet: is gone: 2" in done.lost[0]
+    assert (left / "damaged/MANIFEST.json").read_bytes() == damaged
+    for _ in range(2):
+        assert verify(left).worst == "lost"
+        assert not recover(left).changed
+
+
+def test_a_part_that_is_gone_with_the_manifest_is_missed_by_its_number(left: Path) -> None:
+    recover(left)
+    for name in ("touch/part-000001.parquet", "MANIFEST.json"):
+        (left / name).unlink()
+    before = verify(left)
+    assert before.code == 1
+    assert "touch/part-000001.parquet: is gone" in " ".join(each.text for each in before.findings)
+    assert recover(left).lost == ("touch/part-000001.parquet: is gone, and no manifest tells of it",)
+    found = [each.text for each in verify(left).findings if each.weight == "lost"]
+    assert found == [
+        "lost before it was recovered: touch/part-000001.parquet: is gone, and no manifest tells of it"
+    ]
+
+
+def test_a_segment_that_is_gone_is_lost(left: Path) -> None:
+    [path] = segments(left).values()
+    later = path.with_name(f"{int(path.stem) + 2:06d}.wal")
+    about = frames.describe("one", int(later.stem))
+    salt = frames.new_salt()
+    later.write_bytes(salt + frames.seal(about, salt, len(salt)))
+    name = f"journal/{int(path.stem) + 1:06d}.wal: is gone"
+    assert verify(left).worst == "lost"
+    assert name in recover(left).lost[0]
+    assert rows(left, BATCHES) == [25] * 5
+    assert verify(left).worst == "lost"
+
+
+def test_a_journal_without_segments_is_lost_once_rows_were_committed(left: Path) -> None:
+    for path in segments(left).values():
+        path.unlink()
+    assert verify(left).worst == "lost"
+    assert "has no segment" in recover(left).lost[0]
+    assert verify(left).worst == "lost"
+    assert not (left / "journal").exists()
+
+
+def test_a_session_that_lost_its_journal_is_told_to_be_cut_off(left: Path) -> None:
+    rmtree(left / "journal")
+    done = recover(left)
+    assert done.cut == done.lost
+    assert "has no journal" in done.lost[0]
+    assert verify(left).worst == "lossy"
+
+
+def test_whatever_is_changed_is_told(left: Path) -> None:
+    recover(left)
+    (left / "MANIFEST.json.tmp").write_text("half")
+    assert recover(left).done == ("1 files that were never whole were deleted",)
+    (left / "journal").mkdir()
+    assert "its journal was put away" in recover(left).done[0]
+    assert not recover(left).changed
+
+
+def test_rows_that_do_not_follow_are_left_out(left: Path) -> None:
+    listed = read_manifest(left)
+    del listed["motion/part-000001.parquet"]
+    (left / "motion/part-000001.parquet").unlink()
+    write_manifest(left, listed.values())
+    done = recover(left)
+    assert done.lost == ("motion: 5 rows that do not follow on row 10",)
+    assert rows(left, BATCHES) == [25, 25, 10, 25, 25]
+
+
+def test_a_cut_off_end_costs_its_own_rows_only(left: Path) -> None:
+    [path] = segments(left).values()
+    data = path.read_bytes()
+    segment = read_segment(data, "", "one", int(path.stem))
+    while len(read_segment(data, "", "one", int(path.stem)).rows) == len(segment.rows):
+        data = data[:-1]
+    path.write_bytes(data)
+    assert verify(left).worst == "lossy"
+    done = recover(left)
+    assert "there the recorder was cut off" in done.lost[0]
+    assert done.cut == done.lost
+    assert rows(left, BATCHES) == [25, 25, 25, 20, 25]
+    assert not (left / "damaged").exists()
+    assert verify(left).worst == "lossy"
+
+
+def test_zeroed_counts_are_said_to_be_zeroed(tmp_path: Path) -> None:
+    session = Session.open(leave(tmp_path, new_run(), [new_batch(Zeroed)]))
+    assert session.about["zeroed"] is True
+    assert [type(batch) for batch in session.read(Touch, 0)] == [Zeroed]
+
+
+def test_leftovers_go_and_nothing_outside_is_touched(left: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.tmp").write_text("mine")
+    (left / "touch/part-000009.parquet.tmp").write_text("half")
+    (left / "MANIFEST.json.tmp").symlink_to(tmp_path / "mine.tmp")
+    recover(left)
+    assert list(left.rglob("*.tmp")) == []
+    assert (tmp_path / "mine.tmp").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "refused"),
+    [("journal/000007.wal", True), ("slips.parquet", True), ("touch", True), ("faults.parquet", False)],
+)
+def test_a_link_out_of_the_session_is_not_followed(
+    left: Path, tmp_path: Path, name: str, *, refused: bool
+) -> None:
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "part-000009.parquet").write_text("mine")
+    if name == "touch":
+        (left / name).rename(tmp_path / "aside")
+    (left / name).symlink_to(mine if name == "touch" else mine / "part-000009.parquet")
+    if refused:
+        with pytest.raises(InputError, match="leads out of"):
+            recover(left)
+    else:
+        assert "leads out of" in " ".join(recover(left).lost)
+    assert [path.read_text() for path in mine.iterdir()] == ["mine"]
+
+
+@pytest.mark.parametrize("seed", range(300))
+def test_a_flipped_bit_in_the_journal_never_gives_a_wrong_row(
+    left_whole: Path, tmp_path: Path, seed: int
+) -> None:
+    folder = tmp_path / "one"
+    copytree(left_whole, folder)
+    [path] = segments(folder).values()
+    data = bytearray(path.read_bytes())
+    place = seed * len(data) // 300
+    data[place] ^= 1 << seed % 8
+    path.write_bytes(data)
+    assert not recover(folder).complete
+    assert rows(folder, BATCHES) >= [20, 20, 20, 20, 0]
+
+
+@pytest.fixture(scope="module")
+def left_whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return leave(tmp_path_factory.mktemp("data"), new_run(), BATCHES)
+
+
+def test_a_log_of_single_files_that_is_gone_is_told_of(left: Path) -> None:
+    single_log(left).unlink()
+    assert verify(left).worst == "lost"
+    assert "journal/single.wal: is gone, with the rows that it held" in recover(left).lost
+    assert rows(left, BATCHES) == [25, 25, 25, 25, 0]
+
+
+def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(tmp_path: Path) -> None:
+    run = new_run()
+    run.wired = {str(tmp_path): (Touch, Slips)}
+    folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
+    assert recover(folder).lost == ()
+    session = Session.open(folder)
+    assert session.tables == ("touch", "slips")
+    assert len(session.frame("slips")) == 0
+    assert session.about["end_ns"] == int(BATCHES[-1].time[-1])
+    assert not recover(folder).changed
+
+
+def test_slips_that_may_have_been_lost_are_not_said_to_be_none(tmp_path: Path) -> None:
+    run = new_run()
+    run.wired = {str(tmp_path): (Touch, Slips)}
+    folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
+    single_log(folder).unlink()
+    assert "single.wal: is gone" in " ".join(recover(folder).lost)
+    assert Session.open(folder).tables == ("touch",)
