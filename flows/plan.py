@@ -137,6 +137,9 @@ class Plan:
 
         Returns:
             What the sinks are to take, in order.
+
+        Raises:
+            BatchError: if an operator gives something else than it declares.
         """
         values: list[Batch | None] = [None] * len(self._stages)
         deliveries: list[Delivery] = []

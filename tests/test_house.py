@@ -102,12 +102,12 @@ def untold(tree: ast.Module) -> Iterator[str]:
             )
 
 
-@pytest.mark.parametrize("folder", ["operators", "connectors", "storage"])
+@pytest.mark.parametrize("folder", FOLDERS)
 def test_what_is_public_says_which_errors_it_raises(folder: str) -> None:
     found = {
         path.relative_to(ROOT).as_posix(): list(untold(ast.parse(path.read_text())))
         for path in MODULES
-        if path.is_relative_to(ROOT / folder)
+        if path.is_relative_to(ROOT / folder) and path.parent.name != "commands"  # their docstring is --help
     }
     assert {path: names for path, names in found.items() if names} == {}
 

@@ -19,6 +19,9 @@ class Hand:
     A Robotiq 3-finger gripper grips with 15 N at least, ten times what holds these objects in this
     scene. So the hand here is one of its kind for small forces: the same 255 steps, refresh and delay over
     another span. Like that one it locks: asked for less, it stays as it is, until it opens.
+
+    Raises:
+        ParameterError: on a value that cannot be used.
     """
 
     sensing: float = 0.007  # s, conversion's start to event: 3 ms of it convert, 4 read (100 kHz bus)

@@ -32,7 +32,11 @@ class Nature:
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What every trial of an experiment shares."""
+    """What every trial of an experiment shares.
+
+    Raises:
+        ParameterError: on a value that cannot be used.
+    """
 
     hand: Hand = field(default_factory=Hand)
     nature: Nature = field(default_factory=Nature)

@@ -32,6 +32,9 @@ class Recipe:
 
     >>> Recipe().receptive_field
     100
+
+    Raises:
+        ParameterError: on a value that cannot be used.
     """
 
     filters: int = 16

@@ -35,6 +35,10 @@ def lift(  # noqa: PLR0917 - a flow's parameters are given by name
     force is given it is half of what would hold it. With hardware, `bus` is the I2C bus of a fingertip and
     `gripper` the address of a Robotiq 3-finger gripper, which cannot grip with less than 15 N; somebody else
     moves the arm. The hand must be open for the first second.
+
+    Raises:
+        InputError: if only one of bus and gripper is given.
+        ParameterError: on a value that cannot be used.
     """
     flow = Flow("lift")
     source: Source[Touch]
