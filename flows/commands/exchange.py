@@ -160,7 +160,7 @@ def _sessions(dataset: Path) -> "list[Session]":
 
 
 def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) -> tuple[dict[str, Any], str]:
-    from storage.lerobot import export as write
+    from storage.exports.lerobot import export as write
 
     with progress_bar("exporting") as update:
         done = write(
@@ -189,7 +189,8 @@ def _lerobot(sessions: "list[Session]", out: Path, rate: int, task: str | None) 
 
 def _files(sessions: "list[Session]", out: Path, to: str, detector: str | None) -> tuple[dict[str, Any], str]:
     """Write a file for each session, in the format that its ending names."""
-    from storage import load_detector, mcap_file, rrd_file
+    from storage import load_detector
+    from storage.exports import mcap_file, rrd_file
 
     judge = None if detector is None else load_detector(detector)
     found, single = dict[str, Any](), len(sessions) == 1 and out.suffix == f".{to}"

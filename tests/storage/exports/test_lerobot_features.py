@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from operators.batch import s
-from storage.grid import Frames, Holdings
-from storage.lerobot_features import doing, features, values
+from storage.exports.grid import Frames, Holdings
+from storage.exports.lerobot_features import doing, features, values
 
 
 def some(count: int, fingers: int = 1) -> Frames:

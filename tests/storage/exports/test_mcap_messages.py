@@ -9,8 +9,8 @@ from jsonschema import Draft202012Validator
 
 from operators.batch import EVERY, Clocks, Motion, Slips, Zeroed, s
 from operators.errors import InputError
+from storage.exports.mcap_messages import episode_message, episode_schema, messages, schema, topic
 from storage.layout import CLOCKS, MOTION, SLIPS, TABLES, TOUCH, Table
-from storage.mcap_messages import episode_message, episode_schema, messages, schema, topic
 from tests.storage.made import new_batch
 
 SIMPLE = {"object", "array", "number", "integer", "boolean", "string"}

@@ -10,7 +10,7 @@
 
 A session becomes one episode, since it goes from rest to rest and slip is told by what came before; what the
 arm does meanwhile is the task of each frame. Where samples are missing the session is cut, see
-`storage.grid`. Frames are ``1 / rate`` apart, counted from the begin of their episode; the columns
+`storage.exports.grid`. Frames are ``1 / rate`` apart, counted from the begin of their episode; the columns
 ``slipflow/session`` and ``slipflow/start_ns`` of the episodes say which recording they are of, and when.
 """
 
@@ -24,10 +24,18 @@ import numpy as np
 
 from operators.errors import InputError, ParameterError
 from operators.ports import Description
+from storage.exports.grid import Holdings, frames, holdings
+from storage.exports.lerobot_features import doing, features, values
+from storage.exports.lerobot_files import (
+    CHUNK,
+    DATA,
+    MAX_MB,
+    DataFiles,
+    statistics,
+    write_episodes,
+    write_tasks,
+)
 from storage.files import put_json
-from storage.grid import Holdings, frames, holdings
-from storage.lerobot_features import doing, features, values
-from storage.lerobot_files import CHUNK, DATA, MAX_MB, DataFiles, statistics, write_episodes, write_tasks
 from storage.partial import partial_folder
 from storage.session import Session
 

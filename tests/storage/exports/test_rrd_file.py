@@ -12,8 +12,9 @@ from operators.batch import Faults, Labelled, Motion, Slips, Touch, Zeroed, s
 from operators.errors import EndpointError, InputError
 from operators.score import Score
 from operators.zero import Zero
-from storage import load_detector, rrd_file
-from storage.rrd_file import export
+from storage import load_detector
+from storage.exports import rrd_file
+from storage.exports.rrd_file import export
 from tests.storage.made import new_batch, record
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from operators.batch import EVERY, Motion, Touch, ms
 from operators.errors import InputError
-from storage.grid import Holdings, frames, holdings
+from storage.exports.grid import Holdings, frames, holdings
 from tests.storage.made import new_batch, new_samples, record
 
 MOVED = Holdings((0,), velocity=True, pose=False)

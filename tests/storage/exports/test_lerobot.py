@@ -12,7 +12,7 @@ import pytest
 from operators.batch import EVERY, Motion, ms
 from operators.errors import EndpointError, InputError, ParameterError
 from storage import Session
-from storage.lerobot import export
+from storage.exports.lerobot import export
 from tests.storage.made import new_samples, record
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
-from storage.lerobot_files import CHUNK, DATA, DataFiles, statistics, write_tasks
+from storage.exports.lerobot_files import CHUNK, DATA, DataFiles, statistics, write_tasks
 
 FEATURES: Any = {"x": {"dtype": "float32", "shape": [2]}, "index": {"dtype": "int64", "shape": [1]}}
 
@@ -47,7 +47,7 @@ def test_an_episode_is_one_group_of_rows(tmp_path: Path) -> None:
 
 def test_a_folder_holds_so_many_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert CHUNK == 1000
-    monkeypatch.setattr("storage.lerobot_files.CHUNK", 2)
+    monkeypatch.setattr("storage.exports.lerobot_files.CHUNK", 2)
     with DataFiles(tmp_path, FEATURES, max_bytes=1) as data:
         assert [data.write(values(1, k)) for k in range(5)] == [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0)]
     assert (tmp_path / DATA.format(chunk_index=2, file_index=0)).exists()

@@ -12,7 +12,7 @@ from typing import Any, Final, TypeAlias
 
 from operators.batch import Batch
 from operators.errors import InputError
-from storage import mcap_messages
+from storage.exports import mcap_messages
 from storage.layout import TABLES, Table
 from storage.partial import partial_file
 from storage.session import Session

@@ -13,10 +13,11 @@ from jsonschema import Draft202012Validator
 
 from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, ms, s
 from operators.errors import EndpointError, InputError
-from storage import Session, mcap_file
+from storage import Session
+from storage.exports import mcap_file
+from storage.exports.mcap_file import export
+from storage.exports.mcap_messages import topic
 from storage.layout import TABLE_OF
-from storage.mcap_file import export
-from storage.mcap_messages import topic
 from tests.storage.made import new_batch, record
 
 pytest.importorskip("mcap", reason="needs the extra `mcap`")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS
 from operators.ports import Description
-from storage.grid import Frames, Holdings
+from storage.exports.grid import Frames, Holdings
 
 STATE: Final = "observation.state"  # zeroed counts of all fingertips
 POSE: Final = "observation.pose"  # of the TCP
