@@ -225,6 +225,7 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
                 if stage.operator is not None:
                     name = type(stage.operator).__name__
                     vars(stage.operator)["push"] = spent.timed(name, cast("Any", stage.operator).push)
+                    stage.resume(stage.operator)  # it looks push up once
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
         first = Used.now(spent)
