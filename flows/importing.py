@@ -19,7 +19,6 @@ from operators.batch import SLIP, STATIC, UNKNOWN, Labelled, Motion, Touch, s
 from operators.errors import InputError
 from operators.ports import Run
 from storage import Dataset
-from storage.layout import DATASET
 
 _STRANGE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _LABELS: Final = {"slip": SLIP, "static": STATIC, "unknown": UNKNOWN}
@@ -117,10 +116,8 @@ class Import:
         Raises:
             EndpointError: if the dataset cannot be written to, or has a session of that name.
             ParameterError: if the session's name is no file name.
-            InputError: if the folder is no dataset but holds files, or its description is not as it must be.
+            InputError: if the folder holds files and is no dataset, or its description is not as it must be.
         """
-        if self._out.is_dir() and any(self._out.iterdir()) and not (self._out / DATASET).exists():
-            raise InputError(str(self._out), "holds other files and is no dataset: give a folder of its own")
         runner = ReplayRunner(self.flow(), self.trace, self.session)
         return await runner.execute(lambda run: progress(run.sources["touch"].rows))
 

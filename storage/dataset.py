@@ -67,7 +67,8 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
         Raises:
             EndpointError: if the folder cannot be written to, or has a session of that name.
             ParameterError: if the session's name is no file name.
-            InputError: if dataset.json or a source's description is not as it must be.
+            InputError: if dataset.json or a source's description is not as it must be, or the folder holds
+                other files and is no dataset.
         """
         self._writer = await asyncio.to_thread(self._begin, run)
 

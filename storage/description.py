@@ -14,7 +14,7 @@ from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Description, Run
 from storage import files
-from storage.layout import DATASET, SESSION, TABLES, Table
+from storage.layout import DATASET, SESSION, SESSIONS, TABLES, Table
 from storage.lock import lock
 
 VERSION: Final = 1  # of the layout
@@ -24,7 +24,7 @@ def describe_dataset(root: Path) -> None:
     """Write dataset.json if there is none; of several processes that begin a dataset, one does.
 
     Raises:
-        InputError: if there is one of another version.
+        InputError: if there is one of another version, or there is none among files that are no dataset's.
         OSError: if it cannot be written.
     """
     path = root / DATASET
@@ -32,6 +32,10 @@ def describe_dataset(root: Path) -> None:
         held = lock(root, wait=True)
         try:
             if not path.exists():
+                if any(not each.name.startswith((".", DATASET, SESSIONS)) for each in root.iterdir()):
+                    raise InputError(
+                        str(root), "holds other files and is no dataset: give a folder of its own"
+                    )
                 files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
         finally:
             if held is not None:

@@ -43,7 +43,8 @@ class SessionWriter:
         Raises:
             EndpointError: if the dataset cannot be written to, or has a session of that name.
             ParameterError: if the session's name is no file name.
-            InputError: if dataset.json or a source's description is not as it must be.
+            InputError: if dataset.json or a source's description is not as it must be, or the folder holds
+                other files and is no dataset.
         """
         self.folder = session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
