@@ -1,18 +1,18 @@
 """Connectors carry batches between flows and the world; what they import heavily is imported on first use."""
 
 from connectors.console import Console
-from connectors.csv.trace import CsvTrace
 from connectors.events import Event
-from connectors.gripper.gripper import Gripper
-from connectors.metrics.metrics import Metrics
+from connectors.files.csv_trace import CsvTrace
+from connectors.gripper.gripper_sink import Gripper
 from connectors.mqtt.consumer import Consumer
-from connectors.mqtt.mqtt import Mqtt
+from connectors.mqtt.mqtt_sink import Mqtt
 from connectors.mqtt.signal import MqttSignal
-from connectors.page.page import Page
 from connectors.replay import Replay
-from connectors.rig.rig import Rig
-from connectors.takktile.takktile import TakkTile
-from connectors.ur.motion import UrMotion
+from connectors.sim.simulated_rig import Rig
+from connectors.takktile.takktile_source import TakkTile
+from connectors.ur.ur_motion import UrMotion
+from connectors.web.live_page import Page
+from connectors.web.metrics import Metrics
 
 __all__ = [
     "Console",

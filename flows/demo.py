@@ -9,8 +9,8 @@ import numpy as np
 
 from connectors import Console, Mqtt, Rig
 from flows.graph import Flow
-from flows.onsets import match_onsets
-from flows.ready_made.record import ARM_LATENCY, declare_recording
+from flows.learn.onsets import match_onsets
+from flows.record import ARM_LATENCY, declare_recording
 from operators import SLIP, Debounce, Label, Run, Score, Sink, Slips, ms
 from storage import Dataset, identify_detector, load_debounce, load_detector
 

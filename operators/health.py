@@ -8,7 +8,7 @@ import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
 from operators.errors import ParameterError
-from operators.hold import hold
+from operators.forward_fill import hold
 from operators.operator import Operator
 from operators.tail import Tail
 

@@ -8,7 +8,7 @@ import numpy as np
 from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed, maker
 from operators.detectors.detector import Detector, Stream, Streaming
 from operators.errors import ParameterError
-from operators.hold import hold
+from operators.forward_fill import hold
 from operators.operator import Operator
 from operators.window import Window
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from connectors.mqtt.link import Link
-from connectors.mqtt.testing import TestBroker
-from flows.testing import run_virtually
+from connectors.mqtt.broker_link import Link
+from flows.graph.testing import run_virtually
 from operators.ports import Run
+from tests.connectors.mqtt.broker_process import TestBroker
 
 LIMIT = 120.0  # s, after which a coroutine hangs
 

@@ -11,9 +11,9 @@ from typing import Any
 import pytest
 import typer.main
 
-from flows.commands.main import app
-from flows.diagram import svg
-from flows.loading import load
+from flows.cli.main import app
+from flows.graph.diagram import svg
+from flows.graph.loading import load
 from tests.pages import PAGES, ROOT, blocks, commands, spoken
 
 RUN = ["tutorial.md", "extending.md", "dataset.md", "mqtt.md"]

@@ -11,8 +11,8 @@ import pyarrow as pa
 import pytest
 
 from flows.graph import Flow
-from flows.running.live_runner import LiveRunner
-from flows.testing import TestSource
+from flows.graph.testing import TestSource
+from flows.run.live_runner import LiveRunner
 from operators import Slips
 from operators.health import FaultKind
 from storage import Dataset

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.running.clock import LoopClock
+from flows.run.clocks import LoopClock
 from operators import Batch, EndpointError, Run, Sink, Slips, Source, Touch
 from operators.detectors import Detector
 from tests.operators import conftest, test_conformance

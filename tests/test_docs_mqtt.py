@@ -18,9 +18,9 @@ from jsonschema import Draft202012Validator
 from connectors import Consumer, Event, Mqtt, MqttSignal
 from connectors.events import encode
 from connectors.mqtt.gap_request import GapAnswer, GapRequest
-from connectors.mqtt.testing import Received, TestBroker, TestListener, until
 from operators.batch import Scores, Slips, ms
 from operators.ports import Run
+from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener, until
 from tests.pages import ROOT, block, commands, table
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]

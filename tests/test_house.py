@@ -136,7 +136,7 @@ def test_operators_import_without_anything_heavy() -> None:
 
 def test_help_imports_nothing_heavy() -> None:
     heavy = ("numpy", "scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba")
-    code = f"import flows.commands.main, sys; print([m for m in {heavy!r} if m in sys.modules])"
+    code = f"import flows.cli.main, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -5,7 +5,7 @@ import logging
 from dataclasses import dataclass, field, replace
 from math import inf
 
-from connectors.gripper.link import GripperLink
+from connectors.gripper.modbus_link import GripperLink
 from connectors.gripper.robotiq import Phase, Request, Status
 from operators.errors import EndpointError
 

@@ -102,7 +102,7 @@ class Request:
         release: They are to open slowly, whatever else is asked; then it must be reset [rATR].
         position: 0 open to 255 closed [rPRA].
         speed: 0 slowest to 255 fastest [rSPA].
-        force: 0 weakest to 255 strongest, see `connectors.gripper.force.ForceScale` [rFRA].
+        force: 0 weakest to 255 strongest, see `connectors.gripper.grip_force.ForceScale` [rFRA].
 
     >>> Request(active=True).encode().hex(" ")
     '01 00 00 00 00 00'

@@ -20,7 +20,7 @@ from connectors.mqtt.replay_name import is_replay
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
 
 if TYPE_CHECKING:
-    from connectors.mqtt.link import Link
+    from connectors.mqtt.broker_link import Link
 
 log = logging.getLogger("slipflow")
 
@@ -212,7 +212,7 @@ class Consumer(AsyncIterator[Event]):
         return self._link
 
     async def _connect(self) -> None:
-        from connectors.mqtt.link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+        from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
         link = await connect(self._broker, f"slipflow-{self._reply}")
         try:  # heads come last: an event before its head is no gap

@@ -9,7 +9,7 @@ from connectors.mqtt.message import Message
 from operators.errors import EndpointError
 
 if TYPE_CHECKING:
-    from connectors.mqtt.link import Link
+    from connectors.mqtt.broker_link import Link
 
 __all__ = ["Message", "Publisher"]
 
@@ -29,7 +29,7 @@ class Publisher:
             EndpointError: if the broker is unreachable or refuses.
         """
         if not (self._link and self._link.alive):
-            from connectors.mqtt.link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+            from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
             self._link = await connect(self._broker, self._identifier)
         while messages:

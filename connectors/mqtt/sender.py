@@ -16,7 +16,7 @@ from connectors.mqtt.outbox_file import Entry
 from operators.errors import EndpointError
 
 if TYPE_CHECKING:
-    from connectors.mqtt.link import Link
+    from connectors.mqtt.broker_link import Link
 
 log = logging.getLogger("slipflow")
 
@@ -130,7 +130,7 @@ class Sender:
             retry = min(2 * retry, LAST_RETRY)
 
     async def _connect(self, *, first: bool = False) -> None:
-        from connectors.mqtt.link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
+        from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
         self._link = link = await connect(self._broker, self._identifier, self._will)
         link.on_lost(self._wake.set)

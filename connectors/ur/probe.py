@@ -6,7 +6,7 @@ from math import hypot, isnan
 from typing import Final
 
 from connectors.ur.course import Place
-from connectors.ur.state import State
+from connectors.ur.ur_state import State
 from operators.errors import ParameterError
 
 MEAN: Final = 4  # states, over which a force is averaged: 32 ms of a CB3 controller

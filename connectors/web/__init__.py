@@ -1,1 +1,1 @@
-"""Serving over HTTP, to those who may see it."""
+"""The live page and the metrics endpoint, served over HTTP."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, EVERY, Codes, Counts, Flags, Labelled, Motion, Times, ms, s
 from operators.errors import InputError
-from operators.hold import hold
+from operators.forward_fill import hold
 from storage.session import Session
 
 WITHIN: Final = 20 * ms  # ns, that a pose may lie from its sample

@@ -14,9 +14,9 @@ from time import perf_counter
 
 import numpy as np
 
-from flows.cluster.run import PYTHON, Cluster
-from flows.loading import load
-from flows.running.replay_runner import ReplayRunner
+from flows.graph.loading import load
+from flows.run.cluster.cluster_replay import PYTHON, Cluster
+from flows.run.replay_runner import ReplayRunner
 from operators.batch import Labelled, Motion, Slips, Touch, ms, s
 from operators.ports import Run
 from storage import Dataset, Session

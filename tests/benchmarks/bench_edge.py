@@ -21,10 +21,10 @@ from typing import Any, Final, cast
 import numpy as np
 
 from connectors import Rig
-from connectors.mqtt.testing import TestBroker
-from flows.running.clock import LoopClock
+from flows.run.clocks import LoopClock
 from operators import Touch, concat
 from tests.benchmarks.machine import commit, machine
+from tests.connectors.mqtt.broker_process import TestBroker
 from tests.deploy.shipped import DEPLOY, PASSWORDS, shipped_broker
 
 ROOT: Final = DEPLOY.parent

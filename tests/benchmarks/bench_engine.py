@@ -18,8 +18,8 @@ import numpy as np
 import polars as pl
 
 from flows.graph import Flow
-from flows.plan import Delivery, Entry, Plan
-from flows.testing import TestSink, TestSource
+from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Reals
 from tests.benchmarks.machine import commit, machine

@@ -10,13 +10,13 @@ from platform import machine, processor
 
 import numpy as np
 
-from flows.evaluation.metrics import Confusion
-from flows.networks.recipe import Recipe
-from flows.scoring import probabilities
-from flows.simulate import recordings
-from flows.training.dense import train_dense
-from flows.training.lag import lags, relabelled
-from flows.trials import Trial, trial
+from flows.lab.simulation import recordings
+from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.labelled_recordings import Trial, trial
+from flows.learn.scoring import probabilities
+from flows.learn.training.dense_training import train_dense
+from flows.learn.training.label_lag import lags, relabelled
+from flows.learn.training.recipe import Recipe
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Tcn
 from tests.benchmarks.machine import commit

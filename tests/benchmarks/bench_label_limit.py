@@ -8,9 +8,9 @@ from argparse import ArgumentParser
 
 import numpy as np
 
-from flows.simulate import recordings
-from flows.splits import SPLITS
-from flows.trials import JUDGED, trial
+from flows.lab.simulation import recordings
+from flows.learn.labelled_recordings import JUDGED, trial
+from flows.learn.splits import SPLITS
 from operators.batch import SLIP
 from tests.benchmarks.machine import commit
 

@@ -28,13 +28,13 @@ import numpy as np
 import smbus2.smbus2
 
 from connectors import Rig, TakkTile, UrMotion
-from connectors.rig.free_arm import FreeArm
-from connectors.rig.i2c_bus import I2cBus
-from connectors.rig.i2c_device import served
-from connectors.rig.ur_controller import E_SERIES, Ports, UrController
+from connectors.emulators.free_arm import FreeArm
+from connectors.emulators.i2c_bus import I2cBus
+from connectors.emulators.i2c_device import served
+from connectors.emulators.ur_controller import E_SERIES, Ports, UrController
 from flows.graph import Flow
-from flows.running.clock import LoopClock
-from flows.running.live_runner import LiveRunner
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
 from operators import (
     Align,
     Clock,

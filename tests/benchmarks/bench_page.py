@@ -25,14 +25,14 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
 
-from flows.commands.live_page import add_page
-from flows.commands.options import told
+from flows.cli.live_page import add_page
+from flows.cli.options import told
 from flows.demo import Demo
-from flows.running.clock import LoopClock
-from flows.running.live_runner import LiveRunner
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
 from tests.benchmarks.machine import commit
 from tests.chaos.latency import urgent
-from tests.connectors.page.browsing import FLAGS
+from tests.connectors.web.browsing import FLAGS
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page

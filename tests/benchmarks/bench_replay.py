@@ -29,12 +29,12 @@ from unittest.mock import patch
 import numpy as np
 
 from flows.graph import Flow
-from flows.reports.figures import MAIN, SECOND, Figure, grid, save, styled
-from flows.running.clock import EventClock
-from flows.running.parallel_replay import Replays, recordings
-from flows.running.replay_runner import ReplayRunner
-from flows.simulate import simulate
-from flows.testing import TestSink, TestSource
+from flows.graph.testing import TestSink, TestSource
+from flows.lab.simulation import simulate
+from flows.report.figures import MAIN, SECOND, Figure, grid, save, styled
+from flows.run.clocks import EventClock
+from flows.run.parallel_replay import Replays, recordings
+from flows.run.replay_runner import ReplayRunner
 from operators import Batch, Debounce, Operator, Run, Score, Sink, Slips, Touch, Zero
 from operators.batch import concat, s
 from operators.ports import Description
@@ -54,7 +54,7 @@ STAGES = ("open", "check and plan", "read", "Zero", "Score", "Debounce", "the re
 FLOW = """
 from connectors import Console
 from flows.graph import Flow
-from flows.testing import TestSource
+from flows.graph.testing import TestSource
 from operators import Score, Touch, Zero
 from storage import load_debounce, load_detector
 

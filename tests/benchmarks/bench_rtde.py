@@ -22,10 +22,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from connectors import UrMotion
-from connectors.rig.free_arm import FreeArm
-from connectors.rig.ur_controller import UrController
+from connectors.emulators.free_arm import FreeArm
+from connectors.emulators.ur_controller import UrController
 from connectors.ur.rtde import Version
-from flows.running.clock import LoopClock
+from flows.run.clocks import LoopClock
 from operators import Motion, concat, ms, s
 from operators.batch import Times
 from tests.benchmarks.machine import commit, machine

@@ -14,11 +14,11 @@ from functools import partial
 
 import numpy as np
 
-from connectors.rig.finger import Finger
-from connectors.rig.motion import Controller
-from connectors.rig.paper import Collection
-from connectors.rig.parameters import Parameters
-from connectors.rig.scene import Scene
+from connectors.sim.arm_motion import Controller
+from connectors.sim.finger import Finger
+from connectors.sim.paper_plan import Collection
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Scene
 from tests.benchmarks.machine import commit, machine
 
 GRIDS = {24: (6, 4), 48: (8, 6), 96: (12, 8)}  # nodes: columns, rows

@@ -9,8 +9,8 @@ from time import process_time
 import torch
 from torch import Tensor
 
-from flows.networks.recipe import Recipe
-from flows.networks.tcn import DenseTcn
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.tcn_module import DenseTcn
 from tests.benchmarks.machine import commit
 
 WINDOWS = 256  # of a batch, as the paper has it

@@ -16,10 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from connectors.rig.i2c_bus import I2cBus
-from connectors.rig.i2c_device import served
-from flows.loading import load
-from flows.running.live_runner import LiveRunner
+from connectors.emulators.i2c_bus import I2cBus
+from connectors.emulators.i2c_device import served
+from flows.graph.loading import load
+from flows.run.live_runner import LiveRunner
 from operators.batch import Counts, ms, s
 
 BUS = 99

@@ -19,8 +19,8 @@ from pathlib import Path
 
 from connectors.health_report import HealthReports
 from flows.graph import Flow
-from flows.running.live_runner import LiveRunner
-from flows.testing import TestSink
+from flows.graph.testing import TestSink
+from flows.run.live_runner import LiveRunner
 from operators import EVERY, Align, Label, Motion, Slips, Touch, Zero, ms
 from storage import Dataset
 from tests.chaos.devices import Turning

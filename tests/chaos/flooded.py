@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from flows.graph import Flow
-from flows.running.live_runner import LiveRunner
+from flows.run.live_runner import LiveRunner
 from operators import Clock, Debounce, Score, Source, Touch, Zero, s
 from storage import Dataset, load_detector
 from tests.chaos.child import memory

@@ -10,13 +10,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from connectors.mqtt.testing import TestBroker
 from operators import ms
 from operators.batch import Reals
 from tests.chaos.child import Child, until
 from tests.chaos.promise import Promise
 from tests.chaos.scale import Scale
 from tests.chaos.subscribe import came, subscribed
+from tests.connectors.mqtt.broker_process import TestBroker
 
 BOUND = 15.0  # ms
 TOPIC = "slip/v1/chaos/rig/0"

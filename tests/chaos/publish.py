@@ -15,8 +15,8 @@ from dataclasses import asdict
 
 from connectors import Mqtt, MqttSignal
 from flows.graph import Flow
-from flows.running.clock import LoopClock
-from flows.running.live_runner import LiveRunner
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
 from operators import Align, Clocks, Faults, Label, Run, Slips, Zero, ms
 from tests.chaos.devices import Arm, Fingertip, Turning
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flows.graph import Flow
-from flows.running.live_runner import LiveRunner
+from flows.run.live_runner import LiveRunner
 from operators import (
     EVERY,
     Align,

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.running.replay_runner import ReplayRunner
-from flows.testing import TestSink
+from flows.graph.testing import TestSink
+from flows.run.replay_runner import ReplayRunner
 from operators import EVERY, Labelled, Motion, SlipflowError, Slips, Touch, concat, ms
 from storage import Session, recover, verify
 from tests.chaos import record

@@ -14,10 +14,10 @@ from unittest import mock
 from connectors import Event, Mqtt
 from connectors.mqtt.broker import CA, PASSWORD, USER
 from connectors.mqtt.outbox import Outbox
-from connectors.mqtt.testing import TestBroker
 from operators import Run, SlipflowError
 from tests.chaos.promise import Promise
 from tests.chaos.scale import Scale
+from tests.connectors.mqtt.broker_process import TestBroker
 
 BOUND = 3.0  # s
 EVENTS = 5  # that wait in the outbox

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from connectors import Rig
 from flows.graph import Flow
-from flows.ready_made.record import declare_recording
-from flows.running.live_runner import LiveRunner
+from flows.record import declare_recording
+from flows.run.live_runner import LiveRunner
 from operators import Debounce, Label, Score, ms, s
 from storage import Dataset, load_detector
 from tests.chaos.child import memory

@@ -8,10 +8,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from connectors.mqtt.testing import TestBroker
 from tests.chaos.child import Child, memory, until
 from tests.chaos.follow import Had, read
 from tests.chaos.proxy import Line
+from tests.connectors.mqtt.broker_process import TestBroker
 
 
 @dataclass(frozen=True)

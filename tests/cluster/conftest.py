@@ -25,7 +25,7 @@ import time
 from dataclasses import dataclass, field
 
 from flows.graph import Flow
-from flows.testing import TestSource
+from flows.graph.testing import TestSource
 from operators import Align, Debounce, Label, Motion, Operator, Score, Touch, Zero, Zeroed
 from storage import Dataset, load_detector
 
@@ -55,8 +55,8 @@ def unhurried(out: str = "out", pause: float = 0.0) -> Flow:
 ONE_PROCESS = """
 import asyncio, sys
 from pathlib import Path
-from flows.loading import load
-from flows.running.replay_runner import ReplayRunner
+from flows.graph.loading import load
+from flows.run.replay_runner import ReplayRunner
 from storage import Session
 from storage.layout import session_folder, session_names
 

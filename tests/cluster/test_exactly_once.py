@@ -11,10 +11,10 @@ from threading import Event
 import numpy as np
 import pytest
 
-from flows.cluster.claims import Claim
-from flows.cluster.job_folder import JobFolder
-from flows.cluster.run import Cluster
-from flows.loading import load
+from flows.graph.loading import load
+from flows.run.cluster.cluster_replay import Cluster
+from flows.run.cluster.job_folder import JobFolder
+from flows.run.cluster.work_units import Claim
 
 from .conftest import ROOT, Local, Recorder, World, contents, stop, until
 

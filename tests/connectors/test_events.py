@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from connectors.events import Event, Fault, encode, faults, topic
-from connectors.rig.moved import Moved
-from connectors.rig.scene import Move
+from connectors.sim.moved import Moved
+from connectors.sim.scene import Move
 from operators.batch import Faults
 from operators.errors import InputError, ParameterError
 from operators.health import FaultKind

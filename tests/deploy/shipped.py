@@ -6,7 +6,7 @@ import subprocess
 from pathlib import Path
 from typing import Final
 
-from connectors.mqtt.testing import TestBroker
+from tests.connectors.mqtt.broker_process import TestBroker
 
 DEPLOY: Final = Path(__file__).parents[2] / "deploy"
 PASSWORDS: Final = {"fingertip": "felt", "reader": "read"}  # by user

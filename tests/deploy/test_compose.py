@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
-from flows.loading import load
-from flows.validate import problems
+from flows.graph.loading import load
+from flows.graph.validation import problems
 from tests.deploy.shipped import DEPLOY
 
 FILES = ("compose.yaml", "compose.fingertip.yaml")

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flows.loading import load
-from flows.validate import problems
+from flows.graph.loading import load
+from flows.graph.validation import problems
 from operators import Slips, Touch
 from storage import Session
 from tests.deploy.shipped import DEPLOY

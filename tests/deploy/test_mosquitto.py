@@ -9,11 +9,11 @@ import pytest
 
 from connectors import Consumer, Mqtt
 from connectors.mqtt.broker import PASSWORD, USER, Broker
-from connectors.mqtt.link import connect
-from connectors.mqtt.testing import TestBroker
+from connectors.mqtt.broker_link import connect
 from operators.batch import Slips
 from operators.errors import EndpointError
 from operators.ports import Run
+from tests.connectors.mqtt.broker_process import TestBroker
 from tests.deploy.shipped import DEPLOY, login, shipped_broker
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from connectors.mqtt.broker import PASSWORD_FILE
-from flows.loading import load
-from flows.validate import problems
+from flows.graph.loading import load
+from flows.graph.validation import problems
 from tests.deploy.shipped import DEPLOY
 
 TEXT = (DEPLOY / "systemd" / "slipflow.service").read_text()

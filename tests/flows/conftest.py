@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from flows.graph import Flow
-from flows.simulate import simulate
-from flows.testing import TestSink, TestSource
+from flows.graph.testing import TestSink, TestSource
+from flows.lab.simulation import simulate
 from operators import Align, Label, Motion, Touch, Zero, ms
 
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 from connectors import Mqtt
 from flows.demo import Demo
-from flows.validate import problems
+from flows.graph.validation import problems
 
 
 def test_two_demos_beside_each_other_publish_as_two_rigs_from_two_outboxes(tmp_path: Path) -> None:

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import pytest
 
-from flows.testing import TestSink, TestSource
+from flows.graph.testing import TestSink, TestSource
 from operators.batch import Touch, ms
 from operators.ports import Run
 

@@ -56,12 +56,12 @@ def stroke(number: int) -> dict[str, Json]:
 def record(root: Path, *, live: bool) -> None:
     """As a sink does; `taken` says how many rows of each stream were."""
     root.mkdir()
-    (root / "taken").write_bytes(b"")
+    (root / ".taken").write_bytes(b"")
     journal.SYNC = 0.001  # type: ignore[misc] # s
     episodes: list[Json] = []
     run = Run("one", "slip", Clock(), 0, live=live, describe={"arm": {"episodes": episodes}})
     writer = SessionWriter(root, run, part_span=100 * ms, part_rows=8)
-    with (root / "taken").open("ab", buffering=0) as taken:
+    with (root / ".taken").open("ab", buffering=0) as taken:
         for number in range(ROWS):
             if number % STROKE == 0:  # one begins, which it is not known yet how long it takes
                 episodes[-1:] = [stroke(number // STROKE - 1)] if number else []

@@ -73,7 +73,7 @@ def test_a_recorder_killed_at_any_step_loses_the_last_rows_at_most(tmp_path: Pat
     counts = kill("record", tmp_path)
     assert [step for step in STEPS if not counts[step]] == []
     for place in tmp_path.iterdir():
-        taken = len((place / "taken").read_bytes())
+        taken = len((place / ".taken").read_bytes())
         if not (place / "sessions/one/session.json").exists():
             assert taken == 0
             continue

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from flows.graph import Flow
-from flows.plan import Delivery, Entry, Plan
-from flows.testing import TestSink, TestSource
+from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Labelled, Motion, Scores, Touch, Zero, ms
 from operators.batch import Batch
 from tests.benchmarks.bench_engine import StepEnergy

@@ -7,7 +7,7 @@ from time import perf_counter_ns
 import numpy as np
 
 from flows.graph import Flow
-from flows.running.live_runner import LiveRunner
+from flows.run.live_runner import LiveRunner
 from operators import Clock, Run, Score, Scores, Sink, Source, Touch, Zero
 from operators.batch import BAROMETERS
 from storage import load_detector

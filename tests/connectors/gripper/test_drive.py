@@ -4,10 +4,10 @@ from math import nan
 
 import pytest
 
+from connectors.emulators.gripper_mechanism import RELEASED, Mechanism
 from connectors.gripper.robotiq import Mode, Phase, Request
-from connectors.rig.gripper_mechanism import RELEASED, Mechanism
 from operators import EndpointError
-from tests.connectors.gripper.lab import SCALE, commands, counted, lab
+from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")

@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 
 from connectors import Consumer, Event, Mqtt
-from connectors.mqtt import consumer, link
-from connectors.mqtt.link import Link
+from connectors.mqtt import broker_link as link
+from connectors.mqtt import consumer
+from connectors.mqtt.broker_link import Link
 from connectors.mqtt.outbox import Outbox
-from connectors.mqtt.testing import TestBroker, until
 from operators.batch import Slips
 from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Run
+from tests.connectors.mqtt.broker_process import TestBroker, until
 from tests.inside import inside
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]

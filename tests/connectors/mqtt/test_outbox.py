@@ -13,8 +13,8 @@ from connectors.events import Event
 from connectors.mqtt import outbox
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import OutboxFile
-from connectors.mqtt.testing import PATIENCE, until
 from operators.errors import EndpointError, InputError
+from tests.connectors.mqtt.broker_process import PATIENCE, until
 from tests.inside import inside
 
 DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)

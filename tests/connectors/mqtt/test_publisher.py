@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from connectors.mqtt.broker import Broker
-from connectors.mqtt.link import Link
+from connectors.mqtt.broker_link import Link
 from connectors.mqtt.publisher import Message, Publisher
-from connectors.mqtt.testing import TestBroker
 from operators.errors import EndpointError
+from tests.connectors.mqtt.broker_process import TestBroker
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from connectors.events import Event
-from connectors.mqtt import link as module
+from connectors.mqtt import broker_link as module
 from connectors.mqtt import sender
 from connectors.mqtt.broker import PASSWORD_FILE, Broker
 from connectors.mqtt.gap_answers import SLICE
@@ -17,8 +17,8 @@ from connectors.mqtt.message import Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import Entry
 from connectors.mqtt.sender import Sender
-from connectors.mqtt.testing import until
 from operators.errors import EndpointError, InputError
+from tests.connectors.mqtt.broker_process import until
 
 RIG = "slip/v1/lab/rig"
 WILL = Message(f"{RIG}/status", b"offline")

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from connectors import Mqtt, MqttSignal
-from connectors.mqtt.link import Link
-from connectors.mqtt.testing import TestBroker
+from connectors.mqtt.broker_link import Link
 from operators.batch import Scores, ms
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run
+from tests.connectors.mqtt.broker_process import TestBroker
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 

@@ -3,7 +3,7 @@ from math import nan
 import pytest
 
 from connectors.ur.probe import MEAN, OVERRUN, Probe, mean_force
-from connectors.ur.state import State
+from connectors.ur.ur_state import State
 from operators import ParameterError
 
 REST = (0.0,) * 6

@@ -10,11 +10,11 @@ import pytest
 
 from connectors import UrMotion
 from connectors.ur import rtde_link
-from connectors.ur.motion import OUTPUTS, TYPES
 from connectors.ur.rtde import Kind, Packages, Recipe, Version, pack
 from connectors.ur.rtde_link import RtdeLink
-from flows.running.clock import LoopClock
-from flows.testing import run_virtually
+from connectors.ur.ur_motion import OUTPUTS, TYPES
+from flows.graph.testing import run_virtually
+from flows.run.clocks import LoopClock
 from operators import EndpointError, Motion, ms, s
 
 Answer = Callable[[int], bytes]  # to a package, by its kind

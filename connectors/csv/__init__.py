@@ -1,1 +1,0 @@
-"""Traces of others as CSV, their columns mapped."""

@@ -1,0 +1,1 @@
+"""Emulated devices that serve the simulated scene over real protocols."""

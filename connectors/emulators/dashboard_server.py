@@ -1,0 +1,77 @@
+"""The dashboard of a UR controller: one line asks, one line answers.
+
+Source: Universal Robots, "Dashboard Server e-Series, port 29999" and "..., CB-Series".
+"""
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Final
+
+from connectors.emulators.ur_control_box import ControlBox, RobotMode, RuntimeState
+
+GREETING: Final = "Connected: Universal Robots Dashboard Server"
+FAREWELL: Final = "Disconnected"
+SERIAL_NUMBER: Final = "20195501234"
+
+
+def answer(box: ControlBox, line: str) -> str:
+    """Do what a line asks of a control box, and say so.
+
+    >>> import numpy as np
+    >>> from connectors.emulators.free_arm import FreeArm
+    >>> from connectors.ur.rtde import Version
+    >>> box = ControlBox(FreeArm(np.zeros(6)), Version(5, 11, 0, 0))
+    >>> answer(box, "PolyscopeVersion"), answer(box, "safetystatus"), answer(box, "dance")
+    ('URSoftware 5.11.0.0 (Jan 01 2022)', 'Safetystatus: NORMAL', 'could not understand: dance')
+    """
+    asked = line.strip()
+    act = _ACTS.get(asked.lower())
+    return act(box) if act else f"could not understand: {asked}"
+
+
+def _stop(box: ControlBox) -> str:
+    if box.runtime_state == RuntimeState.STOPPED:
+        return "Failed to execute: stop"
+    box.stop_program()
+    return "Stopped"
+
+
+def _unlock(box: ControlBox) -> str:
+    if box.unlock():
+        return "Protective stop releasing"
+    return (
+        "Cannot unlock protective stop until 5s after occurrence. "
+        "Always inspect cause of protective stop before unlocking"
+    )
+
+
+def _state(box: ControlBox) -> str:
+    return f"{box.runtime_state.name} {box.program or '<unnamed>'}"
+
+
+def _switch(mode: RobotMode, done: str, failed: str) -> Callable[[ControlBox], str]:
+    return lambda box: done if box.switch(mode) else f"Failed to execute: {failed}"
+
+
+_ACTS: Final[Mapping[str, Callable[[ControlBox], str]]] = MappingProxyType(
+    {
+        "polyscopeversion": lambda box: f"URSoftware {box.version} (Jan 01 2022)",
+        "get serial number": lambda _: SERIAL_NUMBER,
+        "get robot model": lambda _: "UR10",
+        "is in remote control": lambda _: "true",
+        "running": lambda box: f"Program running: {str(box.runtime_state == RuntimeState.PLAYING).lower()}",
+        "programstate": _state,
+        "play": lambda box: "Starting program" if box.play() else "Failed to execute: play",
+        "pause": lambda box: "Pausing program" if box.pause() else "Failed to execute: pause",
+        "stop": _stop,
+        "robotmode": lambda box: f"Robotmode: {box.robot_mode.name}",
+        "safetymode": lambda box: f"Safetymode: {box.safety_mode.name}",
+        "safetystatus": lambda box: f"Safetystatus: {box.safety_mode.name}",
+        "unlock protective stop": _unlock,
+        "close safety popup": lambda _: "closing safety popup",
+        "power on": _switch(RobotMode.IDLE, "Powering on", "power on"),
+        "power off": _switch(RobotMode.POWER_OFF, "Powering off", "power off"),
+        "brake release": _switch(RobotMode.RUNNING, "Brake releasing", "brake release"),
+        "quit": lambda _: FAREWELL,
+    }
+)

@@ -1,0 +1,1 @@
+"""Recorded traces in CSV and other file formats."""

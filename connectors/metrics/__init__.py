@@ -1,1 +1,0 @@
-"""What a run measures of itself, for Prometheus to collect."""

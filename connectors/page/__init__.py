@@ -1,1 +1,0 @@
-"""The live page: what a flow feels, in a browser."""

@@ -1,0 +1,1 @@
+"""The simulated scene: fingertips, arm, gripper and objects."""

@@ -1,0 +1,192 @@
+"""The arm: a plan's moves as trapezoids of velocity, in closed form, at any instants.
+
+With t the time since a move began (s)::
+
+    V = speed clip(min(t - rest, seconds - t) / ramp, 0, 1)            ramp = speed / acceleration (s)
+    F = F0 + (F1 - F0) u^2 (3 - 2 u),  u = clip(t / settle, 0, 1)      normal force (N)
+    P = 4 tap u (1 - u),               u = clip((t - rest) / 10 ms, 0, 1)   push from outside (N)
+
+V is along the move's direction (m/s) or, in a rotation, about the fingertip's normal through the TCP (rad/s).
+
+The fingertip looks down: at yaw 0 its x is the base's x, its y and z are opposite to the base's. Turned by
+yaw q about its normal, its rotation vector is pi (cos q/2, -sin q/2, 0).
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from connectors.sim.arm_states import Path
+from connectors.sim.contact import compiled
+from connectors.sim.hand import Obedience, Orders
+from connectors.sim.scene import Move, Scene
+from connectors.sim.timing import Sampler
+from operators.batch import Motion, Reals, s
+
+TAP: Final = 0.01  # s
+CONTROLLER_START: Final = 3600.0  # s that the controller had been up when the run began
+
+
+class Course(NamedTuple):
+    """One move in numbers."""
+
+    start: float  # s
+    seconds: float
+    rest: float  # s
+    ramp: float  # s
+    speed: float  # m/s or, of a rotation, rad/s
+    spins: bool
+    along: tuple[float, float]  # of the direction, in the fingertip's frame
+    onward: tuple[float, float]  # the same as the place is seen
+    place: tuple[float, float, float]  # m, m, rad at its start
+    end: tuple[float, float, float]  # m, m, rad at its end
+    tap: float  # N
+    settle: float  # s
+    first: float  # N, at its start
+    last: float  # N, once it has settled
+
+
+def course(move: Move, start: float, place: tuple[float, float, float], force: float, scene: Scene) -> Course:
+    """A move that begins at `start` (s) at a place (m, m, rad) and a force (N)."""
+    heading, spins = math.radians(move.direction_deg), move.motion == "rotation"
+    acceleration = scene.spin_acceleration if spins else scene.acceleration
+    ramp = min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
+    onward = math.cos(heading + place[2]), math.sin(heading + place[2])
+    travel = move.speed * (move.seconds - move.rest - ramp)
+    return Course(
+        start=start,
+        seconds=move.seconds,
+        rest=move.rest,
+        ramp=ramp,
+        speed=move.speed,
+        spins=spins,
+        along=(math.cos(heading), math.sin(heading)),
+        onward=onward,
+        place=place,
+        end=(
+            (place[0], place[1], place[2] + travel)
+            if spins
+            else (place[0] + travel * onward[0], place[1] + travel * onward[1], place[2])
+        ),
+        tap=move.tap,
+        settle=move.settle,
+        first=force,
+        last=force if move.force is None else move.force,
+    )
+
+
+@compiled
+def follow(course: Course, times: Reals, drive: Reals, place: Reals) -> None:
+    """Fill in the path of a course at instants (k,) (s): (k, 6) and (k, 3), see `Path`; `drive` is blank."""
+    for i in range(times.size):
+        t = times[i] - course.start
+        place[i, 0], place[i, 1], place[i, 2] = course.place
+        if course.speed != 0.0:
+            up = min(max((t - course.rest) / course.ramp, 0.0), 1.0)
+            down = min(max((course.seconds - t) / course.ramp, 0.0), 1.0)
+            longest = course.seconds - course.rest - 2 * course.ramp
+            cruise = min(max(t - course.rest - course.ramp, 0.0), longest)
+            speed = course.speed * min(up, down)
+            travel = course.speed * (
+                course.ramp * up * up / 2 + cruise + course.ramp * (1.0 - down * down) / 2
+            )
+            if course.spins:
+                drive[i, 2] = speed
+                place[i, 2] += travel
+            else:
+                drive[i, 0], drive[i, 1] = speed * course.along[0], speed * course.along[1]
+                place[i, 0] += travel * course.onward[0]
+                place[i, 1] += travel * course.onward[1]
+        drive[i, 3] = course.last
+        if course.first != course.last:
+            u = min(max(t / course.settle, 0.0), 1.0)
+            drive[i, 3] = course.first + (course.last - course.first) * u * u * (3 - 2 * u)
+        if course.tap != 0.0:
+            u = min(max((t - course.rest) / TAP, 0.0), 1.0)
+            push = 4 * course.tap * u * (1 - u)
+            drive[i, 4], drive[i, 5] = push * course.along[0], push * course.along[1]
+
+
+class Arm:
+    """Follows a scene's plan once, from its beginning, and what it is commanded meanwhile.
+
+    Args:
+        scene: The scene.
+        seed: What the plan draws from.
+        begun: Told of every move when it begins, with its start (s).
+        orders: Commands that replace what the plan says.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int,
+        begun: Callable[[Move, float], None] | None = None,
+        orders: Orders | None = None,
+    ) -> None:
+        self._moves: Iterator[Move] = scene.plan.moves(np.random.default_rng([seed, 0]))
+        self._scene, self._begun = scene, begun
+        self._obedience = None if orders is None else Obedience(orders, scene)
+        self._course: Course | None = None  # of the present move; None when the plan has ended
+        self._end = 0.0  # s, of the move
+        self._next((0.0, 0.0, 0.0), 0.0)
+
+    def _next(self, place: tuple[float, float, float], force: float) -> None:
+        """Begin the next move at a place (m, m, rad) and a force (N)."""
+        self._course = None
+        if (move := next(self._moves, None)) is not None:
+            self._course = course(move, self._end, place, force, self._scene)
+            if self._begun is not None:
+                self._begun(move, self._end)
+            self._end += move.seconds
+
+    def at(self, times: Reals) -> Path:
+        """The path at instants (k,) (s) that never go back; shorter where the plan ends before the last."""
+        if self._obedience is None:
+            return self._planned(times)
+        return self._obedience.path(times, self._planned)
+
+    def _planned(self, times: Reals) -> Path:
+        k, done = len(times), 0
+        path = Path.blank(k)
+        while (course := self._course) is not None:
+            until = int(times.searchsorted(self._end))
+            if until > done:
+                follow(course, times[done:until], path.drive[done:until], path.place[done:until])
+                done = until
+            if done == k:
+                break
+            self._next(course.end, course.last)
+        return path[:done]
+
+
+def in_base(path: Path) -> tuple[Reals, Reals]:
+    """Velocity and pose of the TCP in the robot's base frame: (k, 6) m/s, rad/s and (k, 6) m, rad."""
+    x, y, yaw = path.place.T
+    vx, vy, spin = path.velocity.T
+    cos, sin, nought = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    velocity = [cos * vx - sin * vy, -sin * vx - cos * vy, nought, nought, nought, -spin]
+    pose = [x, -y, nought, math.pi * np.cos(yaw / 2), -math.pi * np.sin(yaw / 2), nought]
+    return np.stack(velocity, axis=1), np.stack(pose, axis=1)
+
+
+class Controller:
+    """What the arm's controller says of its own motion, a stretch at a time."""
+
+    def __init__(self, scene: Scene, seed: int, orders: Orders | None = None) -> None:
+        self._arm = Arm(scene, seed, orders=orders)
+        self._sampler = Sampler(scene.motion, np.random.default_rng([seed, 1]))
+
+    def take(self, samples: int) -> Motion | None:
+        """The next samples, stamped from the run's start; fewer where the plan ends, None after it."""
+        t = self._sampler.instants(samples)  # (k,) s
+        velocity, pose = in_base(self._arm.at(t))
+        if not len(velocity):
+            return None
+        t = t[: len(velocity)]
+        time, arrive = self._sampler.stamp(len(t))
+        stamps = CONTROLLER_START + t * (1 + self._sampler.timing.drift)  # s
+        motion = Motion(time, np.rint(stamps * s).astype(np.int64), velocity, pose)
+        return motion if arrive.all() else motion[arrive]

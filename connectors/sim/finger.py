@@ -1,0 +1,167 @@
+"""One simulated fingertip: a scene and a seed to touch samples, a stretch at a time."""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from connectors.sim import contact
+from connectors.sim.arm_motion import Arm
+from connectors.sim.cells import Cells
+from connectors.sim.hand import Orders
+from connectors.sim.pad_sensor import grid
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Move, Moves, Scene, Vibration
+from connectors.sim.timing import Sampler
+from connectors.sim.truth import Truth
+from operators.batch import Counts, Flags, Reals, Touch, s
+
+
+def law(scene: Scene) -> contact.Law:
+    """The constants of a scene's contact."""
+    p = scene.parameters
+    return contact.Law(
+        step=p.step,
+        area=p.width * p.height / (p.columns * p.rows),
+        k_n=p.normal_stiffness,
+        k_t=p.shear_stiffness,
+        mu_s=p.static_friction,
+        mu_k=p.kinetic_friction,
+        v_s=p.stribeck_speed,
+        texture=p.texture,
+        wave_1=2 * math.pi / p.texture_lengths[0],
+        wave_2=2 * math.pi / p.texture_lengths[1],
+        mass=p.mass,
+        spring=p.stiffness,
+        damper=2 * p.damping * math.sqrt(p.stiffness * p.mass),
+        inertia=p.inertia,
+        twist_spring=p.twist_stiffness,
+        twist_damper=2 * p.damping * math.sqrt(p.twist_stiffness * p.inertia),
+        tilt_spring=p.tilt_stiffness,
+        lever=p.lever,
+        tilt_x=scene.tilt[0],
+        tilt_y=scene.tilt[1],
+        k_x=scene.curvatures[0],
+        k_y=scene.curvatures[1],
+        apex_x=scene.apex[0],
+        apex_y=scene.apex[1],
+        pivot_x=scene.offset[0],
+        pivot_y=scene.offset[1],
+    )
+
+
+def pad(scene: Scene) -> contact.Pad:
+    """The nodes over a scene's surface."""
+    p: Parameters = scene.parameters
+    x, y = grid(p)
+    kx, ky = scene.curvatures
+    gap = (kx * (x - scene.apex[0]) ** 2 + ky * (y - scene.apex[1]) ** 2) / 2
+    return contact.Pad(x, y, gap)
+
+
+def shaking(vibration: Vibration, t: Reals) -> Reals:
+    """Velocity that a vibration adds to the arm's at instants (k,) (s): (k, 2) m/s."""
+    pulse, heading = 2 * math.pi * vibration.frequency, math.radians(vibration.direction_deg)
+    swing = pulse * vibration.amplitude * np.cos(pulse * t)
+    return np.multiply.outer(swing, (math.cos(heading), math.sin(heading)))
+
+
+class Finger:
+    """A fingertip in a scene.
+
+    Args:
+        scene: What happens to it.
+        seed: Of the plan, and with `finger` of its cells' rest levels and of all its noise.
+        finger: Which fingertip it is.
+        begun: Told of every move when it begins, with its start (s).
+        orders: Commands to the arm.
+
+    Attributes:
+        cells: Its barometers.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        seed: int,
+        finger: int = 0,
+        begun: Callable[[Move, float], None] | None = None,
+        orders: Orders | None = None,
+    ) -> None:
+        p = self._p = scene.parameters
+        self._scene, self._finger = scene, finger
+        self._arm = Arm(scene, seed, begun, orders)
+        self._law, self._pad = law(scene), pad(scene)
+        self._state = contact.State.rest(p.columns * p.rows)
+        self._ticks = 0
+        self._sensed = 0.0  # s, instant of the newest sample of `sense`
+        body, timing, noise, warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
+        self.cells = Cells(p, scene.faults, body, noise, warmth)
+        self._sampler = Sampler(scene.touch, timing)
+
+    def take(self, samples: int) -> tuple[Touch, Truth] | None:
+        """The next samples, stamped from the run's start; fewer where the plan ends, None after it."""
+        t = self._sampler.instants(samples)  # (k,) s
+        if (felt := self._feel(t, 1 / (self._scene.touch.rate * self._p.creep_time))) is None:
+            return None
+        counts, temperature, valid, happened = felt
+        time, arrive = self._sampler.stamp(len(counts))
+        touch = Touch(time, counts, temperature, valid, finger=self._finger)
+        return (touch if arrive.all() else touch[arrive]), happened
+
+    def sense(self, instant: float) -> tuple[Touch, Truth] | None:
+        """One sample at an instant of one's own choice (s since the run began), stamped with it.
+
+        For a fingertip that is read as a real one is: whenever the host comes round to it. It is not to be
+        mixed with `take`.
+
+        Args:
+            instant: Later than the one before, by `Parameters.step` at least.
+
+        Returns:
+            None once the plan has ended.
+        """
+        aged = (instant - self._sensed) / self._p.creep_time
+        if (felt := self._feel(np.array([instant]), aged)) is None:
+            return None
+        self._sensed = instant
+        counts, temperature, valid, happened = felt
+        return Touch(happened.time, counts, temperature, valid, finger=self._finger), happened
+
+    def _feel(self, t: Reals, aged: float) -> tuple[Counts, Counts, Flags, Truth] | None:
+        """Counts, temperatures, validity and truth at instants (k,) (s); None when the plan has ended.
+
+        Args:
+            t: Fewer are felt where the plan ends before the last.
+            aged: Times of creep that pass from each instant to the next.
+        """
+        until = np.rint(t / self._p.step).astype(np.int64) - self._ticks
+        drive = self._drive(int(until[-1]))
+        t, until = t[until <= len(drive)], until[until <= len(drive)]
+        if not len(t):
+            return None
+        tractions, truth = contact.advance(self._law, self._pad, self._state, drive, until)
+        self._ticks += int(until[-1])
+        counts, temperature, valid = self.cells.read(t, tractions, aged)
+        velocity = np.zeros((len(t), 3))
+        moved = until > 0
+        velocity[moved] = drive[until[moved] - 1, :3]
+        happened = Truth(np.rint(t * s).astype(np.int64), truth[:, 0], truth[:, 1], velocity)
+        return counts, temperature, valid, happened
+
+    def _drive(self, steps: int) -> Reals:
+        """The arm's next steps (steps, 6) for `contact.advance`; fewer when the plan has ended."""
+        t = np.arange(self._ticks, self._ticks + steps, dtype=np.float64) * self._p.step
+        drive = self._arm.at(t).drive
+        x, y = self._scene.offset
+        if x or y:
+            drive[:, 0] -= drive[:, 2] * y
+            drive[:, 1] += drive[:, 2] * x
+        if self._scene.vibration is not None:
+            drive[:, :2] += shaking(self._scene.vibration, t[: len(drive)])
+        return drive
+
+
+def compile_physics() -> None:
+    """Make the machine code, or load it from disk, before a live run starts its clock."""
+    Finger(Scene(Moves((Move("hold", 1.0),))), 0).take(2)

@@ -1,1 +1,0 @@
-"""A flow over recordings on a Flink cluster, with the result that one process gives, byte for byte."""

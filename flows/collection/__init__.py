@@ -1,1 +1,0 @@
-"""Collecting: an arm carries out a plan of strokes while a flow records what a fingertip feels."""

@@ -1,1 +1,0 @@
-"""The command line: what it takes, what it tells, what it exits with."""

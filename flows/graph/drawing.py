@@ -1,0 +1,97 @@
+"""Drawing a flow: as text that reads like its declaration, and as Mermaid."""
+
+from collections.abc import Sequence
+from dataclasses import MISSING, fields, is_dataclass
+from typing import Any
+
+from flows.graph.node import Node, consumers
+from operators.batch import ms
+from operators.operator import Join
+from operators.ports import Sink, Source
+
+
+def describe(part: object) -> str:
+    """A part with those of its parameters that differ from their defaults.
+
+    >>> from operators import Align, ms
+    >>> describe(Align(within=15 * ms))
+    'Align(within=15 ms)'
+    """
+    if not is_dataclass(part):
+        place: object = getattr(part, "place", "")
+        return str(part) if type(part).__str__ is not object.__str__ else f"{type(part).__name__}({place})"
+    shown: list[str] = []
+    for f in fields(part):
+        value: Any = getattr(part, f.name)
+        default = f.default_factory() if f.default_factory is not MISSING else f.default
+        if f.init and f.repr and (default is MISSING or value != default):
+            shown.append(_value(value) if default is MISSING else f"{f.name}={_value(value)}")
+    return f"{type(part).__name__}({', '.join(shown)})"
+
+
+def _value(value: object) -> str:
+    if isinstance(value, type):
+        return value.__name__
+    if isinstance(value, int) and not isinstance(value, bool) and value >= ms and value % ms == 0:
+        return f"{value // ms} ms"
+    if is_dataclass(value):
+        return describe(value)
+    named = getattr(value, "name", None)
+    return named if isinstance(named, str) and not isinstance(value, str) else repr(value)
+
+
+def text(name: str, nodes: Sequence[Node]) -> str:
+    """A flow as its declaration would read; a stream is named by what flows in it."""
+    names = _names(nodes)
+    lines = [f"flow {name}", *(f"  {line}" for line in streams(nodes))]
+    for node in nodes:
+        if isinstance(node.part, Sink):
+            taken = [names.get(parent, parent.name) for parent in node.inputs]
+            lines += [f"  {stream} -> {describe(node.part)}" for stream in taken]
+    return "\n".join(lines)
+
+
+def streams(nodes: Sequence[Node]) -> list[str]:
+    """How each named stream of a flow comes about, sinks left out."""
+    names = _names(nodes)
+    width = max(map(len, names.values()), default=0)
+
+    def chain(node: Node) -> str:
+        inputs = [names[parent] if parent in names else chain(parent) for parent in node.inputs]
+        return f"{' & '.join(inputs)} | {describe(node.part)}"
+
+    return [
+        f"{name:<{width}} = {describe(node.part) if isinstance(node.part, Source) else chain(node)}"
+        for node, name in names.items()
+    ]
+
+
+def _names(nodes: Sequence[Node]) -> dict[Node, str]:
+    """Names of the streams that are more than a step on the way to one operator."""
+    fed, names = consumers(nodes), dict[Node, str]()
+    for node in nodes:
+        takers = fed[node]
+        if isinstance(node.part, Source):
+            names[node] = node.name
+        elif not isinstance(node.part, Sink) and (
+            len(takers) != 1 or isinstance(takers[0].part, Sink | Join)
+        ):
+            base, taken = (node.gives or type(node)).__name__.lower(), set(names.values())
+            free = (base, *(f"{base}{k}" for k in range(2, len(taken) + 3)))
+            names[node] = next(name for name in free if name not in taken)
+    return names
+
+
+def mermaid(nodes: Sequence[Node]) -> str:
+    """A flow as a Mermaid flowchart, each edge named by what flows along it."""
+    number = {node: f"n{i}" for i, node in enumerate(nodes)}
+    lines = ["flowchart LR"]
+    for node in nodes:
+        left, right = ("([", "])") if isinstance(node.part, Source | Sink) else ("[", "]")
+        label = describe(node.part).replace('"', "'")
+        lines.append(f'    {number[node]}{left}"{label}"{right}')
+    for node in nodes:
+        for parent in node.inputs:
+            kind = parent.gives.__name__ if parent.gives else ""
+            lines.append(f"    {number.get(parent, parent.name)} -->|{kind}| {number[node]}")
+    return "\n".join(lines)

@@ -1,0 +1,114 @@
+"""Declaring a flow: sources, operators joined by ``|`` and ``&``, and sinks.
+
+Building a flow runs nothing; a runner carries it out, as often as wanted, with fresh operators each time.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from flows.graph.drawing import text
+from flows.graph.node import Node, Part
+from operators.batch import Batch
+from operators.operator import Join, Operator
+from operators.ports import Sink, Source
+
+B = TypeVar("B", bound=Batch, covariant=True)
+C = TypeVar("C", bound=Batch, covariant=True)
+Out = TypeVar("Out", bound=Batch)
+
+
+class Flow:
+    """A graph of sources, operators and sinks.
+
+    >>> from flows.graph.testing import TestSink, TestSource
+    >>> from operators import Debounce, Scores
+    >>> flow = Flow("felt")
+    >>> scores = flow.source(TestSource(Scores))
+    >>> slips = scores | Debounce(consecutive=3)
+    >>> slips.to(TestSink())
+    >>> print(flow)
+    flow felt
+      scores = TestSource(Scores)
+      slips  = scores | Debounce(consecutive=3)
+      slips -> TestSink()
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.nodes: list[Node] = []
+
+    def source(self, source: Source[Out], name: str = "") -> "Stream[Out]":
+        """The stream that a source gives; its name is that of its batch type if not given."""
+        return Stream(self, self.add(name or source.kind.__name__.lower(), source))
+
+    def sources(self) -> list[Node]:
+        """The nodes that feed the flow."""
+        return [node for node in self.nodes if isinstance(node.part, Source)]
+
+    def sinks(self) -> list[Node]:
+        """The nodes that take what the flow gives."""
+        return [node for node in self.nodes if isinstance(node.part, Sink)]
+
+    def __str__(self) -> str:
+        return text(self.name, self.nodes)
+
+    def replaced(self, choose: Callable[[Node], Part]) -> "Flow":
+        """The same flow with the parts that `choose` gives for its nodes; this one stays as it is."""
+        copies = {node: Node(node.name, choose(node)) for node in self.nodes}
+        for node, copy in copies.items():
+            copy.inputs += [copies.get(parent, parent) for parent in node.inputs]
+        flow = Flow(self.name)
+        flow.nodes += copies.values()
+        return flow
+
+    def add(self, name: str, part: Part, *inputs: Node) -> Node:
+        """Add a part behind others; what ``|`` and `source` do."""
+        if isinstance(part, Source | Sink):
+            taken = {node.name for node in self.nodes}
+            name = next(
+                n for n in (name, *(f"{name}{k}" for k in range(2, len(taken) + 3))) if n not in taken
+            )
+        self.nodes.append(node := Node(name, part, list(inputs)))
+        return node
+
+    def add_sink(self, sink: Sink[Any], stream: Node) -> None:
+        """Send a stream to a sink, a new one or one that takes others already; what `Stream.to` does."""
+        for node in self.sinks():
+            if node.part is sink:
+                node.inputs.append(stream)
+                return
+        self.add(type(sink).__name__.lower(), sink, stream)
+
+
+@dataclass(frozen=True, eq=False)
+class Stream(Generic[B]):
+    """What a node of a flow gives: batches of one type."""
+
+    flow: Flow
+    node: Node
+
+    def __or__(self, operator: Operator[B, Out]) -> "Stream[Out]":
+        """Pass this stream through an operator."""
+        return Stream(self.flow, self.flow.add(type(operator).__name__, operator, self.node))
+
+    def __and__(self, other: "Stream[C]") -> "Pair[B, C]":
+        """Pair this stream with another, for a join."""
+        return Pair(self, other)
+
+    def to(self, sink: Sink[B]) -> None:
+        """Send this stream to a sink, named after its class; one sink may take several streams."""
+        self.flow.add_sink(sink, self.node)
+
+
+@dataclass(frozen=True, eq=False)
+class Pair(Generic[B, C]):
+    """Two streams on their way into a join."""
+
+    left: Stream[B]
+    right: Stream[C]
+
+    def __or__(self, join: Join[B, C, Out]) -> Stream[Out]:
+        """Join the two streams."""
+        flow = self.left.flow
+        return Stream(flow, flow.add(type(join).__name__, join, self.left.node, self.right.node))

@@ -1,0 +1,140 @@
+"""Finding the flow in a Python file, and building it.
+
+A flow file holds functions that return a `Flow`; their arguments, which all have defaults, are the flow's
+parameters. A file may also hold a finished `Flow`, which then has none. A flow file is code: loading it
+runs it, so load only files that you trust.
+"""
+
+import importlib.util
+import inspect
+import sys
+import traceback
+import types
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import partial
+from pathlib import Path
+from typing import get_type_hints
+
+from flows.graph.flow import Flow
+from flows.graph.parameter import Parameter
+from operators.errors import InputError, SlipflowError
+
+SHIPPED = Path(__file__).parents[1]
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """A flow that a file declares, not built yet."""
+
+    name: str
+    file: Path
+    build: Callable[..., Flow]
+    parameters: Mapping[str, Parameter]  # by name
+
+    def flow(self, settings: Mapping[str, str] | None = None) -> Flow:
+        """Build the flow, its parameters set from text.
+
+        Raises:
+            ParameterError: if the value of a setting is of another kind.
+            InputError: if a setting names no parameter, or the file's own code fails.
+        """
+        values: dict[str, object] = {}
+        for name, text in (settings or {}).items():
+            if name not in self.parameters:
+                raise InputError(self.name, f"has no parameter {name!r}; {self._instead_of(name)}")
+            values[name] = self.parameters[name].value(self.name, text)
+        with _errors_of(self.file):
+            return self.build(**values)
+
+    def _instead_of(self, name: str) -> str:
+        if not self.parameters:
+            return "it has none"
+        if close := get_close_matches(name, self.parameters, 1, cutoff=0.7):
+            return f"did you mean {close[0]!r}? It has {', '.join(self.parameters)}"
+        return f"it has {', '.join(self.parameters)}"
+
+
+def shipped_flows() -> list[str]:
+    """Names of the flows that ship with slipflow.
+
+    >>> shipped_flows()
+    ['lift', 'live', 'record', 'relabel']
+    """
+    return sorted(file.stem for file in SHIPPED.glob("[!_]*.py") if file.stem != "demo")
+
+
+def load(target: str) -> Declaration:
+    """The flow that ``FILE[:NAME]`` names; FILE may be the bare name of a ready-made flow, as ``live``.
+
+    Raises:
+        InputError: if the file is missing, is no Python, or does not hold that flow.
+    """
+    path, _, name = target.partition(":")
+    file = Path(path)
+    if not file.suffix and not file.is_file() and (SHIPPED / f"{path}.py").exists():
+        file = SHIPPED / f"{path}.py"
+    if file.is_dir():
+        raise InputError(path, "is a folder: give the flow file in it, as FILE.py or FILE.py:FLOW")
+    if not file.is_file():
+        known = ", ".join(shipped_flows())
+        raise InputError(path, f"no such flow file, and no ready-made flow: those are {known}")
+    found = _declared_in(_imported(file), file)
+    if name and name not in found:
+        raise InputError(path, f"holds no flow {name!r}; it holds {', '.join(found) or 'none'}")
+    if not name and len(found) != 1:
+        if not found:
+            raise InputError(path, "holds no flow: a Flow, or a function annotated to return one")
+        raise InputError(path, f"holds several flows, choose one: {', '.join(f'{path}:{n}' for n in found)}")
+    return found[name or next(iter(found))]
+
+
+def _imported(file: Path) -> types.ModuleType:
+    spec = importlib.util.spec_from_file_location(f"flow_file_{file.stem}", file)
+    if spec is None or spec.loader is None:
+        raise InputError(str(file), "is not a Python file: its name must end in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses and get_type_hints look their module up
+    with _errors_of(file):
+        spec.loader.exec_module(module)
+    return module
+
+
+def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]:
+    found: dict[str, Declaration] = {}
+    for name, value in vars(module).items():
+        if isinstance(value, Flow):
+            found[name] = Declaration(name, file, partial(_same, value), {})
+        elif inspect.isfunction(value) and value.__module__ == module.__name__:
+            with _errors_of(file):
+                hints = get_type_hints(value, include_extras=True)
+            if hints.get("return") is Flow:
+                arguments = inspect.signature(value).parameters
+                bare = [a for a, p in arguments.items() if p.default is inspect.Parameter.empty]
+                if bare:
+                    raise InputError(str(file), f"flow {name!r}: parameter {bare[0]!r} needs a default")
+                declared = {a: Parameter(a, hints.get(a, str), p.default) for a, p in arguments.items()}
+                found[name] = Declaration(name, file, value, declared)
+    return found
+
+
+def _same(flow: Flow) -> Flow:
+    return flow
+
+
+@contextmanager
+def _errors_of(file: Path) -> Generator[None]:
+    """Tell an error of a flow file in one line that names the place in it."""
+    try:
+        yield
+    except SlipflowError:
+        raise
+    except SyntaxError as error:
+        raise InputError(f"{error.filename or file}:{error.lineno}", error.msg) from error
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
+        where = f"{file}:{lines[-1]}" if lines else str(file)
+        raise InputError(where, f"{type(error).__name__}: {error}") from error

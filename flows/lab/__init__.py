@@ -1,0 +1,1 @@
+"""Data collection, robot experiments and simulated datasets."""

@@ -1,0 +1,1 @@
+"""Collection of recordings with a robot arm."""

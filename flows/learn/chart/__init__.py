@@ -1,0 +1,1 @@
+"""Comparison of detectors by speed and accuracy."""

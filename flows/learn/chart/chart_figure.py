@@ -1,0 +1,141 @@
+"""Speed against accuracy, and delay against false alarms."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flows.learn.chart.chart_points import Point
+from flows.learn.evaluation import published
+from flows.report.figures import FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
+
+_SIZE: Final = (12.0, 5.4)  # inches
+_LINE: Final = 11.0  # points from one name to the next below it
+_LETTER: Final = 4.6  # points, wide
+_PANEL: Final = (400.0, 330.0)  # points, about
+_TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
+_NOUGHT: Final = 0.2  # where no false alarm stands on a logarithmic axis
+
+
+@dataclass(frozen=True, slots=True)
+class _Mark:
+    """A point of one panel, in shares of its width and height."""
+
+    point: Point
+    x: float
+    y: float
+
+
+@styled
+def chart(points: Sequence[Point]) -> Figure:
+    """Two panels: what an answer costs and is worth; how soon an onset is told, and how often wrongly."""
+    figure, (speed, onsets) = grid(1, 2, _SIZE, widths=[1.2, 1])
+    _speed(speed, points)
+    _onsets(onsets, [point for point in points if not point.same])
+    handles, names = speed.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=3)
+    return figure
+
+
+def _speed(axis: Axes, points: Sequence[Point]) -> None:
+    low, high = min(point.us for point in points) / 2, max(point.us for point in points) * 8
+    values = [*published.ACCURACY.values(), *(point.judged.accuracy for point in points)]
+    bottom, top = _stretch([min(values) - 4, min(max(values) + 1, 99.5)])
+    axis.set_xscale("log")
+    axis.set_yscale("function", functions=(_stretch, _shrink))
+    axis.set_yticks([tick for tick in _TICKS if bottom <= _stretch([tick])[0] <= top])
+    axis.set(
+        xlim=(low, high),
+        ylim=_shrink([bottom, top]),
+        xlabel="CPU us per sample, batch 1, one core",
+        ylabel="accuracy, % (equal steps: equal factors of the errors)",
+        title="Speed against accuracy",
+    )
+    front = sorted((point for point in points if point.pareto), key=lambda point: point.us)
+    axis.plot(
+        [*(point.us for point in front), high],
+        [*(point.judged.accuracy for point in front), front[-1].judged.accuracy],
+        color=MAIN,
+        drawstyle="steps-post",
+        alpha=0.5,
+        zorder=1,
+        label="Pareto front",
+    )
+    for name, accuracy in published.ACCURACY.items():
+        axis.axhline(accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
+        axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=FAINT, fontsize=7,
+                      xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
+    heights = (_stretch([point.judged.accuracy for point in points]) - bottom) / (top - bottom)
+    places = [math.log(point.us / low) / math.log(high / low) for point in points]
+    _draw(axis, [_Mark(*each) for each in zip(points, places, heights.tolist(), strict=True)])
+    for marker, text in (("o", "sample by sample"), ("s", "on windows")):
+        axis.plot([], [], marker, color=INK, markerfacecolor="white", label=text)
+
+
+def _onsets(axis: Axes, points: Sequence[Point]) -> None:
+    points = [point for point in points if not math.isnan(point.judged.onset_ms)]
+    alarms = np.array([max(point.judged.false_alarms_per_min, _NOUGHT) for point in points])
+    delays = np.array([point.judged.onset_ms for point in points])
+    low, high = min([*alarms, 1.0]) / 1.5, max([*alarms, 4.0]) * 1.5
+    left, right = min([*delays, 0.0]) - 10, max([*delays, 100.0]) * 1.3
+    axis.set_yscale("log")
+    ticks = [tick for tick in (_NOUGHT, 0.5, 1, 2, 5, 10, 20, 50, 100) if low <= tick <= high]
+    axis.set_yticks(ticks, ["0" if tick == _NOUGHT else f"{tick:g}" for tick in ticks])
+    axis.minorticks_off()
+    axis.set(
+        xlim=(left, right),
+        ylim=(low, high),
+        xlabel="median onset delay, ms",
+        ylabel="false alarms per static minute",
+        title="Delay against false alarms",
+    )
+    heights = np.log(alarms / low) / np.log(high / low)
+    places = (delays - left) / (right - left)
+    _draw(axis, [_Mark(*each) for each in zip(points, places.tolist(), heights.tolist(), strict=True)])
+
+
+def _draw(axis: Axes, marks: Sequence[_Mark]) -> None:
+    """Marks and, where there is room to the right of each, its name."""
+    axis.grid(visible=True)
+    axis.set_axisbelow(True)
+    taken = list[tuple[float, float, float]]()  # left, right and height of names, points
+    for mark in sorted(marks, key=lambda mark: (-mark.y, mark.x)):
+        point, x, y = mark.point, mark.x * _PANEL[0], mark.y * _PANEL[1]
+        left, right = x + 9, x + 9 + _LETTER * len(point.name)
+        height = y
+        while any(a < right and left < b and abs(height - c) < _LINE for a, b, c in taken):
+            height -= 1
+        taken.append((left, right, height))
+        colour = MAIN if point.pareto else SECOND if point.same else INK
+        axis.plot(mark.x, mark.y, "o" if point.streams else "s", color=colour, markersize=6,
+                  markerfacecolor=colour if point.pareto else "white", transform=axis.transAxes)  # fmt: skip
+        axis.annotate(
+            point.name,
+            (mark.x, mark.y),
+            (9, height - y),
+            xycoords="axes fraction",
+            textcoords="offset points",
+            color=colour,
+            fontsize=8,
+            va="center",
+            arrowprops={
+                "arrowstyle": "-",
+                "color": FAINT,
+                "linewidth": 0.6,
+                "shrinkA": 0,
+                "relpos": (0, 0.5),
+            },
+        )
+
+
+def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Accuracy, %, as minus the logarithm of the errors, %."""
+    return -np.log(np.maximum(100 - np.asarray(accuracy, np.float64), 0.1))
+
+
+def _shrink(stretched: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
+    """The inverse of `_stretch`: accuracy, %."""
+    return 100 - np.exp(-np.asarray(stretched, np.float64))

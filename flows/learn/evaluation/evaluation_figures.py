@@ -1,0 +1,146 @@
+"""The figures of an evaluation."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from flows.learn.evaluation.evaluation_study import Result
+from flows.learn.evaluation.label_changes import EDGES
+from flows.learn.evaluation.motion_metrics import Cell, Cells
+from flows.learn.evaluation.published import SPEEDS, SURFACES, TABLE_3
+from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
+
+_LINES: Final = ("-", "--", ":")
+_COLUMNS: Final = 5  # confusion matrices in a row
+_LATEST: Final = 300  # ms, delays that are shown
+
+
+@styled
+def confusions(results: Sequence[Result]) -> Figure:
+    """How often slip and static were called what."""
+    columns = min(len(results), _COLUMNS)
+    rows = -(-len(results) // columns)
+    figure, axes = grid(rows, columns, (2.3 * columns, 0.4 + 2.4 * rows))
+    for axis, result in zip(axes, results, strict=False):
+        counts = result.confusion.counts
+        share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)  # of each truth
+        axis.imshow(share, cmap="Blues", vmin=0, vmax=1.6)
+        for truth in range(2):
+            for answer in range(2):
+                number = f"{100 * share[truth, answer]:.1f} %\n{int(counts[truth, answer])}"
+                axis.text(answer, truth, number, ha="center", va="center", fontsize=8, color=INK)
+        axis.set(title=result.method.name)
+        axis.set_xticks([0, 1], ["static", "slip"])
+        axis.set_yticks([0, 1], ["static", "slip"])
+        axis.tick_params(length=0)
+        for spine in axis.spines.values():
+            spine.set_visible(False)
+    for axis in axes[len(results) :]:
+        axis.set_axis_off()
+    axes[0].set_ylabel("label")
+    figure.supxlabel("answer", fontsize=9)
+    return figure
+
+
+@styled
+def curves(results: Sequence[Result]) -> Figure:
+    """ROC and reliability."""
+    figure, (roc, reliability) = grid(1, 2, (11, 4.6))
+    for result, look in _looks(results):
+        curve = result.roc
+        label = f"{result.method.name}  {100 * curve.area:.1f}"
+        roc.plot(100 * curve.false, 100 * curve.true, label=label, **look)
+        sure, slip = 100 * result.reliability.sure, 100 * result.reliability.slip
+        label = f"{result.method.name}  {result.reliability.error:.1f}"
+        reliability.plot(sure, slip, marker="o", markersize=3, label=label, **look)
+    for axis in (roc, reliability):
+        axis.plot([0, 100], [0, 100], color=FAINT, linewidth=0.8, zorder=0)
+        axis.set(xlim=(0, 100), ylim=(0, 100))
+    roc.set(title="ROC", xlabel="static called slip, %", ylabel="slip called slip, %")
+    roc.legend(title="area under it, %", loc="lower right")
+    reliability.set(title="Reliability", xlabel="probability of slip, %", ylabel="slip among these, %")
+    reliability.legend(title="calibration error, %", loc="upper left")
+    return figure
+
+
+@styled
+def delays(results: Sequence[Result]) -> Figure:
+    """How many slips have an onset how soon, and what that costs in false alarms."""
+    figure, (found, cost) = grid(1, 2, (11, 4.4), widths=[1.6, 1])
+    for result, look in _looks(results):
+        events = result.events
+        late = np.sort(events.delays)  # (caught,) ms
+        late = late[late <= _LATEST]
+        share = 100 * np.arange(len(late) + 1) / max(events.slips, 1)
+        found.step([-50, *late, _LATEST], [*share, share[-1]], where="post", label=result.method.name, **look)
+        cost.plot(events.false_alarms_per_min, events.onset_ms, "o", color=look["color"], markersize=6)
+        cost.annotate(result.method.name, (events.false_alarms_per_min, events.onset_ms), (6, 4),
+                      textcoords="offset points", fontsize=8)  # fmt: skip
+    found.axvline(0, color=FAINT, linewidth=0.8)
+    found.set(title="Slips with an onset", xlabel="ms after the label says slip", ylabel="slips, %",
+              xlim=(-50, _LATEST), ylim=(0, 100))  # fmt: skip
+    found.yaxis.grid(visible=True)
+    found.legend(loc="lower right")
+    cost.set(title="Delay against false alarms", xlabel="false alarms per static minute",
+             ylabel="median delay, ms", xlim=(0, None), ylim=(min(0, cost.get_ylim()[0]), None))  # fmt: skip
+    cost.margins(x=0.3)
+    cost.yaxis.grid(visible=True)
+    return figure
+
+
+@styled
+def changes(results: Sequence[Result]) -> Figure:
+    """Accuracy by how far the nearest change of the label is, and where the errors are."""
+    figure, (axis, errors) = grid(1, 2, (11, 4.2), widths=[1.4, 1])
+    places = np.arange(len(EDGES))
+    for result, look in _looks(results):
+        axis.plot(places, result.changes.accuracy, marker="o", markersize=3, label=result.method.name, **look)
+        wrong = result.changes.errors
+        share = 100 * wrong.cumsum() / max(wrong.sum(), 1)
+        errors.plot(places, share, label=result.method.name, **look)
+    names = [*(f"{low}-{high - 10}" for low, high in pairwise(EDGES)), f"{EDGES[-1]}-"]
+    for each in (axis, errors):
+        each.set_xticks(places, names, rotation=40, ha="right")
+        each.set(xlabel="ms to the nearest change of the label")
+        each.yaxis.grid(visible=True)
+    axis.set(title="Accuracy", ylabel="%", ylim=(None, 100))
+    errors.set(title="Errors up to there", ylabel="% of all errors", ylim=(0, 100))
+    errors.legend(loc="lower right")
+    return figure
+
+
+@styled
+def motion(found: Mapping[str, Cells]) -> Figure:
+    """F1 in each cell of the paper's Table III, of two detectors at most."""
+    figure, axes = grid(1, len(SURFACES), (11, 3.4), sharey=True)
+    turn = len(SPEEDS)  # where rotation stands
+    styles = dict(zip(found, ((MAIN, "o"), (SECOND, "s")), strict=False))
+    for column, (axis, surface) in enumerate(zip(axes, SURFACES, strict=True)):
+        for kind, line in (("primary", "-"), ("oblique", ":")):
+            paper = [TABLE_3[kind, speed][column] for speed in SPEEDS]
+            axis.plot(range(turn), paper, line, color=FAINT, label=f"paper, {kind}")
+            for name, cells in found.items():
+                colour, mark = styles[name]
+                values = [cells.at(Cell(kind, speed, surface)).f1 for speed in SPEEDS]
+                label = f"{name}, {kind}"
+                axis.plot(range(turn), values, line, marker=mark, markersize=4, color=colour, label=label)
+        axis.plot(turn, TABLE_3["rotation", None][column], "D", color=FAINT, markersize=5)
+        for name, cells in found.items():
+            colour, mark = styles[name]
+            axis.plot(turn, cells.at(Cell("rotation", None, surface)).f1, mark, color=colour, markersize=5)
+        axis.set(title=surface.replace("_", " "), xlabel="cm/s, or rotation")
+        axis.set_xticks(range(turn + 1), [*(f"{100 * speed:g}" for speed in SPEEDS), "rot."])
+        axis.yaxis.grid(visible=True)
+    axes[0].set_ylabel("F1, %")
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=3)
+    return figure
+
+
+def _looks(results: Sequence[Result]) -> Iterator[tuple[Result, dict[str, Axes]]]:
+    """Each with a colour and a line of its own."""
+    for number, result in enumerate(results):
+        colour, line = CELLS[number % len(CELLS)], _LINES[number // len(CELLS) % len(_LINES)]
+        yield result, {"color": colour, "linestyle": line}

@@ -1,0 +1,108 @@
+"""Every detector along every stress field: one small panel a field."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isnan
+from typing import Final
+
+from flows.learn.evaluation.judgement import Truth
+from flows.learn.stress.stress_fields import GRIDS, Grid
+from flows.learn.stress.stress_result import Stress
+from flows.report.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
+
+_COLUMNS: Final = 7  # the barometers' fields are the first row
+_COLOURS: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)
+_MARKS: Final = "osD^vP*X"
+_POWERS: Final = (0, 1, 10, 100)  # that a logarithmic axis names
+_LATEST: Final = 400.0  # ms, delays that are shown
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """What is drawn against the fields."""
+
+    key: str  # of `Judgement`
+    text: str  # of its axis
+    limits: tuple[float, float]
+    log: bool = False  # near 0 linear
+
+
+MEASURES: Final[Mapping[str, Measure]] = {
+    measure.key: measure
+    for measure in (
+        Measure("balanced", "balanced accuracy, %", (45, 100)),
+        Measure("false_alarms_per_min", "false alarms / static min", (0, 150), log=True),
+        Measure("missed", "missed slips, %", (-4, 104)),
+        Measure("onset_ms", "median onset delay, ms", (-50, _LATEST)),
+    )
+}
+_Line = tuple[str, Callable[[str, float], float]]  # its name; its height at a field's value
+
+
+@styled
+def panels(of: Stress, measure: Measure, truth: Truth = "label") -> Figure:
+    """A measure of each detector along each field."""
+
+    def line(name: str) -> _Line:
+        return name, lambda field, value: getattr(of.at(name, field, value, truth), measure.key)
+
+    figure, axes = _panels([line(name) for name in of.names], measure.text)
+    for axis in axes:
+        axis.set(ylim=measure.limits)
+        if measure.log:
+            axis.set_yscale("symlog", linthresh=1)
+            axis.set_yticks(_POWERS, [str(power) for power in _POWERS])
+            axis.minorticks_off()
+    return figure
+
+
+@styled
+def abstention(of: Stress) -> Figure:
+    """The share of samples during which a fault is reported, and of those without a score."""
+    first = of.names[0]
+    lines: Sequence[_Line] = (
+        ("a fault is reported", lambda field, value: of.outcome(field, value).degraded),
+        ("no score", lambda field, value: of.outcome(field, value).unscored[first]),
+    )
+    figure, axes = _panels(lines, "samples, %")
+    for axis in axes:
+        axis.set(ylim=(-4, 104))
+    return figure
+
+
+def _panels(lines: Sequence[_Line], text: str) -> tuple[Figure, list[Axes]]:
+    """Values in order: from nominal to broken; where there are two sides, from the lowest to the highest."""
+    rows = -(-len(GRIDS) // _COLUMNS)
+    figure, axes = grid(rows, _COLUMNS, (13, 2.1 * rows), sharey=True)
+    for number, (axis, (field, values)) in enumerate(zip(axes, GRIDS.items(), strict=False)):
+        shown = sorted(values.values) if len(values.sides) > 1 else list(values.values)
+        for place, (name, height) in enumerate(lines):
+            heights = [height(field, value) for value in shown]
+            axis.plot(
+                [at for at, each in enumerate(heights) if not isnan(each)],
+                [each for each in heights if not isnan(each)],
+                marker=_MARKS[place // len(_COLOURS) % len(_MARKS)],
+                markersize=3,
+                color=_COLOURS[place % len(_COLOURS)],
+                linewidth=2 if place == 0 else 1,
+                label=name,
+                zorder=len(lines) - place + 2,
+            )
+        _scale(axis, values, shown)
+        if number % _COLUMNS == 0:
+            axis.set_ylabel(text, fontsize=8)
+    for axis in axes[len(GRIDS) :]:
+        axis.set_axis_off()
+    handles, names = axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 8))
+    return figure, axes[: len(GRIDS)]
+
+
+def _scale(axis: Axes, values: Grid, shown: Sequence[float]) -> None:
+    axis.axvline(shown.index(values.values[0]), color=FAINT, linewidth=0.8, zorder=0)
+    axis.set_xticks(range(len(shown)), [values.number(value) for value in shown])
+    axis.set(xlim=(-0.4, len(shown) - 0.6))
+    axis.tick_params(labelsize=7)
+    title = f"{values.text}, {values.unit}" if values.unit else values.text
+    axis.set_title(title, fontsize=8)
+    axis.yaxis.grid(visible=True)

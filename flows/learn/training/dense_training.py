@@ -1,0 +1,187 @@
+"""Dense training: whole sequences, one label per sample.
+
+A window of 100 samples is computed anew for each of its samples by windowed training; here neighbours share
+what they have in common, for 60 to 90 times less work an epoch. Crops are drawn from all recordings, their
+first `receptive_field` - 1 samples and those without a label are masked, slip and static weigh the same.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Final, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional, utils
+
+from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.training.augmentation import augmented
+from flows.learn.training.checkpoint import Checkpoint
+from flows.learn.training.learning_curve import Check, best
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.tcn_module import DenseTcn
+from operators.batch import SLIP, STATIC
+from operators.errors import ParameterError
+
+_CLIP: Final = 1.0  # norm of the gradient
+_LEAST: Final = 0.01  # of the rate, that the cosine ends at
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """A trained network, as it was at its best check."""
+
+    arrays: Mapping[str, NDArray[Any]]  # as `operators.detectors.Tcn` takes them
+    curve: tuple[Check, ...]
+
+
+def train_dense(
+    train: Sequence[Trial],
+    validation: Sequence[Trial],
+    recipe: Recipe,
+    *,
+    checkpoint: Path | None = None,
+    progress: Callable[[int, Check | None], object] = lambda _step, _check: None,
+) -> Trained:
+    """Train our network; on a GPU where there is one.
+
+    Args:
+        train: What it learns from.
+        validation: What decides which check is the best, and when to end.
+        recipe: How.
+        checkpoint: A file to go on from where an earlier run stopped; it is removed at the end.
+        progress: Told after each step, with the check that was made there.
+
+    Raises:
+        ParameterError: if either holds too little, or one class only.
+        InputError: if the checkpoint is of another recipe or damaged.
+    """
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    corpus = _Corpus(train, recipe, device)
+    judge = [_Judged.of(trial, device) for trial in validation]
+    if not judge:
+        raise ParameterError("train_dense", "validation", len(judge), "recordings to choose by")
+    _seed(recipe.seed)
+    network = DenseTcn(recipe).to(device)
+    optimiser = torch.optim.AdamW(network.parameters(), recipe.rate, weight_decay=recipe.decay)
+    kept = Checkpoint(checkpoint, recipe, network, optimiser)
+    curve, done, before = kept.resume()
+    began, losses = perf_counter() - before, list[float]()
+    arrays: Mapping[str, NDArray[Any]] = kept.best or network.arrays()
+    every = max(recipe.steps // recipe.checks, 1)
+    for step in range(done + 1, recipe.steps + 1):
+        losses.append(_step(network, optimiser, corpus, recipe, step))
+        check = None
+        if step % every == 0 or step == recipe.steps:
+            right = _judge(network, judge)
+            check = Check(step, perf_counter() - began, float(np.mean(losses)), *right)
+            losses.clear()
+            curve.append(check)
+            if best(curve) is check:
+                arrays = network.arrays()
+            kept.save(curve, step, check.seconds, arrays)
+        progress(step, check)
+        if check and _stuck(curve, recipe.patience):
+            break
+    kept.remove()
+    return Trained(arrays, tuple(curve))
+
+
+def _step(
+    network: DenseTcn, optimiser: torch.optim.Optimizer, corpus: "_Corpus", recipe: Recipe, step: int
+) -> float:
+    """One step of the optimiser; what is random depends on the seed and the step alone."""
+    own = int(np.random.SeedSequence([recipe.seed, step]).generate_state(1, np.uint64)[0] >> 1)
+    generator = torch.Generator(corpus.device)
+    cast("Any", generator).manual_seed(own)
+    _seed(own)  # dropout
+    counts, weight, slip = corpus.crops(generator)
+    network.train()
+    logit = network(augmented(counts, recipe.augmentation, generator))[:, JUDGED:]
+    each = functional.binary_cross_entropy_with_logits(logit, slip, reduction="none")
+    loss = (each * weight).sum() / weight.sum().clamp(min=1)
+    for group in optimiser.param_groups:
+        group["lr"] = recipe.rate * _share(step, recipe)
+    optimiser.zero_grad()
+    torch.autograd.backward(loss)
+    utils.clip_grad_norm_(network.parameters(), _CLIP)
+    optimiser.step()
+    return float(loss.detach())
+
+
+def _seed(seed: int) -> None:
+    cast("Any", torch).manual_seed(seed)  # without types
+
+
+def _share(step: int, recipe: Recipe) -> float:
+    """Of the peak rate, from step 1 on: a linear warm-up, then a cosine."""
+    warm = max(round(recipe.warm_up * recipe.steps), 1)
+    if step <= warm:
+        return step / warm
+    passed = (step - warm) / max(recipe.steps - warm, 1)
+    return _LEAST + (1 - _LEAST) * (1 + math.cos(math.pi * min(passed, 1.0))) / 2
+
+
+def _stuck(curve: Sequence[Check], patience: int) -> bool:
+    return len(curve) - 1 - curve.index(best(curve)) >= patience
+
+
+class _Corpus:
+    """All recordings behind each other on the device, from which crops are drawn."""
+
+    def __init__(self, trials: Sequence[Trial], recipe: Recipe, device: torch.device) -> None:
+        self.device, self._crop, self._batch = device, recipe.crop, recipe.batch
+        usable = [trial for trial in trials if len(trial) >= recipe.crop]
+        label = np.concatenate([np.empty(0, np.int8), *(trial.label for trial in usable)])
+        slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())
+        if not slip or not static:
+            reason = f"recordings of {recipe.crop} samples or more, with slip and static among them"
+            raise ParameterError("train_dense", "train", f"{slip} slip, {static} static samples", reason)
+        counts = np.concatenate([trial.counts for trial in usable])
+        self._counts = torch.as_tensor(counts).to(device)  # (n, 6)
+        self._slip = torch.as_tensor(label == SLIP).to(device, torch.float32)  # (n,)
+        weight = np.select([label == SLIP, label == STATIC], [0.5 / slip, 0.5 / static]) * len(label)
+        self._weight = torch.as_tensor(weight).to(device, torch.float32)  # (n,) 0: no label
+        begins = np.cumsum([0, *(len(trial) for trial in usable)])
+        starts: list[NDArray[np.int64]] = [
+            np.arange(a, b - recipe.crop + 1) for a, b in pairwise(begins.tolist())
+        ]
+        self._starts = torch.as_tensor(np.concatenate(starts)).to(device)
+        self._offsets = torch.arange(recipe.crop, device=device)
+
+    def crops(self, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
+        """Counts (b, 6, crop), and of those that are judged: weight (b, m), slip (b, m)."""
+        chosen = torch.randint(len(self._starts), (self._batch,), generator=generator, device=self.device)
+        rows = self._starts[chosen][:, None] + self._offsets  # (b, crop)
+        judged = rows[:, JUDGED:]
+        counts = self._counts[rows].to(torch.float32).transpose(1, 2)
+        return counts, self._weight[judged], self._slip[judged]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """A recording that the network is judged by."""
+
+    counts: Tensor  # (1, 6, n)
+    label: NDArray[np.int8]  # (n - JUDGED,)
+
+    @classmethod
+    def of(cls, trial: Trial, device: torch.device) -> "_Judged":
+        counts = torch.as_tensor(trial.counts).to(device, torch.float32).T[None]
+        return cls(counts, trial.label[JUDGED:])
+
+
+def _judge(network: DenseTcn, trials: Sequence[_Judged]) -> tuple[float, float]:
+    """Accuracy and balanced accuracy, %."""
+    network.eval()
+    with torch.no_grad():
+        called = [network(trial.counts)[0, JUDGED:].cpu().numpy() > 0 for trial in trials]
+    slip, label = np.concatenate(called), np.concatenate([trial.label for trial in trials])
+    hits, rests = slip[label == SLIP], ~slip[label == STATIC]
+    balanced = 50 * (float(hits.mean()) + float(rests.mean()))
+    return 100 * float(np.concatenate((hits, rests)).mean()), balanced

@@ -1,1 +1,0 @@
-"""Flows that run as they are: their parameters are their arguments."""

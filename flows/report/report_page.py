@@ -1,0 +1,135 @@
+"""Reports: findings with text, tables and figures, written as HTML, Markdown, JSON and terminal text."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+from flows.report.figures import Figure, inline, lacking, save
+from flows.report.table import Table
+from operators.errors import EndpointError, because
+
+_STYLE: Final = """
+:root { color-scheme: light; }
+body { margin: 2.5rem auto; max-width: 66rem; padding: 0 1.5rem; background: #fff; color: #22272e;
+       font: 16px/1.5 system-ui, "DejaVu Sans", Helvetica, Arial, sans-serif; }
+h1 { font-size: 1.6rem; line-height: 1.25; } h2 { font-size: 1.15rem; line-height: 1.3; margin-top: 3rem; }
+p { max-width: 46rem; } svg { width: 100%; height: auto; max-height: 36rem; }
+table { border-collapse: collapse; margin: 1rem 0; font-size: .86rem; font-variant-numeric: tabular-nums; }
+div.table { overflow-x: auto; } caption { text-align: left; font-weight: 600; padding: .2rem 0; }
+th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e6e9ed; white-space: nowrap; }
+th.text, td.text { text-align: left; } th:first-child, td:first-child { padding-left: 0; text-align: left; }
+th { font-weight: 600; border-bottom-color: #9aa4b0; }
+pre { background: #f5f7f9; padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; }
+footer { margin-top: 3rem; color: #5b6672; font-size: .85rem; }
+"""
+
+
+@dataclass(frozen=True)
+class Section:
+    """One finding with its evidence."""
+
+    name: str  # letters, digits and hyphens; names the figure's file and the JSON key
+    finding: str  # one sentence with numbers
+    text: str  # how it was measured
+    tables: Sequence[Table] = ()
+    draw: Callable[[], Figure] | None = None  # called at most once, and only if matplotlib is installed
+
+    @cached_property
+    def figure(self) -> Figure | None:
+        """The figure; None if the section has none or matplotlib is not installed."""
+        return None if self.draw is None or lacking() else self.draw()
+
+    def html(self) -> str:
+        """Return the section as an HTML element."""
+        figure = "" if self.figure is None else inline(self.figure, self.name, self.finding)
+        parts = [f"<h2>{escape(self.finding)}</h2>", f"<p>{escape(self.text)}</p>", figure]
+        body = "\n".join([*parts, *(table.html() for table in self.tables)])
+        return f'<section id="{self.name}">\n{body}\n</section>'
+
+    def markdown(self, figure: str) -> str:
+        """Return the section as Markdown that shows the figure in the file `figure`."""
+        shown = [f"![{self.finding}]({figure})"] if self.figure is not None else []
+        return "\n\n".join([f"## {self.finding}", self.text, *shown, *(t.markdown() for t in self.tables)])
+
+
+@dataclass(frozen=True)
+class Report:
+    """The findings of a study and the command that produced them."""
+
+    title: str
+    text: str
+    sections: Sequence[Section]
+    command: str
+    facts: Mapping[str, Any] = field(default_factory=dict[str, Any])  # what was studied, for the JSON
+
+    def html(self) -> str:
+        """Return one self-contained HTML page."""
+        sections = "\n".join(section.html() for section in self.sections)
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{escape(self.title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
+            f"<h1>{escape(self.title)}</h1>\n<p>{escape(self.text)}</p>\n{sections}\n"
+            f"<footer>Printed by<pre>{escape(self.command)}</pre></footer>\n</body>\n</html>\n"
+        )
+
+    def markdown(self, name: str) -> str:
+        """Return the page as Markdown; figures are files next to NAME.md."""
+        parts = [section.markdown(_figure_file(name, section)) for section in self.sections]
+        return (
+            "\n\n".join([f"# {self.title}", self.text, *parts, "Printed by:", f"    {self.command}"]) + "\n"
+        )
+
+    def json(self) -> dict[str, Any]:
+        """Return facts, findings and tables as JSON data; unknown values are null."""
+        found = {
+            section.name: {"finding": section.finding, "tables": [table.json() for table in section.tables]}
+            for section in self.sections
+        }
+        return {"title": self.title, "command": self.command, **self.facts, "sections": found}
+
+    def terminal(self) -> str:
+        """Return findings and tables as text for a terminal."""
+        parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in self.sections]
+        return "\n\n".join("\n\n".join(each) for each in parts)
+
+    def write(self, folder: Path, name: str) -> list[Path]:
+        """Write NAME.html, NAME.md, NAME.json and the figures (SVG) into a folder; return their paths.
+
+        Raises:
+            EndpointError: if they cannot be written.
+        """
+        make_output_folder(folder)
+        numbers = json.dumps(self.json(), indent=1, allow_nan=False) + "\n"
+        texts = {"html": self.html(), "md": self.markdown(name), "json": numbers}
+        paths = [folder / f"{name}.{ending}" for ending in texts]
+        try:
+            for path, text in zip(paths, texts.values(), strict=True):
+                path.write_text(text, encoding="utf-8")
+            for section in self.sections:
+                if section.figure is not None:
+                    paths.append(folder / _figure_file(name, section))
+                    save(section.figure, paths[-1])
+        except OSError as error:
+            raise EndpointError(str(folder), f"cannot be written: {because(error)}") from error
+        return paths
+
+
+def make_output_folder(folder: Path) -> None:
+    """Create the folder that results are written to; call it before a long measurement.
+
+    Raises:
+        EndpointError: if it cannot be created.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise EndpointError(str(folder), f"cannot be made: {because(error)}") from error
+
+
+def _figure_file(page: str, section: Section) -> str:
+    return f"{page}.svg" if section.name == page else f"{page}-{section.name}.svg"

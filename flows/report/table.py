@@ -1,0 +1,102 @@
+"""Tables of a report: values are kept as numbers and formatted on output."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from math import isfinite
+from typing import Any, Final, TypeAlias
+
+Cell: TypeAlias = str | float | int | None  # None, NaN and infinity: unknown
+UNKNOWN: Final = "-"  # unknown values in tables
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Rows below a head; text columns and the first column are aligned left, numbers right.
+
+    Floats are shown with one decimal, or as many as `decimals` gives for their column.
+
+    >>> table = Table(["method", "F1", "how"], [["psd", 57.52, "late"], ["tcn", 9.0, None]])
+    >>> print(table.markdown())
+    | method |   F1 | how  |
+    | ------ | ---: | ---- |
+    | psd    | 57.5 | late |
+    | tcn    |  9.0 | -    |
+    >>> table.json()["rows"][1]
+    {'method': 'tcn', 'F1': 9.0, 'how': None}
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    caption: str = ""
+    decimals: Mapping[str, int] = field(default_factory=dict[str, int])  # by column
+
+    def markdown(self) -> str:
+        """Return a padded Markdown table, which also reads as plain text."""
+        texts = self._texts()
+        wide = [
+            max(3, *(len(line[column]) for line in [self.head, *texts])) for column in range(len(self.head))
+        ]
+        left = self._left()
+        rule = ["-" * w if text else "-" * (w - 1) + ":" for w, text in zip(wide, left, strict=True)]
+        lines = [
+            " | ".join(
+                cell.ljust(w) if text else cell.rjust(w)
+                for cell, w, text in zip(line, wide, left, strict=True)
+            )
+            for line in (self.head, rule, *texts)
+        ]
+        table = "\n".join(f"| {line} |" for line in lines)
+        return f"{self.caption}\n\n{table}" if self.caption else table
+
+    def html(self) -> str:
+        """Return the table as an HTML element."""
+        classes = [' class="text"' if text else "" for text in self._left()]
+
+        def row(tag: str, cells: Sequence[str]) -> str:
+            pairs = zip(cells, classes, strict=True)
+            return f"<tr>{''.join(f'<{tag}{kind}>{escape(cell)}</{tag}>' for cell, kind in pairs)}</tr>"
+
+        caption = f"<caption>{escape(self.caption)}</caption>" if self.caption else ""
+        body = "\n".join(row("td", cells) for cells in self._texts())
+        head = f"<thead>{row('th', self.head)}</thead>"
+        return f'<div class="table"><table>{caption}{head}<tbody>\n{body}\n</tbody></table></div>'
+
+    def json(self) -> dict[str, Any]:
+        """Return the table as JSON data; unknown values are null."""
+        rows = [{name: _plain(cell) for name, cell in zip(self.head, row, strict=True)} for row in self.rows]
+        return {"caption": self.caption, "rows": rows} if self.caption else {"rows": rows}
+
+    def _texts(self) -> list[list[str]]:
+        places = [self.decimals.get(name, 1) for name in self.head]
+        return [[show(cell, number) for cell, number in zip(row, places, strict=True)] for row in self.rows]
+
+    def _left(self) -> list[bool]:
+        """Return which columns are aligned left."""
+        columns = [[row[column] for row in self.rows] for column in range(len(self.head))]
+        return [not number or _is_text(cells) for number, cells in enumerate(columns)]
+
+
+def show(value: Cell, decimals: int = 1) -> str:
+    """Format a value as tables show it.
+
+    >>> show(93.14), show(1.656, 2), show(12345), show("late"), show(float("nan"))
+    ('93.1', '1.66', '12,345', 'late', '-')
+    """
+    if value is None or (isinstance(value, float) and not isfinite(value)):
+        return UNKNOWN
+    if isinstance(value, str):
+        return value
+    return f"{value:,}" if isinstance(value, int) else f"{value:.{decimals}f}"
+
+
+def _is_text(cells: Sequence[Cell]) -> bool:
+    known = [cell for cell in cells if isinstance(cell, str)]
+    return bool(known) and all(any(letter.isalpha() for letter in cell) for cell in known)
+
+
+def _plain(value: Cell) -> Cell:
+    """Return a value as JSON takes it: six significant digits, no NaN."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if isfinite(value) else None
+    return value

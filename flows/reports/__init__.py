@@ -1,1 +1,0 @@
-"""What a command leaves for people: one page with its figures and tables."""

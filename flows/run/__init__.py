@@ -1,0 +1,1 @@
+"""Runners that execute a flow live or over recordings."""

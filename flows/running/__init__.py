@@ -1,1 +1,0 @@
-"""The runners: live, and over recordings."""

@@ -1,1 +1,0 @@
-"""The simulated scene, measured: how real it looks, what each term is worth, how fast it runs."""

@@ -1,0 +1,60 @@
+"""Checks of parameters, each of which raises the same `ParameterError` for the same mistake."""
+
+from collections.abc import Iterable
+
+from operators.errors import ParameterError
+
+
+def check_above(owner: str, name: str, value: float, low: float, unit: str = "") -> None:
+    """Require `value` > `low`; NaN fails.
+
+    >>> check_above("Debounce", "threshold", 0.5, 0)
+
+    Raises:
+        ParameterError: if it is not.
+    """
+    if not value > low:
+        raise ParameterError(owner, name, value, f"above {low:g} {unit}".rstrip())
+
+
+def check_at_least(owner: str, name: str, value: float, least: float, unit: str = "") -> None:
+    """Require `value` >= `least`; NaN fails.
+
+    >>> check_at_least("Label", "delay", -1, 0, "ns")
+    Traceback (most recent call last):
+    operators.errors.ParameterError: Label: delay is -1, must be at least 0 ns
+
+    Raises:
+        ParameterError: if it is not.
+    """
+    if not value >= least:
+        raise ParameterError(owner, name, value, f"at least {least:g} {unit}".rstrip())
+
+
+def check_between(owner: str, name: str, value: float, low: float, high: float, *, unit: str = "") -> None:
+    """Require `low` <= `value` <= `high`; NaN fails.
+
+    >>> check_between("Debounce", "threshold", 1.5, 0, 1)
+    Traceback (most recent call last):
+    operators.errors.ParameterError: Debounce: threshold is 1.5, must be from 0 to 1
+
+    Raises:
+        ParameterError: if it is not.
+    """
+    if not low <= value <= high:
+        raise ParameterError(owner, name, value, f"from {low:g} to {high:g} {unit}".rstrip())
+
+
+def check_choice(owner: str, name: str, value: object, choices: Iterable[object]) -> None:
+    """Require that `value` is one of `choices`.
+
+    >>> check_choice("simulate", "plan", "huge", ["paper", "tiny"])
+    Traceback (most recent call last):
+    operators.errors.ParameterError: simulate: plan is 'huge', must be one of paper, tiny
+
+    Raises:
+        ParameterError: if it is not.
+    """
+    known = list(choices)
+    if value not in known:
+        raise ParameterError(owner, name, value, f"one of {', '.join(map(str, known))}")

@@ -1,0 +1,347 @@
+import hashlib
+from collections.abc import Callable
+from decimal import ROUND_HALF_EVEN, Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from connectors import CsvTrace
+from connectors.files.csv_columns import ColumnMap
+from operators.batch import EVERY, Motion, Touch, Zeroed, concat
+from operators.errors import InputError, ParameterError
+
+Write = Callable[..., Path]
+HEADER = "t,s1,s2,s3,s4,s5,s6"
+MAT = Path(__file__).parents[4] / "shared" / "real" / "mat_trace.csv"
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write_lines(*lines: str) -> Path:
+        path = tmp_path / "trace.csv"
+        path.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        return path
+
+    return write_lines
+
+
+def test_a_trace_is_read_as_it_is_written(write: Write) -> None:
+    trace = CsvTrace(
+        write(
+            f"{HEADER},label,energy",
+            "0.5,1,2,3,4,5,-6,0,1.5",
+            "0.51,1,2,3,4,5,6.0,1,",
+            "0.51,0,0,0,0,0,0,-1,x",
+        )
+    )
+    touch = trace.touch.check()
+    assert touch.time.tolist() == [500_000_000, 510_000_000, 510_000_000]
+    assert touch.counts.tolist() == [[1, 2, 3, 4, 5, -6], [1, 2, 3, 4, 5, 6], [0] * 6]
+    assert touch.valid.all()
+    assert not touch.temperature.any()
+    assert trace.labels.tolist() == [0, 1, -1]
+    assert trace.labels.dtype == np.int8
+    assert trace.describe() == {
+        "trace": "trace.csv",
+        "sha256": hashlib.sha256(Path(trace.name).read_bytes()).hexdigest(),
+        "rows": 3,
+        "zeroed": True,
+        "columns": {"time": ["t"], "counts": ["s1", "s2", "s3", "s4", "s5", "s6"], "label": ["label"]},
+        "units": {"time": "s"},
+    }
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "t,s1,s2,s3,s4,s5,s6",
+        "time,s1,s2,s3,s4,s5,s6",
+        "t,c0,c1,c2,c3,c4,c5",
+        " t , s1,s2 ,s3,s4,s5,s6",
+        "\ufeff" + HEADER,
+    ],
+)
+def test_columns_have_their_usual_names(write: Write, header: str) -> None:
+    touch = CsvTrace(write(header, "1.5,1,2,3,4,5,6")).touch
+    assert (touch.time.tolist(), touch.counts.tolist()) == ([1_500_000_000], [[1, 2, 3, 4, 5, 6]])
+
+
+def test_columns_may_have_other_names_and_another_order(write: Write) -> None:
+    names = [f"cell {i}" for i in range(6)]
+    path = write(",".join(["truth", *reversed(names), "stamp_ns"]), "1,6,5,4,3,2,1,1700000000123456789")
+    columns = ColumnMap({"time": ("stamp_ns",), "counts": tuple(names), "label": ("truth",)})
+    trace = CsvTrace(path, columns, finger=3)
+    assert trace.touch.time.tolist() == [1700000000123456789]
+    assert trace.touch.counts.tolist() == [[1, 2, 3, 4, 5, 6]]
+    assert trace.labels.tolist() == [1]
+    assert trace.touch.finger == 3
+
+
+def test_without_labels_every_row_is_unknown(write: Write) -> None:
+    assert CsvTrace(write(HEADER, "0,1,2,3,4,5,6", "1,1,2,3,4,5,6")).labels.tolist() == [-1, -1]
+
+
+@pytest.mark.parametrize(
+    ("lowest", "zeroed", "kind"),
+    [(0, None, Touch), (-1, None, Zeroed), (0, True, Zeroed), (-1, True, Zeroed), (0, False, Touch)],
+)
+def test_counts_are_zeroed_if_one_is_negative_or_if_told(
+    *, write: Write, lowest: int, zeroed: bool | None, kind: type[Touch]
+) -> None:
+    trace = CsvTrace(write(HEADER, "0,1,2,3,4,5,6", f"1,1,2,{lowest},4,5,6"), zeroed=zeroed)
+    assert trace.kind is type(trace.touch) is kind
+    assert trace.fingers(Touch) == (0,)
+    assert trace.fingers(Zeroed) == ((0,) if kind is Zeroed else ())
+    assert trace.fingers(Motion) == ()
+
+
+@given(st.decimals(-9_000_000_000, 9_000_000_000, allow_nan=False, places=12))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_seconds_become_the_nearest_nanosecond(write: Write, time: Decimal) -> None:
+    nearest = int(time.scaleb(9).to_integral_value(ROUND_HALF_EVEN))
+    found = CsvTrace(write(HEADER, f"{time:f},1,2,3,4,5,6")).touch.time.item()
+    assert found == nearest or abs(time.scaleb(9) - found) == Decimal("0.5")
+
+
+@given(st.integers(1, 30), st.integers(1, 12))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_the_batches_of_any_size_are_the_whole_trace(write: Write, length: int, rows: int) -> None:
+    trace = CsvTrace(write(HEADER, *(f"{i},{i},2,3,4,5,6" for i in range(length))))
+    batches = list(trace.read(Touch, 0, rows))
+    assert {len(batch) for batch in batches[:-1]} <= {rows}
+    assert len(batches[-1]) <= rows
+    assert concat(Touch, batches).counts.tolist() == trace.touch.counts.tolist()
+
+
+def test_blank_lines_are_ignored_but_counted(write: Write) -> None:
+    path = write(HEADER, "0,1,2,3,4,5,6", "", "1,1,2,3,4,5,6", "")
+    assert CsvTrace(path).touch.time.tolist() == [0, 1_000_000_000]
+    path = write(HEADER, "0,1,2,3,4,5,6", "", "1,1,2,three,4,5,6")
+    with pytest.raises(InputError, match="line 4, column s3: is 'three'"):
+        CsvTrace(path)
+
+
+def test_a_stray_quotation_mark_swallows_no_lines(write: Write) -> None:
+    rows = [f"{i},1,2,3,4,5,6,{note}" for i, note in enumerate(["ok", '"one', "x", 'two"', "ok"])]
+    with pytest.raises(
+        InputError, match=r"line 3: has a quoted field that spans lines: close its quotation mark$"
+    ):
+        CsvTrace(write(f"{HEADER},note", *rows))
+
+
+def test_quoted_fields_are_read(write: Write) -> None:
+    trace = CsvTrace(write(f"{HEADER},note", '"0.5","1",2,3,4,5,6,"one, two"'))
+    assert (trace.touch.time.item(), trace.touch.counts[0, 0]) == (500_000_000, 1)
+
+
+WHOLE = "must be a whole number from -32768 to 32767"
+
+
+@pytest.mark.parametrize(
+    ("row", "complaint"),
+    [
+        ("1,1,x,3,4,5,6,0", f"line 3, column s2: is 'x', {WHOLE}"),
+        ("1,1,,3,4,5,6,0", f"line 3, column s2: is '', {WHOLE}"),
+        ("1,1,nan,3,4,5,6,0", f"line 3, column s2: is 'nan', {WHOLE}"),
+        ("1,1,inf,3,4,5,6,0", f"line 3, column s2: is 'inf', {WHOLE}"),
+        ("1,1,-inf,3,4,5,6,0", f"line 3, column s2: is '-inf', {WHOLE}"),
+        ("1,1,2.5,3,4,5,6,0", f"line 3, column s2: is '2.5', {WHOLE}"),
+        ("1,1,32768,3,4,5,6,0", f"line 3, column s2: is '32768', {WHOLE}"),
+        ("1,1,-32769,3,4,5,6,0", f"line 3, column s2: is '-32769', {WHOLE}"),
+        ("1,1,2,3,4,5,6,2", "line 3, column label: is '2', must be a whole number from -1 to 1"),
+        ("1,1,2,3,4,5,6,slip", "line 3, column label: is 'slip', must be a whole number from -1 to 1"),
+        ("soon,1,2,3,4,5,6,0", "line 3, column t: is 'soon', must be a time in s"),
+        (",1,2,3,4,5,6,0", "line 3, column t: is '', must be a time in s"),
+        ("nan,1,2,3,4,5,6,0", "line 3, column t: is 'nan', must be a time in s"),
+        ("inf,1,2,3,4,5,6,0", "line 3, column t: is 'inf', must be a time in s"),
+        ("1e30,1,2,3,4,5,6,0", "line 3, column t: is '1e30', must be a time in s"),
+        ("9e10,1,2,3,4,5,6,0", "line 3, column t: is '9e10', must be a time in s"),
+        ("0.4,1,2,3,4,5,6,0", "line 3, column t: is '0.4', must be no less than in the line before"),
+        ("1,1,2,3", f"line 3, column s4: is '', {WHOLE}"),
+        (
+            "1,1,2,3,4,5,6,0,9",
+            "line 3: has more fields than line 1 has names; a comma in a value needs quotes",
+        ),
+    ],
+)
+def test_a_value_that_cannot_be_used_is_named_by_line_and_column(
+    write: Write, row: str, complaint: str
+) -> None:
+    path = write(f"{HEADER},label", "0.5,1,2,3,4,5,6,0", row, "2,1,2,3,4,5,6,0")
+    with pytest.raises(InputError) as caught:
+        CsvTrace(path)
+    assert str(caught.value) == f"{path}, {complaint}"
+
+
+@pytest.mark.parametrize("time", ["1.5", "x", "9999999999999999999"])
+def test_a_time_in_ns_must_be_a_whole_number(write: Write, time: str) -> None:
+    path = write(HEADER.replace("t,", "time_ns,"), f"{time},1,2,3,4,5,6")
+    with pytest.raises(InputError, match=f"line 2, column time_ns: is '{time}', must be a whole number"):
+        CsvTrace(path)
+
+
+def test_a_negative_count_is_not_raw(write: Write) -> None:
+    with pytest.raises(InputError, match="column s1: is '-1', must be a whole number from 0 to 32767"):
+        CsvTrace(write(HEADER, "0,-1,2,3,4,5,6"), zeroed=False)
+
+
+@pytest.mark.parametrize(
+    ("header", "complaint"),
+    [
+        (
+            "t,s1,s2,s3,s4,s5",
+            (
+                "has the columns 't s1 s2 s3 s4 s5', none known as counts; say which, as counts=p0..p5, or "
+                "counts=left,right,top,bottom,tip,base"
+            ),
+        ),
+        (
+            "s1,s2,s3,s4,s5,s6",
+            "has the columns 's1 s2 s3 s4 s5 s6', none known as time; say which, as time=t",
+        ),
+        (
+            "t;s1;s2;s3;s4;s5;s6",
+            "has the columns 't;s1;s2;s3;s4;s5;s6', none known as time; say which, as time=t",
+        ),
+        ("t,s1,s2,s3,s4,s5,s6,s1", "has two columns s1"),
+        ("t,s1,s2,s3,s4,s5,s6, s1", "has two columns s1"),
+        ("0,1,2,3,4,5,6", "has the columns '0 1 2 3 4 5 6', none known as time; say which, as time=t"),
+    ],
+)
+def test_missing_columns_are_named(write: Write, header: str, complaint: str) -> None:
+    path = write(header, ",".join("1" * (header.count(",") + 1)))
+    with pytest.raises(InputError) as caught:
+        CsvTrace(path)
+    assert str(caught.value) == f"{path}, line 1: {complaint}"
+
+
+def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
+    path = write(HEADER, "0,1,2,3,4,5,6")
+    with pytest.raises(InputError, match=r"line 1: has the columns .*, must have stamp$"):
+        CsvTrace(path, ColumnMap({"time": ("stamp",)}))
+    with pytest.raises(InputError, match=r"line 1: has the columns .*, must have truth$"):
+        CsvTrace(path, ColumnMap({"label": ("truth",)}))
+
+
+def test_a_file_that_is_missing_empty_or_no_text_is_told_so(tmp_path: Path, write: Write) -> None:
+    with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
+        CsvTrace(tmp_path / "absent.csv")
+    with pytest.raises(
+        InputError, match=r"cannot be read: Is a directory; a folder has a name that must be a file's$"
+    ):
+        CsvTrace(tmp_path)
+    (tmp_path / "empty.csv").touch()
+    with pytest.raises(InputError, match=r"empty.csv: is empty, its first line must name the columns$"):
+        CsvTrace(tmp_path / "empty.csv")
+    with pytest.raises(InputError, match=r"trace.csv: has no rows below its first line$"):
+        CsvTrace(write(HEADER))
+    (tmp_path / "binary.csv").write_bytes(b"t,s1\n\xff\xfe,1\n")
+    with pytest.raises(InputError, match=r"binary.csv: is no CSV file: [^\n]+$"):
+        CsvTrace(tmp_path / "binary.csv")
+
+
+@given(st.binary(max_size=200))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_no_file_does_worse_than_be_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "any.csv").write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        CsvTrace(tmp_path / "any.csv")
+    assert len(str(caught.value).splitlines()) == 1
+
+
+@given(st.data())
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_file_that_was_cut_off_is_never_taken_for_more_than_its_whole_lines(
+    write: Write, data: st.DataObject
+) -> None:
+    whole = CsvTrace(path := write(HEADER, *(f"{i}.25,{i},-20,30,40,50,60" for i in range(8)))).touch
+    content = path.read_bytes()
+    path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    try:
+        touch = CsvTrace(path).touch
+    except InputError:
+        return
+    assert touch.time.tolist() == whole.time[: len(touch)].tolist()
+    assert touch.counts[:-1].tolist() == whole.counts[: len(touch) - 1].tolist()
+
+
+def test_a_stream_that_it_does_not_hold_is_refused(write: Write) -> None:
+    trace = CsvTrace(write(HEADER, "0,1,2,3,4,5,6"))
+    with pytest.raises(InputError, match=r"holds no Motion stream of finger 0$"):
+        trace.read(Motion, 0)
+    with pytest.raises(InputError, match=r"holds no Touch stream of finger 1$"):
+        trace.read(Touch, 1)
+
+
+def test_a_speed_becomes_a_motion_along_x_where_it_is_told(write: Write) -> None:
+    path = write(
+        f"{HEADER},speed", "0,1,2,3,4,5,6,12.5", "1,1,2,3,4,5,6,", '2,1,2,3,4,5,6,""', "3,1,2,3,4,5,6,-4"
+    )
+    trace = CsvTrace(path, ColumnMap(units={"speed": "mm/s"}))
+    assert trace.fingers(Motion) == (EVERY,)
+    motion = concat(Motion, list(trace.read(Motion, EVERY, 1))).check()
+    assert motion.time.tolist() == motion.device_time.tolist() == [0, 3_000_000_000]
+    assert motion.velocity.tolist() == [[0.0125, 0, 0, 0, 0, 0], [-0.004, 0, 0, 0, 0, 0]]
+    assert np.isnan(motion.pose).all()
+    assert len(trace.touch) == 4
+
+
+def test_a_velocity_has_three_or_six_columns_and_goes_before_a_speed(write: Write) -> None:
+    linear = CsvTrace(write(f"{HEADER},VX,vy,vz,speed", "0,1,2,3,4,5,6,1,2,3,9"))
+    assert linear.motion.velocity.tolist() == [[1, 2, 3, 0, 0, 0]]
+    assert "speed" not in linear.columns.columns
+    columns = ColumnMap.parse("velocity=a1..a6", "velocity=cm/s")
+    whole = CsvTrace(write(f"{HEADER},a1,a2,a3,a4,a5,a6", "0,1,2,3,4,5,6,1,2,3,4,5,6"), columns)
+    assert whole.motion.velocity.tolist() == [[0.01, 0.02, 0.03, 4, 5, 6]]  # rad/s as it is
+
+
+@pytest.mark.parametrize("speed", ["fast", "nan", "inf", "1e999"])
+def test_a_speed_that_is_no_number_is_named_by_line_and_column(write: Write, speed: str) -> None:
+    path = write(f"{HEADER},v", "0,1,2,3,4,5,6,1", f"1,1,2,3,4,5,6,{speed}")
+    with pytest.raises(InputError, match=rf"line 3, column v: is '{speed}', must be a number, or nothing$"):
+        CsvTrace(path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "time", "expected"),
+    [
+        ("s", "1.0000000015", 1_000_000_002),
+        ("ms", "1700000000123.456789", 1700000000123456789),
+        ("us", "1.5", 1500),
+        ("ns", "7", 7),
+    ],
+)
+def test_a_time_has_the_unit_that_is_told_or_that_ends_its_name(
+    write: Write, unit: str, time: str, expected: int
+) -> None:
+    told = CsvTrace(write(HEADER, f"{time},1,2,3,4,5,6"), ColumnMap(units={"time": unit}))
+    named = CsvTrace(write(HEADER.replace("t,", f"Timestamp_{unit},"), f"{time},1,2,3,4,5,6"))
+    assert told.touch.time.tolist() == named.touch.time.tolist() == [expected]
+
+
+def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
+    path = write(HEADER.removeprefix("t,"), *["1,2,3,4,5,6"] * 4)
+    trace = CsvTrace(path, rate=30)
+    assert trace.touch.time.tolist() == [0, 33_333_333, 66_666_667, 100_000_000]
+    assert trace.rate == pytest.approx(30)
+    with pytest.raises(ParameterError, match="rate is 0"):
+        CsvTrace(path, rate=0)
+
+
+def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.files.csv_table.LIMIT", 1 << 20)
+    path = write(HEADER, "0,1,2,3,4,5,6", "\n" * (1 << 20))
+    with pytest.raises(InputError, match=r"is larger than 1 MiB; cut it into several traces$"):
+        CsvTrace(path)
+
+
+def test_the_real_trace_is_read_whole() -> None:
+    if not MAT.exists():
+        pytest.skip(f"{MAT} is not there: the shared material belongs beside the checkout")
+    trace = CsvTrace(MAT)
+    assert (len(trace.touch), trace.kind, trace.touch.time[0]) == (377, Zeroed, 6_569_355_000)
+    assert set(trace.labels.tolist()) == {0, 1}
+    assert trace.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]

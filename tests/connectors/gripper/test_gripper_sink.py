@@ -1,0 +1,318 @@
+import asyncio
+from dataclasses import replace
+from itertools import pairwise
+from math import inf, nan
+
+import pytest
+
+from connectors import Gripper
+from connectors.emulators.gripper_mechanism import RELEASED
+from connectors.gripper import modbus_link as gripper_link
+from connectors.gripper.grip_force import ForceScale
+from connectors.gripper.robotiq import Request
+from flows.graph import Flow
+from flows.graph.testing import TestSource
+from flows.run.live_runner import LiveRunner
+from operators import EndpointError, FlowError, InputError, ParameterError, ms
+from operators.batch import Commands
+from operators.ports import Run
+from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
+
+pytestmark = pytest.mark.virtual
+pytest.importorskip("pymodbus")
+
+
+def found_nowhere(name: str) -> None:
+    del name
+
+
+async def test_opening_and_closing_the_fingers_are_the_manuals_frames() -> None:
+    async with lab() as at:
+        gripper = at.gripper()
+        await gripper.open(at.run)
+        await gripper.write(commands(60.0))
+        await gripper.close()
+        looked = {data for _, data in at.asked if data[5] == 4}
+        assert looked == {bytes.fromhex("00 00 00 06 02 04 00 00 00 08")}
+        activate, close = [data for _, data in at.asked if data[5] == 16]
+        assert activate == bytes.fromhex("00 00 00 0D 02 10 00 00 00 03 06 01 00 00 00 00 00")
+        assert close == bytes.fromhex("00 00 00 0D 02 10 00 00 00 03 06 09 00 00 FF FF FF")
+
+
+async def test_the_fingers_grip_once_a_force_is_commanded_and_the_object_is_detected() -> None:
+    async with lab(met=51) as at:
+        gripper = at.gripper(speed=200, position=180)
+        await gripper.open(at.run)
+        await asyncio.sleep(10)
+        assert at.writes == [Request(active=True)]
+        assert gripper.describe()["force_n"] is None
+        await gripper.write(commands(30.0))
+        await asyncio.sleep(10)
+        assert at.writes[1:] == [Request(active=True, go=True, position=180, speed=200, force=85)]
+        assert at.scene.forces == [SCALE.force(85)]
+        assert gripper.status
+        assert gripper.status.object_detected
+        about = gripper.describe()
+        assert (about["object_detected"], about["positions"], about["fault"]) == (True, [51, 51, 51], "")
+        assert about["force_n"] == SCALE.force(85)
+        await gripper.close()
+        assert gripper.status is None
+
+
+async def test_a_force_that_is_given_is_gripped_with_from_the_beginning() -> None:
+    async with lab() as at, at.gripping(force=20.0):
+        await asyncio.sleep(10)
+        assert at.scene.forces == [SCALE.force(28)]
+
+
+async def test_a_gripper_that_is_ready_keeps_what_it_holds() -> None:
+    async with lab() as at:
+        for force in (20.0, None, 30.0):
+            gripper = at.gripper(force=force)
+            await gripper.open(at.run)
+            await asyncio.sleep(10)
+            await gripper.close()
+        assert at.scene.forces == [SCALE.force(28), SCALE.force(85)]
+        assert len(at.writes) == 3
+
+
+async def test_requests_keep_their_distance_the_newest_force_wins_and_the_others_are_counted() -> None:
+    async with lab() as at, at.gripping(force=15.0) as gripper:
+        await asyncio.sleep(5.05)  # between two looks
+        begun = asyncio.get_running_loop().time()
+        for register in range(1, 250):  # one each ms
+            await gripper.write(commands(SCALE.force(register)))
+            await asyncio.sleep(0.001)
+        await asyncio.sleep(0.02)
+        instants = [instant for instant, _ in at.asked]
+        assert min(after - before for before, after in pairwise(instants)) >= 0.005 - 1e-9
+        sent = [each.force for each in at.writes[2:]]
+        assert sent == sorted(set(sent))
+        assert (len(sent) > 20, sent[-1]) == (True, 249)
+        written = [instant - begun for instant, data in at.asked if data[5] == 16][2:]
+        newest = [min(249, 1 + round(instant * 1000)) for instant in written]  # when each was sent
+        assert all(fresh - force <= 1 for fresh, force in zip(newest, sent, strict=True))
+        assert counted(gripper)["taken"] == 249
+        assert counted(gripper)["taken"] - counted(gripper)["superseded"] == len(sent)
+        assert at.scene.forces[-1] == SCALE.force(249)
+
+
+async def test_rows_without_a_force_and_velocities_change_nothing() -> None:
+    async with lab() as at, at.gripping(force=15.0) as gripper:
+        await gripper.write(commands(20.0, 30.0, nan, nan, velocity=0.1))
+        await gripper.write(commands(nan, nan, velocity=0.1))
+        await gripper.write(commands())
+        await asyncio.sleep(5)
+        assert [each.force for each in at.writes] == [0, 0, 85]
+        assert counted(gripper) == {
+            "taken": 2, "superseded": 1, "limited": 0, "sent": 3, "restarts": 0, "failures": 0,
+        }  # fmt: skip
+
+
+async def test_forces_beyond_the_limits_are_brought_to_them_and_counted() -> None:
+    async with lab() as at, at.gripping(limits=(20.0, 40.0)) as gripper:
+        for force in (5.0, 41.0, 30.0, -inf, inf):
+            await gripper.write(commands(force))
+            await asyncio.sleep(0.1)
+        assert [each.force for each in at.writes[1:]] == [28, 141, 85, 28, 141]
+        assert counted(gripper)["limited"] == 4
+
+
+async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_answers() -> None:
+    async with lab() as at, at.gripping(force=15.0) as gripper:
+        await asyncio.sleep(5)
+        at.server.silence()
+        await asyncio.sleep(1.2)
+        for force in (20.0, 25.0, 30.0):
+            with pytest.raises(
+                EndpointError, match=r"modbus://.*/2: does not answer within 1.0 s: is 2 its unit"
+            ):
+                await gripper.write(commands(force))
+        assert gripper.status is None
+        assert gripper.describe()["fault"] == "does not answer within 1.0 s: is 2 its unit?"
+        at.server.silence(silent=False)
+        await asyncio.sleep(4)
+        assert [each.force for each in at.writes[2:]] == [85]
+        assert at.scene.forces == [15.0, SCALE.force(85)]
+        assert (counted(gripper)["taken"], counted(gripper)["superseded"]) == (3, 2)
+        await gripper.write(commands(30.0))
+
+
+async def test_written_again_after_a_failure_a_batch_is_taken_once() -> None:
+    async with lab() as at, at.gripping() as gripper:
+        at.server.refuse()
+        await asyncio.sleep(0.2)
+        batch = commands(20.0, 99.0)
+        for _ in range(3):
+            with pytest.raises(EndpointError, match="refuses: it failed"):
+                await gripper.write(batch)
+        at.server.refuse(refusing=False)
+        await asyncio.sleep(4)
+        await gripper.write(batch)
+        assert [counted(gripper)[name] for name in ("taken", "superseded", "limited")] == [2, 1, 1]
+        await asyncio.sleep(4)
+        assert at.scene.forces == [60.0]
+
+
+async def test_a_fault_that_only_a_reset_ends_is_left_to_people_during_a_run_and_reset_at_its_beginning() -> (
+    None
+):
+    async with lab() as at:
+        gripper = at.gripper(force=20.0)
+        await gripper.open(at.run)
+        await asyncio.sleep(5)
+        at.server.mechanism.fail(RELEASED)
+        await asyncio.sleep(1)
+        with pytest.raises(EndpointError, match="has released automatically, and must be reset"):
+            await gripper.write(commands(30.0))
+        await asyncio.sleep(60)
+        assert len(at.writes) == 2
+        with pytest.raises(EndpointError, match="must be reset"):
+            await gripper.close()
+        await gripper.open(at.run)
+        await asyncio.sleep(5)
+        assert at.writes[2:4] == [Request(), Request(active=True)]
+        assert at.scene.forces == [SCALE.force(28), 0.0, SCALE.force(28)]
+        await gripper.close()
+
+
+async def test_closing_sends_what_is_pending_or_says_that_it_could_not() -> None:
+    async with lab() as at:
+        gripper = at.gripper(force=15.0)
+        await gripper.open(at.run)
+        await gripper.write(commands(20.0))
+        await gripper.close()
+        assert at.writes[-1].force == 28
+        await gripper.open(at.run)
+        at.server.restart(drop=False)
+        await asyncio.sleep(0.2)
+        await gripper.write(commands(30.0))
+        with pytest.raises(EndpointError, match="is not ready to take the newest command"):
+            await gripper.close()
+        await gripper.close()  # nothing is left to be done
+
+
+async def test_no_replay_moves_the_gripper_paced_or_not() -> None:
+    async with lab() as at:
+        paced = replace(at.run, recording="grasp-1")
+        for run in (paced, replace(paced, live=False), replace(at.run, live=False)):
+            gripper = at.gripper(force=15.0)
+            with pytest.raises(
+                FlowError, match=r"^flow 'live': modbus://.*: a replay moves no gripper: leave"
+            ):
+                await gripper.open(run)
+            await gripper.close()
+        assert not at.asked
+
+
+async def test_a_flow_with_a_recorded_source_does_not_begin() -> None:
+    class Recorded(TestSource[Commands]):
+        @property
+        def recording(self) -> str:
+            return "grasp-1"
+
+    async with lab() as at:
+        flow = Flow("grip")
+        flow.source(Recorded(Commands, [commands(30.0)])).to(at.gripper())
+        with pytest.raises(FlowError, match="a replay moves no gripper"):
+            await LiveRunner(flow, "run1").execute()
+        assert not at.asked
+
+
+async def test_a_flow_commands_it_and_goes_on_when_the_gripper_comes_back() -> None:
+    async with lab() as at:
+        batches = [commands(15.0 + row)[:1] for row in range(40)]
+        for row, batch in enumerate(batches):
+            batch.time[:] = row * 250 * ms
+        flow, gripper = Flow("grip"), at.gripper()
+        flow.source(TestSource(Commands, batches)).to(gripper)
+        runner = LiveRunner(flow, "run1")
+        running = asyncio.create_task(runner.execute())
+        await asyncio.sleep(5)
+        at.server.restart()
+        run = await running
+        [status] = run.sinks.values()
+        assert (status.rows, status.dropped, status.error) == (40, 0, "")
+        assert status.failures > 0
+        assert (counted(gripper)["restarts"], counted(gripper)["failures"]) == (1, 1)
+        assert at.writes[-1].force == SCALE.register(54.0)
+        await asyncio.sleep(5)
+        assert at.scene.forces[-1] == SCALE.force(SCALE.register(54.0))
+        assert at.scene.forces.count(0.0) == 1
+
+
+def test_without_pymodbus_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
+    monkeypatch.setattr(gripper_link, "find_spec", found_nowhere)
+    with pytest.raises(InputError, match=r"needs pymodbus: in the clone, pip install -e '\.\[gripper\]'"):
+        asyncio.run(Gripper("127.0.0.1").open(run))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("port", 65536),
+        ("unit", -1),
+        ("port", "502"),
+        ("position", 256),
+        ("speed", -1),
+        ("limits", (10.0, 40.0)),
+        ("limits", (15.0, 61.0)),
+        ("limits", (40.0, 20.0)),
+        ("limits", (nan, 20.0)),
+        ("force", 14.0),
+        ("force", nan),
+        ("patience", 0.0),
+        ("activation", nan),
+        ("poll", -1.0),
+    ],
+)
+def test_values_that_cannot_be_used_are_refused(name: str, value: object) -> None:
+    with pytest.raises(ParameterError, match=f"Gripper: {name}"):
+        Gripper("10.0.0.3", **{name: value})  # type: ignore[arg-type]
+
+
+def test_a_measured_scale_widens_the_limits() -> None:
+    scale = ForceScale(((0, 10.0), (255, 70.0)))
+    assert Gripper("10.0.0.3", limits=(10.0, 70.0), scale=scale).limits == (10.0, 70.0)
+
+
+def test_over_real_sockets_it_survives_a_reset_and_a_gripper_that_is_gone() -> None:
+    async def test() -> None:
+        async with asyncio.timeout(30), lab("127.0.0.1", 0, activation=0.05, met=2) as at:
+            gripper = at.gripper(patience=10.0, poll=0.02)
+            await gripper.open(at.run)
+            await gripper.write(commands(30.0))
+            await at.scene.gripped.wait()
+            assert at.scene.forces == [SCALE.force(85)]
+            at.server.drop()
+            at.scene.gripped.clear()
+            await written(gripper, commands(40.0))
+            await at.scene.gripped.wait()
+            assert at.scene.forces == [SCALE.force(85), SCALE.force(141)]
+            await at.server.close()
+            with pytest.raises(EndpointError, match=r"the connection is lost|cannot be reached"):
+                await write_on(gripper, commands(50.0))
+            with pytest.raises(EndpointError):
+                await gripper.close()
+            with pytest.raises(EndpointError, match="cannot be reached"):
+                await gripper.open(at.run)
+
+    asyncio.run(test())
+
+
+async def written(gripper: Gripper, batch: Commands) -> None:
+    """As the runner does it."""
+    while True:
+        try:
+            await gripper.write(batch)
+        except EndpointError:
+            await asyncio.sleep(0.01)
+        else:
+            return
+
+
+async def write_on(gripper: Gripper, batch: Commands) -> None:
+    """Until the sink notices that the gripper is gone."""
+    while True:
+        await gripper.write(batch)
+        await asyncio.sleep(0)

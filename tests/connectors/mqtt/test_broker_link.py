@@ -1,0 +1,278 @@
+import asyncio
+import signal
+import socket
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from aiomqtt import Client
+
+from connectors.mqtt import broker_link as module
+from connectors.mqtt.broker import CA, PASSWORD, USER, Broker
+from connectors.mqtt.broker_link import Link, connect
+from connectors.mqtt.message import Message
+from operators.errors import EndpointError
+from tests.connectors.mqtt.broker_process import PATIENCE, TestBroker
+
+pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
+
+
+@pytest.fixture
+def guarded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestBroker]:
+    """A broker that lets in only the user rig, who may only use topics below mine; we are that user."""
+    passwords, rights = tmp_path / "passwords", tmp_path / "rights"
+    subprocess.run(["mosquitto_passwd", "-c", "-b", passwords, "rig", "right"], check=True)
+    rights.write_text("user rig\ntopic readwrite mine/#\n")
+    monkeypatch.setenv(USER, "rig")
+    monkeypatch.setenv(PASSWORD, "right")
+    broker = TestBroker(tmp_path, f"password_file {passwords}", f"acl_file {rights}", "allow_anonymous false")
+    yield broker
+    broker.close()
+
+
+async def use(broker: Broker | str, *topics: str, qos: int = 1) -> None:
+    """Connect, publish to topics, leave."""
+    link = await connect(Broker.parse(broker) if isinstance(broker, str) else broker, "test")
+    try:
+        for topic in topics:
+            await link.send(topic, b"x", qos=qos)
+    finally:
+        await link.leave()
+
+
+def test_what_was_sent_has_arrived(broker: TestBroker) -> None:
+    listener = broker.listen("a/#")
+    asyncio.run(use(broker.url, "a/b", "a/c"))
+    asyncio.run(use(broker.url, "a/d", qos=0))
+    assert [listener.next().topic for _ in range(3)] == ["a/b", "a/c", "a/d"]
+
+
+async def test_a_connection_waits_for_no_full_packets_and_not_long_for_an_answer(broker: TestBroker) -> None:
+    link = await connect(Broker.parse(broker.url), "test")
+    client = vars(link)["_client"]
+    assert client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+    assert link.timeout == client.connect_timeout == module.TIMEOUT
+    await link.leave()
+
+
+def test_nobody_listening_is_one_clear_line(broker: TestBroker) -> None:
+    broker.stop()
+    with pytest.raises(EndpointError) as caught:
+        asyncio.run(use(broker.url))
+    assert (
+        str(caught.value)
+        == f"{broker.url}: cannot connect: Connection refused; is the broker running, and is this its port?"
+    )
+
+
+@pytest.mark.parametrize("host", ["no.such.host.invalid", "a..b", "-"])
+def test_an_unknown_host_is_one_clear_line(host: str) -> None:
+    with pytest.raises(EndpointError, match=rf"^mqtt://{host}:1883: cannot connect: [^\n]+$"):
+        asyncio.run(use(f"mqtt://{host}"))
+
+
+def test_a_silent_server_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "TIMEOUT", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"mqtt://127.0.0.1:{listening.getsockname()[1]}"
+        with pytest.raises(
+            EndpointError,
+            match=r"cannot connect: no answer within 0\.1 s; is this its address, and is the network up\?$",
+        ):
+            asyncio.run(use(url))
+
+
+def test_a_server_that_hangs_up_is_given_up_at_once() -> None:
+    async def hang_up(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.close()
+
+    async def main() -> None:
+        async with await asyncio.start_server(hang_up, "127.0.0.1", 0) as serving:
+            await use(f"mqtt://127.0.0.1:{serving.sockets[0].getsockname()[1]}")
+
+    with pytest.raises(
+        EndpointError, match=r"cannot connect: the broker closed the connection; if it speaks TLS, say mqtts"
+    ):
+        asyncio.run(main())
+
+
+def test_an_attempt_that_is_cancelled_leaves_nothing_behind(
+    broker: TestBroker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, go_on, links = threading.Event(), threading.Event(), list[Link]()
+    connect = vars(Client)["_client_connect"]
+
+    def connect_slowly(self: Link) -> None:
+        links.append(self)
+        begun.set()
+        assert go_on.wait(PATIENCE)
+        connect(self)
+
+    monkeypatch.setattr(Link, "_client_connect", connect_slowly)
+
+    async def main() -> None:
+        attempt = asyncio.create_task(use(broker.url))
+        await asyncio.to_thread(begun.wait, PATIENCE)
+        attempt.cancel()
+        await asyncio.sleep(0)
+        go_on.set()
+        with pytest.raises(asyncio.CancelledError):
+            await attempt
+        assert vars(links[0])["_client"].socket() is None
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+@pytest.mark.parametrize("turns", range(4))
+def test_a_lost_connection_is_noticed_while_sending(
+    broker: TestBroker, number: signal.Signals, turns: int
+) -> None:
+    async def main() -> None:
+        link = await connect(Broker.parse(broker.url), "test")
+        await link.send("a", b"x")
+        broker.stop(number)
+        for _ in range(turns):  # the loop may or may not have seen it
+            await asyncio.sleep(0)
+        with pytest.raises(EndpointError, match=r"connection lost \((?!no answer)[^\n]+\)$"):
+            await link.send("a", b"x")
+        assert not link.alive
+        await link.leave()
+
+    asyncio.run(main(), debug=True)
+
+
+async def test_an_answer_that_does_not_come_is_given_up(
+    broker: TestBroker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "TIMEOUT", 0.2)
+    link = await connect(Broker.parse(broker.url), "test")
+    assert broker.process
+    broker.process.send_signal(signal.SIGSTOP)
+    with pytest.raises(EndpointError, match=r"connection lost \(no answer within 0\.2 s\)$"):
+        await link.send("a", b"x")
+    assert not link.alive
+    await link.leave()
+
+
+def test_a_user_with_the_right_password_may_do_what_the_broker_allows(guarded: TestBroker) -> None:
+    asyncio.run(use(guarded.url, "mine/a"))
+
+
+def test_a_publish_that_the_broker_refuses_is_an_error_that_names_the_topic(guarded: TestBroker) -> None:
+    with pytest.raises(
+        EndpointError, match=r"refuses to publish yours/a: Not authorized; its access list must"
+    ):
+        asyncio.run(use(guarded.url, "mine/a", "yours/a"))
+
+
+@pytest.mark.parametrize(("name", "value"), [(PASSWORD, "wrong"), (USER, "nobody"), (USER, None)])
+def test_wrong_credentials_are_refused_with_a_hint(
+    guarded: TestBroker, monkeypatch: pytest.MonkeyPatch, name: str, value: str | None
+) -> None:
+    if value:
+        monkeypatch.setenv(name, value)
+    else:
+        monkeypatch.delenv(name)
+    with pytest.raises(EndpointError, match=f"cannot connect: Not authorized; check {USER} and {PASSWORD}$"):
+        asyncio.run(use(guarded.url))
+
+
+async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
+    async def refuse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(1000)
+        writer.write(b"\x20\x03\x00\x00\x00")  # CONNACK
+        subscribe = await reader.read(1000)
+        writer.write(b"\x90\x04" + subscribe[2:4] + b"\x00\x87")  # SUBACK, not authorized
+        await reader.read(1000)
+        writer.close()
+
+    async with await asyncio.start_server(refuse, "127.0.0.1", 0) as serving:
+        link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
+        with pytest.raises(
+            EndpointError, match=r"refuses to subscribe to a/#: Not authorized; its access list must"
+        ):
+            await link.listen("a/#")
+        await link.leave()
+
+
+@pytest.fixture
+def secure(tmp_path: Path) -> Iterator[TestBroker]:
+    """A broker that speaks TLS, with a certificate that it signed itself."""
+    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    kind = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=test"]
+    files = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
+    subprocess.run(["openssl", "req", *kind, *files], check=True, capture_output=True)
+    broker = TestBroker(tmp_path, "allow_anonymous true", f"certfile {certificate}", f"keyfile {key}")
+    yield broker
+    broker.close()
+
+
+@pytest.mark.parametrize("name", ["SSL_CERT_FILE", CA])
+def test_mqtts_talks_to_a_broker_whose_certificate_it_trusts(
+    secure: TestBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setenv(name, str(tmp_path / "certificate.pem"))
+    asyncio.run(use(secure.url.replace("mqtt:", "mqtts:"), "a"))
+
+
+def test_mqtts_talks_to_no_broker_whose_certificate_it_does_not_trust(secure: TestBroker) -> None:
+    with pytest.raises(EndpointError, match=rf"certificate verify failed: [^;(]*; name the file .* in {CA}$"):
+        asyncio.run(use(secure.url.replace("mqtt:", "mqtts:")))
+
+
+def test_plain_mqtt_on_a_port_for_tls_and_tls_on_a_plain_port_are_errors_before_patience_ends(
+    secure: TestBroker, tmp_path: Path
+) -> None:
+    (tmp_path / "plain").mkdir()
+    plain = TestBroker(tmp_path / "plain")
+    try:
+        for url, hint in (
+            (secure.url, "if it speaks TLS, say mqtts://"),
+            (plain.url.replace("mqtt:", "mqtts:"), "if it speaks no TLS, say mqtt:// and its port"),
+        ):
+            with pytest.raises(EndpointError, match=rf"cannot connect: (?!no answer).*; {hint}$"):
+                asyncio.run(use(url))
+    finally:
+        plain.close()
+
+
+def test_a_silent_server_is_given_up_while_shaking_hands_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "TIMEOUT", 0.1)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        url = f"mqtts://127.0.0.1:{listening.getsockname()[1]}"
+        with pytest.raises(
+            EndpointError, match=r"cannot connect: (.*timed out|no answer within 0\.1 s); is this its address"
+        ):
+            asyncio.run(use(url))
+
+
+def test_messages_sent_together_arrive_in_order_and_each_refusal_is_told(guarded: TestBroker) -> None:
+    async def main() -> list[str]:
+        link = await connect(Broker.parse(guarded.url), "test")
+        topics = [f"mine/{number}" for number in range(40)]
+        topics[7] = "yours/7"
+        try:
+            refusals = await link.send_all([Message(topic, b"x", retain=False) for topic in topics])
+            await link.listen("mine/#")
+            for number in range(3):
+                await link.send(f"mine/{number}", b"y")
+            assert [(await link.receive())[0] for _ in range(3)] == topics[:3]
+        finally:
+            await link.leave()
+        return refusals
+
+    refusals = asyncio.run(main())
+    assert refusals[7] == "refuses to publish yours/7: Not authorized; its access list must allow it"
+    assert [number for number, refusal in enumerate(refusals) if refusal] == [7]
+
+
+async def test_a_message_larger_than_anything_of_ours_is_not_delivered(broker: TestBroker) -> None:
+    link = await connect(Broker.parse(broker.url), "test")
+    await link.listen("a/#")
+    await link.send("a/large", b"x" * (module.PACKET + 1))
+    await link.send("a/small", b"x")
+    assert (await link.receive())[0] == "a/small"
+    await link.leave()

@@ -1,0 +1,536 @@
+import asyncio
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from dataclasses import replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from jsonschema import Draft202012Validator, validate
+
+from connectors import Event, Mqtt
+from connectors.events import Fault
+from connectors.mqtt import broker_link as link
+from connectors.mqtt import mqtt_sink as mqtt
+from connectors.mqtt.broker_link import Link
+from connectors.mqtt.gap_request import GapRequest
+from connectors.mqtt.outbox_file import OutboxFile
+from operators.batch import Clocks, Faults, Slips, ms, s
+from operators.errors import EndpointError, ParameterError
+from operators.health import FaultKind
+from operators.ports import Run, SinkStatus, SourceStatus
+from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener, until
+from tests.inside import inside
+
+pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
+
+SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
+RIG = "slip/v1/lab/rig"
+REFUSED = r"cannot connect: Connection refused; is the broker running, and is this its port\?"
+NOW = 100 * s  # what the clock of the run shows
+
+
+def slips(*states: int, finger: int = 0, probability: float = 0.9) -> Slips:
+    """Rows 10 ms apart, the first 30 ms before now."""
+    time = NOW - 30 * ms + 10 * ms * np.arange(len(states))
+    return Slips(time, np.array(states, np.int8), time, np.full(len(states), probability), finger=finger)
+
+
+def fault(barometer: int, kind: FaultKind, *, begins: bool) -> Faults:
+    columns = np.array([barometer], np.int8), np.array([kind], np.int8), np.array([begins])
+    return Faults(np.array([NOW]), *columns, finger=0)
+
+
+@asynccontextmanager
+async def opened(sink: Mqtt, run: Run) -> AsyncGenerator[None]:
+    await sink.open(run)
+    try:
+        yield
+    finally:
+        await sink.close()
+
+
+def event(listener: TestListener, finger: str = "0") -> Event:
+    """The next event, checked against the schema by an independent validator."""
+    received = listener.next(f"{RIG}/{finger}/event")
+    assert not received.retained
+    validate(json.loads(received.payload), SCHEMA, Draft202012Validator)
+    return Event.decode(received.payload.encode())
+
+
+def read(received: Received) -> Any:  # noqa: ANN401 - JSON
+    return json.loads(received.payload)
+
+
+async def sent(sink: Mqtt) -> None:
+    """Wait until the broker has all events."""
+    await until(lambda: not inside(sink, "_outbox").waiting)
+
+
+async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker, run: Run) -> None:
+    listener = broker.listen(f"{RIG}/+/event")
+    sink = Mqtt(broker.url, model={"id": "tcn", "sha256": "0f" * 32}, threshold=0.5, consecutive=2)
+    async with opened(sink, run):
+        await sink.write(slips(1, 0))
+        await sink.write(slips(1, finger=2, probability=float("nan")))
+    found = [event(listener), event(listener), event(listener, "2")]
+    first = Event(
+        "lab",
+        "rig",
+        "0",
+        found[0].epoch,
+        1,
+        onset=True,
+        time=NOW - 30 * ms,
+        probability=0.9,
+        latency=30,
+        threshold=0.5,
+        consecutive=2,
+        model="tcn",
+        sha256="0f" * 32,
+        session="run1",
+    )
+    second = replace(first, seq=2, onset=False, time=NOW - 20 * ms, latency=20)
+    third = replace(first, seq=3, finger="2", probability=None)
+    assert found == [first, second, third]
+
+
+async def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: Run) -> None:
+    run.describe["touch"] = {"sensor": "TakkTile", "rate_hz": 100.0, "noise": float("nan")}
+    found: dict[str, Any] = {}
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
+        await sink.write(slips(1, 0, 1))
+        await sent(sink)
+        await inside(sink, "_sender", "_idle").wait()
+        listener = broker.listen("slip/#")
+        for _ in range(5):
+            received = listener.next()
+            assert received.retained
+            found[received.topic.removeprefix(f"{RIG}/")] = read(received)
+    epoch = found["head"]["epoch"]
+    health = found.pop("health")
+    assert (health["epoch"], health["session"]) == (epoch, "run1")
+    assert health["outbox"] == {"error": None, "waiting": 0, "refused": []}
+    version = found["status"].pop("version")
+    assert version[0].isdigit()
+    who = {"epoch": epoch, "session": "run1"}
+    assert found == {
+        "status": {"state": "online", **who, "since": "1970-01-01T00:01:40.000000000Z"},
+        "info": {
+            **who,
+            "flow": "live",
+            "recording": None,
+            "sources": {"touch": {"sensor": "TakkTile", "rate_hz": 100.0, "noise": None}},
+            "model": {"id": "unknown", "sha256": None},
+            "threshold": None,
+            "consecutive": None,
+            "units": {"p": "1", "sample_time_ns": "ns", "latency_ms": "ms"},
+        },
+        "head": {"epoch": epoch, "last_seq": 3},
+        "0/state": {
+            "slip": True,
+            "p": 0.9,
+            "since": "1970-01-01T00:01:39.990000000Z",
+            "epoch": epoch,
+            "seq": 3,
+        },
+    }
+
+
+async def test_leaving_in_order_says_offline_and_when(
+    broker: TestBroker, run: Run, links: list[Link]
+) -> None:
+    listener = broker.listen(f"{RIG}/status")
+    async with opened(Mqtt(broker.url), run):
+        pass
+    assert not links[0].alive
+    assert read(listener.next())["state"] == "online"
+    farewell = read(listener.next())
+    assert (farewell["state"], farewell["since"]) == ("offline", "1970-01-01T00:01:40.000000000Z")
+
+
+async def test_faults_mark_the_events_while_they_last(broker: TestBroker, run: Run) -> None:
+    listener = broker.listen(f"{RIG}/+/event")
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
+        await sink.write(fault(3, FaultKind.STUCK, begins=True))
+        await sink.write(fault(1, FaultKind.DEAD, begins=True))
+        await sink.write(slips(1))
+        await sink.write(slips(1, finger=1))
+        await sink.write(fault(3, FaultKind.STUCK, begins=False))
+        await sink.write(slips(0))
+    assert event(listener).degraded == (Fault(1, "dead"), Fault(3, "stuck"))
+    assert event(listener, "1").degraded == ()
+    assert event(listener).degraded == (Fault(1, "dead"),)
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+async def test_a_broker_that_comes_back_gets_the_events_and_all_that_it_should_retain(
+    broker: TestBroker, run: Run, number: signal.Signals
+) -> None:
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
+        await sink.write(slips(1))
+        await sent(sink)
+        broker.stop(number)
+        for state in (0, 1, 0):
+            await sink.write(slips(state))  # nobody waits for a broker
+        await asyncio.to_thread(broker.start)
+        await sent(sink)
+        await inside(sink, "_sender", "_idle").wait()
+        listener = broker.listen("slip/#")
+        found = {received.topic: read(received) for received in (listener.next() for _ in range(5))}
+        assert found[f"{RIG}/status"]["state"] == "online"
+        assert found[f"{RIG}/0/state"]["slip"] is False
+        assert found[f"{RIG}/head"] == {"epoch": inside(sink, "_outbox").epoch, "last_seq": 4}
+        assert {f"{RIG}/info", f"{RIG}/health"} < set(found)
+
+
+async def test_events_that_waited_arrive_in_order_however_many_they_are(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sink, gate, connect = Mqtt(broker.url), asyncio.Event(), Link.connect
+
+    async def late(self: Link) -> None:
+        await gate.wait()
+        await connect(self)
+
+    async with opened(sink, run):
+        monkeypatch.setattr(Link, "connect", late)
+        broker.stop()
+        for _ in range(20):
+            await sink.write(slips(*[1, 0] * 20))
+        await asyncio.to_thread(broker.start)
+        listener = broker.listen(f"{RIG}/+/event")
+        gate.set()
+        received = await asyncio.to_thread(lambda: [listener.next(f"{RIG}/0/event") for _ in range(800)])
+        found = [Event.decode(each.payload.encode()).seq for each in received]
+        assert found == list(range(1, 801))
+
+
+async def test_what_the_broker_did_not_get_is_sent_by_the_next_run_and_the_numbers_go_on(
+    broker: TestBroker, run: Run, caplog: pytest.LogCaptureFixture
+) -> None:
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
+        await sink.write(slips(1))
+        await sent(sink)
+        broker.stop()
+        await sink.write(slips(0, 1))
+    assert f"2 events wait in {inside(sink, '_outbox').path} for the next run" in caplog.messages[-1]
+    broker.start()
+    listener = broker.listen(f"{RIG}/+/event", f"{RIG}/0/state")
+    async with opened(sink, Run("run2", "live", run.clock, 0)):
+        await sink.write(slips(0))
+        await sent(sink)
+    found = [event(listener) for _ in range(3)]
+    assert [(each.seq, each.session) for each in found] == [(2, "run1"), (3, "run1"), (4, "run2")]
+    assert len({each.epoch for each in found}) == 1
+
+
+async def test_a_writer_that_is_cancelled_loses_nothing_that_it_wrote(broker: TestBroker, run: Run) -> None:
+    listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
+    async with opened(sink, run):
+
+        async def keep_writing() -> None:
+            for state in range(10_000):
+                await sink.write(slips(state % 2))
+
+        writing = asyncio.create_task(keep_writing())
+        await asyncio.to_thread(lambda: [event(listener) for _ in range(10)])
+        writing.cancel()
+        await asyncio.wait([writing])
+    last = inside(sink, "_outbox").heads()[-1][1]
+    again = Mqtt(broker.url)
+    async with opened(again, run):
+        await again.write(slips(1))
+    assert [event(listener).seq for _ in range(last - 9)] == list(range(11, last + 2))
+
+
+async def test_two_runs_cannot_publish_as_one_rig(broker: TestBroker, run: Run) -> None:
+    first, second = Mqtt(broker.url), Mqtt(broker.url)
+    async with opened(first, run):
+        with pytest.raises(EndpointError, match="two runs may not publish as one rig"):
+            await second.open(run)
+        await first.write(slips(1))
+        await sent(first)
+
+
+async def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_says_so(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
+    append, full = OutboxFile.append, [True]
+
+    def fail(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
+        if full:
+            raise OSError(28, "No space left on device")
+        append(file, *args)
+
+    listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
+
+    async def health(*, failing: bool) -> Any:  # noqa: ANN401 - JSON
+        reports = broker.listen(f"{RIG}/health")
+        while True:
+            report = read(await asyncio.to_thread(reports.next))
+            if bool(report["outbox"]["error"]) is failing:
+                return report["outbox"]
+
+    async with opened(sink, run):
+        await sink.write(slips(1))
+        monkeypatch.setattr(OutboxFile, "append", fail)
+        await sink.write(slips(0, 1))
+        await sent(sink)
+        assert "No space left on device" in (await health(failing=True))["error"]
+        full.clear()
+        assert (await health(failing=False))["waiting"] == 0
+        await sink.write(slips(0))
+        await sent(sink)
+    found = [event(listener) for _ in range(4)]
+    assert [each.seq for each in found] == [1, 1, 2, 3]
+    assert [each.epoch == found[0].epoch for each in found] == [True, False, False, False]
+    caplog.clear()  # that was an error, and meant
+
+
+async def test_who_asks_for_events_gets_them_and_no_other_topic_does(broker: TestBroker, run: Run) -> None:
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
+        await sink.write(slips(1, 0, 1))
+        await sent(sink)
+        listener = broker.listen(f"{RIG}/replay/me", "elsewhere")
+        for topic in ("elsewhere", f"{RIG}/replay/me"):
+            request = GapRequest(inside(sink, "_outbox").epoch, 2, 3, topic)
+            broker.publish(f"{RIG}/replay/request", request.encode().decode())
+        found = [await asyncio.to_thread(listener.next) for _ in range(3)]
+        assert {(each.topic, each.retained) for each in found} == {(f"{RIG}/replay/me", False)}
+        assert [Event.decode(each.payload.encode()).seq for each in found[:2]] == [2, 3]
+        assert read(found[2])["missing"] == []
+
+
+async def test_health_is_published_again_and_again(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
+    run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=NOW - 5 * ms)
+    run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
+        await sink.write(fault(3, FaultKind.STUCK, begins=True))
+        offset, drift, residual = np.array([3 * s]), np.array([-5e-05]), np.array([0.004])
+        await sink.write(Clocks(np.array([NOW]), offset, drift, residual))
+        listener = broker.listen(f"{RIG}/health")
+        reports = [read(await asyncio.to_thread(listener.next)) for _ in range(3)]
+        assert reports[-1]["sources"]["touch"]["rows"] == 1000
+        assert reports[-1]["sinks"]["dataset"]["error"] == "disk full"
+        assert reports[-1]["degraded"] == {"0": [{"barometer": 3, "kind": "stuck"}]}
+        clock = {"time_ns": NOW, "offset_ms": 3000.0, "drift_ppm": -50.0, "residual_ms": 4.0}
+        assert reports[-1]["clock"] == clock
+
+
+async def test_without_any_event_the_connection_is_made_again_and_its_loss_logged_once(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.01)
+    connect, failures = Link.connect, asyncio.Semaphore(0)
+
+    async def counted(self: Link) -> None:
+        try:
+            await connect(self)
+        except EndpointError:
+            failures.release()
+            raise
+
+    monkeypatch.setattr(Link, "connect", counted)
+    async with opened(Mqtt(broker.url), run):
+        broker.stop()
+        for _ in range(3):
+            await failures.acquire()
+        await asyncio.to_thread(broker.start)
+        listener = await asyncio.to_thread(broker.listen, f"{RIG}/status")
+        assert read(await asyncio.to_thread(listener.next))["state"] == "online"
+    assert len(caplog.messages) == 2
+    assert caplog.messages[0].startswith(f"{broker.url}: connection lost")
+    assert caplog.messages[1] == f"{broker.url}: connected again, 0 events wait"
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+async def test_a_run_ends_in_peace_though_the_broker_is_gone_or_hangs(
+    broker: TestBroker, run: Run, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "TIMEOUT", 0.1)
+    async with opened(Mqtt(broker.url), run):
+        assert broker.process
+        broker.process.send_signal(number)
+
+
+PUBLISH_AND_WAIT = """
+import asyncio, sys, time
+from connectors import Mqtt
+from operators.ports import Run
+
+class Clock:
+    now = time.time_ns
+
+async def main(url, rig):
+    await Mqtt(url, rig=rig).open(Run("killed", "live", Clock, 0))
+    print("open", flush=True)
+    await asyncio.sleep(3600)
+
+asyncio.run(main(*sys.argv[1:]))
+"""
+
+
+async def test_a_killed_run_is_offline_soon_but_not_if_another_has_taken_its_place(
+    broker: TestBroker, run: Run
+) -> None:
+    command = [sys.executable, "-c", PUBLISH_AND_WAIT, broker.url]
+    started = [
+        subprocess.Popen([*command, rig], stdout=subprocess.PIPE, text=True) for rig in ("rig", "lost")
+    ]
+    listener = broker.listen("slip/v1/lab/+/status")
+    for process in started:
+        with process:
+            assert process.stdout
+            assert process.stdout.readline() == "open\n"
+            process.kill()
+    async with opened(Mqtt(broker.url), run):
+        while read(await asyncio.to_thread(listener.next, "slip/v1/lab/lost/status"))["state"] != "offline":
+            pass
+        status = broker.listen(f"{RIG}/status").next()
+        assert read(status)["state"] == "online"
+        assert read(status)["session"] == "run1"
+
+
+async def test_a_connection_that_is_back_soon_was_never_offline(
+    broker: TestBroker, run: Run, links: list[Link]
+) -> None:
+    sink, lost = Mqtt(broker.url), Mqtt(broker.url, rig="lost")
+    listener = broker.listen("slip/v1/lab/+/status")
+    async with opened(sink, run):
+        await lost.open(run)
+        inside(lost, "_sender", "_sending").cancel()  # so that it does not come back
+        for each in list(links):
+            each.drop()
+        await sink.write(slips(1))
+        seen = list[Received]()
+        while not seen or (seen[-1].topic, read(seen[-1])["state"]) != ("slip/v1/lab/lost/status", "offline"):
+            seen.append(await asyncio.to_thread(listener.next))
+        assert {read(status)["state"] for status in seen if status.topic == f"{RIG}/status"} == {"online"}
+        assert read(seen[-1])["since"] is None  # the broker speaks for it
+        await lost.close()
+
+
+def test_a_run_that_cannot_connect_does_not_begin(broker: TestBroker, run: Run) -> None:
+    broker.stop()
+    with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
+        asyncio.run(Mqtt(broker.url).open(run))
+
+
+def test_a_run_that_may_not_publish_does_not_begin(tmp_path: Path, run: Run, links: list[Link]) -> None:
+    rights = tmp_path / "rights"
+    rights.write_text("topic read #\n")
+    with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
+        with pytest.raises(
+            EndpointError, match=f"refuses to publish {RIG}/status: Not authorized; its access"
+        ):
+            asyncio.run(Mqtt(broker.url).open(run))
+        assert not links[0].alive
+
+
+async def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_come_when_it_is_allowed(
+    tmp_path: Path,
+    run: Run,
+    links: list[Link],
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.05)
+    rights, refused = tmp_path / "rights", f"{RIG}/1/event"
+    allowed = ("status", "info", "head", "health", "0/event", "0/state", "1/state")
+    some = "".join(f"topic readwrite {RIG}/{name}\n" for name in allowed)
+    rights.write_text(f"{some}topic read #\ntopic write test/#\n")
+    with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
+        sink = Mqtt(broker.url)
+        async with opened(sink, run):
+            listener = broker.listen(f"{RIG}/+/event", f"{RIG}/health")
+            for state in (1, 0):
+                await sink.write(slips(state, finger=1))
+                await sink.write(slips(state))
+            found = [(await asyncio.to_thread(event, listener)).seq for _ in range(2)]
+            assert found == [2, 4]
+            health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
+            while health["outbox"] != {"error": None, "waiting": 2, "refused": [refused]}:
+                health = read(await asyncio.to_thread(listener.next, f"{RIG}/health"))
+            assert len(links) == 1
+            assert links[0].alive
+            rights.write_text("topic readwrite #\n")
+            assert broker.process
+            broker.process.send_signal(signal.SIGHUP)  # reads the rights again
+            assert [(await asyncio.to_thread(event, listener, "1")).seq for _ in range(2)] == [1, 3]
+            await sent(sink)
+    assert [message.partition("; ")[0] for message in caplog.messages] == [
+        f"{broker.url}: refuses to publish {refused}: Not authorized",
+        f"{broker.url}: lets us publish {refused} again",
+    ]
+
+
+def test_two_sinks_of_one_rig_share_a_place() -> None:
+    assert (
+        Mqtt("mqtt://localhost").place
+        == Mqtt("mqtt://localhost:1883").place
+        == f"mqtt://localhost:1883/{RIG}"
+    )
+    assert Mqtt("mqtt://localhost").place != Mqtt("mqtt://localhost", rig="other").place
+
+
+def test_a_rig_says_before_it_is_replayed_where_that_goes(run: Run) -> None:
+    sink, again = Mqtt("mqtt://127.0.0.1:1"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
+    assert sink.place == f"mqtt://127.0.0.1:1/{RIG}"
+    assert sink.replay_place == again.place == again.replay_place == f"{sink.place}-replay"
+    with pytest.raises(
+        ParameterError, match="rig is 'rig-replay', must be a name that does not end in -replay"
+    ):
+        asyncio.run(again.open(run))
+
+
+async def test_an_event_of_a_replay_has_no_latency_and_satisfies_the_schema(
+    broker: TestBroker, run: Run
+) -> None:
+    listener = broker.listen("slip/#")
+    run.recording = "stroke-9"
+    sink = Mqtt(broker.url)
+    async with opened(sink, run):
+        await sink.write(slips(1))
+    document = read(listener.next(f"{RIG}-replay/0/event"))
+    validate(document, SCHEMA, Draft202012Validator)
+    assert (document["source"], document["data"]["latency_ms"]) == ("/lab/rig-replay/0", None)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("url", "localhost"),
+        ("site", "a/b"),
+        ("rig", "+"),
+        ("model", {"sha256": "0f"}),
+        ("model", {"sha256": "G" * 64}),
+        ("model", {"id": "a\nb"}),
+        ("model", {"id": "tcn", "version": "1"}),
+        ("threshold", 1.5),
+        ("threshold", float("nan")),
+        ("consecutive", 0),
+        ("keep", 0),
+        ("keep_for", 0.0),
+    ],
+)
+def test_a_parameter_that_no_event_could_carry_is_refused(name: str, value: Any) -> None:  # noqa: ANN401
+    parameters: dict[str, Any] = {"url": "mqtt://localhost", name: value}
+    with pytest.raises(ParameterError, match=f"^Mqtt: {name} is "):
+        Mqtt(**parameters)

@@ -1,0 +1,304 @@
+from dataclasses import replace
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from connectors.sim import body, contact, holding
+from connectors.sim.body import GRAVITY, Body, Grip
+from connectors.sim.contact import Pad, State
+from connectors.sim.finger import pad
+from connectors.sim.objects import OBJECTS, Object
+from connectors.sim.physics_parameters import Parameters
+from operators.batch import Reals
+from tests.connectors.sim import body_numpy
+
+BOX, BALL = OBJECTS["box"], OBJECTS["ball"]
+EVEN = Parameters(texture=0.0, static_friction=1.0, kinetic_friction=1.0, stribeck_speed=1.0)  # Coulomb
+STIFF = replace(EVEN, stiffness=4e5, shear_stiffness=7.6e8, step=1e-4)  # nothing gives
+GLUE = replace(EVEN, static_friction=1e4, kinetic_friction=1e4)
+
+
+class Held:
+    """An object that stands on the table between open fingers, and what moves it."""
+
+    def __init__(
+        self,
+        thing: Object,
+        parameters: Parameters | None = None,
+        place: tuple[float, float] = (0.0, 0.0),
+        passive: float = holding.PASSIVE_FRICTION,
+    ) -> None:
+        scene = holding.surface(thing, parameters or Parameters())
+        self.thing, self.step = thing, scene.parameters.step
+        self.grip: Grip = holding.grip(thing, scene, place, passive)
+        self.pad: Pad = pad(scene)
+        self.tip = State.rest(len(self.pad.x))
+        sunk = thing.mass * GRAVITY / (2 * holding.TABLE_STIFFNESS)
+        self.body = Body.standing(-place[0], -place[1] - sunk)
+
+    def drive(self, seconds: float, force: float = 0.0, *, climb: float = 0.0) -> Reals:
+        drive = np.zeros((round(seconds / self.step), 9))
+        drive[:, 1], drive[:, 3] = climb, force
+        return drive
+
+    def go(self, drive: Reals, by: ModuleType = body) -> tuple[Reals, float]:
+        tractions, slid = by.advance(self.grip, self.pad, self.tip, self.body, drive)
+        return tractions, slid
+
+    def lifted(self, force: float) -> "Held":
+        """Gripped, lifted by a centimetre, and at rest."""
+        self.go(self.drive(0.2, force))
+        self.go(self.drive(0.2, force, climb=0.05))
+        self.go(self.drive(2.0, force))
+        return self
+
+    @property
+    def friction(self) -> float:
+        """Of both sides together."""
+        return float(self.grip.contact.mu_s + self.grip.mu)
+
+
+def energy(held: Held) -> float:
+    """Of all that moves, is strained, or can fall (J)."""
+    law, grip, tip, state = held.grip.contact, held.grip, held.tip, held.body
+    mass = np.array([grip.mass, grip.mass, grip.inertia])
+    tips = np.array([law.mass, law.mass, law.inertia])
+    springs = np.array([law.spring, law.spring, law.twist_spring])
+    moving = (mass * state.velocity**2).sum() + (tips * tip.velocity**2).sum()
+    strained = (springs * tip.deflection**2).sum() + grip.spring * (state.passive**2).sum()
+    bristles = law.k_t * law.area * (tip.bristle**2).sum()
+    corners = [
+        grip.table
+        - state.place[1]
+        + np.cos(state.place[2]) * grip.below
+        - np.sin(state.place[2]) * side * grip.foot
+        for side in (-1, 1)
+    ]
+    table = grip.table_spring * sum(max(0.0, float(depth)) ** 2 for depth in corners)
+    return float(moving + strained + bristles + table) / 2 + grip.mass * GRAVITY * float(state.place[1])
+
+
+def both(
+    thing: Object, parameters: Parameters, drives: list[Reals], place: tuple[float, float] = (0.0, 0.0)
+) -> list[Reals]:
+    """What the two forms see at the end of each stretch, the compiled one first: (2, n) numbers."""
+    forms = [(Held(thing, parameters, place), by) for by in (body, body_numpy)]
+    seen: list[Reals] = []
+    for drive in drives:
+        rows: list[Reals] = []
+        for held, by in forms:
+            tractions, slid = held.go(drive, by)
+            state = held.body
+            rows.append(
+                np.concatenate([
+                    tractions.ravel() / 1e4, state.place, state.velocity, state.passive.ravel() * 1e2,
+                    state.slide, state.table, held.pad.gap, [slid],
+                ])
+            )  # fmt: skip
+        seen.append(np.stack(rows))
+    return seen
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_both_forms_agree_while_the_pad_sticks(name: str) -> None:
+    """Closing, lifting off the table, slipping passive fingers, and taps from above and from the side."""
+    thing = OBJECTS[name]
+    held = Held(thing, GLUE)
+    drive = held.drive(0.5, 3.0)
+    drive[:50, 3] = np.linspace(0.0, 3.0, 50)
+    drive[100:200, 1] = 0.05
+    drive[300:310, 7], drive[400:410, 6], drive[400:410, 8] = -3.0, 3.0, -0.1
+    for ours, theirs in both(thing, GLUE, np.split(drive, 50), place=(0.004, 0.01)):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["box", "ball", "metal_can"])
+def test_both_forms_slip_alike_at_first(name: str) -> None:
+    thing = OBJECTS[name]
+    held = Held(thing)
+    drive = held.drive(0.2, 0.3 * held.thing.mass * GRAVITY)
+    drive[50:, 1] = 0.05
+    seen = both(thing, Parameters(), list(drive[:, None]))
+    first = next(i for i, (ours, _) in enumerate(seen) if ours[-1] > 0.003)
+    assert first > 52
+    for ours, theirs in seen[: first + 5]:
+        np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-8)
+
+
+def test_a_body_that_is_turned_turns_its_surface_as_an_arm_that_turns_does() -> None:
+    can = replace(BALL, curvature="cylinder_y")
+    held = Held(can, EVEN)
+    other = pad(holding.surface(can, EVEN))
+    arm = np.zeros((100, 6))
+    arm[:, 2] = -0.3 / (100 * EVEN.step)
+    contact.advance(held.grip.contact, other, State.rest(48), arm, np.array([100]))
+    held.body.place[:] = 0.0, 0.0, 0.3
+    held.go(held.drive(EVEN.step))
+    np.testing.assert_allclose(held.pad.gap, other.gap, atol=1e-12)
+
+
+def test_the_top_of_a_ball_wanders_over_the_pad() -> None:
+    held = Held(BALL, EVEN)
+    held.body.place[:] = 0.002, -0.003, 0.4
+    held.go(held.drive(EVEN.step))
+    nodes = (held.pad.x - 0.002) ** 2 + (held.pad.y + 0.003) ** 2
+    np.testing.assert_allclose(held.pad.gap, nodes / (2 * BALL.radius), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_the_table_carries_what_stands_on_it(name: str) -> None:
+    held = Held(OBJECTS[name])
+    before = held.body.place.copy()
+    held.go(held.drive(1.0))
+    assert held.body.table[0] == pytest.approx(held.thing.mass * GRAVITY)
+    np.testing.assert_allclose(held.body.place, before, atol=1e-9)
+
+
+def test_what_no_finger_holds_falls_freely() -> None:
+    held = Held(BALL)
+    held.body.place[1] += 0.5
+    held.go(held.drive(0.2))
+    assert held.body.velocity[1] == pytest.approx(-GRAVITY * 0.2)
+    assert held.body.place[1] == pytest.approx(0.5 - GRAVITY * 0.02, abs=0.002)
+    held.go(held.drive(2.0))
+    assert abs(held.body.place[1]) < 1e-3
+    assert held.body.table[0] == pytest.approx(BALL.mass * GRAVITY, rel=1e-3)
+
+
+def test_a_box_that_is_tipped_a_little_stands_again() -> None:
+    held = Held(BOX)
+    held.body.place[2] = 0.05
+    held.go(held.drive(3.0))
+    assert abs(held.body.place[2]) < 1e-3
+    assert held.body.table[0] == pytest.approx(BOX.mass * GRAVITY, rel=1e-2)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_grip_above_the_least_force_holds_and_one_below_lets_fall(name: str) -> None:
+    held = Held(OBJECTS[name], EVEN)
+    least = held.thing.mass * GRAVITY / held.friction
+    held.lifted(2 * least)
+    place, slide = held.body.place[1], held.body.slide[1]
+    for force in np.linspace(2 * least, 1.03 * least, 200):
+        held.go(held.drive(0.005, float(force)))
+    held.go(held.drive(2.0, 1.03 * least))
+    assert held.body.place[1] == pytest.approx(place, abs=2e-3)  # the springs give, no more
+    assert abs(held.body.slide[1] - slide) < 1e-3
+    assert abs(held.body.velocity[1]) < 1e-4
+    held.go(held.drive(0.06, 0.9 * least))
+    assert held.body.velocity[1] < -0.02
+
+
+def test_what_is_held_too_weakly_falls_with_what_friction_leaves_of_its_weight() -> None:
+    held = Held(BOX, EVEN)
+    least = BOX.mass * GRAVITY / held.friction
+    held.lifted(2 * least)
+    held.go(held.drive(0.03, 0.6 * least))
+    before = float(held.body.velocity[1])
+    held.go(held.drive(0.02, 0.6 * least))
+    assert (held.body.velocity[1] - before) / 0.02 == pytest.approx(-0.4 * GRAVITY, rel=0.01)
+
+
+@pytest.mark.parametrize("name", ["box", "ball", "foam_sleeve"])
+@pytest.mark.parametrize("factor", [2.0, 4.0])
+def test_a_tap_moves_it_as_far_as_friction_takes_to_use_its_energy_up(name: str, factor: float) -> None:
+    held = Held(OBJECTS[name], STIFF)
+    m, force = held.thing.mass, factor * held.thing.mass * GRAVITY / held.friction
+    held.lifted(force)
+    speed = np.sqrt(2 * 0.004 * (factor - 1) * GRAVITY)  # for 4 mm
+    before = held.body.place[1]
+    blow = held.drive(0.001, force)
+    blow[:, 7] = -m * speed / 0.001
+    held.go(blow)
+    held.go(held.drive(0.5, force))
+    friction = held.friction * force
+    expected = (m * speed) ** 2 / (2 * m * (friction - m * GRAVITY))
+    assert before - held.body.place[1] == pytest.approx(expected, rel=0.05)
+    assert -held.body.slide[1] == pytest.approx(expected, rel=0.05)
+
+
+def test_the_mallet_gives_its_momentum() -> None:
+    held = Held(BALL)
+    drive = held.drive(0.01)
+    drive[:, 6], drive[:, 8] = 2.0, -0.03
+    held.go(drive)
+    assert held.body.velocity[0] == pytest.approx(0.02 / BALL.mass)
+    assert held.body.velocity[2] == pytest.approx(-3e-4 / BALL.inertia)
+
+
+@pytest.mark.parametrize("where", ["held", "falling on the table"])
+def test_energy_never_grows(where: str) -> None:
+    held = Held(BOX, replace(EVEN, tilt_stiffness=1e6, lever=0.0))
+    force = 0.0
+    if where == "held":
+        force = 3 * BOX.mass * GRAVITY / held.friction
+        held.lifted(force)
+        held.body.velocity[:] += 0.3, -0.2, 3.0
+    else:
+        held.body.place[1] += 0.01
+    energies: list[float] = []
+    for _ in range(1500):
+        held.go(held.drive(held.step, force))
+        energies.append(energy(held))
+    spent = energies[0] - energies[-1]
+    assert spent > 0.01
+    # symplectic steps keep a shadow energy: the true one ripples by about (frequency * step) of what swings
+    assert np.diff(energies).max() < 0.05 * spent
+    assert max(energies) < energies[0] + 0.02 * spent
+
+
+def test_a_finer_step_converges_in_first_order() -> None:
+    """Lifted off the table and stuck, a box bounces on its fingers: the error halves with the step."""
+
+    def bounce(step: float) -> float:
+        held = Held(BOX, replace(GLUE, step=step, lever=0.0), passive=1e4)
+        held.go(held.drive(0.02, 5.0))
+        held.go(held.drive(0.04, 5.0, climb=0.05))
+        return float(held.body.place[1])
+
+    exact = bounce(1e-3 / 256)
+    errors = [abs(bounce(1e-3 / n) - exact) for n in (4, 8, 16)]
+    orders = np.log2(np.divide(errors[:-1], errors[1:]))
+    assert orders == pytest.approx([1.0, 1.0], abs=0.4), errors
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_half_a_millisecond_gives_what_a_millisecond_gives(name: str) -> None:
+    """From closing to a quiet hold, before the pad slips."""
+
+    def places(step: float) -> Reals:
+        held = Held(OBJECTS[name], replace(Parameters(), step=step))
+        force = 3 * held.thing.mass * GRAVITY / held.friction
+        held.go(held.drive(0.2, force))
+        rows: list[Reals] = []
+        for _ in range(40):
+            held.go(held.drive(0.01, force, climb=0.05))
+            rows.append(held.body.place.copy())
+        return np.array(rows)
+
+    np.testing.assert_allclose(places(1e-3), places(5e-4), atol=2e-5)
+
+
+def test_off_the_middle_a_grip_is_a_pendulum() -> None:
+    """Gripped right of its middle it turns so that its weight comes to hang under the fingers."""
+    right, left = (
+        Held(BOX, EVEN, place=(side * 0.02, 0.0)).lifted(2 * BOX.mass * GRAVITY) for side in (1, -1)
+    )
+    assert right.body.slide[2] > 0.02
+    assert left.body.slide[2] == pytest.approx(-right.body.slide[2], rel=1e-3)
+
+
+def test_what_slips_out_is_dropped_for_good() -> None:
+    held = Held(BOX, EVEN)
+    force = 0.3 * BOX.mass * GRAVITY / held.friction
+    held.go(held.drive(0.2, force))
+    tractions, _ = held.go(held.drive(BOX.reach / 0.2 - 0.02, force, climb=0.2))
+    assert tractions[0].any()
+    assert not held.body.dropped[0]
+    held.go(held.drive(0.04, force, climb=0.2))
+    tractions, slid = held.go(held.drive(1.0, 100.0))
+    assert held.body.dropped[0]
+    assert not tractions.any()
+    assert slid == 0.0
+    assert abs(held.body.place[1]) < 1e-3

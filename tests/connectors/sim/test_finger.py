@@ -1,0 +1,140 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from connectors.sim.finger import Finger
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Faults, Move, Moves, Scene, Timing, Vibration
+from connectors.sim.truth import Truth
+from operators.batch import Touch, concat
+
+STROKE = Moves(
+    (
+        Move("hold", 0.3, force=0.0),
+        Move("hold", 0.5, force=2.0),
+        Move("translation", 0.6, 0.1, 30.0, 0.1),
+        Move("rotation", 0.5, 0.1, speed=1.0),
+    )
+)
+QUIET = Parameters(noise=0.0, texture=0.35)
+
+
+def take(finger: Finger, samples: int) -> tuple[Touch, Truth]:
+    taken = finger.take(samples)
+    assert taken is not None
+    return taken
+
+
+def test_an_unloaded_fingertip_reads_its_rest_level_and_noise() -> None:
+    scene = Scene(Moves((Move("hold", 20.0, force=0.0),)), parameters=Parameters(noise=0.7))
+    touch, truth = take(Finger(scene, 0), 2000)
+    touch.check()
+    assert not truth.force.any()
+    assert ((touch.counts.mean(axis=0) > 415) & (touch.counts.mean(axis=0) < 507)).all()
+    assert touch.counts.std(axis=0) == pytest.approx(np.sqrt(0.7**2 + 1 / 12), rel=0.1)
+
+
+def test_pressing_lowers_the_counts() -> None:
+    touch, truth = take(Finger(Scene(STROKE), 0), 80)
+    assert (touch.counts[70:].mean(axis=0) < touch.counts[:30].mean(axis=0) - 20).all()
+    assert truth.force[-1] == pytest.approx(2.0)
+    assert not truth[:70].slips
+
+
+def test_counts_stay_within_the_converter() -> None:
+    touch, _ = take(Finger(Scene(Moves((Move("hold", 1.0, force=60.0),))), 0), 90)
+    assert touch.counts.min() == 0
+
+
+def test_the_truth_slides_when_the_arm_strokes() -> None:
+    _, truth = take(Finger(Scene(STROKE), 0), 140)
+    (start, end) = truth.slips[0]
+    assert len(truth.slips) == 1
+    assert 0.9e9 < start < 1.1e9
+    assert 1.3e9 < end <= 1.4e9
+    np.testing.assert_allclose(np.hypot(*truth.velocity[110:125, :2].T), 0.1)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_seed_does_not() -> None:
+    counts = [take(Finger(Scene(), seed), 500)[0].counts.tobytes() for seed in (7, 7, 8)]
+    assert counts[0] == counts[1]
+    assert counts[0] != counts[2]
+
+
+SCENE = Scene(
+    STROKE,
+    vibration=Vibration(),
+    touch=Timing(100.0, jitter=0.004, dropped=0.2, drift=1e-4),
+    faults=Faults(dead=(0,), stuck=(1,), gain=(1.0, 1.1, 0.9, 1.0, 1.0, 1.0), drift=(0, 0, 5.0, 0, 0, 0)),
+)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(1, 60), min_size=1, max_size=8))
+def test_cutting_the_simulation_changes_nothing(cuts: list[int]) -> None:
+    whole, happened = take(Finger(SCENE, 5), sum(cuts))
+    finger = Finger(SCENE, 5)
+    parts = [taken for samples in cuts if (taken := finger.take(samples)) is not None]
+    touch = concat(Touch, [part for part, _ in parts])
+    truth = concat(Truth, [part for _, part in parts])
+    for name in ("time", "counts", "temperature", "valid"):
+        np.testing.assert_array_equal(getattr(touch, name), getattr(whole, name))
+    for name in ("time", "sliding", "force", "velocity"):
+        np.testing.assert_array_equal(getattr(truth, name), getattr(happened, name))
+
+
+def test_a_mirrored_scene_gives_mirrored_counts() -> None:
+    def counts(direction: float, spin: float) -> "np.ndarray[tuple[int, ...], np.dtype[np.float64]]":
+        plan = Moves(
+            (
+                Move("hold", 0.5, force=2.0),
+                Move("translation", 0.14, 0.1, direction, 0.1),
+                Move("rotation", 0.14, 0.1, speed=spin),
+            )
+        )
+        touch, _ = take(Finger(Scene(plan, parameters=Parameters(noise=0.0, rest_highest=420)), 0), 78)
+        return touch.counts.astype(float)
+
+    left, right = counts(150.0, 1.0), counts(30.0, -1.0)
+    assert np.abs(left - left[0]).max() > 20
+    np.testing.assert_allclose(left[:, [2, 1, 0, 5, 4, 3]], right, atol=1)
+
+
+def test_a_plan_that_ends_ends_the_samples() -> None:
+    finger = Finger(Scene(STROKE), 0)
+    assert len(take(finger, 1000)[0]) in (190, 191)
+    assert finger.take(1) is None
+
+
+def test_faults_show_in_their_cells_alone() -> None:
+    clean, _ = take(Finger(Scene(STROKE), 1), 140)
+    faults = Faults(dead=(0,), stuck=(1,), floored=(2,), offset=(0, 0, 0, 7.0, 0, 0))
+    touch, _ = take(Finger(Scene(STROKE, faults=faults), 1), 140)
+    assert touch.valid.all(axis=0).tolist() == [False, True, True, True, True, True]
+    assert not touch.counts[:, [0, 2]].any()
+    assert len(np.unique(touch.counts[:, 1])) == 1
+    above = clean.counts[:, 3] > 0  # not on the floor
+    np.testing.assert_array_equal(touch.counts[above, 3], clean.counts[above, 3] + 7)
+    np.testing.assert_array_equal(touch.counts[:, 4:], clean.counts[:, 4:])
+
+
+def test_stamps_follow_the_clock_that_the_scene_declares() -> None:
+    timing = Timing(100.0, latency=0.01, offset=-0.1, drift=0.001)
+    touch, truth = take(Finger(Scene(touch=timing), 0), 101)
+    assert touch.time[[0, 100]].tolist() == [-90_000_000, 911_000_000]
+    assert truth.time[[0, 100]].tolist() == [0, 1_000_000_000]
+
+
+def test_jitter_keeps_the_order_of_the_stamps() -> None:
+    touch, _ = take(Finger(Scene(touch=Timing(100.0, jitter=0.01)), 0), 1000)
+    steps = np.diff(touch.time)
+    assert (steps >= 0).all()
+    assert steps.std() > 1e6
+
+
+def test_lost_samples_leave_gaps() -> None:
+    touch, truth = take(Finger(Scene(touch=Timing(100.0, dropped=0.25)), 0), 2000)
+    assert len(truth) == 2000
+    assert len(touch) == pytest.approx(1500, rel=0.1)
+    assert (touch.time % 10_000_000 == 0).all()

@@ -1,0 +1,220 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from connectors.sim.grasp import Grasp, Held
+from connectors.sim.holding import least_force
+from connectors.sim.lift_motion import Lift
+from connectors.sim.mallet import Tap
+from connectors.sim.objects import OBJECTS
+from connectors.sim.scene import Faults, Vibration
+from operators.batch import Touch, concat
+from operators.errors import ParameterError
+
+BOX, BALL, CAN = OBJECTS["box"], OBJECTS["ball"], OBJECTS["metal_can"]
+
+
+def watch(grasp: Grasp, until: float, start: float = 0.0) -> tuple[Touch, list[Held]]:
+    """100 samples a second."""
+    felt = [grasp.sense(k / 100) for k in range(round(start * 100), round(until * 100))]
+    return concat(Touch, [touch for touch, _ in felt]), [held for _, held in felt]
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_firm_grip_lifts_and_the_object_follows_the_hand(name: str) -> None:
+    thing = OBJECTS[name]
+    touch, held = watch(Grasp(thing, force=2 * least_force(thing), lift=Lift(2.0)), 4.0)
+    touch.check()
+    assert not any(h.force or h.height > 1e-5 for h in held[:100])
+    assert all(h.on_table for h in held[:200])
+    aloft = held[210:]
+    assert not any(h.on_table or h.dropped for h in aloft)
+    assert max(abs(h.height - h.hand) for h in aloft) < 3e-3
+    assert max(abs(h.slide_y) for h in aloft) < 1e-4
+    assert aloft[-1].hand == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_what_is_held_creeps_by_no_more_than_a_bounded_bit(name: str) -> None:
+    """Ten seconds on a hand that shakes."""
+    thing = OBJECTS[name]
+    shaking = Vibration(5e-5, 12.0, 70.0)
+    grasp = Grasp(thing, force=1.5 * least_force(thing), lift=Lift(1.5), vibration=shaking)
+    slides = [grasp.sense(t)[1].slide_y for t in (3.0, 8.0, 13.0)]
+    assert abs(slides[2] - slides[0]) < 2e-4
+    assert abs(slides[2] - slides[1]) < abs(slides[1] - slides[0]) + 2e-5
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_grip_that_is_far_too_weak_leaves_it_on_the_table(name: str) -> None:
+    thing = OBJECTS[name]
+    climb = Lift(2.0, height=thing.length, speed=0.1)
+    touch, held = watch(Grasp(thing, force=0.3 * least_force(thing), lift=climb), climb.end + 1.0)
+    assert held[-1].dropped
+    assert held[-1].on_table
+    assert held[-1].force == 0.0
+    assert abs(held[-1].height) < 1e-3
+    assert held[-1].hand == pytest.approx(thing.length)
+    sliding = [h for h in held if h.speed > 0.003 and h.instant < climb.end]
+    assert sliding[0].instant == pytest.approx(2.0, abs=0.1)
+    gone = next(h for h in held if h.dropped)
+    assert gone.hand == pytest.approx(thing.reach, abs=4e-3)
+    assert (np.ptp(touch.counts[:100], axis=0) <= 8).all()
+
+
+def test_a_tap_on_top_makes_it_slip_and_rest_again() -> None:
+    blow = Tap(4.0, 0.05)
+    _, held = watch(Grasp(BALL, force=2 * least_force(BALL), lift=Lift(1.5), taps=[blow]), 6.0)
+    moving = [h.instant for h in held if h.speed > 0.003 and h.instant > 3.5]
+    assert moving[0] == pytest.approx(4.0, abs=0.03)
+    assert moving[-1] < 4.5
+    assert 1e-3 < held[390].slide_y - held[-1].slide_y < 8e-3
+    assert abs(held[-1].slide_x) < 1e-4
+    assert abs(held[-1].turned) < 1e-2
+    assert not held[-1].dropped
+
+
+def test_a_tap_on_the_side_turns_it_and_its_mirror_image_turns_it_back() -> None:
+    ends = [
+        Grasp(CAN, force=4.0, lift=Lift(1.5), taps=[Tap(4.0, momentum, "side")]).sense(6.0)[1]
+        for momentum in (0.1, -0.1)
+    ]
+    assert ends[0].turned < -0.05  # pushed to the right above its middle: clockwise
+    assert ends[1].turned == pytest.approx(-ends[0].turned, rel=0.05)
+    assert ends[1].slide_x == pytest.approx(-ends[0].slide_x, abs=2e-4)
+
+
+def test_taps_near_each_other_both_count() -> None:
+    def slid(*taps: Tap) -> float:
+        return -Grasp(BALL, force=2.0, lift=Lift(1.5), taps=taps).sense(6.0)[1].slide_y
+
+    assert slid(Tap(4.0, 0.05), Tap(5.0, 0.05)) > slid(Tap(4.0, 0.05)) + 5e-4
+
+
+def test_pressing_harder_in_time_saves_what_slips() -> None:
+    def end(*, saved: bool) -> Held:
+        grasp = Grasp(BOX, force=2 * least_force(BOX), lift=Lift(1.5))
+        grasp.sense(4.0)
+        grasp.press(0.6 * least_force(BOX), 4.0, rate=1e3)
+        assert grasp.sense(4.05)[1].speed > 0.003
+        if saved:
+            grasp.press(3 * least_force(BOX), 4.06, rate=1e3)
+        return grasp.sense(5.0)[1]
+
+    lost, saved = end(saved=False), end(saved=True)
+    assert lost.on_table
+    assert not saved.on_table
+    assert -saved.slide_y < 0.02
+    assert saved.height > 0.03
+
+
+def test_the_force_follows_commands_at_their_rate() -> None:
+    grasp = Grasp(BOX, force=2.0, rate=10.0)
+    grasp.press(4.0, 2.0, rate=2.0)
+    grasp.press(1.0, 2.5, rate=50.0)  # from the 3 N that are reached by then
+    grasp.press(6.0, 3.0)
+    force = {t: grasp.sense(t)[1].force for t in (0.9, 1.1, 1.3, 2.25, 2.5, 2.52, 2.6, 3.2)}
+    expected = {0.9: 0.0, 1.1: 1.0, 1.3: 2.0, 2.25: 2.5, 2.5: 3.0, 2.52: 2.0, 2.6: 1.0, 3.2: 3.0}
+    assert force == pytest.approx(expected, abs=0.06)
+
+
+def test_a_command_for_the_past_is_obeyed_at_once_and_the_past_stays() -> None:
+    late, prompt = Grasp(BOX, force=2.0), Grasp(BOX, force=2.0)
+    for grasp in (late, prompt):
+        grasp.sense(1.5)
+    late.press(3.0, 1.2)
+    prompt.press(3.0, 1.5)
+    assert late.sense(1.55)[1] == prompt.sense(1.55)[1]
+
+
+def test_of_two_commands_for_one_instant_the_later_counts() -> None:
+    grasp = Grasp(BOX, force=2.0)
+    grasp.press(5.0, 2.0)
+    grasp.press(1.0, 2.0)
+    assert grasp.sense(3.0)[1].force == pytest.approx(1.0)
+
+
+def test_the_first_second_is_a_baseline_and_contact_lowers_the_counts() -> None:
+    touch, _ = watch(Grasp(BOX, force=4.0), 2.0)
+    air = touch.counts[:100].astype(float)
+    assert air.std(axis=0) == pytest.approx(np.sqrt(0.6**2 + 1 / 12), rel=0.3)
+    assert (touch.counts[150:].mean(axis=0) < air.mean(axis=0) - 20).all()
+
+
+def test_a_soft_object_spreads_the_pressure() -> None:
+    def deepest(stiffness: float) -> float:
+        touch, _ = watch(Grasp(replace(BALL, stiffness=stiffness), force=2.0), 2.0)
+        return float((touch.counts[:100].mean(axis=0) - touch.counts[150:].mean(axis=0)).max())
+
+    assert deepest(0.25) < 0.9 * deepest(1.0)
+
+
+def test_friction_and_mass_scale_what_it_takes() -> None:
+    def holds(force: float, friction: float = 1.0, mass: float = 1.0) -> bool:
+        grasp = Grasp(CAN, force=force, lift=Lift(1.5), friction=friction, mass=mass)
+        return not grasp.sense(4.0)[1].on_table
+
+    least = least_force(CAN)
+    assert holds(1.3 * least)
+    assert not holds(1.3 * least, friction=0.4)
+    assert not holds(1.3 * least, mass=2.5)
+    assert holds(1.3 * least_force(CAN, friction=0.4, mass=2.5), friction=0.4, mass=2.5)
+
+
+def test_a_dead_cell_is_dead_and_nothing_else_changes() -> None:
+    sound, _ = watch(Grasp(CAN, force=3.0), 2.0)
+    hurt, _ = watch(Grasp(CAN, force=3.0, faults=Faults(dead=(2,))), 2.0)
+    assert hurt.valid.all(axis=0).tolist() == [True, True, False, True, True, True]
+    others = [0, 1, 3, 4, 5]
+    np.testing.assert_array_equal(hurt.counts[:, others], sound.counts[:, others])
+
+
+def test_the_same_seed_gives_the_same_and_another_differs_in_its_cells_alone() -> None:
+    def run(seed: int) -> tuple[Touch, list[Held]]:
+        return watch(Grasp(CAN, seed=seed, force=2.0, lift=Lift(1.5), taps=[Tap(2.0, 0.1)]), 3.0)
+
+    (one, held), (again, also), (other, truth) = run(3), run(3), run(4)
+    np.testing.assert_array_equal(one.counts, again.counts)
+    assert held == also == truth
+    assert (one.counts != other.counts).any()
+
+
+def test_how_often_it_is_asked_changes_nothing_that_happens() -> None:
+    often = Grasp(CAN, force=2.0, lift=Lift(1.5), taps=[Tap(2.0, 0.1)])
+    watch(often, 3.0)
+    seldom = Grasp(CAN, force=2.0, lift=Lift(1.5), taps=[Tap(2.0, 0.1)])
+    assert replace(often.sense(3.0)[1], speed=0.0) == replace(seldom.sense(3.0)[1], speed=0.0)
+
+
+def test_an_instant_that_is_over_is_refused() -> None:
+    grasp = Grasp(BOX, force=2.0)
+    grasp.sense(1.0)
+    with pytest.raises(ParameterError, match=r"instant is 0\.5, must be not before 1\.0 s"):
+        grasp.sense(0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "build"),
+    [
+        ("friction", lambda: Grasp(BOX, force=2.0, friction=0.0)),
+        ("mass", lambda: Grasp(BOX, force=2.0, mass=-1.0)),
+        ("rate", lambda: Grasp(BOX, force=2.0, rate=0.0)),
+        ("passive", lambda: Grasp(BOX, force=2.0, passive=-0.1)),
+        ("grip", lambda: Grasp(BOX, force=2.0, grip=(0.0, 0.2))),
+        ("force", lambda: Grasp(BOX, force=-1.0)),
+    ],
+)
+def test_a_value_out_of_range_is_refused_by_its_name(name: str, build: Callable[[], Grasp]) -> None:
+    with pytest.raises(ParameterError, match=name):
+        build()
+
+
+def test_a_command_that_no_hand_can_obey_is_refused() -> None:
+    grasp = Grasp(BOX, force=2.0)
+    for force in (-1.0, float("nan"), float("inf")):
+        with pytest.raises(ParameterError, match="force"):
+            grasp.press(force, 2.0)
+    with pytest.raises(ParameterError, match="rate"):
+        grasp.press(1.0, 2.0, rate=0.0)

@@ -1,0 +1,122 @@
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from connectors.sim import finger
+from connectors.sim.arm_motion import Controller
+from connectors.sim.finger import Finger
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Faults, Move, Moves, Scene, Timing, Vibration
+from connectors.sim.stress_profiles import FIELDS, stressed
+from operators.batch import Reals, columns
+from operators.errors import ParameterError
+
+PLAN = Moves((Move("hold", 0.4, force=2.0), Move("translation", 0.5, 0.1, 30.0, 0.1)))
+PLAIN = Scene(PLAN)
+BUSY = Scene(
+    PLAN,
+    vibration=Vibration(),
+    touch=Timing(100.0, jitter=0.001, dropped=0.1, offset=0.01, drift=1e-4),
+    motion=Timing(125.0, jitter=0.001, dropped=0.1, offset=0.01, drift=1e-4),
+    faults=Faults(dead=(5,), stuck=(4,), floored=(3,), gain=(0.9,) * 6, offset=(3.0,) * 6, drift=(2.0,) * 6),
+)
+HARD = {
+    "noise": 14.0, "gain": 1.3, "offset": 30.0, "drift": 20.0, "dead": 2, "stuck": 2, "floored": 2,
+    "touch_jitter": 0.005, "touch_dropped": 0.3, "touch_clock_offset": -0.1, "touch_clock_rate": 1e-3,
+    "motion_jitter": 0.005, "motion_dropped": 0.3, "motion_clock_offset": 0.1, "motion_clock_rate": 1e-3,
+    "vibration": 3e-4, "friction": 0.5, "stick_slip": 0.0, "force": 0.2, "slip_speed": 0.1,
+}  # fmt: skip
+
+
+def recorded(scene: Scene) -> dict[str, bytes]:
+    """All bytes of both streams and of the truth."""
+    taken, motion = Finger(scene, 3).take(1000), Controller(scene, 3).take(1000)
+    assert taken is not None
+    assert motion is not None
+    parts = {"touch": taken[0], "motion": motion, "truth": taken[1]}
+    return {
+        part: b"".join(getattr(batch, name).tobytes() for name in columns(type(batch)))
+        for part, batch in parts.items()
+    }
+
+
+def test_every_field_has_a_hard_value_here() -> None:
+    assert HARD.keys() == FIELDS.keys()
+
+
+@pytest.mark.parametrize("scene", [PLAIN, BUSY], ids=["plain", "busy"])
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_field_changes_what_it_should_and_nothing_else(field: str, scene: Scene) -> None:
+    nominal, hard = recorded(scene), recorded(stressed(scene, field, HARD[field]))
+    changed = tuple(part for part, recording in nominal.items() if hard[part] != recording)
+    assert changed == FIELDS[field].shows
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_the_nominal_value_changes_no_byte(field: str) -> None:
+    assert recorded(stressed(BUSY, field, FIELDS[field].nominal)) == recorded(BUSY)
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_what_a_field_does_at_its_nominal_value_is_nothing(field: str) -> None:
+    """Not only that `stressed` leaves the scene alone there: values close to it do little."""
+    assert recorded(FIELDS[field].change(BUSY, FIELDS[field].nominal)) == recorded(BUSY)
+
+
+@given(st.sampled_from(sorted(FIELDS)), st.sampled_from(sorted(FIELDS)))
+def test_fields_can_be_combined_in_any_order(one: str, other: str) -> None:
+    assume(one != other)
+    assume({one, other} != {"force", "slip_speed"})  # those two nest: the same moves, another tree
+    forth = stressed(stressed(PLAIN, one, HARD[one]), other, HARD[other])
+    back = stressed(stressed(PLAIN, other, HARD[other]), one, HARD[one])
+    assert forth == back
+
+
+def test_force_and_speed_are_the_plans() -> None:
+    def truth(field: str, value: float) -> tuple[float, float]:
+        taken = Finger(stressed(PLAIN, field, value), 0).take(75)
+        assert taken is not None
+        return float(taken[1].force[-1]), float(np.hypot(*taken[1].velocity[-1, :2]))
+
+    assert truth("force", 0.5) == pytest.approx((1.0, 0.1))
+    assert truth("slip_speed", 0.5) == pytest.approx((2.0, 0.05))
+
+
+def test_without_stick_slip_a_moving_surface_holds_as_well_as_one_at_rest() -> None:
+    p, half = (stressed(PLAIN, "stick_slip", value).parameters for value in (0.0, 0.5))
+    assert p.static_friction == p.kinetic_friction == Parameters().kinetic_friction
+    assert half.static_friction == pytest.approx(
+        (Parameters().static_friction + Parameters().kinetic_friction) / 2
+    )
+
+
+def test_an_unknown_field_or_half_a_cell_is_refused() -> None:
+    with pytest.raises(ParameterError, match="one of noise, gain"):
+        stressed(PLAIN, "nois", 1.0)
+    with pytest.raises(ParameterError, match="number of cells"):
+        stressed(PLAIN, "dead", 1.5)
+    with pytest.raises(ParameterError, match="dropped"):
+        stressed(PLAIN, "touch_dropped", 1.0)
+
+
+class _Unpaid:
+    """Stands where nobody should come."""
+
+    def __call__(self, *_: object) -> Reals:
+        raise AssertionError("computed though the scene does not name it")
+
+    random = standard_normal = __call__
+
+
+def test_a_scene_without_vibration_or_noise_computes_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet = Scene(PLAN, parameters=Parameters(noise=0.0))
+    monkeypatch.setattr(finger, "shaking", _Unpaid())
+    for field, drawn in (("vibration", "_noise"), ("noise", "_noise")):
+        simulation = Finger(quiet, 0)
+        monkeypatch.setattr(simulation.cells, drawn, _Unpaid())
+        assert simulation.take(50) is not None
+        simulation = Finger(stressed(quiet, field, 1e-4), 0)
+        monkeypatch.setattr(simulation.cells, drawn, _Unpaid())
+        with pytest.raises(AssertionError, match="does not name"):
+            simulation.take(50)

@@ -1,0 +1,118 @@
+import asyncio
+import threading
+from collections.abc import Iterator
+from time import time_ns
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from connectors.emulators.i2c_bus import I2cBus
+from connectors.emulators.i2c_device import served
+from connectors.takktile.scan_thread import ScanThread, Schedule, following
+from connectors.takktile.takktile_protocol import Coefficients
+from connectors.takktile.takktile_scan import Scan, Scanner
+from operators import EndpointError, ms, us
+from operators.batch import Counts
+
+PATH = "/dev/i2c-1"
+
+
+class Skin:
+    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
+        return np.full(6, 400, np.int16), np.full(6, 500, np.int16)
+
+
+class Counted(dict[str, int]):
+    """Tells when scans have been missed again and again without one that was made."""
+
+    def __init__(self) -> None:
+        super().__init__(made=0, silent=0, late=0, missed=0)
+        self.enough = threading.Event()
+        self._before, self._again = 0, 0
+
+    def __setitem__(self, name: str, value: int) -> None:
+        super().__setitem__(name, value)
+        if name == "made":
+            self._again = 0
+        elif name == "missed" and value > self._before:
+            self._before, self._again = value, self._again + 1
+            if self._again >= 10:
+                self.enough.set()
+
+
+@pytest.fixture(autouse=True)
+def bus() -> Iterator[I2cBus]:
+    with served(I2cBus(Skin(), conversion=50 * us), PATH) as bus:
+        yield bus
+
+
+def begin(counted: Counted) -> ScanThread:
+    """Scan 500 times a second."""
+
+    def learn(fingertip: int, cell: int, coefficients: Coefficients | None) -> None:
+        """Nothing."""
+
+    return ScanThread(Schedule(PATH, (0,), 100 * us, 2 * ms, counted), time_ns, learn)
+
+
+@given(st.integers(0, 10**12), st.integers(0, 10**10), st.integers(1, 10**9))
+def test_the_schedule_skips_and_never_drifts(due: int, took: int, period: int) -> None:
+    then, missed = following(due, due + took, period)
+    assert then - due == (1 + missed) * period
+    assert missed >= 0
+    assert then > due + took - period  # it can still begin within its own period
+    assert missed == 0 or then <= due + took  # none is missed that need not be
+
+
+def test_scans_that_nobody_takes_are_missed_at_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.takktile.scan_thread.BACKLOG", 5)
+
+    async def main() -> None:
+        counted = Counted()
+        thread = begin(counted)
+        assert await asyncio.to_thread(counted.enough.wait, 30.0)
+        assert counted["made"] == 5
+        await thread.end()
+        assert not thread.alive
+
+    asyncio.run(main())
+
+
+def test_a_thread_that_fails_says_so_after_what_it_had_scanned(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, scan = list[Scan](), Scanner.scan
+
+    def broken(scanner: Scanner) -> Scan:
+        if len(made) == 3:
+            raise ZeroDivisionError("oh")
+        made.append(scan(scanner))
+        return made[-1]
+
+    monkeypatch.setattr(Scanner, "scan", broken)
+
+    async def main() -> None:
+        thread, taken = begin(Counted()), list[Scan]()
+
+        async def gather() -> None:
+            async for each in thread.scans():
+                taken.append(each)
+
+        with pytest.raises(EndpointError, match="/dev/i2c-1: ZeroDivisionError: oh") as raised:
+            await gather()
+        assert isinstance(raised.value.__cause__, ZeroDivisionError)
+        assert [each.time for each in taken] == [each.time for each in made]
+        await thread.end()
+
+    asyncio.run(main())
+
+
+def test_a_thread_whose_loop_is_gone_ends() -> None:
+    async def main() -> ScanThread:
+        return begin(Counted())
+
+    asyncio.run(main())
+    for thread in threading.enumerate():
+        if thread.name.startswith("takktile"):
+            thread.join(30.0)
+            assert not thread.is_alive()

@@ -1,0 +1,308 @@
+"""The scanner talks to the emulated bus through an unmodified smbus2."""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import closing
+from time import time_ns
+
+import numpy as np
+import pytest
+from smbus2 import SMBus
+
+from connectors.emulators.i2c_barometer import Barometer, Defect, Fingertip
+from connectors.emulators.i2c_bus import DESIGNWARE, RASPBERRY_PI, I2cBus
+from connectors.emulators.i2c_device import served
+from connectors.takktile.takktile_protocol import Coefficients
+from connectors.takktile.takktile_scan import Scan, Scanner, reason
+from operators.batch import Counts, us
+
+PATH = "/dev/i2c-1"
+CELL, ALL = 0x60, 0x06
+
+
+class Skin:
+    """Each conversion gives other counts, which tell finger, cell and conversion."""
+
+    def __init__(self) -> None:
+        self.conversions = dict.fromkeys(range(8), 0)
+        self._times = dict.fromkeys(range(8), 0)
+
+    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
+        if time > self._times[finger]:
+            self._times[finger], self.conversions[finger] = time, self.conversions[finger] + 1
+        return self.pressure(finger), self.temperature(finger)
+
+    def pressure(self, finger: int) -> Counts:
+        cells = 300 + 13 * finger + 31 * np.arange(6) + self.conversions[finger] % 11
+        return cells.astype(np.int16)
+
+    def temperature(self, finger: int) -> Counts:
+        return (480 + 5 * finger + 3 * np.arange(6) + self.conversions[finger] % 3).astype(np.int16)
+
+
+class Rig:
+    """Two fingertips, numbers 4 and 5, at rows 0 and 3."""
+
+    rows = (0, 3)
+    fingers = (4, 5)
+
+    def __init__(self) -> None:
+        self.skin = Skin()
+        self.bus = I2cBus(self.skin, dict(zip(self.rows, self.fingers, strict=True)), conversion=50 * us)
+        self.learnt: dict[tuple[int, int], Coefficients | None] = {}
+
+    def open(self) -> Scanner:
+        def learn(fingertip: int, cell: int, coefficients: Coefficients | None) -> None:
+            self.learnt[fingertip, cell] = coefficients
+
+        return Scanner(PATH, self.rows, 100 * us, time_ns, learn)
+
+    def right(self, scan: Scan) -> None:
+        """What is valid is what was converted last, and what is not reads so."""
+        for fingertip, finger in enumerate(self.fingers):
+            valid = scan.valid[fingertip]
+            np.testing.assert_array_equal(scan.counts[fingertip][valid], self.skin.pressure(finger)[valid])
+            np.testing.assert_array_equal(
+                scan.temperature[fingertip][valid], self.skin.temperature(finger)[valid]
+            )
+
+    def sound(self, scan: Scan) -> None:
+        """All is valid, and right."""
+        assert scan.error is None
+        assert scan.valid.all()
+        self.right(scan)
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    rig = Rig()
+    with served(rig.bus, PATH):
+        yield rig
+
+
+def invalid(scan: Scan) -> list[tuple[int, int]]:
+    return [(int(fingertip), int(cell)) for fingertip, cell in np.argwhere(~scan.valid)]
+
+
+def test_a_scan_gives_what_all_cells_converted_at_its_instant(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        times = list[int]()
+        for _ in range(3):
+            before = time_ns()
+            scan = scanner.scan()
+            rig.sound(scan)
+            assert before <= scan.time <= time_ns()
+            times.append(scan.time)
+    assert rig.skin.conversions[4] == rig.skin.conversions[5] == 3
+
+
+def test_a_scan_looks_once_whether_all_are_silent_beyond_what_it_must(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        octets, transfers = rig.bus.octets, rig.bus.transfers
+        scanner.scan()
+        assert (rig.bus.octets - octets, rig.bus.transfers - transfers) == (6 + 120 + 1, 3 + 36 + 1)
+
+
+@pytest.mark.parametrize("number", [121, 6, 110, 5, 19])
+@pytest.mark.parametrize("times", [1, 3])
+def test_whichever_message_fails_what_is_valid_is_right_and_the_next_scan_is_sound(
+    rig: Rig, number: int, times: int
+) -> None:
+    with closing(rig.open()) as scanner:
+        spoilt = 0
+        for message in range(52):  # of a scan
+            rig.bus.fail(number, after=message, times=times)
+            scan = scanner.scan()
+            rig.bus.heal()
+            spoilt += scan.error is not None or bool(invalid(scan))
+            rig.right(scan)
+            rig.sound(scanner.scan())
+        assert spoilt >= 51  # one message is to be refused: it asks whether all cells are silent
+
+
+def test_an_error_of_the_bus_spoils_the_scan_and_a_silent_cell_only_itself(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        rig.bus.fail(110, address=3 << 3 | 1)
+        scan = scanner.scan()
+        assert scan.error is not None
+        assert scan.error.errno == errno.ETIMEDOUT
+        assert not scan.valid.any()
+        assert not scan.counts.any()
+        rig.bus.fail(121, address=3 << 3 | 1)
+        scan = scanner.scan()
+        assert invalid(scan) == [(1, 1)]
+        assert scan.counts.shape == (2, 6)
+        rig.right(scan)
+
+
+def test_a_dead_cell_is_invalid_and_reads_0(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        rig.bus.fingertips[3].cells[2].defect = Defect.DEAD
+        for _ in range(3):
+            scan = scanner.scan()
+            assert invalid(scan) == [(1, 2)]
+            assert scan.counts[1, 2] == scan.temperature[1, 2] == 0
+            rig.right(scan)
+
+
+def test_a_cell_that_converts_to_0_is_invalid(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        rig.bus.fingertips[0].cells[5].defect = Defect.ZERO
+        assert invalid(scanner.scan()) == [(0, 5)]
+
+
+def test_what_was_not_converted_yet_is_invalid(rig: Rig) -> None:
+    rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
+    with closing(rig.open()) as scanner:
+        assert invalid(scanner.scan()) == [(1, 0)]
+
+
+def test_a_stuck_cell_repeats_its_last_count_for_all_to_see(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        scanner.scan()
+        rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
+        counts = [scanner.scan().counts[1, :2].tolist() for _ in range(3)]
+        assert len({stuck for stuck, _ in counts}) == 1
+        assert len({sound for _, sound in counts}) == 3
+
+
+def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        cell = rig.bus.fingertips[0].cells[3]
+        seen = list[bool]()
+        for overload in (0, 200, 380, 480, 600, 470, 200, 0):
+            cell.overload = overload
+            scan = scanner.scan()
+            seen.append(bool(scan.valid[0, 3]))
+            assert scan.counts[0, 3] == (rig.skin.pressure(4)[3] - overload) % 1024
+            assert scan.valid.sum() == 11 + seen[-1]
+        assert seen == [True, True, True, False, False, False, True, True]
+
+
+def test_a_fingertip_that_is_unplugged_is_invalid_and_the_other_stays_right(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        rig.bus.fingertips[3].unplug()
+        scan = scanner.scan()
+        assert invalid(scan) == [(1, cell) for cell in range(6)]
+        rig.right(scan)
+        rig.bus.fingertips[3].plug()
+        rig.sound(scanner.scan())
+
+
+def test_an_unplugged_sensor_spoils_the_scan(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        rig.bus.unplug()
+        scan = scanner.scan()
+        assert not scan.valid.any()
+        assert scan.error is not None
+        assert reason(scan.error) == "no fingertip answers: is the power on, are the rows right? (errno 121)"
+        rig.bus.plug()
+        rig.sound(scanner.scan())
+
+
+def test_cells_that_somebody_left_connected_are_disconnected_at_the_start(rig: Rig) -> None:
+    with SMBus(PATH) as other:
+        other.write_quick(ALL)
+    with closing(rig.open()) as scanner:
+        rig.sound(scanner.scan())
+
+
+def test_a_cell_that_cannot_be_disconnected_spoils_every_scan(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def connected(fingertip: Fingertip) -> list[Barometer]:
+        return fingertip.cells[:1]
+
+    with closing(rig.open()) as scanner:
+        monkeypatch.setattr(Fingertip, "connected", property(connected))
+        scan = scanner.scan()
+        assert not scan.valid.any()
+        assert scan.error is not None
+        assert "though all are disconnected" in reason(scan.error)
+    with pytest.raises(OSError, match="though all are disconnected"):
+        rig.open()
+
+
+def test_closing_leaves_all_cells_disconnected(rig: Rig) -> None:
+    rig.open().close()
+    with SMBus(PATH) as client:
+        client.write_quick(2)
+    rig.open().close()
+    assert not rig.bus.fingertips[0].connected
+
+
+@pytest.mark.parametrize("claims", ["nothing", "quick"])
+def test_an_adapter_without_quick_is_served_by_a_byte_that_is_refused(
+    rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if claims == "quick":
+        monkeypatch.setattr("connectors.emulators.i2c_device._EMULATED_QUICK", 0)
+    rig.bus.adapter = DESIGNWARE
+    with closing(rig.open()) as scanner:
+        for _ in range(2):
+            rig.sound(scanner.scan())
+        rig.bus.fail(121, address=CELL, after=7)
+        rig.right(scanner.scan())
+        rig.sound(scanner.scan())
+        rig.bus.fail(5, address=ALL)
+        assert not scanner.scan().valid.any()
+        rig.sound(scanner.scan())
+
+
+def test_each_cell_says_once_who_it_is(rig: Rig) -> None:
+    with closing(rig.open()) as scanner:
+        assert rig.bus.adapter == RASPBERRY_PI
+        assert len(rig.learnt) == 12
+        assert rig.learnt[1, 0] == Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
+        assert [known.a0 for (tip, _), known in rig.learnt.items() if known and not tip] == pytest.approx(
+            [2009.75 + cell for cell in range(6)]
+        )
+        rig.learnt.clear()
+        scanner.scan()
+        assert not rig.learnt
+
+
+def test_a_cell_that_was_silent_at_the_start_says_later_who_it_is(rig: Rig) -> None:
+    cells = rig.bus.fingertips[3].cells
+    for cell in (1, 4):
+        cells[cell].defect = Defect.DEAD
+    with closing(rig.open()) as scanner:
+        assert {cell for cell, known in rig.learnt.items() if known is None} == {(1, 1), (1, 4)}
+        scanner.scan()
+        for cell in (1, 4):
+            cells[cell].defect = None
+        for _ in range(2):
+            rig.sound(scanner.scan())
+        assert None not in rig.learnt.values()
+
+
+def test_a_bus_serves_one_at_a_time(rig: Rig) -> None:
+    with closing(rig.open()):
+        with pytest.raises(BlockingIOError) as raised:
+            rig.open()
+        assert reason(raised.value) == "is used by another program: end that first (errno 11)"
+    rig.open().close()
+
+
+@pytest.mark.parametrize("number", [110, 121, 5])
+def test_what_cannot_be_opened_is_closed_again(rig: Rig, number: int) -> None:
+    before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - counted, not used
+    for after in range(3):
+        rig.bus.fail(number, address=ALL, after=0)
+        rig.bus.fail(number, address=CELL, after=after, times=2)
+        with pytest.raises(OSError, match=os.strerror(number)):
+            rig.open()
+    assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208 - the same
+
+
+def test_reasons_say_what_to_do(rig: Rig) -> None:
+    rig.bus.busy.add(CELL)
+    with pytest.raises(OSError, match=os.strerror(16)) as raised:
+        rig.open()
+    assert reason(raised.value).startswith("a kernel driver owns")
+    rig.bus.remove(19)
+    with pytest.raises(FileNotFoundError) as missing:
+        rig.open()
+    assert reason(missing.value) == "there is no such bus: is I2C enabled? (errno 2)"
+    assert reason(OSError(5, "Input/output error")) == "Input/output error (errno 5)"

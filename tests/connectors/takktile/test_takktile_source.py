@@ -1,0 +1,374 @@
+"""The source scans the emulated bus: unmodified smbus2, a real thread, runs of flows."""
+
+import asyncio
+import json
+import logging
+import threading
+from collections.abc import AsyncGenerator, Callable, Iterator
+from contextlib import aclosing
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from connectors import TakkTile
+from connectors.emulators.i2c_barometer import Defect
+from connectors.emulators.i2c_bus import I2cBus
+from connectors.emulators.i2c_device import served
+from connectors.emulators.shared_scene import Lab
+from connectors.sim.scene import Scene
+from flows.graph import Flow
+from flows.graph.testing import TestSink
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from operators import Clock, EndpointError, ParameterError, Score, Scores, Touch, Zero, Zeroed, ms, us
+from operators.batch import Batch, Counts, concat
+from operators.detectors.psd import Psd
+
+PATH = "/dev/i2c-1"
+SILENT = f"{PATH}: no fingertip answers: is the power on, are the rows right? (errno 121)"
+
+
+class Skin:
+    """Cells that read by finger and cell; something may happen at a conversion."""
+
+    def __init__(self) -> None:
+        self.conversions = 0
+        self.then: dict[int, Callable[[], None]] = {}  # by number of the conversion
+        self._time = 0
+
+    def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
+        if time != self._time:
+            self._time, self.conversions = time, self.conversions + 1
+            if happen := self.then.get(self.conversions):
+                happen()
+        return pressure(finger), np.full(6, 507, np.int16)
+
+
+def pressure(finger: int) -> Counts:
+    return (400 + 10 * finger + np.arange(6)).astype(np.int16)
+
+
+class Rig:
+    """Fingers 0, 1 and 2 at rows 0, 1 and 5 of a bus."""
+
+    def __init__(self) -> None:
+        self.skin = Skin()
+        self.bus = I2cBus(self.skin, {0: 0, 1: 1, 5: 2}, conversion=200 * us)
+
+    def source(
+        self,
+        rows: tuple[int, ...] = (0,),
+        fingers: tuple[int, ...] | None = None,
+        rate: float = 400.0,
+        conversion: int = 300 * us,
+    ) -> TakkTile:
+        return TakkTile(1, rows, fingers=fingers, rate=rate, conversion=conversion)
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    """With a source that looks often for what is lost; no thread stays behind."""
+    monkeypatch.setattr("connectors.takktile.takktile_source.LOOK_AGAIN", 0.01)
+    rig = Rig()
+    with served(rig.bus, PATH):
+        yield rig
+    for thread in threads():
+        thread.join(10.0)
+    assert not threads()
+
+
+def threads() -> list[threading.Thread]:
+    return [thread for thread in threading.enumerate() if thread.name.startswith("takktile")]
+
+
+def stream(source: TakkTile, clock: Clock | None = None) -> AsyncGenerator[Touch]:
+    return cast("AsyncGenerator[Touch]", source.batches(clock or LoopClock()))
+
+
+async def take(batches: AsyncGenerator[Touch], count: int) -> list[Touch]:
+    return [await anext(batches) for _ in range(count)]
+
+
+async def lost(batches: AsyncGenerator[Touch]) -> tuple[list[Touch], str]:
+    """What comes until the source fails, and why it does."""
+    taken = list[Touch]()
+    try:
+        async for touch in batches:
+            taken.append(touch)
+    except EndpointError as error:
+        return taken, str(error)
+    raise AssertionError("it ended")
+
+
+def counted(source: TakkTile) -> dict[str, int]:
+    return cast("dict[str, int]", source.describe()["scans"])
+
+
+@pytest.mark.parametrize(("rows", "fingers"), [((0,), (7,)), ((0, 1, 5), (0, 1, 2))])
+async def test_one_or_three_fingertips_are_scanned_100_times_a_second(
+    rig: Rig, rows: tuple[int, ...], fingers: tuple[int, ...]
+) -> None:
+    source, clock = rig.source(rows=rows, fingers=fingers, rate=100.0, conversion=3 * ms), LoopClock()
+    begun = clock.now()
+    async with aclosing(stream(source, clock)) as batches:
+        taken = await take(batches, 30 * len(rows))
+    assert [touch.finger for touch in taken] == [*fingers] * 30
+    for finger, is_ in zip(fingers, range(3), strict=False):
+        touch = concat(Touch, [each for each in taken if each.finger == finger]).check()
+        assert touch.valid.all()
+        assert begun < touch.time[0]
+        assert (np.diff(touch.time) > 0).all()
+        assert touch.time[-1] <= clock.now()
+        assert (touch.counts == pressure(is_)).all()
+        assert (touch.temperature == 507).all()
+    assert len({touch.time.item() for touch in taken}) == 30  # all fingertips convert at once
+
+
+async def test_a_bus_that_is_too_slow_misses_scans_and_counts_them(rig: Rig) -> None:
+    rig.bus.adapter = type(rig.bus.adapter)(chained=False, speed=100_000)
+    source = rig.source(rows=(0, 1, 5), rate=100.0, conversion=3 * ms)
+    async with aclosing(stream(source)) as batches:
+        taken = await take(batches, 12 * 3)
+    assert all(touch.valid.all() for touch in taken)
+    assert counted(source)["missed"] >= 8  # 186 bytes take 17 ms
+    assert counted(source)["made"] >= 12
+
+
+async def test_closing_the_source_disconnects_all_cells_and_ends_its_thread(rig: Rig) -> None:
+    async with aclosing(stream(rig.source())) as batches:
+        await take(batches, 3)
+        assert len(threads()) == 1
+    assert not threads()
+    assert not any(tip.connected for tip in rig.bus.fingertips.values())
+
+
+async def test_a_sensor_that_is_unplugged_fails_once_and_is_looked_for_until_it_is_back(rig: Rig) -> None:
+    source, clock = rig.source(), LoopClock()
+    rig.skin.then[20] = rig.bus.unplug
+    taken, why = await lost(stream(source, clock))
+    assert why == SILENT
+    assert [bool(touch.valid.all()) for touch in taken[:19]] == [True] * 19
+    for touch in taken[19:]:  # it is not given up at once, and nothing is made up meanwhile
+        assert not touch.valid.any()
+        assert not touch.counts.any()
+    assert counted(source)["silent"] >= len(taken[19:])
+
+    rig.bus.fail(121, address=6, times=3)  # it is looked for in vain before it is put in
+    rig.bus.plug()
+    async with aclosing(stream(source, clock)) as batches:
+        assert (await anext(batches)).valid.all()
+
+
+@pytest.mark.parametrize("number", [6, 19])
+async def test_an_adapter_that_is_gone_is_opened_anew_when_it_is_back(rig: Rig, number: int) -> None:
+    source, clock = rig.source(), LoopClock()
+    rig.skin.then[5] = lambda: rig.bus.remove(number)
+    _, why = await lost(stream(source, clock))
+    assert f"(errno {number})" in why
+    rig.bus.restore()
+    async with aclosing(stream(source, clock)) as batches:
+        assert (await anext(batches)).valid.all()
+
+
+async def test_a_sensor_that_is_not_there_at_the_start_fails_in_every_run_anew(rig: Rig) -> None:
+    rig.bus.unplug()
+    source = rig.source()
+    for _ in range(2):
+        taken, why = await lost(stream(source))
+        assert not taken
+        assert "no fingertip answers" in why
+
+
+async def test_fingertips_without_a_working_cell_give_no_sample_at_all(rig: Rig) -> None:
+    for cell in rig.bus.fingertips[0].cells:
+        cell.defect = Defect.DEAD
+    taken, why = await lost(stream(rig.source()))
+    assert not taken
+    assert "no fingertip answers" in why
+
+
+async def test_a_glitch_is_survived_and_its_rows_are_invalid(rig: Rig) -> None:
+    rig.skin.then[10] = lambda: rig.bus.fail(110)
+    async with aclosing(stream(rig.source())) as batches:
+        taken = await take(batches, 20)
+    assert [bool(touch.valid.all()) for touch in taken] == [True] * 9 + [False] + [True] * 10
+    assert not taken[9].valid.any()
+
+
+async def test_a_wedged_bus_fails_the_source_in_time_and_ties_up_one_thread_only(
+    rig: Rig, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("connectors.takktile.scan_thread.PATIENCE", 0.5)
+    with caplog.at_level(logging.WARNING):
+        source = rig.source()
+        rig.skin.then[5] = rig.bus.wedge
+        taken, why = await lost(stream(source))
+        assert 4 <= len(taken) <= 5
+        assert "is blocked" in why
+        for clock in (LoopClock(), LoopClock()):
+            assert "still blocked" in (await lost(stream(source, clock)))[1]
+            assert len(threads()) == 1
+        rig.bus.release()
+        async with aclosing(stream(source, clock)) as batches:
+            assert (await anext(batches)).valid.all()
+    assert [record.message for record in caplog.records] == [
+        "/dev/i2c-1: left a thread behind that is blocked"
+    ]
+
+
+async def test_pressure_is_compensated_by_what_each_cell_says_of_itself(rig: Rig) -> None:
+    rig.bus.fingertips[5].cells[3].defect = Defect.DEAD
+    source = rig.source(rows=(1, 5), fingers=(3, 4))
+    async with aclosing(stream(source)) as batches:
+        one, other = await take(batches, 2)
+    kpa = source.pressure(one)
+    assert kpa.shape == (1, 6)
+    known = source.coefficients[3][2]
+    assert known is not None
+    assert known.a0 == 2009.75 + 2
+    assert kpa[0, 2] == pytest.approx(known.pressure(412, 507))
+    assert np.isnan(source.pressure(other)[0]).tolist() == [False] * 3 + [True] + [False] * 2
+    with pytest.raises(ParameterError, match="raw"):
+        source.pressure(Zeroed.empty())
+    with pytest.raises(ParameterError, match="finger"):
+        source.pressure(Touch.empty())
+
+
+async def test_the_description_is_alive_and_plain_data(rig: Rig) -> None:
+    source = rig.source(rows=(0, 5), fingers=(0, 4))
+    described = source.describe()
+    before = json.loads(json.dumps(dict(described)))
+    assert before["coefficients"] == {"0": [None] * 6, "4": [None] * 6}
+    assert before["scans"] == {"made": 0, "silent": 0, "late": 0, "missed": 0}
+    assert (before["bus"], before["rows"], before["rate_hz"], before["conversion_ms"]) == (
+        PATH,
+        [0, 5],
+        400.0,
+        0.3,
+    )
+    async with aclosing(stream(source)) as batches:
+        await take(batches, 10)
+    after = json.loads(json.dumps(dict(described)))
+    assert after["coefficients"]["4"][1] == pytest.approx([2010.75, -2.37585, -0.92047, 7.9012e-4], rel=1e-4)
+    assert after["scans"]["made"] >= 5
+
+
+def test_what_linux_knows_of_the_adapter_is_described(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("connectors.takktile.takktile_source.ADAPTERS", tmp_path)
+    assert TakkTile().describe()["adapter"] is None
+    (tmp_path / "i2c-1/device/of_node").mkdir(parents=True)
+    (tmp_path / "i2c-1/name").write_text("bcm2835 (i2c@7e804000)\n")
+    assert TakkTile().describe()["adapter"] == "bcm2835 (i2c@7e804000)"
+    (tmp_path / "i2c-1/device/of_node/clock-frequency").write_bytes((400_000).to_bytes(4, "big"))
+    assert TakkTile().describe()["bus_hz"] == 400_000
+
+
+class Mender(logging.Handler):
+    """Does something once a failure is logged."""
+
+    def __init__(self, mend: Callable[[], None]) -> None:
+        super().__init__()
+        self._mend = mend
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if "failed" in record.getMessage():
+            self._mend()
+
+
+class Limited(TestSink):
+    """Ends the run when it has been given enough."""
+
+    def __init__(self, enough: int) -> None:
+        super().__init__()
+        self._enough = enough
+        self.runner: LiveRunner | None = None
+
+    async def write(self, batch: Batch) -> None:
+        await super().write(batch)
+        if self.runner is not None and len(self.rows(Touch, 0)) >= self._enough:
+            self.runner.stop()
+
+
+async def test_a_run_records_the_gap_and_says_once_what_happened(
+    rig: Rig, caplog: pytest.LogCaptureFixture
+) -> None:
+    rig.skin.then[100] = rig.bus.unplug
+    with caplog.at_level(logging.WARNING):
+        flow, sink, plugged = Flow("plug"), Limited(300), list[int]()
+        flow.source(rig.source(), name="touch").to(sink)
+        sink.runner = runner = LiveRunner(flow, "test")
+
+        def plug() -> None:
+            plugged.append(runner.clock.now())
+            rig.bus.plug()
+
+        def mend() -> None:
+            asyncio.get_running_loop().call_later(0.3, plug)
+
+        mender = Mender(mend)
+        logging.getLogger("slipflow").addHandler(mender)
+        try:
+            run = await runner.execute()
+        finally:
+            logging.getLogger("slipflow").removeHandler(mender)
+        [gap], touch = run.sources["touch"].gaps, sink.rows(Touch, 0)
+        assert gap.reason == SILENT
+        assert gap.start < plugged[0] < gap.end
+        assert not ((touch.time > gap.start) & (touch.time < plugged[0])).any()
+        silent = ~touch.valid.any(axis=1)
+        assert (touch.time[silent] <= gap.start).all()
+        assert (touch.counts[~silent] == pressure(0)).all()
+    assert [record.message for record in caplog.records] == [
+        f"touch failed, trying again: {SILENT}",
+        "touch is back",
+    ]
+
+
+async def test_a_flow_feels_slip_on_the_virtual_lab_as_it_would_on_a_real_one() -> None:
+    lab = Lab(Scene(), seed=1, fingers=(0, 3))
+    with served(I2cBus(lab, {0: 0, 2: 3}, now=lab.now), PATH):
+        flow, scores, raw = Flow("feel"), TestSink(), TestSink()
+        touch = flow.source(TakkTile(rows=(0, 2), fingers=(0, 3)))
+        touch.to(raw)
+        (touch | Zero(scans=50) | Score(Psd())).to(scores)
+        run = await LiveRunner(flow, "test", duration=1_500 * ms).execute()
+    assert not run.sources["touch"].gaps
+    for finger in (0, 3):
+        counts, judged = raw.rows(Touch, finger), scores.rows(Scores, finger)
+        assert counts.valid.all()
+        assert len(counts) > 50
+        assert len(judged) == len(counts) - 24
+        np.testing.assert_array_equal(judged.time, counts.time[24:])
+        assert np.isfinite(judged.probability).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("rows", {"rows": ()}),
+        ("rows", {"rows": (0, 0)}),
+        ("rows", {"rows": (8,)}),
+        ("fingers", {"fingers": (0, 1)}),
+        ("fingers", {"rows": (0, 1), "fingers": (2, 2)}),
+        ("fingers", {"fingers": (-1,)}),
+        ("rate", {"rate": 0.0}),
+        ("rows", {"rows": 0}),
+        ("bus", {"bus": -1}),
+        ("bus", {"bus": ""}),
+        ("conversion", {"conversion": 0}),
+        ("conversion", {"conversion": 3}),
+        ("conversion", {"rate": 100.0, "conversion": 10 * ms}),
+    ],
+)
+def test_bad_parameters_are_refused(name: str, changes: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=name):
+        TakkTile(**changes)
+
+
+def test_a_bus_is_named_by_its_number_or_its_path() -> None:
+    assert TakkTile(bus=3).path == "/dev/i2c-3"
+    assert TakkTile(bus="/dev/i2c-fingers").path == "/dev/i2c-fingers"

@@ -1,0 +1,325 @@
+"""The real RTDEControlInterface, in its process, against the emulated controller."""
+
+import asyncio
+import importlib.util
+import math
+import os
+import re
+import signal
+from collections.abc import AsyncGenerator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, replace
+from itertools import count
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from connectors.emulators.free_arm import FreeArm
+from connectors.emulators.pressing import PressingArm
+from connectors.emulators.ur_control_box import Arm, RuntimeState
+from connectors.emulators.ur_controller import UrController
+from connectors.emulators.ur_program import Program
+from connectors.ur.control_process import Go, Order
+from connectors.ur.rtde import Version
+from connectors.ur.ur_arm import UrArm
+from connectors.ur.ur_state import Bounds, State
+from flows.run.clocks import LoopClock
+from operators import EndpointError
+from operators.batch import Reals
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
+)
+
+HOST = f"127.0.{os.getpid() % 250 + 1}.2"  # of this process: ur-rtde knows one port only
+BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
+BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
+DOWN = Bounds((0.3, -0.1, -0.02), (0.5, 0.1, 0.2), force=20.0)  # to a surface at 0
+CB3 = Version(3, 15, 8, 0)
+
+
+@dataclass
+class Lab:
+    controller: UrController
+    arm: UrArm
+
+
+class Leaning(PressingArm):
+    """Stands 2 mm above a surface, on an arm that tells a force in the air, too, as real ones do."""
+
+    def __init__(self) -> None:
+        super().__init__(FreeArm(np.array((*BEGIN[:2], 0.0, *BEGIN[3:])), 1.0), 0.002)
+
+    @property
+    def wrench(self) -> Reals:
+        wrench: Reals = super().wrench + np.array([3.0, -2.0, 6.0, 0.0, 0.0, 0.0])
+        return wrench
+
+
+@asynccontextmanager
+async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator[Lab]:
+    clock, arm = LoopClock(), arm or FreeArm(np.array(BEGIN), 1.0)
+    async with (
+        UrController(arm, host=HOST, version=CB3, now=clock.now) as controller,
+        UrArm(HOST, bounds, clock, watchdog=1.0) as moved,
+    ):
+        yield Lab(controller, moved)
+
+
+def refused(act: Callable[[Lab], None] | None, move: Callable[[UrArm], Coroutine[Any, Any, None]]) -> Lab:
+    """A lab whose arm was stopped while it moved, some time after which something was done."""
+
+    async def main() -> Lab:
+        async with lab() as here:
+            if act:
+                asyncio.get_running_loop().call_later(0.3, act, here)
+            with pytest.raises(EndpointError):
+                await move(here.arm)
+            await here.arm.stop()
+            assert here.arm.state.still
+            with pytest.raises(EndpointError):  # for good
+                await here.arm.line(BEGIN, 0.1, 0.5, 1.0)
+        return here
+
+    return asyncio.run(main())
+
+
+def away(arm: UrArm) -> Coroutine[Any, Any, None]:
+    return arm.slide((0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 4.0, 0.5)
+
+
+def test_it_goes_along_lines_slides_and_turns() -> None:
+    async def main() -> list[tuple[float, ...]]:
+        poses = list[tuple[float, ...]]()
+        async with lab() as here:
+            arm = here.arm
+            await arm.line((0.42, 0.05, 0.12, math.pi, 0, 0), 0.1, 0.5, 0.8)
+            poses.append(arm.state.pose)
+            await arm.slide((0.05, 0.0, 0.0, 0.0, 0.0, 0.5), 0.5, 1.0)
+            poses.append(arm.state.pose)
+            await arm.line(BEGIN, 0.2, 0.5, 0.8)  # a line after a velocity
+            assert arm.state.at(BEGIN)
+            assert not arm.fault
+        return poses
+
+    first, second = asyncio.run(main())
+    np.testing.assert_allclose(first, (0.42, 0.05, 0.12, math.pi, 0, 0), atol=6e-4)
+    assert second[0] - first[0] > 0.015
+    assert abs(second[4]) > 0.1  # turned about the vertical
+
+
+def test_it_stops_though_its_controller_is_slow_to_look_at_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, turns = Program.step, count()
+
+    def seldom(program: Program) -> bool:
+        return step(program) if next(turns) % 25 == 0 else True  # every 0.2 s; it is kicked every 0.07 s
+
+    async def main() -> None:
+        clock = LoopClock()
+        async with (
+            UrController(FreeArm(np.array(BEGIN), 1.0), host=HOST, version=CB3, now=clock.now),
+            UrArm(HOST, BOUNDS, clock) as arm,
+        ):
+            monkeypatch.setattr(Program, "step", seldom)
+            await arm.slide((0.0, 0.04, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0)
+            assert arm.state.still
+            assert arm.state.pose[1] > 0.02
+            monkeypatch.undo()
+
+    asyncio.run(main())
+
+
+def test_it_follows_an_arc_at_its_speed_and_height() -> None:
+    radius, centre = 0.06, (0.4, 0.06)  # m
+    angles = np.linspace(0.0, 0.5, 20)
+    places = [(0.4, 0.06 - radius * math.cos(a), 0.1 + radius * math.sin(a)) for a in angles.tolist()]
+
+    async def main() -> list[State]:
+        seen = list[State]()
+
+        async def watch(arm: UrArm) -> None:
+            while True:
+                seen.append(arm.state)
+                await asyncio.sleep(0.008)
+
+        async with lab() as here:
+            watching = asyncio.create_task(watch(here.arm))
+            await here.arm.trace(places[1:], 0.05, 0.5, 0.7)
+            assert here.arm.state.still
+            watching.cancel()
+            await here.arm.line(BEGIN, 0.2, 0.5, 0.5)  # a line after it
+        return seen
+
+    seen = asyncio.run(main())
+    off = [math.dist(state.pose[1:3], (centre[1], 0.1)) - radius for state in seen]
+    assert max(map(abs, off)) < 1e-3
+    assert math.dist(seen[-1].pose[:3], places[-1]) < 5e-3
+    speeds = sorted(math.hypot(*state.velocity[:3]) for state in seen)
+    assert speeds[-len(speeds) // 4 :] == pytest.approx([0.05] * len(speeds[-len(speeds) // 4 :]), rel=0.03)
+    assert all(state.pose[3:] == pytest.approx(BEGIN[3:]) for state in seen)
+
+
+def test_it_comes_down_until_it_feels_a_force_whatever_it_felt_in_the_air() -> None:
+    async def main() -> tuple[State, float]:
+        leaning = Leaning()
+        async with lab(DOWN, leaning) as here:
+            await here.arm.tare(0.1)
+            await here.arm.touch((0.0, 0.0, -0.008), 2.0, 0.002, 0.5)
+            return here.arm.state, leaning.wrench.item(2) - 6.0
+
+    state, force = asyncio.run(main())
+    assert state.still
+    assert 2.0 <= force < 3.0
+    assert state.pose[2] == pytest.approx(-0.001 * force, abs=1e-6)
+
+
+def test_it_is_stopped_where_there_is_nothing_to_touch() -> None:
+    async def main() -> str:
+        async with lab(DOWN, Leaning()) as here:
+            await here.arm.tare(0.1)
+            with pytest.raises(EndpointError, match=r"no contact of 2 N within 2\.5 mm: 0\.\d N there"):
+                await here.arm.touch((0.0, 0.0, -0.0025), 2.0, 0.002, 0.5)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return here.arm.fault
+
+    assert "no contact" in asyncio.run(main())
+
+
+def test_it_is_stopped_for_good_where_it_goes_on_beyond_the_deepest() -> None:
+    async def main() -> tuple[str, float]:
+        leaning = Leaning()
+        async with lab(DOWN, leaning) as here:
+            arm = cast("Any", here.arm)
+            send = arm._send
+
+            def lose(order: Order) -> None:
+                """Lose every order to come to rest."""
+                if not (isinstance(order, Go) and not any(order.velocity)):
+                    send(order)
+
+            arm._send = lose
+            await here.arm.tare(0.1)
+            with pytest.raises(EndpointError, match=r"beyond the 1\.0 mm that it might seek contact"):
+                await here.arm.touch((0.0, 0.0, -0.001), 2.0, 0.005, 0.5)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return here.arm.fault, here.arm.state.pose[2]
+
+    fault, height = asyncio.run(main())
+    assert fault.startswith("it went 1.")
+    assert -0.002 < height < 0.0
+
+
+def test_it_is_stopped_where_it_gets_off_a_line_of_places() -> None:
+    places = [(0.4, 0.02, 0.1), (0.4, 0.04, 0.1)]
+
+    def push(here: Lab) -> None:
+        cast("Any", here.arm)._stray = 0.0
+
+    here = refused(push, lambda arm: arm.trace(places, 0.02, 0.5, 2.0))
+    assert re.fullmatch(r"it is \d\.\d mm off its way", here.arm.fault)
+
+
+def test_no_contact_is_sought_without_a_force_to_feel() -> None:
+    here = refused(None, lambda arm: arm.tare(0.1))
+    assert "tells no force" in here.arm.fault
+
+
+def test_pressed_too_deep_it_is_stopped() -> None:
+    async def main() -> str:
+        async with lab(replace(DOWN, force=10.0), Leaning()) as here:
+            with pytest.raises(EndpointError):
+                await here.arm.slide((0.0, 0.0, -0.005, 0.0, 0.0, 0.0), 3.0, 0.5)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return here.arm.fault
+
+    assert re.fullmatch(r"a force of 10\.\d N, more than 10 N", asyncio.run(main()))
+
+
+def test_a_protective_stop_ends_its_moves() -> None:
+    here = refused(lambda here: here.controller.box.stop_protectively("a test"), away)
+    assert here.arm.fault == "protective stop"
+
+
+def test_an_emergency_stop_ends_its_moves() -> None:
+    here = refused(lambda here: here.controller.box.stop_in_emergency(), away)
+    assert here.arm.fault == "emergency stop"
+
+
+def test_it_is_stopped_at_the_bounds_of_its_workspace() -> None:
+    here = refused(None, lambda arm: arm.slide((0.0, 0.1, 0.0, 0.0, 0.0, 0.0), 4.0, 1.0))
+    assert "outside its workspace" in here.arm.fault
+    assert here.arm.state.pose[1] < 0.2
+
+
+def test_it_is_stopped_by_too_much_force() -> None:
+    def press(here: Lab) -> None:
+        cast("Any", here.controller.box)._values["actual_TCP_force"] = (3.0, 0.0, -30.0, 0.0, 0.0, 0.0)
+
+    assert refused(press, away).arm.fault == "a force of 30.1 N, more than 20 N"
+
+
+def test_it_is_not_sent_beyond_its_workspace() -> None:
+    here = refused(None, lambda arm: arm.line((0.6, 0.0, 0.1, math.pi, 0, 0), 0.1, 0.5, 2.0))
+    assert here.arm.state.pose == pytest.approx(BEGIN)
+
+
+def test_a_process_that_dies_leaves_no_arm_moving() -> None:
+    def kill(here: Lab) -> None:
+        assert here.arm.process
+        assert here.arm.process.pid
+        os.kill(here.arm.process.pid, signal.SIGSEGV)
+
+    here = refused(kill, away)
+    assert "died" in here.arm.fault
+    assert here.controller.box.runtime_state == RuntimeState.STOPPED
+
+
+def test_a_state_that_is_not_told_any_more_stops_it() -> None:
+    async def main() -> str:
+        async with lab() as here:
+            asyncio.get_running_loop().call_later(0.3, here.controller.stall)
+            with pytest.raises(EndpointError, match="its state is unknown: sends nothing"):
+                await away(here.arm)
+            return here.arm.fault
+
+    assert "sends nothing" in asyncio.run(main())
+
+
+def test_who_cancels_a_move_stops_the_arm() -> None:
+    async def main() -> bool:
+        async with lab() as here:
+            move = asyncio.create_task(away(here.arm))
+            await here.arm.wait(0.5)
+            assert max(map(abs, here.arm.state.velocity)) > 0.01
+            move.cancel()
+            await asyncio.gather(move, return_exceptions=True)
+            await here.arm.stop()
+            assert here.arm.state.still
+            return not here.arm.fault
+
+    assert asyncio.run(main())
+
+
+def test_an_arm_that_may_not_move_is_not_opened() -> None:
+    async def main() -> None:
+        arm = FreeArm(np.array(BEGIN))
+        async with UrController(arm, host=HOST, version=CB3) as controller:
+            controller.box.stop_in_emergency()
+            async with UrArm(HOST, BOUNDS, LoopClock()):
+                pass
+
+    with pytest.raises(EndpointError, match="emergency stop"):
+        asyncio.run(main())
+
+
+def test_no_controller_is_said_at_once() -> None:
+    async def main() -> None:
+        async with UrArm(HOST, BOUNDS, LoopClock()):
+            pass
+
+    with pytest.raises(EndpointError, match=HOST):
+        asyncio.run(main())

@@ -1,0 +1,345 @@
+import asyncio
+import logging
+from collections.abc import AsyncGenerator, Callable
+from contextlib import aclosing, asynccontextmanager
+from dataclasses import dataclass
+from itertools import pairwise
+from math import nan
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from connectors import UrMotion
+from connectors.emulators.free_arm import FreeArm
+from connectors.emulators.shared_scene import Lab as Scenery
+from connectors.emulators.ur_controller import Ports, UrController
+from connectors.ur import rtde_link
+from connectors.ur.rtde import Version
+from connectors.ur.ur_motion import Stamps
+from flows.graph import Flow
+from flows.graph.testing import TestSink, run_virtually
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from operators import Clocks, DeviceClock, EndpointError, Motion, ParameterError, WatchClock, concat, ms, s
+from operators.batch import Commands, Times
+
+HOST = "127.0.0.1"
+ANYWHERE = Ports(0, 0, 0)
+CB3, E_SERIES = Version(3, 15, 8, 1), Version(5, 11, 0, 1)
+FORWARD = np.array([0.1, -0.02, 0.0, 0.0, 0.0, 0.3])  # m/s, rad/s
+POSE = np.array([0.4, 0.1, 0.2, 0.0, 0.0, 0.5])  # m, rad
+
+
+async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], EndpointError]:
+    """All that a connection gives, and why it ended."""
+    taken = list[Motion]()
+    try:
+        async for batch in source.batches(clock):
+            taken.append(batch)
+    except EndpointError as error:
+        return taken, error
+    raise AssertionError
+
+
+@dataclass
+class Lab:
+    """A controller on the event loop's time, and a source that reads it."""
+
+    controller: UrController
+    source: UrMotion
+    clock: LoopClock
+
+    async def take(self, rows: int) -> Motion:
+        """So many rows of a new connection."""
+        taken = list[Motion]()
+        async with aclosing(cast("Any", self.source.batches(self.clock))) as batches:
+            async for batch in batches:
+                taken.append(batch)
+                if sum(map(len, taken)) >= rows:
+                    break
+        return concat(Motion, taken)
+
+    async def fail(self, after: float, fault: Callable[[], None]) -> tuple[list[Motion], str]:
+        """All that a connection gives if there is a fault `after` so many seconds, and why it ended."""
+        asyncio.get_running_loop().call_later(after, fault)
+        taken, error = await exhaust(self.source, self.clock)
+        assert error.place == f"rtde://{HOST}:{self.controller.ports.rtde}"
+        return taken, error.reason
+
+
+@asynccontextmanager
+async def lab(version: Version = E_SERIES, rate: float = 125.0, drift: float = 0.0) -> AsyncGenerator[Lab]:
+    clock, arm = LoopClock(1_700_000_000 * s), FreeArm(POSE)
+    arm.command(Commands(np.array([clock.now()]), np.array([nan]), FORWARD[None]))
+    async with UrController(
+        arm, host=HOST, ports=ANYWHERE, version=version, now=clock.now, drift=drift
+    ) as controller:
+        yield Lab(controller, UrMotion(HOST, rate, controller.ports.rtde), clock)
+
+
+# --- what comes ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("version", "rate"), [(CB3, 125.0), (E_SERIES, 125.0), (E_SERIES, 500.0)])
+def test_every_package_comes_once_in_order_as_the_controller_sent_it(version: Version, rate: float) -> None:
+    async def main() -> tuple[Motion, UrMotion]:
+        async with lab(version, rate) as here:
+            return await here.take(1000), here.source
+
+    motion, source = run_virtually(main())
+    period = round(s / rate)
+    assert (np.diff(motion.device_time) == period).all()
+    assert (motion.time - motion.device_time == 1_700_000_000 * s).all()  # no way is shorter than ours
+    travelled = motion.device_time[:, None] / s * FORWARD  # (n, 6)
+    np.testing.assert_allclose(motion.pose, POSE + travelled, atol=1e-9)
+    np.testing.assert_allclose(motion.velocity, np.tile(FORWARD, (len(motion), 1)))
+    about = source.describe()
+    assert about["controller"] == str(version)
+    assert (about["missed"], about["repeated"], about["restarts"], about["connections"]) == (0, 0, 0, 1)
+
+
+def test_a_burst_is_one_batch_of_one_arrival_and_nothing_is_missing() -> None:
+    async def main() -> tuple[Motion, Any]:
+        async with lab() as here:
+            loop = asyncio.get_running_loop()
+            loop.call_later(0.5, here.controller.stall)
+            loop.call_later(0.9, lambda: here.controller.resume(burst=True))
+            return await here.take(200), here.source.describe()
+
+    motion, about = run_virtually(main())
+    assert (np.diff(motion.device_time) == 8 * ms).all()
+    arrivals, rows = np.unique(motion.time, return_counts=True)
+    assert rows.max() == 50
+    assert len(arrivals) == len(motion) - 49
+    assert about["missed"] == 0
+
+
+def test_packages_that_never_came_are_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    async def main() -> tuple[Motion, Any]:
+        async with lab() as here:
+            loop = asyncio.get_running_loop()
+            for begin in (0.5, 1.5):
+                loop.call_later(begin, here.controller.stall)
+                loop.call_later(begin + 0.4, here.controller.resume)
+            return await here.take(300), here.source.describe()
+
+    with caplog.at_level(logging.WARNING, "slipflow"):
+        motion, about = run_virtually(main())
+    steps = np.diff(motion.device_time) // (8 * ms)
+    assert about["missed"] == (steps - 1).sum() == 100
+    assert [record.message.split(": ")[1][:25] for record in caplog.records] == ["packages are missing befo"]
+
+
+def test_a_flow_that_is_slow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rtde_link, "BACKLOG", 20)
+
+    async def main() -> list[Motion]:
+        async with lab() as here:
+            taken = list[Motion]()
+            async with aclosing(cast("Any", here.source.batches(here.clock))) as batches:
+                async for batch in batches:
+                    taken.append(batch)
+                    await asyncio.sleep(2.0 if len(taken) % 10 == 0 else 0)
+                    if len(taken) > 50:
+                        break
+            return taken
+
+    taken = run_virtually(main())
+    motion = concat(Motion, taken)
+    assert (np.diff(motion.device_time) == 8 * ms).all()
+    assert len(motion) > 4 * 250
+    assert [len(batch) for batch in taken].count(
+        20
+    ) == 5  # what waited was no more, the rest was not read yet
+
+
+def test_the_arm_of_the_lab_goes_where_its_controller_drives_it_and_says_so() -> None:
+    target = [0.03, -0.01, 0.0, np.pi * np.cos(0.1), np.pi * np.sin(0.1), 0.0]  # it looks down, turned by 0.2
+    doubles = {f"input_double_register_{i}": value for i, value in enumerate([*target, 0.1, 1.0])}
+
+    async def main() -> tuple[Motion, Scenery]:
+        clock = LoopClock(1_700_000_000 * s)
+        scenery = Scenery(now=clock.now)
+        async with UrController(scenery, host=HOST, ports=ANYWHERE, version=CB3, now=clock.now) as controller:
+            controller.box.run_script("def program():\n  x = read_input_integer_reg(0)")
+            controller.box.write({"input_int_register_0": 3} | doubles)
+            here = Lab(controller, UrMotion(HOST, 125.0, controller.ports.rtde), clock)
+            return await here.take(400), scenery
+
+    motion, scenery = run_virtually(main())
+    assert motion.pose[-1].tolist() == pytest.approx(target, abs=1e-4)
+    travelled = motion.velocity[:, :2].cumsum(axis=0) * 0.008
+    np.testing.assert_allclose(travelled, motion.pose[:, :2] - motion.pose[0, :2], atol=1e-3)
+    pose, _ = scenery.motion(int(motion.time[-1]))
+    assert motion.pose[-1].tolist() == pose.tolist()
+
+
+# --- what fails ------------------------------------------------------------------------------------------
+
+
+def test_a_stall_fails_when_the_patience_is_over_and_what_came_before_counts() -> None:
+    async def main() -> tuple[Motion, str, float]:
+        async with lab() as here:
+            taken, reason = await here.fail(1.0, here.controller.stall)
+            return concat(Motion, taken), reason, (here.clock.now() - int(taken[-1].time[-1])) / s
+
+    motion, reason, waited = run_virtually(main())
+    assert len(motion) in (124, 125)
+    assert reason == "sends nothing for 1.0 s: does it run, and is the cable in?"
+    assert waited == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_peer_that_is_gone_without_a_farewell_is_noticed_and_a_new_connection_works() -> None:
+    async def main() -> tuple[str, Motion]:
+        async with lab() as here:
+            _, reason = await here.fail(1.0, here.controller.leave)
+            return reason, await here.take(10)
+
+    reason, motion = run_virtually(main())
+    assert reason == "sends nothing for 1.0 s: does it run, and is the cable in?"
+    assert len(motion) == 10
+    assert motion.device_time[0] >= 2 * s
+
+
+def test_a_controller_that_never_answers_fails() -> None:
+    async def main() -> str:
+        async with lab() as here:
+            here.controller.silence()
+            _, reason = await here.fail(0.0, lambda: None)
+            return reason
+
+    assert run_virtually(main()) == "sends nothing for 1.0 s: does it run, and is the cable in?"
+
+
+def test_a_reset_fails_at_once() -> None:
+    async def main() -> tuple[int, str]:
+        async with lab() as here:
+            taken, reason = await here.fail(1.0, here.controller.reset)
+            return sum(map(len, taken)), reason
+
+    rows, reason = run_virtually(main())
+    assert rows in (124, 125)
+    assert "reset" in reason
+
+
+def test_a_clock_that_goes_back_ends_the_connection_before_any_of_its_rows() -> None:
+    async def main() -> tuple[Motion, str, Motion, Any]:
+        async with lab() as here:
+            taken, reason = await here.fail(1.0, lambda: here.controller.restart(drop=False))
+            return concat(Motion, taken), reason, await here.take(5), here.source.describe()
+
+    before, reason, after, about = run_virtually(main())
+    assert (np.diff(before.device_time) == 8 * ms).all()
+    assert len(before) in (124, 125)
+    assert reason == "its clock went back: the controller restarted"
+    assert after.device_time[0] < before.device_time[-1]
+    assert about["restarts"] == 1
+    assert about["missed"] == 0
+
+
+def test_an_old_controller_is_not_asked_for_more_than_it_has() -> None:
+    async def main() -> str:
+        async with lab(CB3, rate=500.0) as here:
+            _, reason = await here.fail(0.0, lambda: None)
+            return reason
+
+    assert "timestamp" in run_virtually(main())  # the emulated one refuses such a rate itself
+
+
+# --- in a flow -------------------------------------------------------------------------------------------
+
+
+def live(body: Callable[[Lab], None], seconds: int) -> tuple[Any, TestSink, Lab]:
+    """Run the source, raw and in the host's time, with faults that `body` schedules."""
+
+    async def main() -> tuple[Any, TestSink, Lab]:
+        async with lab(drift=50e-6) as here:
+            flow, sink = Flow("arm"), TestSink()
+            motion = flow.source(here.source)
+            (motion | DeviceClock()).to(sink)
+            (motion | WatchClock()).to(sink)
+            body(here)
+            run = await LiveRunner(flow, "run", clock=here.clock, duration=seconds * s).execute()
+            return run, sink, here
+
+    return run_virtually(main())
+
+
+def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def restart(here: Lab) -> None:
+        asyncio.get_running_loop().call_later(20.0, here.controller.restart)
+
+    with caplog.at_level(logging.WARNING):
+        run, sink, here = live(restart, 40)
+    [gap] = run.sources["motion"].gaps
+    assert 0 < gap.end - gap.start < 0.3 * s
+    assert [record.message.split(":")[0] for record in caplog.records] == [
+        "motion failed, trying again",
+        "motion is back",
+    ]
+    motion, clocks = sink.rows(Motion), sink.rows(Clocks)
+    [again] = np.flatnonzero(np.diff(motion.device_time) < 0) + 1
+    for first in (0, again):
+        stop = again if first == 0 else len(motion)
+        began = motion.time[first] - motion.device_time[first]
+        shown = motion.time[first:stop] - began - motion.device_time[first:stop] / (1 + 50e-6)
+        assert np.abs(shown).max() < 0.3 * ms  # until five seconds have told the drift
+    assert clocks.drift[3] == pytest.approx(-50e-6, abs=1e-6)
+    assert clocks.offset[-1] - clocks.offset[0] == pytest.approx(20 * s, abs=0.1 * s)
+    assert here.source.describe()["restarts"] == 1
+
+
+def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
+    def faults(here: Lab) -> None:
+        loop, controller = asyncio.get_running_loop(), here.controller
+        for number, fault in enumerate([controller.reset, controller.stall, controller.leave]):
+            loop.call_later(5.0 + 10 * number, fault)
+
+    run, sink, here = live(faults, 40)
+    assert [gap.reason.split(": ")[1][:13] for gap in run.sources["motion"].gaps] == [
+        "Connection re",
+        "sends nothing",
+        "sends nothing",
+    ]
+    assert all(gap.end - gap.start < 1.3 * s for gap in run.sources["motion"].gaps)
+    motion = sink.rows(Motion)
+    assert (np.diff(motion.device_time) > 0).all()
+    assert len(motion) > 36 * 125
+    assert here.source.describe()["connections"] == 4
+
+
+# --- parameters and stamps -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("rate", "patience"), [(0, 1), (501, 1), (60, 1), (nan, 1), (125, 0.008), (125, nan)]
+)
+def test_values_that_cannot_be_are_refused(rate: float, patience: float) -> None:
+    with pytest.raises(ParameterError):
+        UrMotion(HOST, rate, patience=patience)
+
+
+def test_an_address_is_needed() -> None:
+    with pytest.raises(ParameterError, match="host"):
+        UrMotion("")
+
+
+@given(
+    steps=st.lists(st.sampled_from([0, 8 * ms, 8 * ms, 8 * ms, 16 * ms, 40 * ms]), min_size=1, max_size=60),
+    cuts=st.lists(st.integers(0, 60), max_size=10),
+)
+def test_what_is_missing_is_counted_alike_however_packages_arrive(steps: list[int], cuts: list[int]) -> None:
+    stamps: Times = 5 * s + np.cumsum(steps)
+    whole, parts = Stamps(125.0), Stamps(125.0)
+    new = whole.new(stamps).tolist()
+    places = [0, *sorted(cut for cut in cuts if 0 < cut < len(stamps)), len(stamps)]
+    found = [parts.new(stamps[start:stop]).tolist() for start, stop in pairwise(places) if stop > start]
+    assert [each for part in found for each in part] == new
+    assert (parts.missed, parts.repeated) == (whole.missed, whole.repeated)
+    assert new == [True, *(step > 0 for step in steps[1:])]
+    assert whole.missed == sum(max(step // (8 * ms) - 1, 0) for step in steps[1:])

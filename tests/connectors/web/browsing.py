@@ -1,0 +1,109 @@
+"""A page of its own for a browser test: it runs in a thread, and does what the test says."""
+
+import asyncio
+from collections.abc import Coroutine
+from threading import Thread
+from typing import Any, Self
+
+from connectors import Page
+from connectors.web.recorded_page import Recorded
+from connectors.web.session_page import Scrubber
+from flows.run.clocks import LoopClock
+from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
+from operators.ports import Run, SinkStatus, SourceStatus
+from tests.connectors.web.reading import felt, slip
+
+FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+
+class Served:
+    """An event loop in a thread, with a page or a scrubber in it."""
+
+    def __init__(self) -> None:
+        self.loop = asyncio.new_event_loop()
+        self._thread = Thread(target=self.loop.run_forever)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.loop.call_soon_threadsafe(self.loop.stop)
+        self._thread.join()
+        self.loop.close()
+
+    def do(self, what: Coroutine[Any, Any, Any]) -> Any:  # noqa: ANN401 - whatever it gives
+        """Have something done there, and wait for it."""
+        return asyncio.run_coroutine_threadsafe(what, self.loop).result(30)
+
+
+class ServedPage(Served):
+    """A live page of a run whose rows the test gives."""
+
+    def __init__(self, port: int = 0, session: str = "first", token: str | None = None) -> None:
+        super().__init__()
+        self._settings, self._session = (port, token), session
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        port, token = self._settings
+        self.page = Page(port, token=token, threshold=0.78)
+        self.do(self._open())
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.do(self.page.close())
+        super().__exit__()
+
+    async def _open(self) -> None:
+        clock = LoopClock()
+        self.run = Run(self._session, "demo", clock, clock.now())
+        self.run.sources["touch"] = SourceStatus(rows=100, newest=clock.now(), up=True)
+        self.run.sources["motion"] = SourceStatus(error="10.0.0.2: unplugged")
+        self.run.sinks["dataset"] = SinkStatus(rows=1234, records=True)
+        await self.page.open(self.run)
+
+    @property
+    def url(self) -> str:
+        """Its address."""
+        return self.page.url
+
+    def write(self, *batches: Touch | Motion | Scores | Slips | Faults) -> None:
+        """Give it rows."""
+        for batch in batches:
+            self.do(self.page.write(batch))
+
+    def feel(self, *counts: int, finger: int = 0) -> None:
+        """A row of touch at this moment."""
+        self.write(felt(self.run.clock.now(), *counts, finger=finger))
+
+    def slip(self, state: int, finger: int = 0) -> None:
+        """An onset (1) or an end (0), decided 5 ms ago."""
+        self.write(slip(self.run.clock.now() - 5 * ms, state, finger=finger))
+
+
+class ServedRecording(Served):
+    """A recorded session's page."""
+
+    def __init__(self, recorded: Coroutine[Any, Any, Recorded]) -> None:
+        super().__init__()
+        self._recorded = recorded
+
+    def __enter__(self) -> Self:
+        super().__enter__()
+        self._scrubber = Scrubber(self.do(self._recorded), 0)
+        self.do(self._scrubber.open())
+        self.url = self._scrubber.url
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.do(self._scrubber.close())
+        super().__exit__()

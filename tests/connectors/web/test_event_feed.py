@@ -1,0 +1,165 @@
+import asyncio
+import socket
+
+import pytest
+from aiohttp import ClientSession
+
+from connectors.web import event_feed as module
+from connectors.web.access import Access
+from connectors.web.event_feed import Feed
+from connectors.web.http_server import WebServer
+from connectors.web.sse_messages import message
+from connectors.web.viewer import WAITING
+from tests.connectors.mqtt.broker_process import PATIENCE
+from tests.connectors.web.reading import events, listening
+
+
+async def hello() -> bytes:
+    return message("hello", {})
+
+
+async def served(feed: Feed) -> WebServer:
+    server = WebServer("127.0.0.1", 0, Access(), "a feed")
+    await server.open({"/stream": feed.stream})
+    return server
+
+
+def port(server: WebServer) -> int:
+    return int(server.url.rpartition(":")[2])
+
+
+async def read_all(connection: socket.socket) -> None:
+    while await asyncio.get_running_loop().sock_recv(connection, 1 << 16):
+        pass
+
+
+def test_a_browser_that_takes_nothing_is_dropped_and_costs_little_until_then() -> None:
+    async def main() -> None:
+        asked = asyncio.Event()
+
+        async def greet() -> bytes:
+            asked.set()
+            return await hello()
+
+        feed = Feed(greet, stalled=0.3)
+        server = await served(feed)
+        with socket.socket() as silent:
+            silent.connect(("127.0.0.1", port(server)))
+            silent.sendall(b"GET /stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+            async with asyncio.timeout(PATIENCE):
+                await asked.wait()
+                while feed:
+                    feed.tell("frame", "x" * 100_000)
+                    assert feed.waiting <= WAITING
+                    await asyncio.sleep(0.001)
+                silent.setblocking(False)  # noqa: FBT003 - socket's own
+                with pytest.raises(ConnectionResetError):  # so that the kernel keeps nothing for it either
+                    await read_all(silent)
+        assert feed.dropped == 1
+        await server.close()
+
+    asyncio.run(main())
+
+
+def test_a_browser_that_takes_nothing_holds_up_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "FAREWELL", 0.05)
+
+    async def main() -> None:
+        feed = Feed(hello, stalled=PATIENCE)
+        server = await served(feed)
+        async with asyncio.timeout(PATIENCE), listening(server.url) as heard:
+            assert (await anext(heard))[0] == "hello"
+            with socket.socket() as silent:
+                silent.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+                silent.connect(("127.0.0.1", port(server)))
+                silent.sendall(b"GET /stream HTTP/1.1\r\nHost: localhost\r\n\r\n")
+                while len(feed) < 2:  # noqa: ASYNC110 - nobody tells
+                    await asyncio.sleep(0)
+                for k in range(20):
+                    feed.tell("frame", "x" * 100_000)
+                    assert await anext(heard) == ("frame", "x" * 100_000), k
+                feed.tell("end", None)
+                await feed.close()
+                assert await anext(heard) == ("end", None)  # who reads has all of it
+                await server.close()
+                silent.setblocking(False)  # noqa: FBT003 - socket's own
+                with pytest.raises(ConnectionResetError):
+                    await read_all(silent)
+            assert not feed
+
+    asyncio.run(main())
+
+
+def test_a_browser_that_goes_is_forgotten_at_once() -> None:
+    async def main() -> None:
+        feed = Feed(hello)
+        server = await served(feed)
+        async with asyncio.timeout(PATIENCE):
+            async with ClientSession() as session, session.get(f"{server.url}/stream") as response:
+                assert (await anext(events(response)))[0] == "hello"
+                assert len(feed) == 1
+            while feed:  # noqa: ASYNC110 - nobody tells
+                await asyncio.sleep(0)
+        assert feed.dropped == 0
+        await server.close()
+
+    asyncio.run(main())
+
+
+def test_what_is_told_meanwhile_comes_after_the_hello() -> None:
+    async def main() -> None:
+        asked, go = asyncio.Event(), asyncio.Event()
+
+        async def slow() -> bytes:
+            asked.set()
+            await go.wait()
+            return await hello()
+
+        feed = Feed(slow)
+        server = await served(feed)
+        async with listening(server.url) as heard:
+            await asked.wait()
+            feed.tell("frame", 1)
+            go.set()
+            assert [await anext(heard), await anext(heard)] == [("hello", {}), ("frame", 1)]
+            feed.tell("end", 2)
+            await feed.close()
+            assert [each async for each in heard] == [("end", 2)]
+        async with ClientSession() as session, session.get(f"{server.url}/stream") as late:
+            assert (late.status, await late.text()) == (503, "The run has ended.\n")
+        await server.close()
+
+    asyncio.run(main())
+
+
+def test_a_browser_that_lost_frames_is_told_how_many() -> None:
+    async def main() -> None:
+        feed = Feed(hello)
+        server = await served(feed)
+        async with listening(server.url) as heard:
+            assert (await anext(heard))[0] == "hello"
+            for k in range(15):
+                feed.tell("frame", chr(97 + k) * 100_000)
+            found = [await anext(heard) for _ in range(11)]
+            assert [name for name, _ in found] == ["frame"] * 10 + ["lost"]
+            assert found[-1] == ("lost", 5)
+        await server.close()
+
+    asyncio.run(main())
+
+
+def test_there_is_room_for_so_many_browsers_only(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "VIEWERS", 1)
+
+    async def main() -> None:
+        feed = Feed(hello)
+        server = await served(feed)
+        async with (
+            listening(server.url),
+            ClientSession() as session,
+            session.get(f"{server.url}/stream") as second,
+        ):
+            assert second.status == 503
+        await server.close()
+
+    asyncio.run(main())

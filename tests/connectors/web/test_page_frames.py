@@ -1,0 +1,111 @@
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from connectors.events import encode
+from connectors.web.page_frames import EVENTS, FINGERS, Frames
+from operators.batch import EVERY, Faults, Motion, Scores, Slips, Touch, Zeroed, ms, s
+from operators.health import FaultKind
+from operators.ports import Json, Run
+
+START = 90 * s  # of the run
+NOW = 100 * s
+
+
+@pytest.fixture
+def frames(run: Run) -> Frames:
+    return Frames(run)
+
+
+def touch(kind: type[Touch], time: int, count: int, finger: int = 0) -> Touch:
+    counts = np.full((1, 6), count, np.int16)
+    return kind(np.array([time]), counts, counts, np.ones((1, 6), np.bool_), finger=finger)
+
+
+def slips(time: int, state: int, finger: int = 0) -> Slips:
+    return Slips(
+        np.array([time]), np.array([state], np.int8), np.array([time]), np.array([0.9]), finger=finger
+    )
+
+
+def document(frame: dict[str, Json]) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads(encode(frame))
+    return read
+
+
+def test_a_frame_tells_what_is_new_of_each_stream(frames: Frames) -> None:
+    frames.add(touch(Zeroed, START + 10 * ms, -7, finger=2))
+    frames.add(Scores(np.array([START + 10 * ms]), np.array([0.25]), finger=2))
+    velocity = np.array([[0.1, 0, 0, 0, 0, 0]])
+    frames.add(Motion(np.array([START]), np.array([START]), velocity, np.full((1, 6), np.nan)))
+    assert document(frames.next()) == {
+        "touch": {"2": {"t": [10.0], "v": [[-7.0] * 6], "zeroed": True}},
+        "scores": {"2": {"t": [10.0], "v": [0.25]}},
+        "speed": {"t": [0.0], "v": [100.0]},
+        "now": 10_000.0,
+        "slipping": [],
+        "faults": {},
+    }
+    assert document(frames.next()) == {"now": 10_000.0, "slipping": [], "faults": {}}
+    assert document(frames.rows().document(START))["touch"]["2"]["t"] == [10.0]
+
+
+def test_raw_counts_give_way_to_zeroed_ones(frames: Frames) -> None:
+    frames.add(touch(Touch, START, 700))
+    assert document(frames.next())["touch"]["0"] == {"t": [0.0], "v": [[700.0] * 6], "zeroed": False}
+    frames.add(touch(Zeroed, START, -3))
+    frames.add(touch(Touch, START + 10 * ms, 700))
+    assert document(frames.next())["touch"]["0"] == {"t": [0.0], "v": [[-3.0] * 6], "zeroed": True}
+
+
+def test_an_event_has_its_latency_and_a_fingertip_slips_from_onset_to_end(frames: Frames) -> None:
+    frames.add(slips(NOW - 8 * ms, 1, finger=1))
+    frame = document(frames.next())
+    assert frame["slipping"] == ["1"]
+    assert frame["events"] == [
+        {"id": 1, "t": 9_992.0, "finger": "1", "onset": True, "p": 0.9, "latency": 8.0}
+    ]
+    assert document(frames.next())["slipping"] == ["1"]
+    frames.add(slips(NOW, 0, finger=1))
+    frame = document(frames.next())
+    assert frame["slipping"] == []
+    assert [event["id"] for event in frame["events"]] == [2]
+
+
+def test_a_replay_at_full_speed_has_no_latency(frames: Frames, run: Run) -> None:
+    run.live = False
+    frames.add(slips(NOW, 1, finger=EVERY))
+    [event] = document(frames.next())["events"]
+    assert (event["latency"], event["finger"]) == (None, "every")
+
+
+def test_the_newest_events_are_kept(frames: Frames) -> None:
+    for k in range(EVENTS + 50):
+        frames.add(slips(START + k * ms, 1 - k % 2))
+    assert len(document(frames.next())["events"]) == EVENTS
+    events: Any = frames.events(2)
+    assert [event["id"] for event in events] == [EVENTS + 49, EVENTS + 50]
+
+
+def test_faults_are_told_while_they_last(frames: Frames) -> None:
+    def fault(kind: FaultKind, *, active: bool) -> Faults:
+        cell, kinds = np.array([3], np.int8), np.array([kind], np.int8)
+        return Faults(np.array([START]), cell, kinds, np.array([active]), finger=0)
+
+    frames.add(fault(FaultKind.STUCK, active=True))
+    frames.add(fault(FaultKind.DRIFTING, active=False))
+    assert document(frames.next())["faults"] == {"0": {"3": "stuck"}}
+    frames.add(fault(FaultKind.STUCK, active=False))
+    assert document(frames.next())["faults"] == {}
+
+
+def test_more_fingertips_than_can_be_shown_are_left_out(frames: Frames) -> None:
+    for finger in range(FINGERS + 9):
+        frames.add(touch(Zeroed, START, -1, finger))
+        frames.add(touch(Touch, START, 1, 100 + finger))
+        frames.add(Scores(np.array([START]), np.array([0.5]), finger=finger))
+    frame = document(frames.next())
+    assert len(frame["scores"]) == FINGERS
+    assert len(frame["touch"]) == FINGERS

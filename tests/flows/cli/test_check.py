@@ -1,0 +1,56 @@
+"""`slipflow check` and `graph` as a user meets them."""
+
+import json
+from pathlib import Path
+
+from tests.command import error, slipflow
+
+
+def test_check_says_that_a_flow_is_sound_and_lists_its_parameters() -> None:
+    done = slipflow("check", "live")
+    assert done.returncode == 0
+    assert "live is sound; sources: touch; sinks: console" in done.stdout
+    assert "--set detector=tcn  (text)" in done.stdout
+    assert "--set broker=None  (text or none)" in done.stdout
+
+
+def test_a_time_is_set_with_its_unit_and_listed_so() -> None:
+    listed = slipflow("check", "record", "--set", "delay=0.07s", "--set", "speed=3mm/s").stdout
+    assert "  --set delay=70ms  (a time with its unit: 500ms, 30s, 5min or 1h)" in listed.splitlines()
+    found = json.loads(slipflow("check", "record", "--json").stdout)
+    assert (found["parameters"]["delay"]["default"], found["parameters"]["delay"]["unit"]) == (
+        70_000_000,
+        "ns",
+    )
+    line = error("check", "record", "--set", "delay=70mm")
+    assert line == "record: delay is '70mm', must be a time with its unit: 500ms, 30s, 5min or 1h"
+    drawn = slipflow("graph", "record", "--set", "delay=20ms").stdout
+    assert "Label(delay=20 ms)" in drawn
+
+
+def test_check_finds_every_problem(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.py"
+    path.write_text(
+        "from flows.graph import Flow\nfrom flows.graph.testing import TestSink, TestSource\n"
+        "from operators import Align, Motion, Touch\nflow = Flow('wrong')\n"
+        "touch, motion = flow.source(TestSource(Touch)), flow.source(TestSource(Motion))\n"
+        "(motion & touch | Align()).to(TestSink())\n"
+    )
+    done = slipflow("check", str(path))
+    assert done.returncode == 2
+    assert done.stderr.splitlines() == [
+        "error: flow 'wrong': motion -> Align: Align takes Zeroed, not Motion",
+        "error: flow 'wrong': touch -> Align: Align takes Motion, not Touch",
+    ]
+    assert len(json.loads(slipflow("check", str(path), "--json").stdout)["problems"]) == 2
+    assert error("run", str(path)).startswith("flow 'wrong': motion -> Align")
+
+
+def test_a_folder_that_is_called_as_a_ready_made_flow_does_not_hide_it(tmp_path: Path) -> None:
+    (tmp_path / "record").mkdir()
+    assert "record is sound" in slipflow("check", "record", cwd=tmp_path).stdout
+
+
+def test_graph_draws_text_and_mermaid() -> None:
+    assert slipflow("graph", "record").stdout.startswith("flow record\n")
+    assert slipflow("graph", "record", "--mermaid").stdout.startswith("flowchart LR\n")

@@ -1,0 +1,119 @@
+"""`slipflow demo` as a user meets it: its page, and brokers that are found, killed, or refuse it."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import polars as pl
+import pytest
+
+from tests.command import SLIPFLOW, slipflow
+from tests.connectors.mqtt.broker_process import TestBroker
+
+SCHEMA = json.loads((Path(__file__).parents[3] / "connectors" / "slip-event.schema.json").read_text())
+
+
+def demo_beside(broker: str | None) -> list[str]:
+    """The command on a machine where this broker, or none, is found."""
+    found = f"from flows import demo; demo.local_broker = lambda: {broker!r}"
+    return [sys.executable, "-c", f"{found}; {SLIPFLOW[-1]}", "demo"]
+
+
+def summary(output: str) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(output.splitlines()[-1])
+    return found
+
+
+def slips(out: Path) -> list[int]:
+    """The times of the slips that were recorded (ns)."""
+    return pl.read_parquet(f"{out}/sessions/*/slips.parquet")["time"].to_list()
+
+
+def test_the_demo_serves_its_page_without_being_told_to_and_ends_well(tmp_path: Path) -> None:
+    command = [*demo_beside(None), "--for", "60s", "--out", str(tmp_path), "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr
+    address = next(
+        filter(None, (re.search(r"live page: http://(127\.0\.0\.1):(\d+)", line) for line in process.stderr))
+    )
+    connection = HTTPConnection(address[1], int(address[2]), timeout=30)
+    connection.request("GET", "/stream")
+    lines = iter(connection.getresponse().readline, b"")
+    assert any(line == b"event: hello\n" for line in lines)
+    hello = json.loads(next(lines).removeprefix(b"data: "))
+    assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("demo", True, True)
+    frames = (json.loads(line[6:]) for line in lines if line.startswith(b"data: {") and b'"scores"' in line)
+    assert "0" in next(frames)["touch"]
+    process.send_signal(signal.SIGTERM)
+    assert any(line == b"event: end\n" for line in lines)
+    connection.close()
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 0
+    found = summary(output)
+    assert found["sinks"]["page"]["dropped"] == 0
+    assert (found["broker"], "mqtt" in found["sinks"]) == (None, False)
+
+
+@pytest.mark.broker
+def test_a_broker_that_was_merely_found_and_refuses_ends_nothing_and_events_wait_for_it(
+    tmp_path: Path,
+) -> None:
+    with TestBroker(tmp_path, "allow_anonymous false") as broker:
+        command = [*demo_beside(broker.url), "--no-page", "--for", "8s", "--out", str(tmp_path / "data")]
+        done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 0, done.stderr
+        recorded = slips(tmp_path / "data")
+        assert recorded
+        mqtt = summary(done.stdout)["sinks"]["mqtt"]
+        assert (mqtt["rows"], mqtt["dropped"], mqtt["failures"]) == (len(recorded), 0, 0)
+        assert done.stderr.count("Not authorized") == 1
+        assert f"{broker.url}: {len(recorded)} events wait in " in done.stderr
+
+
+@pytest.mark.broker
+def test_a_broker_that_was_asked_for_and_refuses_is_an_error_of_one_line(tmp_path: Path) -> None:
+    with TestBroker(tmp_path, "allow_anonymous false") as broker:
+        done = slipflow("demo", "--mqtt", broker.url, "--no-page", "--for", "8s", cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.splitlines()[-1].startswith(f"error: {broker.url}: ")
+
+
+@pytest.mark.broker
+def test_the_demo_goes_on_when_the_broker_is_killed_and_a_watch_gets_every_event(
+    tmp_path: Path, broker: TestBroker
+) -> None:
+    out, topic = tmp_path / "data", "slip/v1/lab/demo"
+    listener = broker.listen(f"{topic}/+/event", f"{topic}/status")
+    watched = ["watch", broker.url, "--json", "--since", "start", "--remember", str(tmp_path / "position")]
+    watch = subprocess.Popen([*SLIPFLOW, *watched], stdout=subprocess.PIPE, text=True)
+    options = ["--for", "14s", "--out", str(out), "--mqtt", broker.url, "--json"]
+    demo = subprocess.Popen([*SLIPFLOW, "demo", *options], stdout=subprocess.PIPE, text=True)
+    assert json.loads(listener.next(f"{topic}/status").payload)["state"] == "online"
+    listener.next(f"{topic}/0/event")
+
+    broker.stop()
+    broker.start()
+    listener = broker.listen(f"{topic}/+/event", f"{topic}/status")
+    assert json.loads(listener.next(f"{topic}/status").payload)["state"] == "online"
+
+    output, _ = demo.communicate(timeout=60)
+    assert demo.returncode == 0
+    mqtt = summary(output)["sinks"]["mqtt"]
+    recorded = slips(out)
+    assert (mqtt["rows"], mqtt["dropped"], mqtt["failures"]) == (len(recorded), 0, 0)
+
+    assert watch.stdout
+    events = [json.loads(watch.stdout.readline()) for _ in recorded]
+    watch.send_signal(signal.SIGINT)
+    rest, _ = watch.communicate(timeout=10)
+    assert not rest
+    for event in events:
+        jsonschema.validate(event, SCHEMA)
+    assert {event["data"]["seq"] for event in events} == set(range(1, len(recorded) + 1))
+    assert sorted(event["data"]["sample_time_ns"] for event in events) == sorted(recorded)

@@ -1,0 +1,170 @@
+import asyncio
+import json
+import logging
+from collections.abc import Iterator
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from connectors import Console
+from flows.cli.event_log import Format, JsonLines, Printed, begin_log, in_json, logged
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.validation import problems
+from flows.run.live_runner import LiveRunner
+from operators import Debounce, Faults, Run, Scores, Slips
+from tests.command import slipflow
+
+
+@pytest.fixture
+def told() -> Iterator[StringIO]:
+    """What the log tells programs."""
+    root, ours, stream = logging.getLogger(), logging.getLogger("slipflow"), StringIO()
+    handlers, level = root.handlers[:], ours.level
+    root.handlers[:] = []
+    begin_log(Format.JSON, stream)
+    yield stream
+    root.handlers[:] = handlers
+    ours.setLevel(level)
+
+
+def objects(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def scores(*probability: float) -> Scores:
+    return Scores(np.arange(len(probability)), np.array(probability))
+
+
+def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(told: StringIO) -> None:
+    flow = Flow("felt")
+    source = TestSource(Scores, [scores(0.1), OSError("unplugged"), scores(0.2, 0.3)])
+    flow.source(source, "touch").to(TestSink(failures=[OSError("disk full")]))
+
+    async def main() -> None:
+        runner = LiveRunner(flow, "run1")
+        with logged(runner.run):
+            await runner.execute()
+
+    run_virtually(main())
+    found = objects(told.getvalue())
+    assert found[0]["event"] == "run_begins"
+    assert found[-1]["event"] == "run_ends"
+    by_event = {each["event"]: each for each in found}
+    assert by_event["run_begins"]["sources"] == ["touch"]
+    assert (by_event["run_begins"]["live"], by_event["run_begins"]["recording"]) == (True, None)
+    assert (by_event["source_failed"]["source"], by_event["source_failed"]["reason"]) == (
+        "touch",
+        "unplugged",
+    )
+    gap = by_event["source_restarted"]["gap"]
+    assert gap["reason"] == "unplugged"
+    assert gap["end"] > gap["start"]
+    assert by_event["sink_failed"]["reason"] == "disk full"
+    assert by_event["sink_restored"] | {"time": ""} == {
+        "time": "",
+        "event": "sink_restored",
+        "level": "warning",
+        "sink": "testsink",
+        "dropped": 0,
+    }
+    assert by_event["run_ends"]["sources"]["touch"] == {
+        "rows": 3,
+        "late": 0,
+        "failures": 1,
+        "gaps": 1,
+        "error": None,
+    }
+    assert by_event["run_ends"]["sinks"]["testsink"]["rows"] == 3
+
+
+def test_a_run_that_breaks_tells_why(told: StringIO, run: Run) -> None:
+    run.error = "touch -> Zero: broken"
+    with pytest.raises(ValueError, match="broken"), logged(run):
+        raise ValueError(run.error)
+    assert objects(told.getvalue())[-1]["error"] == "touch -> Zero: broken"
+
+
+def test_other_records_are_told_with_their_text_but_without_credentials(told: StringIO) -> None:
+    log = logging.getLogger("slipflow.other")
+    log.warning("cannot reach %s", "mqtt://me:s3cret@host:1883 and http://host/?token=s3cret2&x=1")
+    log.error("failed", exc_info=OSError("http://me:s3cret@host"))
+    assert "s3cret" not in told.getvalue()
+    first, second = objects(told.getvalue())
+    assert first["message"] == "cannot reach mqtt://...@host:1883 and http://host/?token=...&x=1"
+    assert (first["event"], first["level"], second["level"]) == ("log", "warning", "error")
+    assert second["traceback"].endswith("OSError: http://...@host")
+
+
+def test_people_are_told_in_lines_of_text(capsys: pytest.CaptureFixture[str]) -> None:
+    root = logging.getLogger()
+    handlers, root.handlers[:] = root.handlers[:], []
+    try:
+        begin_log(Format.TEXT)
+        logging.getLogger("slipflow").warning("touch is back")
+    finally:
+        root.handlers[:] = handlers
+    assert capsys.readouterr().err.endswith("WARNING touch is back\n")
+
+
+def test_consoles_print_json_where_the_log_does_and_one_is_added_where_none_is() -> None:
+    flow, stream = Flow("felt"), StringIO()
+    slips = flow.source(TestSource(Scores, [scores(0.9, 0.9)])) | Debounce()
+    slips.to(Console(stream))
+
+    async def main() -> None:
+        await LiveRunner(in_json(flow), "run1").execute()
+
+    asyncio.run(main())
+    assert [each["event"] for each in objects(stream.getvalue())] == ["slip_onset"]
+    bare = Flow("bare")
+    slips = bare.source(TestSource(Scores)) | Debounce()
+    slips.to(TestSink())
+    bare.source(TestSource(Faults)).to(TestSink())
+    told = in_json(bare)
+    [console] = [node for node in told.nodes if isinstance(node.part, Console)]
+    assert [parent.gives for parent in console.inputs] == [Slips, Faults]
+    assert problems(told) == []
+    assert not any(isinstance(node.part, Console) for node in bare.nodes)
+    silent = Flow("silent")
+    silent.source(TestSource(Scores)).to(TestSink())
+    assert len(in_json(silent).nodes) == len(silent.nodes)
+
+
+def test_run_with_log_json_prints_nothing_but_objects(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.csv"
+    rows = [
+        f"{k / 100},{','.join(str(-100 - (300 * (k % 3) if k > 150 else 0)) for _ in range(6))}"
+        for k in range(300)
+    ]
+    trace.write_text("\n".join(["t,s1,s2,s3,s4,s5,s6", *rows, ""]))
+    done = slipflow("run", "live", "--set", "detector=psd", "--replay", trace, "--log", "json")
+    assert done.returncode == 0, done.stderr
+    events = [each["event"] for each in objects(done.stdout)]
+    assert (events[0], events[-1]) == ("run_begins", "run_ends")
+    assert "slip_onset" in events
+
+
+def test_the_formatter_tells_utc() -> None:
+    record = logging.makeLogRecord({"msg": "up", "created": 1.5, "levelname": "INFO"})
+    assert json.loads(JsonLines().format(record))["time"] == "1970-01-01T00:00:01.500000000Z"
+
+
+class Gone(StringIO):
+    def __init__(self, error: OSError) -> None:
+        super().__init__()
+        self.error = error
+
+    def write(self, _text: str) -> int:
+        raise self.error
+
+
+def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is(capsys: pytest.CaptureFixture[str]) -> None:
+    record = logging.makeLogRecord({"msg": "slip"})
+    Printed(Gone(BrokenPipeError())).handle(record)
+    assert capsys.readouterr().err == ""
+    Printed(Gone(OSError("No space left on device"))).handle(record)
+    assert "No space left on device" in capsys.readouterr().err

@@ -1,0 +1,81 @@
+import json
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from connectors import CsvTrace
+from flows.cli.event_log import Format
+from flows.cli.execution import execute, finish, session_name
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource, run_virtually
+from operators import Run, Touch, s
+from operators.ports import SinkStatus
+
+
+@pytest.fixture
+def trace(tmp_path: Path) -> CsvTrace:
+    """Two seconds at 100 Hz."""
+    path = tmp_path / "trace.csv"
+    rows = "".join(f"{k / 100},1,2,3,4,5,{k}\n" for k in range(200))
+    path.write_text("t,p0,p1,p2,p3,p4,p5\n" + rows)
+    return CsvTrace(path)
+
+
+def flow() -> tuple[Flow, TestSink]:
+    made, sink = Flow("felt"), TestSink()
+    made.source(TestSource(Touch)).to(sink)
+    return made, sink
+
+
+def test_a_session_is_named_after_its_flow_and_its_beginning() -> None:
+    assert re.fullmatch(r"felt-\d{8}T\d{6}\.\d{6}Z", session_name(Flow("felt")))
+
+
+def test_a_recording_gives_the_same_rows_at_full_speed_and_at_a_pace(trace: CsvTrace) -> None:
+    given = list[list[int]]()
+    for pace in (None, 0.5):
+        made, sink = flow()
+        run = run_virtually(execute(made, log=Format.TEXT, recording=trace, pace=pace))
+        assert run.recording == "trace.csv"
+        given.append(sink.rows(Touch, 0).counts[:, 5].tolist())
+    assert given[0] == given[1] == list(range(200))
+
+
+def test_a_limit_ends_a_paced_replay(trace: CsvTrace) -> None:
+    made, sink = flow()
+    run_virtually(execute(made, log=Format.TEXT, limit=s, recording=trace, pace=1.0))
+    assert 98 <= len(sink.rows(Touch, 0)) <= 101
+
+
+def test_a_live_run_replays_nothing() -> None:
+    made, _ = flow()
+    assert run_virtually(execute(made, log=Format.TEXT)).recording is None
+
+
+def test_what_came_of_a_run_is_a_report_or_an_object(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    finish(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=False)
+    assert capsys.readouterr().out == "run1: 10.0 s\n"
+    finish(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=True)
+    assert json.loads(capsys.readouterr().out)["session"] == "run1"
+    finish(run, replayed=Path("stroke-9"), seconds=1.5, log=Format.TEXT, as_json=True)
+    found = json.loads(capsys.readouterr().out)
+    assert (found["wall_seconds"], found["sessions"][0]["recording"]) == (1.5, "stroke-9")
+
+
+def test_a_log_for_programs_is_all_that_is_said(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    finish(run, replayed=None, seconds=1.5, log=Format.JSON, as_json=False)
+    assert capsys.readouterr().out == ""
+
+
+def test_lost_rows_and_an_interruption_are_told_by_the_exit_code(
+    run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run.sinks["dataset"] = SinkStatus(dropped=1)
+    for error, code in (("", 1), ("was interrupted", 130)):
+        run.error = error
+        with pytest.raises(typer.Exit) as raised:
+            finish(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=False)
+        assert raised.value.exit_code == code
+    assert capsys.readouterr().err == "error: was interrupted\n"

@@ -1,0 +1,100 @@
+import asyncio
+from collections.abc import AsyncIterator
+from itertools import count
+
+import numpy as np
+from aiohttp import ClientSession
+from prometheus_client.parser import text_string_to_metric_families
+
+from connectors import Metrics
+from flows.cli.live_metrics import add_metrics
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from flows.graph.validation import problems
+from flows.run.live_runner import LiveRunner
+from operators import Clock, Debounce, Scores, Slips, Source
+
+
+def felt() -> Flow:
+    flow = Flow("felt")
+    scores = flow.source(TestSource(Scores, [Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))]))
+    (scores | Debounce()).to(TestSink())
+    return flow
+
+
+def test_the_metrics_take_what_tells_them_something() -> None:
+    flow = felt()
+    add_metrics(flow, "0")
+    assert problems(flow) == []
+    [node] = [node for node in flow.nodes if isinstance(node.part, Metrics)]
+    assert [parent.gives for parent in node.inputs] == [Slips]
+
+
+def test_a_flow_without_slips_is_measured_too() -> None:
+    flow, heard = Flow("scored"), list[str]()
+    flow.source(TestSource(Scores, [Scores(np.arange(4), np.full(4, 0.1))])).to(TestSink())
+    add_metrics(flow, "0", heard.append)
+    assert problems(flow) == []
+
+    async def main() -> None:
+        await LiveRunner(flow, "run1").execute()
+
+    asyncio.run(main())
+    assert len(heard) == 1
+
+
+def test_two_at_one_address_are_found_before_the_run_though_nothing_flows_into_them() -> None:
+    flow = Flow("scored")
+    flow.source(TestSource(Scores)).to(TestSink())
+    add_metrics(flow, "9464")
+    add_metrics(flow, "9464")
+    [problem] = problems(flow)
+    assert "metrics2: writes to http://127.0.0.1:9464, and so does metrics" in str(problem)
+
+
+class Patient(Source[Scores]):
+    """Gives a slip, fails, gives another, and ends once it has been asked for the numbers."""
+
+    def __init__(self) -> None:
+        self.asked, self._failed = asyncio.Event(), False
+
+    @property
+    def kind(self) -> type[Scores]:
+        return Scores
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        time = np.array([clock.now()])
+        yield Scores(time, np.array([0.9]))
+        if not self._failed:
+            self._failed = True
+            raise OSError("unplugged")
+        await self.asked.wait()
+
+
+def test_a_live_run_tells_its_numbers_to_who_asks() -> None:
+    async def main() -> dict[str, float]:
+        flow, source, urls = Flow("felt"), Patient(), list[str]()
+        writes, again = count(), asyncio.Event()
+
+        async def hold() -> None:
+            if next(writes):  # the second
+                again.set()
+
+        scores = flow.source(source, "touch")
+        scores.to(TestSink(hold=hold))
+        (scores | Debounce(consecutive=1)).to(TestSink())
+        add_metrics(flow, "0", urls.append)
+        running = asyncio.create_task(LiveRunner(flow, "run1").execute())
+        await again.wait()
+        async with ClientSession() as session, session.get(urls[0]) as response:
+            text = await response.text()
+        source.asked.set()
+        await running
+        families = text_string_to_metric_families(text)
+        return {sample.name: sample.value for each in families for sample in each.samples}
+
+    found = asyncio.run(main())
+    assert found["slipflow_source_rows_total"] == 2
+    assert found["slipflow_source_failures_total"] == 1
+    assert found["slipflow_source_gaps_total"] == 1
+    assert found["slipflow_slip_latency_seconds_count"] == 1

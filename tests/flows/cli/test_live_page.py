@@ -1,0 +1,132 @@
+import json
+import re
+import signal
+import subprocess
+import sys
+from http.client import HTTPConnection
+from io import StringIO
+from pathlib import Path
+from queue import Queue
+from typing import get_type_hints
+
+import pytest
+
+from connectors import Page
+from flows.cli.demo import demo
+from flows.cli.live_page import NoBrowser, add_page, invite, shown
+from flows.cli.run import run
+from flows.cli.show import show
+from flows.demo import Demo
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from flows.graph.validation import problems
+from operators import Debounce, Touch, Zero
+from tests.command import SLIPFLOW, slipflow
+from tests.connectors.mqtt.broker_process import PATIENCE
+
+
+def names(flow: Flow) -> list[str]:
+    return [node.gives.__name__ for node in shown(flow) if node.gives]
+
+
+def page_of(flow: Flow) -> Page:
+    [page] = [node.part for node in flow.nodes if isinstance(node.part, Page)]
+    return page
+
+
+def test_the_page_takes_what_it_can_show_of_the_demo(tmp_path: Path) -> None:
+    flow = Demo(tmp_path, broker=None).flow
+    assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips"]
+    add_page(flow)
+    assert problems(flow) == []
+    [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
+    assert page_of(flow).threshold == debounce.threshold
+    assert page_of(flow).place == "http://127.0.0.1:8765"
+
+
+def test_raw_touch_is_shown_where_none_is_zeroed_and_each_type_once() -> None:
+    flow = Flow("raw")
+    first = flow.source(TestSource(Touch), "first")
+    first.to(TestSink())
+    assert names(flow) == ["Touch"]
+    (first | Zero()).to(TestSink())
+    (first | Zero(baseline=700)).to(TestSink())
+    assert names(flow) == ["Zeroed"]
+    add_page(flow, "127.0.0.1:0")
+    assert page_of(flow).threshold is None
+    assert problems(flow) == []
+
+
+class Terminal(StringIO):
+    """What a person reads."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_token_is_told_to_a_terminal_and_to_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    url, entrance = "http://127.0.0.1:8765", "http://127.0.0.1:8765/?token=0123456789abcdef"
+    for stream, text in (
+        (Terminal(), f"live page: {entrance}\n"),
+        (StringIO(), f"live page: {url} (asks for its token)\n"),
+    ):
+        monkeypatch.setattr(sys, "stderr", stream)
+        invite("live page", url, entrance, browse=False)
+        assert stream.getvalue() == text
+
+
+@pytest.mark.parametrize("program", ["stdout", "stderr"])
+def test_a_browser_is_opened_for_a_person_and_for_no_program(
+    monkeypatch: pytest.MonkeyPatch, program: str
+) -> None:
+    opened = Queue[str]()
+    monkeypatch.setattr("webbrowser.open", opened.put)
+    monkeypatch.setenv("DISPLAY", ":0")
+    for stream in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, stream, Terminal())
+    monkeypatch.setattr(sys, program, StringIO())
+    invite("page", "http://one", "http://one", browse=True)
+    monkeypatch.setattr(sys, program, Terminal())
+    invite("page", "http://two", "http://two", browse=False)
+    invite("page", "http://three", "http://three/?token=secret", browse=True)
+    assert opened.get(timeout=PATIENCE) == "http://three"  # the first, and without its token
+
+
+def test_run_demo_and_show_have_one_rule_of_when_a_browser_is_opened() -> None:
+    for command in (run, demo, show):
+        assert get_type_hints(command, include_extras=True)["no_browser"] is NoBrowser
+
+
+def test_a_live_run_serves_its_page_says_where_and_ends_well() -> None:
+    command = [*SLIPFLOW, "run", "live", "--listen", "127.0.0.1:0", "--for", "60s", "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stderr
+    address = next(
+        filter(None, (re.search(r"live page: http://(127\.0\.0\.1):(\d+)", line) for line in process.stderr))
+    )
+    connection = HTTPConnection(address[1], int(address[2]), timeout=30)
+    connection.request("GET", "/stream")
+    stream = connection.getresponse()
+    lines = iter(stream.readline, b"")
+    assert any(line == b"event: hello\n" for line in lines)
+    hello = json.loads(next(lines).removeprefix(b"data: "))
+    assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("live", True, True)
+    frames = (json.loads(line[6:]) for line in lines if line.startswith(b"data: {") and b'"scores"' in line)
+    assert "0" in next(frames)["touch"]
+    process.send_signal(signal.SIGTERM)
+    assert any(line == b"event: end\n" for line in lines)
+    connection.close()
+    output, _ = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert json.loads(output.splitlines()[-1])["sinks"]["page"]["dropped"] == 0
+
+
+def test_a_page_for_others_without_a_token_is_one_line_that_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SLIPFLOW_PAGE_TOKEN", raising=False)
+    trace = tmp_path / "trace.csv"
+    trace.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 100},1,2,3,4,5,6\n" for k in range(20)))
+    done = slipflow("run", "live", "--replay", trace, "--listen", "0.0.0.0:0")
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("error: Page: token is None, must be set")

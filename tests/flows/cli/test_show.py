@@ -1,0 +1,107 @@
+import asyncio
+import json
+import re
+import signal
+import subprocess
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from connectors.web.access import TOKEN, TOKEN_FILE
+from flows.cli.show import load, show
+from flows.demo import Demo
+from flows.graph.testing import run_virtually
+from flows.record import record
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from operators import InputError, ParameterError, s
+from storage import Session
+from tests.command import SLIPFLOW, slipflow
+
+
+@pytest.fixture(scope="module")
+def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """12 s of the demo, with its slips."""
+    out = tmp_path_factory.mktemp("data")
+
+    async def main() -> None:
+        await LiveRunner(
+            Demo(out, broker=None).flow, "test", clock=LoopClock(1_700_000_000 * s), duration=12 * s
+        ).execute()
+
+    run_virtually(main())
+    return Session.open(out)
+
+
+def test_a_session_is_shown_with_its_slips_and_scored_again(session: Session) -> None:
+    recorded = asyncio.run(load(session))
+    contents: dict[str, Any] = {**recorded.contents()}
+    assert (contents["flow"], contents["session"]) == ("demo", "test")
+    assert contents["dataset"] == session.folder.parent.parent.name
+    assert contents["length"] == pytest.approx(12_000, abs=200)
+    assert "Slip events: those that were recorded" in contents["about"]
+    assert [event["t"] for event in contents["events"]] == [
+        (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
+    ]
+    window: dict[str, Any] = {**recorded.window(2_000, 3_000, 1000)}
+    assert window["touch"]["0"]["zeroed"]
+    assert len(window["touch"]["0"]["t"]) == pytest.approx(100, abs=2)
+    assert len(window["scores"]["0"]["t"]) == pytest.approx(100, abs=2)
+    assert len(window["speed"]["t"]) == pytest.approx(125, abs=2)
+    onset = next(event["t"] for event in contents["events"] if event["onset"])
+    seen: dict[str, Any] = {**recorded.figures(onset)}
+    assert seen["scores"]["0"]["v"][0] >= recorded.threshold
+
+
+def test_a_session_without_recorded_slips_gets_those_found_now(tmp_path: Path) -> None:
+    async def main() -> None:
+        runner = LiveRunner(
+            record(out=str(tmp_path)), "test", clock=LoopClock(1_700_000_000 * s), duration=8 * s
+        )
+        await runner.execute()
+
+    run_virtually(main())
+    contents: dict[str, Any] = {**asyncio.run(load(Session.open(tmp_path), "psd")).contents()}
+    assert "those that psd finds now" in contents["about"]
+    assert contents["events"]
+
+
+def test_the_command_serves_the_session_until_it_is_stopped(session: Session) -> None:
+    command = [*SLIPFLOW, "show", str(session.folder), "--listen", "127.0.0.1:0", "--no-browser"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr
+    address = next(filter(None, (re.search(r"http://(.*):(\d+)$", line) for line in process.stderr)))
+    connection = HTTPConnection(address[1], int(address[2]), timeout=30)
+    connection.request("GET", "/about.json")
+    about = json.loads(connection.getresponse().read())
+    assert (about["mode"], about["session"]) == ("recorded", "test")
+    connection.close()
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+    assert process.returncode == 0
+
+
+def test_what_cannot_be_shown_is_told(tmp_path: Path) -> None:
+    done = slipflow("show", tmp_path)
+    assert done.returncode == 2
+    [line] = done.stderr.splitlines()
+    assert line.startswith(f"error: {tmp_path}: is no session")
+
+
+@pytest.mark.parametrize("token", [None, "short"])
+def test_a_page_for_others_without_a_good_token_is_refused_before_anything_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str | None
+) -> None:
+    monkeypatch.delenv(TOKEN_FILE, raising=False)
+    monkeypatch.delenv(TOKEN, raising=False)
+    if token:
+        monkeypatch.setenv(TOKEN, token)
+    with pytest.raises(ParameterError, match="Page: token"):
+        show(tmp_path / "none", listen="0.0.0.0:0")  # which would be told as well, if it were read
+
+
+def test_a_detector_that_is_none_is_told(session: Session) -> None:
+    with pytest.raises(InputError, match="oracle: is no detector"):
+        asyncio.run(load(session, "oracle"))

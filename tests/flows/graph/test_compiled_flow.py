@@ -1,0 +1,216 @@
+import re
+from dataclasses import dataclass, field
+from typing import cast
+
+import numpy as np
+import pytest
+
+from flows.graph import Flow
+from flows.graph.compiled_flow import Plan
+from flows.graph.testing import TestSink, TestSource
+from operators import (
+    EVERY,
+    Align,
+    Batch,
+    BatchError,
+    Debounce,
+    Motion,
+    Operator,
+    OperatorError,
+    Sample,
+    Scores,
+    Slips,
+    Touch,
+    Zero,
+    ms,
+)
+
+
+def scores(*probabilities: float, start: int = 0, finger: int = EVERY) -> Scores:
+    time = start + np.arange(len(probabilities), dtype=np.int64) * 10 * ms
+    return Scores(time, np.array(probabilities), finger=finger)
+
+
+def touch(*times: int, finger: int = EVERY) -> Touch:
+    n = len(times)
+    counts = np.full((n, 6), 400 + finger, np.int16)
+    return Touch(np.array(times, np.int64), counts, counts, np.ones((n, 6), np.bool_), finger=finger)
+
+
+def motion(*times: int) -> Motion:
+    n = len(times)
+    return Motion(np.array(times, np.int64), np.array(times, np.int64), np.ones((n, 6)), np.ones((n, 6)))
+
+
+@dataclass
+class Keep(Operator[Scores, Scores]):
+    """Holds everything until the end of the stream."""
+
+    _held: list[Scores] = field(default_factory=list[Scores], init=False, repr=False)
+
+    def process(self, batch: Scores) -> Scores:
+        self._held.append(batch)
+        return batch[:0]
+
+    def flush(self) -> Scores:
+        return self._held[-1]
+
+
+def test_a_plan_leaves_the_declared_operators_as_they_were() -> None:
+    flow, declared = Flow("f"), Debounce(consecutive=2)
+    (flow.source(TestSource(Scores)) | declared).to(TestSink())
+    for _ in range(2):  # the second run must not remember the first
+        plan = Plan(flow)
+        assert plan.push({plan.entries[0]: scores(0.9)}) == []
+        [(_, slips)] = plan.push({plan.entries[0]: scores(0.9, start=10 * ms)})
+        assert len(slips) == 1
+
+
+def test_every_fingertip_has_operators_of_its_own() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores, fingers=(0, 1))) | Debounce(consecutive=2)).to(TestSink())
+    plan = Plan(flow)
+    first, second = plan.entries
+    assert plan.push({first: scores(0.9, finger=0)}) == []
+    assert plan.push({second: scores(0.9, finger=1)}) == []
+    [(_, slips)] = plan.push({first: scores(0.9, start=10 * ms, finger=0)})
+    assert slips.finger == 0
+
+
+def test_the_arm_motion_reaches_every_fingertip() -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
+    plan = Plan(flow)
+    left, right, arm = plan.entries
+    plan.push({left: touch(0, finger=0)})
+    plan.push({right: touch(0, finger=1)})
+    joined = [batch for _, batch in plan.push({arm: motion(0, 8 * ms)})]
+    assert [batch.finger for batch in joined] == [0, 1]
+    assert all(isinstance(batch, Sample) and batch.matched.all() for batch in joined)
+
+
+def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
+    flow, one, other = Flow("f"), TestSink(), TestSink()
+    stream = flow.source(TestSource(Scores))
+    stream.to(one)
+    stream.to(other)
+    batch = scores(0.1)
+    plan = Plan(flow)
+    assert [(node.part, given) for node, given in plan.push({plan.entries[0]: batch})] == [
+        (one, batch),
+        (other, batch),
+    ]
+
+
+def test_a_plan_says_what_each_sink_may_be_given() -> None:
+    flow, one, other = Flow("felt"), TestSink("one"), TestSink("other")
+    probabilities = flow.source(TestSource(Scores))
+    slips = probabilities | Debounce()
+    slips.to(one)
+    probabilities.to(one)
+    slips.to(other)
+    assert Plan(flow).wired == {one.place: (Slips, Scores), other.place: (Slips,)}
+
+
+def test_streams_given_together_reach_their_join_together() -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
+    plan = Plan(flow)
+    left, right = plan.entries
+    hour = [k * 10 * ms for k in range(1000)]
+    [(_, joined)] = plan.push({left: touch(*hour), right: motion(*hour)})
+    assert isinstance(joined, Sample)
+    assert joined.matched.all()
+
+
+def test_flush_passes_what_operators_held_on_to_those_behind_them() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Keep() | Debounce(consecutive=2)).to(TestSink())
+    plan = Plan(flow)
+    assert plan.push({plan.entries[0]: scores(0.9, 0.9)}) == []
+    [(_, slips)] = plan.flush()
+    assert isinstance(slips, Slips)
+    assert slips.state.tolist() == [1]
+
+
+def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
+    flow = Flow("f")
+    flow.source(TestSource(Scores, fingers=(0,))).to(TestSink())
+    plan = Plan(flow)
+    with pytest.raises(BatchError, match=r"source 'scores' gave fingertip 3, and declares \(0,\)"):
+        plan.push({(plan.entries[0][0], 3): scores(0.9, finger=3)})
+
+
+def test_nothing_in_gives_nothing_out() -> None:
+    flow = Flow("f")
+    flow.source(TestSource(Scores)).to(TestSink())
+    plan = Plan(flow)
+    assert plan.push({plan.entries[0]: Scores.empty()}) == []
+    assert plan.flush() == list[tuple[object, Batch]]()
+
+
+class Forgetful(Operator[Scores, Scores]):
+    def process(self, batch: Scores) -> Scores:
+        return Scores(batch.time, batch.probability)
+
+
+class Wrong(Operator[Scores, Scores]):
+    def process(self, batch: Scores) -> Scores:
+        return cast("Scores", None)
+
+
+@pytest.mark.parametrize(
+    ("operator", "message"),
+    [
+        (Forgetful(), "flow 'f': Forgetful: ValueError: gave rows of fingertip -1, not 2: pass finger="),
+        (Wrong(), "flow 'f': Wrong: TypeError: gave NoneType, and declares to give Scores"),
+    ],
+    ids=["finger", "type"],
+)
+def test_an_operator_that_breaks_its_contract_is_named(
+    operator: Operator[Scores, Scores], message: str
+) -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores, fingers=(2,))) | operator).to(TestSink())
+    plan = Plan(flow)
+    with pytest.raises(OperatorError, match=re.escape(message)):
+        plan.push({plan.entries[0]: scores(0.1, finger=2)})
+
+
+def test_a_plan_goes_on_from_a_snapshot() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())
+    whole, first, second = Plan(flow), Plan(flow), Plan(flow)
+    batch = scores(0.9, 0.9, 0.9, 0.1, 0.1)
+    [(_, expected)] = whole.push({whole.entries[0]: batch})
+    assert first.push({first.entries[0]: batch[:2]}) == []
+    second.restore(first.snapshot())
+    [(_, found)] = second.push({second.entries[0]: batch[2:]})
+    assert found.time.tolist() == expected.time.tolist()
+    assert cast("Slips", found).start.tolist() == cast("Slips", expected).start.tolist()
+
+
+def test_a_state_that_does_not_pickle_names_its_operator() -> None:
+    @dataclass
+    class Local(Operator[Scores, Scores]):
+        def process(self, batch: Scores) -> Scores:
+            return batch
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Local()).to(TestSink())
+    with pytest.raises(OperatorError, match="flow 'f': Local: "):
+        Plan(flow).snapshot()
+
+
+def test_a_plan_of_one_fingertip_leaves_the_others_out() -> None:
+    flow = Flow("f")
+    zeroed = flow.source(TestSource(Touch, fingers=(0, 1, 2))) | Zero(baseline=400)
+    (zeroed & flow.source(TestSource(Motion)) | Align(wait=20 * ms)).to(TestSink())
+    plan = Plan(flow, only=(1,))
+    assert [(node.name, finger) for node, finger in plan.entries] == [("touch", 1), ("motion", EVERY)]
+    pushed = plan.push({plan.entries[0]: touch(0, finger=1), plan.entries[1]: motion(0, 10 * ms)})
+    assert [batch.finger for _, batch in pushed] == [1]
+    with pytest.raises(BatchError, match="fingertip 2"):
+        plan.push({(plan.entries[0][0], 2): touch(0, finger=2)})

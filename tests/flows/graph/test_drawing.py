@@ -1,0 +1,37 @@
+from flows.graph import Flow
+from flows.graph.drawing import describe, mermaid
+from flows.graph.testing import TestSink, TestSource
+from operators import Debounce, Scores, ms
+
+
+def test_text_reads_like_the_declaration(drawn: Flow) -> None:
+    assert str(drawn).splitlines() == [
+        "flow drawn",
+        "  touch    = TestSource(Touch)",
+        "  motion   = TestSource(Motion)",
+        "  zeroed   = touch | Zero(baseline=400)",
+        "  labelled = zeroed & motion | Align(within=10 ms) | Label()",
+        "  labelled -> TestSink()",
+        "  zeroed -> TestSink()",
+    ]
+
+
+def test_two_streams_of_one_type_get_two_names() -> None:
+    flow = Flow("f")
+    scores = flow.source(TestSource(Scores))
+    for count in (2, 3):
+        (scores | Debounce(consecutive=count)).to(TestSink())
+    names = [line.split()[0] for line in str(flow).splitlines()[1:]]
+    assert names == ["scores", "slips", "slips2", "slips", "slips2"]
+
+
+def test_mermaid_names_every_edge_by_its_type(drawn: Flow) -> None:
+    lines = mermaid(drawn.nodes).splitlines()
+    assert lines[0] == "flowchart LR"
+    edges = [line.split("|")[1] for line in lines if "-->" in line]
+    assert sorted(edges) == ["Labelled", "Motion", "Sample", "Touch", "Zeroed", "Zeroed"]
+
+
+def test_a_part_is_drawn_with_what_differs_from_its_defaults() -> None:
+    assert describe(Debounce()) == "Debounce()"
+    assert describe(Debounce(minimum=50 * ms)) == "Debounce(minimum=50 ms)"

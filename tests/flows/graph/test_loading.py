@@ -1,0 +1,127 @@
+from pathlib import Path
+
+import pytest
+
+from flows.graph import Flow
+from flows.graph.loading import load
+from operators import InputError, ParameterError, ms
+
+GOOD = """
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from operators import Scores
+
+def felt(
+    threshold: float = 0.5, count: int = 2, name: str = "felt", fast: bool = False, out: str | None = None
+) -> Flow:
+    flow = Flow(f"{name} {threshold} {count} {fast} {out}")
+    flow.source(TestSource(Scores)).to(TestSink())
+    return flow
+
+def not_a_flow(x: int) -> int:
+    return x
+"""
+
+
+def _file(folder: Path, code: str) -> str:
+    path = folder / "mine.py"
+    path.write_text(code)
+    return str(path)
+
+
+def test_the_only_flow_of_a_file_needs_no_name(tmp_path: Path) -> None:
+    declaration = load(_file(tmp_path, GOOD))
+    assert declaration.name == "felt"
+    assert list(declaration.parameters) == ["threshold", "count", "name", "fast", "out"]
+    assert declaration.flow().name == "felt 0.5 2 False None"
+
+
+def test_settings_take_the_type_that_is_declared(tmp_path: Path) -> None:
+    flow = load(_file(tmp_path, GOOD)).flow({"threshold": "0.7", "count": "3", "fast": "yes", "out": "x"})
+    assert flow.name == "felt 0.7 3 True x"
+    assert load(_file(tmp_path, GOOD)).flow({"out": "none"}).name.endswith("None")
+
+
+def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"felt: has no parameter 'limit'; it has threshold, count, name"):
+        load(_file(tmp_path, GOOD)).flow({"limit": "1"})
+    with pytest.raises(InputError, match=r"did you mean 'threshold'\? It has threshold, count"):
+        load(_file(tmp_path, GOOD)).flow({"treshold": "1"})
+    with pytest.raises(InputError, match=r"mine: has no parameter 'limit'; it has none"):
+        load(_file(tmp_path, GOOD + "\nmine = felt()\n") + ":mine").flow({"limit": "1"})
+
+
+def test_a_setting_of_a_wrong_type_is_told(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="felt: count is 'two', must be a whole number"):
+        load(_file(tmp_path, GOOD)).flow({"count": "two"})
+
+
+TIMED = """
+from flows.graph import Flow
+from flows.graph.quantity import Duration, Speed
+from flows.graph.testing import TestSink, TestSource
+from operators import Scores, ms
+
+def felt(delay: Duration = 70 * ms, limit: Speed | None = None) -> Flow:
+    flow = Flow(f"{delay} {limit}")
+    flow.source(TestSource(Scores)).to(TestSink())
+    return flow
+"""
+
+
+def test_a_parameter_with_a_unit_is_set_as_people_write_it(tmp_path: Path) -> None:
+    declaration = load(_file(tmp_path, TIMED))
+    assert declaration.flow({"delay": "0.1s", "limit": "3mm/s"}).name == f"{100 * ms} 0.003"
+    assert declaration.flow({"limit": "none"}).name == f"{70 * ms} None"
+    with pytest.raises(ParameterError, match=r"felt: delay is '70', must be a time with its unit: 500ms"):
+        declaration.flow({"delay": "70"})
+
+
+def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
+    code = GOOD + "\nmine = felt()\n"
+    assert isinstance(load(_file(tmp_path, code) + ":mine").flow(), Flow)
+    with pytest.raises(InputError, match=r"several flows, choose one: .*:felt, .*:mine"):
+        load(_file(tmp_path, code))
+
+
+@pytest.mark.parametrize("name", ["live", "record"])
+def test_a_ready_made_flow_needs_no_path(name: str) -> None:
+    assert load(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("code", "message"),
+    [
+        ("def broken(:\n", r"mine\.py:1: invalid syntax"),
+        ("\n1 / 0\n", r"mine\.py:2: ZeroDivisionError: division by zero"),
+        ("import no_such_module\n", r"mine\.py:1: ModuleNotFoundError"),
+        ("x = 1\n", "holds no flow"),
+        (
+            "from flows.graph import Flow\ndef f(x: int) -> Flow: return Flow('f')\n",
+            "flow 'f': parameter 'x' needs a default",
+        ),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_one_line_with_its_place(
+    tmp_path: Path, code: str, message: str
+) -> None:
+    with pytest.raises(InputError, match=message) as raised:
+        load(_file(tmp_path, code))
+    assert "\n" not in str(raised.value)
+
+
+def test_a_missing_file_and_a_missing_flow_are_told(tmp_path: Path) -> None:
+    with pytest.raises(
+        InputError, match=r"nowhere\.py: no such flow file, .* those are lift, live, record, relabel"
+    ):
+        load("nowhere.py")
+    with pytest.raises(InputError, match="is a folder: give the flow file in it"):
+        load(str(tmp_path))
+    with pytest.raises(InputError, match="holds no flow 'other'; it holds felt"):
+        load(_file(tmp_path, GOOD) + ":other")
+
+
+def test_an_error_while_building_names_the_line_of_the_flow_file(tmp_path: Path) -> None:
+    code = "from flows.graph import Flow\ndef f() -> Flow:\n    return undefined\n"
+    with pytest.raises(InputError, match=r"mine\.py:3: NameError"):
+        load(_file(tmp_path, code)).flow()

@@ -1,0 +1,90 @@
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+
+from flows.graph.parameter import Parameter
+from flows.graph.quantity import Duration, Force, Speed
+from operators.batch import ms
+from operators.errors import ParameterError
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "value"),
+    [
+        (Duration, "70ms", 70 * ms),
+        (Duration, "-70ms", -70 * ms),
+        (Duration | None, "none", None),
+        (Duration | None, "1s", 1000 * ms),
+        (Speed, "0.003", 0.003),
+        (Speed, "3mm/s", 0.003),
+        (Force, "2N", 2.0),
+        (Annotated[int, "of the bus"], "3", 3),
+        (bool, "Yes", True),
+        (int | None, "", None),
+        (int | None, "4", 4),
+        (Path, "a/b", Path("a/b")),
+        (str, "none", "none"),
+    ],
+)
+def test_text_becomes_the_type_that_is_declared(kind: object, text: str, value: object) -> None:
+    found = Parameter("x", kind, None).value("flow", text)
+    assert found == value
+    assert type(found) is type(value)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "takes"),
+    [
+        (int, "two", "a whole number"),
+        (float, "two", "a number"),
+        (bool, "maybe", "yes or no"),
+        (int | None, "two", "a whole number or none"),
+        (Duration, "70", "a time with its unit: 500ms, 30s, 5min or 1h"),
+        (Duration, "70mm", "a time with its unit: 500ms, 30s, 5min or 1h"),
+        (Speed, "fast", "a speed with its unit: 3mm/s or 0.003m/s"),
+        (Speed, "nan", "a speed with its unit: 3mm/s or 0.003m/s"),
+        (Force, "1e400", "a force with its unit: 2N or 0.5N"),
+        (Force, "-inf", "a force with its unit: 2N or 0.5N"),
+    ],
+)
+def test_what_is_of_another_kind_is_told_with_what_it_takes(kind: object, text: str, takes: str) -> None:
+    with pytest.raises(ParameterError) as raised:
+        Parameter("x", kind, None).value("flow", text)
+    assert str(raised.value) == f"flow: x is {text!r}, must be {takes}"
+
+
+@pytest.mark.parametrize(
+    ("parameter", "text"),
+    [
+        (Parameter("delay", Duration, 70 * ms), "delay=70ms"),
+        (Parameter("speed", Speed, 0.003), "speed=3mm/s"),
+        (Parameter("force", Force, 0.0), "force=0N"),
+        (Parameter("delay", Duration | None, None), "delay=None"),
+        (Parameter("seed", int, 3), "seed=3"),
+    ],
+)
+def test_what_is_listed_sets_the_default_again(parameter: Parameter, text: str) -> None:
+    listed = str(parameter).split("  (")[0]
+    assert listed == text
+    assert parameter.value("flow", listed.partition("=")[2]) == parameter.default
+
+
+def test_a_default_without_end_is_listed_too() -> None:
+    assert str(Parameter("limit", Speed, float("inf"))).startswith("limit=inf  (a speed with its unit: ")
+
+
+def test_a_program_is_told_default_and_unit() -> None:
+    assert Parameter("delay", Duration, 70 * ms).as_dict() == {
+        "default": 70_000_000,
+        "unit": "ns",
+        "takes": "a time with its unit: 500ms, 30s, 5min or 1h",
+    }
+    assert Parameter("out", Path, Path("a")).as_dict() == {"default": "a", "unit": None, "takes": "a path"}
+
+
+@pytest.mark.parametrize("kind", [str, Path])
+def test_empty_text_as_of_a_variable_that_is_not_set_is_refused(kind: object) -> None:
+    with pytest.raises(ParameterError, match="record: out is '', must be "):
+        Parameter("out", kind, "recordings").value("record", "")
+    assert Parameter("note", str, "").value("record", "") == ""

@@ -1,0 +1,86 @@
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flows.graph.quantity import KINDS, quantity, written
+from operators.errors import ParameterError
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("70ms", "ns", 70_000_000),
+        ("70 ms", "ns", 70_000_000),
+        (" 1.5s ", "ns", 1_500_000_000),
+        (".5us", "ns", 500),
+        ("3ns", "ns", 3),
+        ("5min", "ns", 300 * 10**9),
+        ("1h", "ns", 3600 * 10**9),
+        ("0.1mm", "m", 0.0001),
+        ("6cm", "m", 0.06),
+        ("3mm/s", "m/s", 0.003),
+        ("2.5N", "N", 2.5),
+    ],
+)
+def test_a_quantity_is_reckoned_in_its_si_unit(text: str, unit: str, value: float) -> None:
+    found = quantity("x", "y", text, unit)
+    assert found == value
+    assert isinstance(found, int if unit == "ns" else float)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit"),
+    [
+        ("70", "ns"),
+        ("70mm", "ns"),
+        ("ms", "ns"),
+        ("1e3s", "ns"),
+        ("-5s", "ns"),
+        ("1.2.3s", "ns"),
+        ("soon", "ns"),
+        ("", "ns"),
+        ("2", "m"),
+        ("2in", "m"),
+        ("2m", "m/s"),
+        ("2kg", "N"),
+        ("nanN", "N"),
+        ("٣s", "ns"),
+        ("9" * 10_000 + "s", "ns"),
+    ],
+)
+def test_what_is_none_is_told_with_how_to_write_it(text: str, unit: str) -> None:
+    with pytest.raises(ParameterError, match=r"flow: delay is .* with its unit: ") as raised:
+        quantity("flow", "delay", text, unit)
+    assert raised.value.must_be == f"{KINDS[unit].name} with its unit: {KINDS[unit].examples}"
+
+
+def test_below_zero_is_for_those_who_ask_for_it() -> None:
+    assert quantity("x", "y", "-5ms", "ns", signed=True) == -5_000_000
+
+
+@given(st.integers(-(2**62), 2**62))
+def test_a_time_that_is_written_is_read_again(time: int) -> None:
+    text = written(time, "ns")
+    assert quantity("x", "y", text, "ns", signed=True) == pytest.approx(time, rel=1e-14)
+
+
+@pytest.mark.parametrize("unit", KINDS)
+def test_the_examples_are_such_quantities(unit: str) -> None:
+    for text in KINDS[unit].examples.replace(" or ", ", ").split(", "):
+        assert quantity("x", "y", text, unit) > 0
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (90 * 10**9, "ns", "90s"),
+        (1800 * 10**9, "ns", "30min"),
+        (1, "ns", "1ns"),
+        (0, "ns", "0ns"),
+        (0.0015, "m", "1.5mm"),
+        (1e-05, "m", "1e-05m"),
+        (10.0, "N", "10N"),
+    ],
+)
+def test_a_quantity_is_written_as_short_as_may_be(value: float, unit: str, text: str) -> None:
+    assert written(value, unit) == text

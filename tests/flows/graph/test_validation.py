@@ -1,0 +1,163 @@
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from flows.graph import Flow, Stream
+from flows.graph.testing import TestSink, TestSource
+from flows.graph.validation import problems, validate
+from operators import (
+    Align,
+    Debounce,
+    FlowError,
+    Label,
+    Motion,
+    Operator,
+    ParameterError,
+    Scores,
+    Slips,
+    Touch,
+    Zero,
+)
+
+
+def _one_problem(flow: Flow) -> str:
+    [problem] = problems(flow)
+    assert "\n" not in str(problem)
+    with pytest.raises(FlowError) as raised:
+        validate(flow)
+    assert str(raised.value) == str(problem)
+    return f"{problem.edge}: {problem.reason}"
+
+
+def test_a_sound_flow_has_no_problems() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
+    assert problems(flow) == []
+
+
+def test_a_flow_without_a_source_is_told() -> None:
+    assert "no source" in _one_problem(Flow("f"))
+
+
+def test_an_unconnected_stream_is_named() -> None:
+    flow = Flow("f")
+    _ = flow.source(TestSource(Touch)) | Zero()
+    assert _one_problem(flow).startswith("Zero -> ?: its stream of Zeroed is unconnected")
+
+
+def test_a_wrong_type_names_the_edge_and_both_types() -> None:
+    flow = Flow("f")
+    touch: Stream[Any] = flow.source(TestSource(Touch))
+    (touch | Debounce()).to(TestSink())
+    assert _one_problem(flow) == "touch -> Debounce: Debounce takes Scores, not Touch"
+
+
+def test_forgetting_to_zero_is_a_wrong_type() -> None:
+    flow = Flow("f")
+    touch: Stream[Any] = flow.source(TestSource(Touch))
+    (touch & flow.source(TestSource(Motion)) | Align() | Label()).to(TestSink())
+    assert _one_problem(flow) == "touch -> Align: Align takes Zeroed, not Touch"
+
+
+def test_a_swapped_pair_is_two_wrong_edges() -> None:
+    flow = Flow("f")
+    touch: Stream[Any] = flow.source(TestSource(Touch)) | Zero()
+    motion: Stream[Any] = flow.source(TestSource(Motion))
+    (motion & touch | Align()).to(TestSink())
+    assert [problem.edge for problem in problems(flow)] == ["motion -> Align", "Zero -> Align"]
+
+
+def test_two_sinks_that_write_the_same_place_are_named() -> None:
+    flow = Flow("f")
+    scores = flow.source(TestSource(Scores))
+    scores.to(TestSink(place="/data"))
+    (scores | Debounce()).to(TestSink(place="/data"))
+    message = _one_problem(flow)
+    assert "Debounce -> testsink2" in message
+    assert "/data" in message
+    assert "scores -> testsink" in message
+
+
+def test_two_streams_of_one_type_into_one_sink_are_told_apart_only_by_fingertip() -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(TestSource(Touch, fingers=(0,))).to(sink)
+    flow.source(TestSource(Touch, fingers=(1,))).to(sink)
+    assert problems(flow) == []
+    flow.source(TestSource(Touch, fingers=(1,))).to(sink)
+    assert _one_problem(flow) == "touch3 -> testsink: testsink already takes Touch from touch2"
+
+
+def test_a_cycle_is_named_in_the_order_of_flow() -> None:
+    flow = Flow("f")
+    scores: Stream[Any] = flow.source(TestSource(Scores))
+    first = scores | Debounce()
+    second: Stream[Any] = first
+    second = second | Debounce()
+    second.to(TestSink())
+    first.node.inputs[:] = [second.node]  # only by hand: `|` cannot write it
+    found = [str(problem) for problem in problems(flow)]
+    assert any("Debounce -> Debounce -> Debounce: is a cycle" in problem for problem in found)
+
+
+def test_one_operator_object_in_two_places_is_told() -> None:
+    flow, shared = Flow("f"), Debounce()
+    scores = flow.source(TestSource(Scores))
+    (scores | shared).to(TestSink())
+    (scores | shared).to(TestSink())
+    assert "scores -> Debounce: the same operator object stands in two places" in _one_problem(flow)
+
+
+def test_a_stream_of_another_flow_is_told() -> None:
+    flow, other = Flow("f"), Flow("g")
+    zeroed = other.source(TestSource(Touch)) | Zero()
+    motion = flow.source(TestSource(Motion), name="arm")
+    mixed: Any = motion & zeroed
+    (mixed | Align()).to(TestSink())
+    assert any("Zero belongs to another flow" in str(problem) for problem in problems(flow))
+
+
+def test_state_that_runs_would_share_is_told() -> None:
+    @dataclass
+    class Sharing(Operator[Scores, Scores]):
+        seen: list[float] = field(default_factory=list[float])
+
+        def process(self, batch: Scores) -> Scores:
+            return batch
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Sharing()).to(TestSink())
+    assert _one_problem(flow).startswith("Sharing: seen would be shared by all runs")
+
+
+def test_an_operator_that_does_not_declare_its_types_is_told() -> None:
+    class Silent(Operator[Scores, Scores]):
+        def process(self, batch):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
+            return batch
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Silent()).to(TestSink())
+    with pytest.raises(ParameterError, match="Silent: the annotation of process, batch, is None"):
+        problems(flow)
+
+
+def test_a_sink_may_call_its_batch_as_it_likes() -> None:
+    class Named(TestSink):
+        async def write(self, slips: Slips) -> None:  # type: ignore[override]
+            """Take them."""
+
+    flow = Flow("f")
+    scores: Stream[Any] = flow.source(TestSource(Scores))
+    scores.to(Named())
+    assert "takes Slips, not Scores" in _one_problem(flow)
+
+
+def test_a_sink_that_does_not_declare_what_it_takes_is_told() -> None:
+    class Untyped(TestSink):
+        async def write(self, batch: object) -> None:
+            """Take anything."""
+
+    flow = Flow("f")
+    flow.source(TestSource(Scores)).to(Untyped())
+    with pytest.raises(ParameterError, match="Untyped: the annotation of write"):
+        validate(flow)

@@ -1,0 +1,328 @@
+"""On the virtual lab: ur-rtde commands its controller, and smbus2 reads its fingertip."""
+
+import asyncio
+import importlib.util
+import json
+import math
+import os
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import pytest
+
+from connectors.emulators.pressing import STIFFNESS
+from connectors.emulators.virtual_lab import VirtualLab, scene, virtual_lab
+from connectors.sim.scene import Curvature
+from connectors.sim.truth import Truth
+from flows.lab.collection.arm_path import Pose
+from flows.lab.collection.collection_run import Collected, Rigging, collect, room
+from flows.lab.collection.stroke_plan import Session, StrokePlan
+from flows.lab.collection.surfaces import Spot, Surface
+from operators import (
+    EVERY,
+    SLIP,
+    UNKNOWN,
+    Clocks,
+    EndpointError,
+    Labelled,
+    Motion,
+    ParameterError,
+    Touch,
+    WatchClock,
+    concat,
+    s,
+)
+from storage import Session as Recorded
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
+)
+
+HOST = f"127.0.{os.getpid() % 250 + 1}.3"  # of this process: ur-rtde knows one port only
+BUS = f"/dev/i2c-{os.getpid()}"
+PLACE: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
+QUICK = StrokePlan(
+    speeds=(0.1,),
+    repeats=1,
+    rotations=0,
+    rounds=1,
+    time=0.4,
+    rest=0.1,
+    air=1.2,
+    clearance=0.004,
+    travel=0.3,
+    press=0.1,
+    acceleration=1.0,
+)
+FORCE = 1.5  # N
+
+
+@dataclass(frozen=True)
+class Few(StrokePlan):
+    """A plan of which only the first strokes of each session are made."""
+
+    strokes: int = 2
+
+    def sessions(self, surfaces: Sequence[Surface], seed: int) -> list[Session]:
+        """Those of the plan, cut short."""
+        whole = super().sessions(surfaces, seed)
+        return [replace(each, strokes=each.strokes[: self.strokes]) for each in whole]
+
+
+TURNS = replace(Few(**asdict(QUICK)), speeds=(), rotations=1, turn=0.4)
+FELT = replace(
+    Few(**asdict(QUICK)), speeds=(0.05,), force=FORCE, deepest=0.0025, near=0.0005, touch=0.004, tare=0.1
+)
+
+
+class Made(NamedTuple):
+    collected: Collected
+    truth: Truth
+    out: Path
+
+    @property
+    def session(self) -> Recorded:
+        return Recorded.open(self.out / "sessions" / self.collected.runs[0].session)
+
+    @property
+    def about(self) -> dict[str, Any]:
+        about: dict[str, Any] = json.loads((self.session.folder / "session.json").read_text())
+        return about
+
+
+def made(
+    out: Path,
+    plan: StrokePlan = QUICK,
+    act: Callable[[VirtualLab], None] | None = None,
+    *,
+    pressed: bool = True,
+    surface: Curvature = "plane",
+    place: Pose = PLACE,
+    limit: float = 50.0,
+) -> Made:
+    """What was collected on a virtual lab to which something is done, once it has `pressed` for a while."""
+    rigging = Rigging(HOST, out, BUS, margin=0.05, force=limit, patience=1.0, watchdog=1.0)  # a busy host
+
+    async def do(lab: VirtualLab) -> None:
+        while pressed and not cast("Any", lab.controller.box.values(["actual_TCP_pose"])[0])[2] < 0:  # noqa: ASYNC110
+            await asyncio.sleep(0.02)
+        if act:
+            asyncio.get_running_loop().call_later(pressed * 0.8, act, lab)
+
+    async def main() -> Made:
+        async with virtual_lab(scene(surface), host=HOST, path=BUS) as lab:
+            acting = asyncio.create_task(do(lab))
+            async with asyncio.timeout(120):
+                collected = await collect(plan, [Spot(surface, place)], rigging, name="quick", seed=1)
+            acting.cancel()
+            lab.lab.advance(lab.lab.now())  # to see that the arm stands
+            return Made(collected, lab.lab.truth(), out)
+
+    return asyncio.run(main())
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    return made(tmp_path_factory.mktemp("quick") / "data")
+
+
+def test_all_strokes_are_made_and_recorded_whole(quick: Made) -> None:
+    collected = quick.collected
+    assert (collected.strokes, collected.error, collected.interrupted) == (8, "", False)
+    assert quick.about["complete"]
+    touch = concat(Touch, list(quick.session.read(Touch, 0)))
+    motion = concat(Motion, list(quick.session.read(Motion, -1)))
+    assert touch.valid.all()
+    assert (np.rint(np.diff(motion.device_time) / 8e6) == 1).all()  # every package once
+    assert not collected.runs[0].sources["touch"].gaps
+
+
+def test_how_the_arms_clock_stood_is_recorded(quick: Made) -> None:
+    clocks = concat(Clocks, list(quick.session.read(Clocks, EVERY)))
+    motion = concat(Motion, list(quick.session.read(Motion, EVERY)))
+    watch = WatchClock()
+    again = concat(Clocks, [watch.push(motion), watch.flush()])
+    assert len(clocks) == np.ptp(motion.device_time) // (5 * s) + 1
+    for name in ("time", "offset", "drift", "residual"):
+        np.testing.assert_array_equal(getattr(clocks, name), getattr(again, name))
+
+
+def test_labels_are_those_of_the_scenes_truth_within_one_sample(quick: Made) -> None:
+    labelled, truth = concat(Labelled, list(quick.session.read(Labelled, 0))), quick.truth
+    newer = np.clip(truth.time.searchsorted(labelled.time), 1, len(truth) - 1)  # (n,)
+    nearest = newer - (labelled.time - truth.time[newer - 1] < truth.time[newer] - labelled.time)
+    velocity = truth.velocity[nearest]  # (n, 3)
+    slips = np.hypot(velocity[:, 0], velocity[:, 1]) > 0.003  # (n,)
+    around = np.stack([np.roll(slips, shift) for shift in (-1, 0, 1)])
+    known = labelled.label != UNKNOWN
+    agrees = (around == (labelled.label == SLIP)).any(axis=0)
+    assert agrees[known].all()
+    assert (labelled.label[known] == SLIP).sum() > 8 * 30
+    pressed = truth.force[nearest] > 0
+    assert pressed[labelled.label == SLIP].all()  # what the arm does in the air is no slip
+
+
+def test_episodes_tell_of_every_stroke(quick: Made) -> None:
+    air, *strokes = quick.session.frame("episodes").to_dicts()
+    assert air["motion"] == "hold"
+    assert sorted(each["direction_deg"] for each in strokes) == [45.0 * k for k in range(8)]
+    for each in strokes:
+        assert (each["motion"], each["speed"], each["curvature"]) == ("translation", 0.1, "plane")
+        assert each["axis"] == ("oblique" if each["direction_deg"] % 90 else "primary")
+        assert each["split"] in ("train", "validation", "test")
+    labelled = concat(Labelled, list(quick.session.read(Labelled, 0)))
+    for each in strokes:
+        inside = (labelled.time >= each["start"]) & (labelled.time < each["end"])
+        assert (labelled.label[inside] == SLIP).sum() > 30
+        assert (labelled.label[inside] == UNKNOWN).sum() == 0
+
+
+def test_session_json_says_the_plan(quick: Made) -> None:
+    collection = quick.about["sources"]["collection"]
+    assert (collection["plan"], collection["surface"], collection["speed"]) == ("quick", "plane", 0.1)
+    assert collection["place"] == list(PLACE)
+    assert quick.about["sources"]["touch"]["sensor"] == "TakkTile 2x3"
+    assert "Lifted" in " ".join(quick.about["declaration"])
+
+
+@pytest.fixture(scope="module")
+def turns(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Rotations, with a pause between."""
+
+    def pause(_: VirtualLab) -> None:
+        signal.raise_signal(signal.SIGUSR1)
+        asyncio.get_running_loop().call_later(1.5, signal.raise_signal, signal.SIGUSR1)
+
+    return made(tmp_path_factory.mktemp("turns") / "data", TURNS, pause)
+
+
+def test_rotations_slip_too(turns: Made) -> None:
+    assert (turns.collected.strokes, turns.collected.error) == (TURNS.strokes, "")
+    labelled = concat(Labelled, list(turns.session.read(Labelled, 0)))
+    assert (labelled.label == SLIP).sum() > TURNS.strokes * 20
+    assert {each["motion"] for each in turns.session.frame("episodes").to_dicts()} == {"hold", "rotation"}
+
+
+def test_sigusr1_pauses_and_goes_on(turns: Made) -> None:
+    assert (turns.collected.strokes, turns.collected.error) == (TURNS.strokes, "")
+    assert len(turns.session.frame("episodes")) - TURNS.strokes in (
+        1,
+        2,
+    )  # with the interrupted one, if there was one
+    assert turns.about["complete"]
+    motion = concat(Motion, list(turns.session.read(Motion, -1)))
+    standing = np.abs(motion.velocity).max(axis=1) < 1e-3  # (n,)
+    ends = np.flatnonzero(np.diff(np.r_[0, standing, 0].astype(np.int8)))  # where it begins and ends to stand
+    spans = np.diff(motion.time[np.minimum(ends, len(motion) - 1)])[::2]
+    assert (spans > 0.9 * s).sum() >= 2  # in the air at first, and paused
+
+
+@pytest.fixture(scope="module")
+def felt(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """Strokes over a sphere, at a set force."""
+    return made(tmp_path_factory.mktemp("felt") / "data", FELT, surface="sphere")
+
+
+def test_with_a_force_every_stroke_finds_its_depth_and_keeps_it_over_a_sphere(felt: Made) -> None:
+    assert (felt.collected.strokes, felt.collected.error) == (FELT.strokes, "")
+    _, *strokes = felt.session.frame("episodes").to_dicts()
+    assert len(strokes) == FELT.strokes
+    for each in strokes:
+        inside = (felt.truth.time >= each["start"]) & (felt.truth.time < each["end"])
+        force = felt.truth.force[inside]
+        assert force[0] >= 0.95 * FORCE
+        assert force.min() > 0.75 * FORCE
+        assert force.max() < 1.5 * FORCE
+
+
+def test_over_a_sphere_strokes_keep_their_speed_along_the_arc(felt: Made) -> None:
+    motion = concat(Motion, list(felt.session.read(Motion, -1)))
+    _, *strokes = felt.session.frame("episodes").to_dicts()
+    for each in strokes:
+        inside = (motion.time >= each["start"]) & (motion.time < each["end"])
+        speed = np.linalg.norm(motion.velocity[inside, :3], axis=1)  # (n,)
+        assert speed.max() < 1.03 * 0.05
+        assert (speed > 0.97 * 0.05).sum() / 125 > 0.7 * FELT.time
+        low, high = (part(motion.pose[inside, 2]) for part in (np.min, np.max))
+        assert high - low > 5e-4  # down the sides: 0.8 mm at 10 mm beside its middle
+
+
+def test_session_json_says_how_it_was_pressed(quick: Made, felt: Made) -> None:
+    pressed = [made.about["sources"]["collection"] for made in (quick, felt)]
+    assert [(each["depth"], each["force"], each["radius"]) for each in pressed] == [
+        (QUICK.depth, None, None),
+        (None, FORCE, 0.06),
+    ]
+    planned, found = (each["pressed"] for each in pressed)
+    assert [(each["depth"], each["force"]) for each in planned] == [(QUICK.depth, None)] * 8
+    for each in found:  # of which each stroke's own depth and force are told, too
+        assert 0.9 * FORCE < each["force"] < 1.4 * FORCE
+        assert each["depth"] == pytest.approx(each["force"] / STIFFNESS, abs=1e-4)
+
+
+def interrupted(done: Made, why: str) -> None:
+    """It ended early, with the arm at rest and all that there was committed."""
+    assert why in done.collected.error
+    assert done.collected.strokes < 8
+    assert not done.about["complete"]
+    assert why in done.about["error"]
+    velocity = done.truth.velocity[-1]
+    assert np.abs(velocity).max() < 1e-3
+    touch = concat(Touch, list(done.session.read(Touch, 0)))
+    assert touch.time[-1] - touch.time[0] > 2 * s
+    ends = [each["end"] for each in done.session.frame("episodes").to_dicts()]
+    assert ends[-1] <= done.about["end_ns"]
+
+
+def test_an_emergency_stop_ends_the_collection(tmp_path: Path) -> None:
+    interrupted(
+        made(tmp_path / "data", act=lambda lab: lab.controller.box.stop_in_emergency()), "emergency stop"
+    )
+
+
+def test_a_sensor_that_is_lost_stops_the_arm(tmp_path: Path) -> None:
+    interrupted(made(tmp_path / "data", act=lambda lab: lab.bus.unplug()), "has given no reading for 1 s")
+
+
+def test_ctrl_c_stops_the_arm_and_commits_even_while_it_is_paused(tmp_path: Path) -> None:
+    def pause(_: VirtualLab) -> None:
+        signal.raise_signal(signal.SIGUSR1)
+        asyncio.get_running_loop().call_later(1.0, signal.raise_signal, signal.SIGINT)
+
+    done = made(tmp_path / "data", act=pause)
+    interrupted(done, "interrupted")
+    assert done.collected.interrupted
+
+
+def test_strokes_in_the_air_are_no_slip_and_end_the_collection(tmp_path: Path) -> None:
+    done = made(tmp_path / "data", pressed=False, place=(*PLACE[:2], 0.003, *PLACE[3:]))
+    assert "fingertip 0 felt nothing of a stroke" in done.collected.error
+    assert "fingertip 0 felt nothing of a stroke" in done.about["error"]
+    assert not done.about["complete"]
+    assert len(done.session.frame("episodes")) == 2  # the air, and one stroke
+
+
+def test_pressed_too_deep_the_arm_is_stopped_and_what_there_is_committed(tmp_path: Path) -> None:
+    deep = replace(QUICK, depth=0.006, air=1.8)  # 6 N
+    interrupted(made(tmp_path / "data", deep, limit=3.0), "N, more than 3 N")
+
+
+def test_without_a_sensor_there_are_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.lab.collection.collection_run.APPEAR", 0.5)
+    with pytest.raises(EndpointError, match=BUS):
+        made(tmp_path / "data", act=lambda lab: lab.bus.unplug(), pressed=False)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_path_that_leaves_the_workspace_is_refused_before_anything_moves() -> None:
+    sessions = QUICK.sessions([Surface("plane", PLACE)], seed=0)
+    with pytest.raises(ParameterError, match=r"from -0\.0200 to 0\.0200 m along x"):
+        room(sessions, None, ((-0.01, -1.0, -1.0), (0.01, 1.0, 1.0)))
+    with pytest.raises(ParameterError, match="along z"):  # where the arm is now counts
+        room(sessions, (0, 0, 0.5, math.pi, 0, 0), ((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)))
+    low, high = room(sessions, None, None, 0.01)
+    np.testing.assert_allclose((low, high), ((-0.03, -0.03, -0.0115), (0.03, 0.03, 0.014)), atol=1e-9)

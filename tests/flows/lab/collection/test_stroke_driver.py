@@ -1,0 +1,222 @@
+import asyncio
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from connectors.ur.ur_state import State
+from flows.graph.testing import run_virtually
+from flows.lab.collection.arm_path import Extent, Place, Pose, Slide, Trace
+from flows.lab.collection.contact_monitor import Felt
+from flows.lab.collection.stroke_driver import Driver
+from flows.lab.collection.stroke_plan import Session, StrokePlan
+from flows.lab.collection.surfaces import Surface
+from flows.run.clocks import LoopClock
+from operators import EndpointError, s
+from operators.ports import Json
+
+PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
+REST = (0.0,) * 6
+
+
+@dataclass
+class TestArm:
+    """Is where it is sent as soon as the time for it has passed."""
+
+    __test__ = False
+    state: State = field(default_factory=lambda: State(PLACE, REST))
+    ways: list[Pose] = field(default_factory=list[Pose])
+    stops: int = 0
+    fault: str = ""
+    surface: float = 0.002  # m below where it is sought
+    tared: list[float] = field(default_factory=list[float])  # m, heights
+
+    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
+        await self.wait(seconds)
+        self.state = State(pose, REST)
+        self.ways.append(pose)
+
+    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
+        slide = Slide(velocity, seconds, acceleration)
+        here = cast("Pose", self.state.pose)
+        await self.wait(slide.seconds(here))
+        self.state = State(slide.end(here), REST)
+        self.ways.append(slide.end(here))
+
+    async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
+        await self.wait(seconds)
+        self.state = State((*places[-1], *self.state.pose[3:]), REST)
+        self.ways += [cast("Pose", (*place, *self.state.pose[3:])) for place in places]
+
+    async def tare(self, seconds: float) -> None:
+        await self.wait(seconds)
+        self.tared.append(self.state.pose[2])
+
+    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> float:
+        part = self.surface / math.hypot(*way)  # of the way, until it is felt
+        await self.wait(part * math.hypot(*way) / speed)
+        x, y, z, *turned = self.state.pose
+        self.state = State((x + part * way[0], y + part * way[1], z + part * way[2], *turned), REST)
+        return 1.1 * force
+
+    async def wait(self, seconds: float) -> None:
+        await asyncio.sleep(seconds)
+        if self.fault:
+            raise EndpointError("arm", self.fault)
+
+    async def stop(self) -> None:
+        self.stops += 1
+
+    def fail(self, why: str) -> None:
+        self.fault = why
+
+
+class Pressed(Felt):
+    """Feels what a test says."""
+
+    def __init__(self, untouched: list[int]) -> None:
+        super().__init__()
+        self._untouched = untouched
+
+    def untouched(self) -> list[int]:
+        return self._untouched
+
+
+def session(strokes: int = 2, *, rotations: bool = False, force: float | None = None) -> Session:
+    plan = StrokePlan(
+        speeds=() if rotations else (0.1,), repeats=1, rotations=int(rotations), rounds=1, force=force
+    )
+    (whole,) = plan.sessions([Surface("sphere", PLACE)], seed=0)
+    return replace(whole, strokes=whole.strokes[:strokes])
+
+
+@dataclass
+class Driven:
+    arm: TestArm
+    driver: Driver
+    episodes: list[dict[str, Any]]
+    seconds: float
+
+
+def drive(
+    planned: Session,
+    *acts: tuple[float, str],
+    fault: str = "",
+    untouched: Sequence[int] = (),
+    blind: bool = False,
+) -> Driven:
+    """A session that was driven; acts of the driver (or a fault of the arm) come at their seconds."""
+
+    async def main() -> Driven:
+        clock, arm, episodes = LoopClock(0), TestArm(), list[Json]()
+        driver = Driver(arm, clock, blind=blind)
+        await driver.follow([planned.begin])
+        loop, began = asyncio.get_running_loop(), clock.now()
+        for after, act in acts:
+            loop.call_later(after, getattr(driver, act) if act else lambda: setattr(arm, "fault", fault))
+        try:
+            await driver.carry_out(planned, episodes, Pressed([*untouched]))
+        except EndpointError as error:
+            assert fault in error.reason  # noqa: PT017 - it may also go well
+            assert fault
+        return Driven(arm, driver, cast("list[dict[str, Any]]", episodes), (clock.now() - began) / s)
+
+    return run_virtually(main())
+
+
+@pytest.mark.parametrize("rotations", [False, True])
+def test_a_session_takes_its_path_and_the_time_that_was_planned(rotations: bool) -> None:  # noqa: FBT001
+    planned = session(rotations=rotations)
+    driven = drive(planned)
+    reach = Extent.of(planned.steps, planned.begin.pose)
+    assert driven.seconds == pytest.approx(reach.seconds, abs=1e-6)
+    np.testing.assert_allclose(driven.arm.state.pose, reach.end)
+    assert driven.driver.strokes == 2
+    assert not driven.arm.stops
+
+
+def test_each_contact_is_an_episode_as_datasets_have_them() -> None:
+    planned = session(3)
+    air, *strokes = drive(planned).episodes
+    assert (air["motion"], (air["end"] - air["start"]) / s) == ("hold", pytest.approx(1.5))
+    for stroke, episode in zip(planned.strokes, strokes, strict=True):
+        told = {key: episode[key] for key in episode if key not in ("start", "end")}
+        assert told == {
+            "motion": "translation",
+            "axis": stroke.axis,
+            "direction_deg": stroke.direction_deg,
+            "speed": 0.1,
+            "curvature": "sphere",
+            "split": planned.split,
+            "depth": 0.0015,
+            "force": None,
+        }
+        arc = 2 * 0.06 * math.asin(0.03 / 0.06)  # m, but for the chords
+        seconds = 2 * 0.4 + arc / 0.1 + 0.1 / 0.5
+        assert (episode["end"] - episode["start"]) / s == pytest.approx(seconds, abs=1e-3)
+    assert all(a["end"] <= b["start"] for a, b in zip([air, *strokes], strokes, strict=False))
+
+
+def test_a_paused_stroke_is_stopped_raised_and_made_again() -> None:
+    planned = session(2)
+    driven = drive(planned, (3.5, "pause"), (60.0, "resume"))
+    assert driven.arm.stops == 1
+    assert driven.driver.strokes == 2
+    assert 60 < driven.seconds < 60 + Extent.of(planned.steps, planned.begin.pose).seconds
+    interrupted, again = driven.episodes[1:3]
+    assert interrupted["direction_deg"] == again["direction_deg"]
+    assert interrupted["end"] - interrupted["start"] < again["end"] - again["start"]
+    assert again["start"] > 60 * s
+    raised = driven.arm.ways[3]  # begin, over it, down, and after the pause
+    np.testing.assert_allclose(raised[2], 0.11)
+
+
+def test_a_pause_between_strokes_makes_none_twice() -> None:
+    driven = drive(session(2), (0.1, "pause"), (60.0, "resume"))  # while it is in the air
+    assert [each["motion"] for each in driven.episodes] == ["hold", "translation", "translation"]
+    assert driven.seconds > 60
+
+
+def test_an_arm_that_had_to_be_stopped_ends_the_session_and_its_episode() -> None:
+    driven = drive(session(2), (3.5, ""), fault="emergency stop")
+    assert driven.driver.strokes == 0
+    assert driven.episodes[-1]["end"] <= driven.seconds * s + 1.5 * s
+
+
+def test_an_arm_that_has_to_be_stopped_while_it_is_paused_ends_at_once() -> None:
+    driven = drive(session(2), (3.5, "pause"), (20.0, ""), fault="interrupted")
+    assert driven.arm.fault == "interrupted"
+    assert 20 <= driven.seconds < 20.1
+
+
+def test_a_stroke_that_a_fingertip_does_not_feel_is_the_last() -> None:
+    driven = drive(session(2), fault="fingertip 1 felt nothing of a stroke", untouched=[1])
+    assert [each["motion"] for each in driven.episodes] == ["hold", "translation"]
+    assert "just touch the surface" in driven.arm.fault
+    assert driven.arm.state.pose[2] == pytest.approx(0.11)  # in the air again
+
+
+def test_who_wants_to_goes_on_unfelt() -> None:
+    driven = drive(session(2), untouched=[0], blind=True)
+    assert (driven.driver.strokes, driven.arm.fault) == (2, "")
+
+
+def test_a_stroke_with_a_force_keeps_to_the_depth_at_which_it_was_felt() -> None:
+    planned = session(2, force=2.0)
+    driven = drive(planned)
+    assert driven.driver.strokes == 2
+    traces = [step for stroke in planned.strokes for step in stroke.contact if isinstance(step, Trace)]
+    ways = np.array([way[:3] for way in driven.arm.ways])  # (n, 3)
+    first = 3  # of the stroke's ways, after those to begin, over it and near it
+    for trace in traces:  # felt 2 of 5 mm down
+        gone = ways[first : first + len(trace.places)]
+        np.testing.assert_allclose(gone, np.add(trace.places, (0, 0, 0.003)), atol=1e-9)
+        first += len(trace.places) + 3  # up, over the next, near it
+    _, *strokes = driven.episodes
+    assert [each["depth"] for each in strokes] == pytest.approx([0.001] * 2)  # 2 mm from 1 mm above it
+    assert [each["force"] for each in strokes] == pytest.approx([2.2] * 2)
+    assert driven.arm.tared == pytest.approx([0.11] * 2)  # in the air
+    assert driven.arm.state.pose[2] == pytest.approx(0.11)

@@ -1,0 +1,66 @@
+import math
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from connectors.sim.scene import Curvature, Scene
+from flows.lab.collection.arm_path import Pose
+from flows.lab.collection.surfaces import STEEPEST, Spot, Surface
+from operators import ParameterError
+
+PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
+CURVATURES: list[Curvature] = ["plane", "sphere", "cylinder_x", "cylinder_y"]
+
+
+@pytest.mark.parametrize("curvature", CURVATURES)
+def test_a_surface_is_curved_as_the_simulated_one_unless_told_otherwise(curvature: Curvature) -> None:
+    assert Surface(curvature, PLACE).curvatures == Scene(curvature=curvature).curvatures
+    assert max(Surface("sphere", PLACE, 0.1).curvatures) == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize("place", [PLACE, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
+def test_the_fingertip_stays_on_a_sphere(place: Pose) -> None:
+    surface = Surface("sphere", place, 0.05)
+    centre = np.array(Surface("plane", place).at(0.0, 0.0, 0.05)[:3])
+    for x, y in ((0.0, 0.0), (0.02, -0.01), (-0.03, 0.0)):
+        for depth in (0.0, 0.002):
+            *here, a, b, c = surface.at(x, y, depth)
+            inward = np.array(Surface("plane", place).at(0.0, 0.0, depth)[:3]) - place[:3]
+            assert math.dist(np.array(here) - inward, centre) == pytest.approx(0.05)
+            assert (a, b, c) == place[3:]
+
+
+def test_the_way_along_a_cylinder_is_straight_and_across_it_bends() -> None:
+    surface = Surface("cylinder_x", PLACE)
+    assert surface.bends(0.03, 0.0) == [1.0]
+    across = surface.bends(0.0, -0.03)
+    assert across[-1] == 1.0
+    assert min(across) > -1.0
+    assert np.diff(across).max() * 0.03 <= 0.002 + 1e-12
+
+
+def test_a_way_too_far_over_the_side_is_refused_with_the_least_radius() -> None:
+    Surface("sphere", PLACE, 0.03 / math.sin(STEEPEST) * 1.001).bends(0.03, 0.0)
+    with pytest.raises(ParameterError, match=r"0\.0424 m or more for strokes that reach 0\.0300 m"):
+        Surface("sphere", PLACE, 0.04).bends(0.03, 0.0)
+    with pytest.raises(ParameterError, match=r"0\.0300 m or more for strokes that reach 0\.0300 m"):
+        Surface("cylinder_y", PLACE, 0.02).bends(0.03 * math.sqrt(0.5), 0.03 * math.sqrt(0.5))
+    Surface("cylinder_x", PLACE, 0.02).bends(0.03, 0.0)  # along its axis
+
+
+def test_a_surface_that_is_asked_for_is_where_the_arm_is_unless_it_has_a_place() -> None:
+    assert Spot("plane").surface(PLACE) == Surface("plane", PLACE)
+    there: Pose = (0.1, 0.2, 0.3, math.pi, 0.0, 0.0)
+    assert Spot("sphere", there, 0.1).surface(PLACE) == Surface("sphere", there, 0.1)
+
+
+@pytest.mark.parametrize("radius", [0.0, -0.06, math.inf, math.nan])
+def test_a_radius_that_cannot_be_is_refused(radius: float) -> None:
+    with pytest.raises(ParameterError, match="radius"):
+        Surface("sphere", PLACE, radius)
+
+
+def test_a_curvature_that_there_is_not_is_refused() -> None:
+    with pytest.raises(ParameterError, match="cylinder_x"):
+        Surface(cast("Any", "cube"), PLACE)

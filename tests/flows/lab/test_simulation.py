@@ -1,0 +1,231 @@
+"""Simulated datasets: the same bytes, whole or not there, and the same as a live recording."""
+
+import hashlib
+import json
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from connectors import Rig
+from flows.graph import Flow
+from flows.graph.testing import run_virtually
+from flows.lab.simulation import Collected, recordings, simulate
+from flows.learn.splits import SPLITS
+from flows.record import declare_recording
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from operators import Label, ms
+from operators.errors import EndpointError, ParameterError, SlipflowError
+from storage import Dataset, Session
+from tests.command import slipflow
+
+
+def hashes(folder: Path) -> dict[str, str]:
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest() for path in files
+    }
+
+
+def sessions(dataset: Path) -> list[Session]:
+    return [Session.open(path) for path in sorted((dataset / "sessions").iterdir())]
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Collected:
+    """The tiny plan, simulated with seed 0."""
+    return simulate(tmp_path_factory.mktemp("tiny") / "tiny", "tiny", 0, jobs=1)
+
+
+def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(
+    tmp_path: Path, tiny: Collected
+) -> None:
+    again = simulate(tmp_path / "elsewhere" / "again", "tiny", 0, jobs=2)
+    assert hashes(again.out) == hashes(tiny.out)
+    assert again.splits == tiny.splits
+
+
+def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: Collected) -> None:
+    other = hashes(simulate(tmp_path / "other", "tiny", 1, jobs=1).out)
+    same = {path for path, sha256 in hashes(tiny.out).items() if other[path] == sha256}
+    assert same == {"dataset.json"}
+    assert len(other) > 50
+
+
+def test_every_session_is_complete_and_readable(tiny: Collected) -> None:
+    planned = {each.session: each for each in recordings("tiny", 0)}
+    found = sessions(tiny.out)
+    assert {session.name for session in found} == set(planned)
+    for session in found:
+        about = session.about
+        assert about["complete"] is True
+        assert (about["host"], about["start_ns"]) == ("simulated", planned[session.name].start)
+        assert session.tables == ("touch", "motion", "samples", "episodes")
+        assert len(session.frame("touch")) == len(session.frame("samples")) > 500
+        assert len(session.frame("motion")) > 1.2 * len(session.frame("touch"))
+        assert set(session.frame("episodes")["split"]) == {planned[session.name].split}
+        assert set(session.frame("episodes")["curvature"]) == {planned[session.name].scene.curvature}
+        assert (session.frame("samples")["episode"][:-1] >= 0).all()  # the last may come with the plan's end
+
+
+def test_the_tallies_are_those_of_the_files(tiny: Collected) -> None:
+    samples = pl.read_parquet(f"{tiny.out}/sessions/*/samples/*.parquet")
+    labels = Counter(samples["label"].to_list())
+    assert (tiny.all.samples, tiny.all.static, tiny.all.slip) == (len(samples), labels[0], labels[1])
+    assert tiny.all.sessions == len(sessions(tiny.out))
+    assert labels[-1] < 0.01 * len(samples)
+    assert 0.5 < tiny.all.static_share < 0.7
+    assert all(tiny.splits[split].sessions for split in SPLITS)
+
+
+def test_rotations_are_slips_although_the_tcp_stands_still(tiny: Collected) -> None:
+    session = Session.open(tiny.out / "sessions" / "sphere-rotation-01")
+    samples = session.frame("samples").filter(pl.col("label") == 1)
+    assert len(samples) > 100
+    assert samples["speed"].max() == 0.0
+    assert samples["velocity"].arr.get(5).abs().min() > 0.2  # type: ignore[operator]
+
+
+def test_a_session_is_what_the_live_flow_records_of_the_same_scene(tmp_path: Path, tiny: Collected) -> None:
+    planned = recordings("tiny", 0)[1]
+
+    async def live() -> None:
+        flow = Flow("simulate")
+        rig = Rig(planned.scene, planned.seed, pace=1.0)
+        declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), Dataset(tmp_path))
+        await LiveRunner(flow, planned.session, clock=LoopClock(planned.start)).execute()
+
+    run_virtually(live())
+    recorded, simulated = Session.open(tmp_path), Session.open(tiny.out / "sessions" / planned.session)
+    for table in ("touch", "motion", "samples"):
+        assert recorded.frame(table).equals(simulated.frame(table)), table
+    assert recorded.frame("episodes").drop("split").equals(simulated.frame("episodes").drop("split"))
+    assert recorded.about["sources"] == simulated.about["sources"]
+
+
+def test_a_delay_moves_the_labels_and_nothing_else(tmp_path: Path, tiny: Collected) -> None:
+    delayed = simulate(tmp_path / "delayed", "tiny", 0, delay=70 * ms, jobs=1)
+    for one, other in zip(sessions(tiny.out), sessions(delayed.out), strict=True):
+        before, after = one.frame("samples"), other.frame("samples")
+        assert before.drop("speed", "label").equals(after.drop("speed", "label"))
+        assert before["label"][7:].to_list() == after["label"][:-7].to_list()
+
+
+@pytest.mark.parametrize("seed", [0, 1, 12345])
+def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(seed: int) -> None:
+    planned = recordings("paper", seed)
+    assert len({each.session for each in planned}) == len(planned) == 128
+    assert len({each.start for each in planned}) == len({each.seed for each in planned}) == 128
+    count = Counter(each.split for each in planned)
+    assert (count["train"], count["validation"], count["test"]) == (89, 13, 26)
+    groups = Counter((each.session[:-3], each.split) for each in planned)
+    for curvature in ("plane", "sphere", "cylinder_x", "cylinder_y"):
+        assert groups[f"{curvature}-rotation", "test"] == 1
+        for speed in ("050", "075", "100"):
+            group = f"{curvature}-{speed}"
+            assert 5 <= groups[group, "train"] <= 7
+            assert 1 <= groups[group, "test"] <= 2
+        assert 2 <= sum(groups[f"{curvature}-{speed}", "validation"] for speed in ("050", "075", "100")) <= 3
+
+
+def test_the_split_depends_on_the_seed_alone() -> None:
+    split = [[each.split for each in recordings("paper", seed)] for seed in (0, 0, 1)]
+    assert split[0] == split[1] != split[2]
+
+
+@pytest.mark.slow
+def test_the_papers_plan_has_the_papers_size(tmp_path: Path) -> None:
+    done = simulate(tmp_path / "paper", "paper", 0)
+    assert abs(done.all.samples - 266_502) < 5_000
+    assert abs(done.all.static_share - 0.54) < 0.02
+
+
+def test_what_fails_on_the_way_leaves_nothing(tmp_path: Path) -> None:
+    def stop(done: int, of: int) -> None:
+        if done == 2:
+            assert (tmp_path / "out.partial").is_dir()
+            raise KeyboardInterrupt(of)
+
+    for jobs in (1, 2):
+        with pytest.raises(KeyboardInterrupt):
+            simulate(tmp_path / "out", "tiny", 0, jobs=jobs, progress=stop)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_in_another_process_is_one_line_too(tmp_path: Path) -> None:
+    def spoil(done: int, of: int) -> None:
+        if done == 0:
+            (tmp_path / "out.partial" / "sessions").write_text("")  # no folder
+        assert of == 12
+
+    with pytest.raises(SlipflowError, match=r"out\.partial: cannot be written") as caught:
+        simulate(tmp_path / "out", "tiny", 0, jobs=2, progress=spoil)
+    assert "\n" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_killed_does_not_look_complete_and_is_told_of(tmp_path: Path) -> None:
+    code = (
+        "import os, signal; from pathlib import Path; from flows.lab.simulation import simulate\n"
+        "def kill(done, of): done == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
+        f"simulate(Path({str(tmp_path / 'out')!r}), 'tiny', 0, jobs=2, progress=kill)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=False)
+    assert done.returncode == -signal.SIGKILL  # and its workers ended: they held the pipes
+    assert [path.name for path in tmp_path.iterdir()] == ["out.partial"]
+    with pytest.raises(EndpointError, match=r"out\.partial: is being written, or what is left"):
+        simulate(tmp_path / "out", "tiny", 0)
+
+
+def test_a_folder_that_is_there_is_kept_unless_it_is_empty(tmp_path: Path, tiny: Collected) -> None:
+    (tmp_path / "file").write_text("")
+    before = hashes(tiny.out)
+    for path in (tiny.out, tmp_path / "file"):
+        with pytest.raises(EndpointError, match="must be a new or empty folder"):
+            simulate(path, "tiny", 0)
+    with pytest.raises(EndpointError, match="cannot be written: "):
+        simulate(tmp_path / "file" / "below", "tiny", 0)
+    assert hashes(tiny.out) == before
+    (tmp_path / "empty").mkdir()
+    assert hashes(simulate(tmp_path / "empty", "tiny", 0, jobs=1).out) == before
+
+
+def test_parameters_that_cannot_be_are_told_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="plan is 'papre', must be one of paper, wide, tiny"):
+        simulate(tmp_path / "out", "papre")
+    with pytest.raises(ParameterError, match="seed is -1, must be 0 or above"):
+        simulate(tmp_path / "out", "tiny", -1)
+    with pytest.raises(ParameterError, match="jobs is 0, must be 1 or above"):
+        simulate(tmp_path / "out", "tiny", jobs=0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_command_simulates_and_says_how_to_open_it(tmp_path: Path, tiny: Collected) -> None:
+    out = tmp_path / "data"
+    done = slipflow("simulate", out, "--plan", "tiny")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert lines[3].startswith("all          12 sessions   13,")
+    opening = lines[-1].replace("python", sys.executable, 1)
+    opened = subprocess.run(opening, shell=True, capture_output=True, text=True, check=True)  # noqa: S602
+    assert f"shape: ({tiny.all.samples:_}, " in opened.stdout
+    assert done.stderr == ""
+
+    again = slipflow("simulate", out, "--plan", "tiny")
+    assert again.returncode == 2
+    assert again.stderr.startswith(f"error: {out}: must be a new or empty folder")
+
+
+def test_the_command_tells_a_program(tmp_path: Path, tiny: Collected) -> None:
+    out = tmp_path / "data"
+    done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["seconds"] > 0
+    assert {**told, "seconds": 0, "dataset": ""} == {**tiny.summary(), "seconds": 0, "dataset": ""}
+    assert hashes(out) == hashes(tiny.out)

@@ -1,0 +1,86 @@
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from flows.learn.evaluation import debounce_tuning as tuning
+from flows.learn.evaluation.debounce_tuning import Joined, run_lengths, tuned
+from flows.learn.evaluation.event_metrics import EventMetrics, Slips
+from flows.learn.labelled_recordings import Trial
+from operators import Debounce
+from operators.batch import Reals
+
+
+def recordings(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Reals], list[Slips]]:
+    """Slips, and probabilities that follow them 20 ms late, with errors that last some samples."""
+    random = np.random.default_rng(seed)
+    found, slips = list[Reals](), list[Slips]()
+    for _ in range(number):
+        label = np.repeat(random.integers(0, 2, 40), random.integers(20, 60, 40)).astype(np.int8)
+        wander = np.repeat(random.normal(size=len(label) // 3 + 1), 3)[: len(label)]
+        logit = np.roll(label, 2) * 6 - 3 + noise * 2 * wander
+        probability = 1 / (1 + np.exp(-logit))
+        probability[random.random(len(label)) < 0.01] = np.nan
+        found.append(probability)
+        slips.append(Slips.labelled(Trial(np.zeros((len(label), 6), np.int16), label, "plane")))
+    return found, slips
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    threshold=st.sampled_from(tuning.THRESHOLDS),
+    consecutive=st.integers(1, 5),
+    release=st.integers(1, 12),
+)
+def test_a_setting_is_judged_as_the_operator_would_have_it(
+    seed: int, threshold: float, consecutive: int, release: int
+) -> None:
+    found, slips = recordings(seed)
+    joined = Joined.of(found, slips)
+    with np.errstate(invalid="ignore"):
+        slip, static = joined.probability >= threshold, joined.probability < threshold
+    quick = joined.judged(run_lengths(slip) >= consecutive, run_lengths(static) >= release)
+    felt = EventMetrics.of(found, slips, Debounce(threshold, consecutive, release))
+    assert (quick.false, quick.missed, quick.repeated) == (felt.false_alarms, felt.missed, felt.repeated)
+    if len(felt.delays):
+        assert quick.delay * 10 == pytest.approx(felt.delays.mean())
+    assert joined.minutes == pytest.approx(felt.minutes)
+
+
+@pytest.mark.parametrize("budget", [4.0, 20.0, 80.0])
+def test_the_budget_is_kept_with_a_margin_for_chance(budget: float) -> None:
+    found, slips = recordings(1, number=20)
+    felt = EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100))
+    assert felt.false_alarms + 1 + np.sqrt(felt.false_alarms + 0.75) <= budget * felt.minutes
+
+
+def test_a_larger_budget_is_spent_on_less_delay() -> None:
+    found, slips = recordings(2, number=20)
+    delays = [
+        EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100)).delays.mean()
+        for budget in (4.0, 20.0, 80.0)
+    ]
+    assert delays[0] > delays[1] > delays[2]
+
+
+def test_missed_and_repeated_slips_are_kept_within_their_limits_where_that_can_be() -> None:
+    found, slips = recordings(3, number=10, noise=0.3)
+    felt = EventMetrics.of(found, slips, tuned(found, slips))
+    assert felt.false_alarms_per_min < 2
+    assert felt.missed <= 2
+    assert felt.repeated <= 2
+
+
+def test_where_no_setting_keeps_the_budget_the_fewest_false_alarms_win() -> None:
+    found, slips = recordings(4, noise=2.0)
+    chosen = tuned(found, slips, budget=0.0)
+    fewest = EventMetrics.of(found, slips, chosen).false_alarms
+    for other in (Debounce(), Debounce(0.9, 3, 3), Debounce(0.95, 5, 12)):
+        assert fewest <= EventMetrics.of(found, slips, other).false_alarms
+
+
+def test_without_recordings_the_settings_are_valid() -> None:
+    assert len(astuple(tuned([], []))) == len(astuple(Debounce()))

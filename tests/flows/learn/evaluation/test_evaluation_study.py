@@ -1,0 +1,110 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.learn.evaluation import evaluation_study as module
+from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
+from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.labelled_recordings import Trial, load
+from flows.learn.scoring import probabilities
+from operators import Debounce
+from operators.batch import Codes
+from operators.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def found(tiny: Path) -> Evaluation:
+    return evaluate(tiny, names=["psd", "logistic"])
+
+
+def test_the_scores_are_those_of_the_test_split(found: Evaluation, tiny: Path) -> None:
+    trials = [trial for trial in load(tiny) if trial.split == "test"]
+    result = found["psd"]
+    called = [probabilities(result.method.detector, trial)[99:] >= 0.5 for trial in trials]
+    truth = [trial.slip[99:] for trial in trials]
+    expected = Confusion.of(np.concatenate(called), np.concatenate(truth))
+    assert result.confusion.counts.tolist() == expected.counts.tolist()
+    assert result.cells.confusion().counts.tolist() == expected.counts.tolist()
+    assert result.changes.errors.sum() == expected.counts[0, 1] + expected.counts[1, 0]
+    assert result.reliability.number.sum() == found.samples == expected.counts.sum()
+    assert found.recordings == len(trials)
+
+
+def test_the_most_accurate_comes_first(found: Evaluation) -> None:
+    accuracy = [result.confusion.accuracy for result in found.results]
+    assert accuracy == sorted(accuracy, reverse=True)
+    assert {result.method.name for result in found.results} == {"psd", "logistic"}
+
+
+def test_a_simulated_dataset_is_held_against_the_truth_too(found: Evaluation) -> None:
+    assert found.label is not None
+    assert 70 < found.label.accuracy < 99
+    for result in found.results:
+        assert result.sliding is not None
+        assert result.sliding_events is not None
+        assert result.sliding.counts.sum() == result.confusion.counts.sum()
+        assert result.sliding_events.slips > 0
+
+
+def test_the_summary_has_every_number_that_is_promised(found: Evaluation) -> None:
+    shares = ["accuracy", "precision", "recall", "f1", "balanced", "auc", "ece"]
+    for result in found.results:
+        summary = result.summary()
+        assert {*shares, "false_alarms_per_min", "missed", "onset_ms"} < set(summary)
+        assert all(0 <= summary[name] <= 100 for name in shares)
+        assert summary["accuracy"] == pytest.approx(result.confusion.accuracy, abs=1e-3)
+        assert summary["debounce"]["chosen"] == "validation"
+        assert summary["recall"] == summary["accuracy"]
+
+
+def test_nobody_knows_the_truth_of_what_was_not_simulated(
+    tiny: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unknown(_dataset: Path, recorded: Trial) -> Trial:
+        return recorded
+
+    monkeypatch.setattr(module, "with_truth", unknown)
+    found = evaluate(tiny, names=["psd"])
+    assert found.label is None
+    assert found["psd"].sliding is None
+    assert "sliding" not in found["psd"].summary()
+
+
+def test_without_a_validation_split_the_papers_rule_stands(
+    tiny: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def some(dataset: Path) -> list[Trial]:
+        return [
+            replace(each, split="train") if each.split == "validation" else each for each in load(dataset)
+        ]
+
+    monkeypatch.setattr(module, "load", some)
+    result = evaluate(tiny, names=["psd"])["psd"]
+    assert result.debounce == Debounce(0.5, 2, 2)
+    assert result.chosen.startswith("the paper")
+    assert result.events.false_alarms == result.paper_rule.false_alarms
+
+
+def _doubtful(label: Codes) -> Codes:
+    return np.where(np.arange(len(label)) // 100 == 5, -1, label).astype(np.int8)
+
+
+def test_samples_whose_label_is_not_known_are_not_judged(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def doubtful(dataset: Path) -> list[Trial]:
+        return [replace(each, label=_doubtful(each.label)) for each in load(dataset)]
+
+    monkeypatch.setattr(module, "load", doubtful)
+    found = evaluate(tiny, names=["psd"], split="all")
+    lengths = [len(trial) for trial in load(tiny)]
+    assert found.samples == sum(length - 99 - 100 for length in lengths)
+
+
+def test_what_there_is_not_is_refused(tiny: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has no split 'holdout'; it has test, train, validation"):
+        evaluate(tiny, split="holdout")
+    with pytest.raises(InputError, match="holds no labelled samples"):
+        evaluate(tmp_path)
+    with pytest.raises(InputError, match="oracle: is no method"):
+        evaluate(tiny, names=["oracle"])

@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+
+from flows.learn.evaluation.event_metrics import (
+    BRIEF,
+    PAUSE,
+    PERIOD,
+    EventMetrics,
+    Slips,
+    bridged,
+    filled,
+    onsets,
+)
+from flows.learn.labelled_recordings import JUDGED, Trial
+from operators import Debounce, ms
+from operators.batch import Codes, Reals
+
+TWICE = Debounce(0.5, consecutive=2, release=2)
+
+
+def label(samples: int, *runs: tuple[int, int]) -> Codes:
+    """Slip from the first to before the second of each run."""
+    result = np.zeros(samples, np.int8)
+    for first, end in runs:
+        result[first:end] = 1
+    return result
+
+
+def sure(samples: int, *runs: tuple[int, int]) -> Reals:
+    return np.where(label(samples, *runs), 0.9, 0.1)
+
+
+def slips(codes: Codes) -> Slips:
+    return Slips.labelled(Trial(np.zeros((len(codes), 6), np.int16), codes, "plane"))
+
+
+def seconds(*stretches: tuple[int, int]) -> tuple[tuple[int, int], ...]:
+    """First and last sample as times."""
+    return tuple((first * PERIOD, last * PERIOD) for first, last in stretches)
+
+
+def test_a_slip_is_a_run_of_the_label() -> None:
+    found = slips(label(400, (150, 200), (300, 340)))
+    assert found.found == seconds((150, 199), (300, 339))
+    assert found.excused == ()
+    assert found.static == (400 - JUDGED - 90) * PERIOD
+
+
+def test_a_slip_goes_on_over_a_short_pause() -> None:
+    pause = PAUSE // PERIOD
+    assert slips(label(400, (150, 200), (199 + pause, 250))).found == seconds((150, 249))
+    assert len(slips(label(400, (150, 200), (200 + pause, 250))).found) == 2
+
+
+def test_a_brief_slip_and_one_from_before_the_judged_part_are_excused() -> None:
+    brief = BRIEF // PERIOD
+    found = slips(label(400, (80, 130), (200, 199 + brief), (300, 300 + brief)))
+    assert found.found == seconds((300, 299 + brief))
+    assert found.excused == seconds((80, 129), (200, 198 + brief))
+
+
+def test_where_nobody_knows_nothing_is_false_or_static() -> None:
+    codes = label(400, (150, 200))
+    codes[300:] = -1
+    found = slips(codes)
+    assert found.excused == seconds((300, 399))
+    assert found.static == (300 - JUDGED - 50) * PERIOD
+    felt = EventMetrics.of([sure(400, (150, 200), (330, 340))], [found], TWICE)
+    assert felt.false_alarms == 0
+
+
+def test_true_sliding_is_known_only_of_simulated_trials() -> None:
+    sliding = label(400, (150, 170), (180, 200)) == 1
+    trial = Trial(np.zeros((400, 6), np.int16), label(400), "plane", sliding=sliding)
+    slid = Slips.slid(trial)
+    assert slid is not None
+    assert slid.found == seconds((150, 199))
+    assert Slips.slid(Trial(trial.counts, trial.label, "plane")) is None
+
+
+def test_pauses_are_bridged_from_end_to_start() -> None:
+    flags = label(30, (3, 5), (8, 10), (20, 30)) == 1
+    starts, ends = bridged(flags, 50 * ms)
+    assert (starts.tolist(), ends.tolist()) == ([3, 20], [9, 29])
+    assert filled(flags, 50 * ms).tolist() == (label(30, (3, 10), (20, 30)) == 1).tolist()
+    assert filled(flags, 0).tolist() == flags.tolist()
+    assert [len(each) for each in bridged(np.zeros(5, np.bool_), 0)] == [0, 0]
+
+
+def test_onsets_come_from_the_operator_after_the_judged_part_begins() -> None:
+    probability = sure(400, (50, 120), (200, 201), (300, 310))
+    assert (onsets(probability, TWICE) // PERIOD).tolist() == [JUDGED + 1, 301]
+
+
+def test_what_is_felt_is_counted_and_timed() -> None:
+    true = slips(label(1200, (200, 250), (400, 450), (600, 650)))
+    probability = sure(1200, (205, 220), (230, 240), (405, 406), (598, 640), (1000, 1010))
+    felt = EventMetrics.of([probability], [true], TWICE)
+    assert felt.delays.tolist() == [60, -10]
+    assert (felt.missed_slips, felt.false_alarms, felt.repeats, felt.slips) == (1, 1, 1, 3)
+    assert felt.missed == pytest.approx(100 / 3)
+    assert felt.repeated == pytest.approx(100 / 3)
+    assert felt.minutes == pytest.approx((1200 - JUDGED - 150) / 6000)
+    assert felt.false_alarms_per_min == pytest.approx(1 / felt.minutes)
+    assert (felt.onset_ms, felt.quantile(1)) == (25, 60)
+
+
+def test_a_detector_that_always_says_slip_misses_all_but_what_it_began_in() -> None:
+    true = slips(label(1200, (200, 250), (400, 450)))
+    felt = EventMetrics.of([np.full(1200, 0.9)], [true], TWICE)
+    assert (felt.missed, felt.false_alarms) == (100, 1)
+
+
+def test_no_recordings_are_felt_as_nothing() -> None:
+    felt = EventMetrics.of([], [], TWICE)
+    assert felt.slips == 0
+    assert np.isnan([felt.false_alarms_per_min, felt.missed, felt.onset_ms, felt.repeated]).all()

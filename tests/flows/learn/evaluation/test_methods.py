@@ -1,0 +1,94 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flows.learn.evaluation.methods import FITTED, methods
+from flows.learn.labelled_recordings import Trial
+from operators import Debounce
+from operators.detectors import TRAINED, Psd
+from operators.detectors.paper_tcn import shapes
+from operators.errors import InputError
+from storage import save_weights
+
+
+@pytest.fixture(scope="module")
+def training() -> list[Trial]:
+    """Two recordings in which slip shakes every barometer."""
+    random = np.random.default_rng(0)
+    label = np.repeat(np.arange(16) % 2, 50).astype(np.int8)
+    spread = np.where(label, 40, 1)[:, None]
+    counts = (random.normal(0, spread, (800, 6)).round().astype(np.int16) for _ in range(2))
+    return [Trial(each, label, "plane", split="train") for each in counts]
+
+
+def model(path: Path, **about: object) -> Path:
+    """A file of the paper's network, with a card."""
+    random = np.random.default_rng(0)
+    weights = {name: random.normal(size=shape).astype(np.float32) + 1 for name, shape in shapes().items()}
+    save_weights(path, weights, {"detector": "paper_tcn"})
+    if about:
+        path.with_suffix(".json").write_text(json.dumps(about))
+    return path
+
+
+def test_the_fitted_ones_know_the_training_split(training: list[Trial]) -> None:
+    found, missing = methods(training, names=["psd", "psd_1s", "logistic"])
+    assert {method.name: method.detector.length for method in found} == {
+        "logistic": 41,
+        "psd": 25,
+        "psd_1s": 100,
+    }
+    assert not missing
+    psd = next(method.detector for method in found if method.name == "psd")
+    assert isinstance(psd, Psd)
+    assert psd.threshold != Psd().threshold
+
+
+def test_without_a_training_split_the_fitted_ones_are_missing_and_say_why() -> None:
+    found, missing = methods([], names=["psd", "gradient_boosting"])
+    assert found == []
+    assert set(missing) == {"psd", "gradient_boosting"}
+    assert "no training split" in missing["psd"]
+
+
+def test_a_model_is_named_as_its_detector_and_the_next_of_its_kind_as_its_file(tmp_path: Path) -> None:
+    files = [model(tmp_path / f"{name}.safetensors") for name in ("one", "two")]
+    folder = tmp_path / "again"
+    folder.mkdir()
+    files.append(model(folder / "two.safetensors"))
+    names = [method.name for method in methods([], files)[0]]
+    assert names == [*TRAINED, "one", "two", "two_2"]  # the paper's network ships: its name is taken
+
+
+def test_all_trained_ones_are_there_or_missing(training: list[Trial]) -> None:
+    found, missing = methods(training[:1], names=[*TRAINED, "psd"])
+    assert {method.name for method in found} | set(missing) == {*TRAINED, "psd"}
+
+
+def test_only_what_is_asked_for_is_fitted(training: list[Trial]) -> None:
+    told = list[str]()
+    methods(training, names=["psd"], told=told.append)
+    assert told == ["fitting psd"]
+    assert len(FITTED) > 1
+
+
+def test_a_method_that_there_is_not_is_refused(training: list[Trial]) -> None:
+    with pytest.raises(InputError, match="oracle: is no method: there are"):
+        methods(training, names=["psd", "oracle"])
+
+
+def test_a_card_says_how_its_model_is_debounced(tmp_path: Path) -> None:
+    settings: dict[str, Any] = {"threshold": 0.8, "consecutive": 3, "release": 8}
+    path = model(tmp_path / "slow.safetensors", debounce=settings)
+    [method] = [each for each in methods([], [path])[0] if each.origin == path.name]
+    assert method.debounce == Debounce(**settings)
+
+
+def test_a_card_that_says_nonsense_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"odd\.json: debounce"):
+        methods([], [model(tmp_path / "odd.safetensors", debounce={"speed": 1})])
+    with pytest.raises(InputError, match=r"odd\.json: debounce"):
+        methods([], [model(tmp_path / "odd.safetensors", debounce={"consecutive": 0})])

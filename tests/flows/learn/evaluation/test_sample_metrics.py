@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flows.learn.evaluation.sample_metrics import Confusion, Reliability, Roc, percent
+from operators.batch import Flags, Reals
+
+PAIRS = st.lists(st.tuples(st.integers(0, 20), st.booleans()), min_size=2, max_size=60)
+
+
+def split(pairs: list[tuple[int, bool]]) -> tuple[Reals, Flags]:
+    probability, truth = zip(*pairs, strict=True)
+    return np.array(probability) / 20, np.array(truth)
+
+
+def test_known_answers_have_the_known_scores() -> None:
+    truth = np.array([True, True, True, True, False, False])
+    found = Confusion.of(np.array([True, True, True, False, True, False]), truth)
+    assert found.counts.tolist() == [[1, 1], [1, 3]]
+    assert found.accuracy == pytest.approx(100 * 4 / 6)
+    assert found.recalls == pytest.approx((50, 75))
+    assert found.balanced == 62.5
+    assert found.precision == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
+    assert found.recall == pytest.approx(found.accuracy)
+    assert found.f1 == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
+
+
+def test_nothing_to_judge_has_no_score() -> None:
+    found = Confusion.of(np.empty(0, np.bool_), np.empty(0, np.bool_))
+    assert np.isnan([found.accuracy, found.balanced, found.precision, found.f1]).all()
+    assert np.isnan(Roc.of(np.empty(0), np.empty(0, np.bool_)).area)
+    assert np.isnan(Reliability.of(np.empty(0), np.empty(0, np.bool_)).error)
+    assert np.isnan(percent(0, 0))
+
+
+@given(PAIRS)
+def test_weighted_scores_are_those_of_scikit_learn(pairs: list[tuple[int, bool]]) -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
+    probability, truth = split(pairs)
+    called = probability >= 0.5
+    found = Confusion.of(called, truth)
+    expected = metrics.precision_recall_fscore_support(truth, called, average="weighted", zero_division=0)
+    assert (found.precision, found.recall, found.f1) == pytest.approx(100 * np.array(expected[:3]))
+
+
+@given(PAIRS)
+def test_the_area_is_that_of_scikit_learn_ties_included(pairs: list[tuple[int, bool]]) -> None:
+    metrics = pytest.importorskip("sklearn.metrics")
+    probability, truth = split(pairs)
+    area = Roc.of(probability, truth).area
+    if truth.all() or not truth.any():
+        assert np.isnan(area)
+    else:
+        assert area == pytest.approx(metrics.roc_auc_score(truth, probability))
+
+
+def test_a_perfect_detector_has_the_whole_area() -> None:
+    curve = Roc.of(np.array([0.1, 0.2, 0.8, 0.9]), np.array([False, False, True, True]))
+    assert curve.area == 1
+    assert curve.true[1:].min() == 1
+
+
+def test_a_calibrated_detector_has_no_error_and_an_overconfident_one_has() -> None:
+    truth = np.arange(100) % 4 == 0
+    calibrated = Reliability.of(np.full(100, 0.25), truth)
+    assert calibrated.error == pytest.approx(0)
+    assert calibrated.number.tolist() == [0, 0, 100, 0, 0, 0, 0, 0, 0, 0]
+    sure = Reliability.of(np.append(np.full(50, 0.05), np.full(50, 1.0)), truth)
+    assert sure.error == pytest.approx(100 * (0.5 * (13 / 50 - 0.05) + 0.5 * (1 - 12 / 50)))
+    assert np.isnan(sure.slip[1:9]).all()

@@ -1,0 +1,189 @@
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from connectors.sim.paper_plan import Collection
+from connectors.sim.stress_profiles import stressed
+from flows.learn.evaluation.judgement import Judgement
+from flows.learn.labelled_recordings import Trial, simulated_trials
+from flows.learn.scoring import probabilities
+from flows.learn.stress import stress_figure, stress_page
+from flows.learn.stress.stress_fields import GOALS, GRIDS
+from flows.learn.stress.stress_result import Condition, Stress
+from flows.learn.stress.stress_study import judged, stress
+from operators import Debounce
+from operators.batch import Counts, Reals
+from operators.detectors import Detector, Psd
+from operators.errors import ParameterError
+
+TINY = Collection(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
+SEED = 7
+
+
+@dataclass(frozen=True)
+class Always:
+    """Says slip, whatever it feels."""
+
+    length: int = 10
+    name = "always"
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        return np.ones(len(windows))
+
+
+@pytest.fixture(scope="module")
+def found() -> Stress:
+    subjects: dict[str, tuple[Detector, Debounce]] = {
+        "psd": (Psd(), Debounce()),
+        "always": (Always(), Debounce()),
+    }
+    return judged(subjects, {"oracle": "there is none"}, SEED, TINY, jobs=1)
+
+
+def test_every_value_of_every_field_is_judged(found: Stress) -> None:
+    values = {Condition(field, value) for field, grid in GRIDS.items() for value in grid.values}
+    assert found.outcomes.keys() == values
+    assert (found.names, found.recordings) == (("psd", "always"), 1)
+
+
+def test_who_always_says_slip_is_right_half_of_the_time_and_breaks_nowhere(found: Stress) -> None:
+    for field, grid in GRIDS.items():
+        for value in grid.values:
+            if (field, value) != ("dead", 4):
+                assert found.at("always", field, value).balanced == 50
+        if field != "dead":
+            assert set(found.breaking("always", field).values()) == {None}
+
+
+def test_with_more_than_three_dead_cells_there_is_no_score(found: Stress) -> None:
+    for dead in range(5):
+        outcome = found.outcome("dead", dead)
+        assert outcome.unscored == {"psd": 100 * (dead > 3), "always": 100 * (dead > 3)}
+        assert np.isnan(outcome.judged["psd", "label"].balanced) == (dead > 3)
+    assert found.outcome("dead", 4).judged["always", "label"].missed == 100
+    assert found.breaking("always", "dead") == {"up": 4}
+
+
+def test_health_tells_of_dead_stuck_and_floored_cells_but_not_of_noise(found: Stress) -> None:
+    nominal = found.outcome("noise", 0).degraded
+    assert nominal < 50
+    assert found.outcome("dead", 1).degraded == 100
+    assert found.outcome("floored", 1).degraded == 100
+    assert found.outcome("stuck", 1).degraded > 85
+    assert found.outcome("noise", 28).degraded == pytest.approx(nominal, abs=10)
+
+
+def test_nominal_is_the_same_recordings_in_every_field_but_slip_speed(found: Stress) -> None:
+    nominal = {field: found.outcome(field, grid.values[0]) for field, grid in GRIDS.items()}
+    del nominal["slip_speed"]
+    assert len({id(outcome) for outcome in nominal.values()}) == 1
+
+
+def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: Stress) -> None:
+    nominal, off = (found.outcome("motion_clock_offset", value).judged for value in (0, 0.1))
+    assert nominal["psd", "sliding"] == off["psd", "sliding"]
+    assert nominal["psd", "label"] != off["psd", "label"]
+
+
+def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None:
+    trials = simulated_trials(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
+    answers = [probabilities(Psd(), trial) for trial in trials]
+    expected = Judgement.of(trials, answers, Debounce(), "label")
+    assert found.at("psd", "friction", 0.3) == expected
+
+
+def test_a_program_is_told_all_of_it(found: Stress) -> None:
+    told = json.loads(json.dumps(found.json(), allow_nan=False))
+    assert told["methods"] == ["psd", "always"]
+    assert told["missing"] == {"oracle": "there is none"}
+    assert told["fields"].keys() == GRIDS.keys()
+    for field, grid in GRIDS.items():
+        assert told["fields"][field]["values"] == list(grid.values)
+        assert len(told["fields"][field]["degraded"]) == len(grid.values)
+        for name in ("psd", "always"):
+            method = told["fields"][field]["methods"][name]
+            for truth in ("label", "sliding"):
+                keys = ("balanced", "false_alarms_per_min", "missed", "onset_ms")
+                assert [len(method[truth][key]) for key in keys] == [len(grid.values)] * 4
+                assert method[truth]["breaking"].keys() == grid.sides.keys()
+    assert [goal["goal"] for goal in told["goals"]] == [goal.text for goal in GOALS]
+    assert told["goals"][0]["label"]["always"] == 50
+    assert told["fields"]["dead"]["methods"]["psd"]["label"]["balanced"][4] is None
+
+
+def test_two_processes_find_what_one_finds(found: Stress, monkeypatch: pytest.MonkeyPatch) -> None:
+    few = {field: GRIDS[field] for field in ("dead", "slip_speed")}
+    monkeypatch.setattr("flows.learn.stress.stress_study.GRIDS", few)
+    subjects = {"psd": (Psd(), Debounce())}
+    done = list[tuple[int, int]]()
+
+    def progress(number: int, of: int) -> None:
+        done.append((number, of))
+
+    again = judged(subjects, {}, SEED, TINY, jobs=2, progress=progress)
+    assert done == [(number, 10) for number in range(11)]
+    for field, grid in few.items():
+        for value in grid.values:
+            assert repr(again.at("psd", field, value)) == repr(found.at("psd", field, value))
+
+
+def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "flows.learn.stress.stress_study.GRIDS", {"noise": GRIDS["noise"], "dead": GRIDS["dead"]}
+    )
+    seeds, told = list[int](), list[str]()
+
+    def noted(plan: Collection, seed: int, *_: object) -> list[Trial]:
+        seeds.append(seed)
+        return simulated_trials(plan, seed)
+
+    monkeypatch.setattr("flows.learn.stress.stress_study.simulated_trials", noted)
+    found = stress(names=["psd"], seed=SEED, plan=TINY, training=TINY, jobs=1, told=told.append)
+    assert found.names == ("psd",)
+    assert SEED in seeds[2:]
+    assert SEED not in seeds[:2]
+    assert seeds[0] != seeds[1]
+    assert told == ["fitting psd", "tuning psd"]
+
+
+def test_the_page_has_every_section_and_every_figure(
+    found: Stress, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = {field: GRIDS[field] for field in ("noise", "gain", "slip_speed")}  # drawing all takes long
+    monkeypatch.setattr("flows.learn.stress.stress_figure.GRIDS", few)
+    paths = stress_page.write(found, tmp_path, "slipflow stress")
+    assert [path.suffix for path in paths] == [".html", ".md", ".json", *[".svg"] * 6]
+    markdown, page = paths[1].read_text(), paths[0].read_text()
+    assert markdown.count("\n## ") == page.count("<section") == 7
+    assert page.count("<svg ") == 6
+    assert "| slip at 5 mm/s" in markdown
+    assert "Not there: oracle, because there is none." in markdown
+    [line] = [line for line in markdown.splitlines() if line.startswith("| dead cells ")][:1]
+    assert line.strip("| ").split("|")[-1].strip() == "4"
+    for path in paths[3:]:
+        root = ET.parse(path).getroot()  # noqa: S314 - ours
+        drawn = {"".join(text.itertext()) for text in root.iter("{http://www.w3.org/2000/svg}text")}
+        assert {"noise, counts", "gain", "slip speed, mm/s"} <= drawn
+
+
+def test_each_field_has_a_panel(found: Stress) -> None:
+    figure = stress_figure.panels(found, stress_figure.MEASURES["missed"])
+    titles = [axis.get_title("left") for axis in figure.axes]
+    assert [title.partition(",")[0] for title in titles if title] == [grid.text for grid in GRIDS.values()]
+
+
+def test_a_terminal_shows_goals_and_breaking_points(found: Stress) -> None:
+    text = stress_page.text(found)
+    assert "psd meets" in text
+    assert "| slip speed, mm/s " in text
+
+
+def test_a_seed_or_a_number_of_jobs_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ParameterError, match="seed"):
+        stress(seed=-1)
+    with pytest.raises(ParameterError, match="jobs"):
+        stress(jobs=0)

@@ -1,0 +1,106 @@
+"""Simulated trials: what they know beside counts and labels."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from connectors.sim.paper_plan import Collection
+from connectors.sim.scene import Faults, Move, Moves, Scene
+from connectors.sim.stress_profiles import stressed
+from flows.lab.simulation import recordings, simulate
+from flows.learn.labelled_recordings import Trial, by_split, load, simulated_trials, trial
+from flows.learn.splits import SPLITS, TURNS
+from operators.batch import Flags
+from operators.errors import InputError
+
+SCENE = Scene(
+    Moves(
+        (
+            Move("hold", 1.2, force=0.0),
+            Move("hold", 0.8, force=0.5),
+            Move("translation", 0.9, 0.3, 0.0, 0.1),
+            Move("translation", 0.9, 0.3, 45.0, 0.1),
+            Move("hold", 1.0, force=0.0),
+        )
+    )
+)
+START, REST = 2.3, (3.1, 3.2)  # s, of the first stroke's motion; before the second's
+
+
+def there(flags: Flags | None) -> Flags:
+    assert flags is not None
+    return flags
+
+
+def test_the_truth_of_a_sample_is_that_of_its_own_instant_even_where_others_were_lost() -> None:
+    whole, thinned = trial(SCENE, 3), trial(stressed(SCENE, "touch_dropped", 0.3), 3)
+    assert 0.6 < len(thinned) / len(whole) < 0.8
+    found = [there(flags) for flags in (thinned.sliding, thinned.oblique, thinned.degraded)]
+    assert [len(flags) for flags in found] == [len(thinned)] * 3
+    kept = np.flatnonzero(there(thinned.sliding))
+    # the thinned samples keep their place in the recording, in proportion
+    share = np.array([kept[0], kept[-1]]) / len(thinned) * len(whole) / 100  # s
+    sliding = np.flatnonzero(there(whole.sliding)) / 100  # s
+    assert share == pytest.approx([sliding[0], sliding[-1]], abs=0.15)
+
+
+def test_the_truth_says_when_the_contact_slides() -> None:
+    sliding = np.flatnonzero(there(trial(SCENE, 3).sliding)) / 100  # s
+    assert START < sliding[0] < START + 0.15
+    assert not ((sliding > REST[0]) & (sliding < REST[1])).any()
+
+
+@pytest.mark.parametrize(
+    ("faults", "after"), [(Faults(dead=(2,)), 0.5), (Faults(stuck=(2,)), 2.0), (Faults(floored=(2,)), 0.05)]
+)
+def test_a_fault_degrades_a_trial_from_when_it_can_be_told(faults: Faults, after: float) -> None:
+    def degraded(scene: Scene) -> Flags:
+        found: Trial = trial(scene, 3)
+        return there(found.degraded)
+
+    assert not degraded(SCENE).any()
+    found = degraded(replace(SCENE, faults=faults))
+    assert found.argmax() == pytest.approx(100 * after, abs=2)
+    assert found[found.argmax() :].all()
+
+
+def test_recordings_without_splits_take_turns_by_session(tmp_path: Path) -> None:
+    simulate(tmp_path / "tiny", "tiny", seed=0, jobs=1)
+    told = [each.split for each in load(tmp_path / "tiny")]
+    for episodes in (tmp_path / "tiny").glob("sessions/*/episodes.parquet"):
+        episodes.unlink()
+        manifest = episodes.with_name("MANIFEST.json")
+        lines = manifest.read_text().splitlines()
+        listed = [line.rstrip(",") for line in lines if '"path"' in line and "episodes" not in line]
+        manifest.write_text('{"version": 1, "parts": [\n' + ",\n".join(listed) + "\n]}\n")
+    turns = [each.split for each in load(tmp_path / "tiny")]
+    assert turns == list((TURNS * 2)[: len(turns)]) != told
+
+
+def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:
+    scenes = {plan: {each.seed for each in recordings(plan, 0)} for plan in ("paper", "tiny")}
+    assert not scenes["paper"] & scenes["tiny"]
+
+
+def test_a_folder_that_is_not_there_is_told_as_such(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="none: there is no such folder"):
+        load(tmp_path / "none")
+
+
+def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> None:
+    trials = load(tiny)
+    parts = by_split(iter([*trials, replace(trials[0], split="")]))
+    assert tuple(parts) == SPLITS
+    assert sum(map(len, parts.values())) == len(trials)
+    assert all(each.split == split for split, found in parts.items() for each in found)
+
+
+def test_the_same_seed_gives_the_same_trials() -> None:
+    plan = Collection(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
+    first, again, other = (simulated_trials(plan, seed) for seed in (0, 0, 1))
+    counts = [[trial.counts.tobytes() for trial in trials] for trials in (first, again, other)]
+    assert counts[0] == counts[1] != counts[2]
+    assert {trial.surface for trial in first} == {"plane", "sphere"}
+    assert {trial.speed for trial in first} == {0.05, None}

@@ -1,0 +1,84 @@
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import pytest
+
+from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.scoring import labels, probabilities, windows
+from operators import Score, Zeroed
+from operators.batch import Counts, Reals
+from operators.detectors import Psd
+from operators.forward_fill import hold
+
+
+@dataclass
+class Mean:
+    """Scores with the mean of its windows, in [0, 1]; a stream of it says 1 wherever its last count is 5."""
+
+    length: int = 20
+    name = "mean"
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        mean: Reals = windows.mean(axis=(1, 2)) / 1000
+        return mean
+
+
+class Streamed(Mean):
+    def stream(self, fingers: int = 1) -> Self:
+        assert fingers == 1
+        return self
+
+    def push(self, counts: Counts | Reals) -> Reals:
+        fives: Reals = (counts[:, :, 5] == 5).astype(np.float64)
+        return fives
+
+
+def trial(samples: int, valid: np.ndarray[tuple[int, int], np.dtype[np.bool_]] | None = None) -> Trial:
+    counts = np.random.default_rng(0).integers(-400, 100, (samples, 6)).astype(np.int16)
+    return Trial(counts, np.zeros(samples, np.int8), "plane", valid=valid)
+
+
+def test_windows_end_with_the_sample_that_is_scored() -> None:
+    one = trial(1500)
+    found = probabilities(Mean(), one)
+    assert np.isnan(found[:JUDGED]).all()
+    expected = [one.counts[end - 19 : end + 1].mean() / 1000 for end in range(JUDGED, 1500)]
+    np.testing.assert_allclose(found[JUDGED:], expected)
+
+
+def test_a_streaming_detector_streams() -> None:
+    one = trial(300)
+    one.counts[150, 5] = 5
+    found = probabilities(Streamed(), one)
+    assert np.isnan(found[:JUDGED]).all()
+    assert found[150] == 1
+    np.testing.assert_array_equal(found[JUDGED:], one.counts[JUDGED:, 5] == 5)
+
+
+def test_a_longer_window_begins_later() -> None:
+    found = probabilities(Mean(length=130), trial(140))
+    assert np.flatnonzero(np.isfinite(found)).tolist() == list(range(129, 140))
+
+
+@pytest.mark.parametrize("samples", [0, 1, JUDGED])
+def test_a_recording_that_is_too_short_has_no_score(samples: int) -> None:
+    assert np.isnan(probabilities(Mean(), trial(samples))).all()
+
+
+def test_the_operator_says_the_same() -> None:
+    valid = np.random.default_rng(1).random((700, 6)) > 0.4
+    one = trial(700, valid)
+    scores = Score(Psd()).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
+    found = probabilities(Psd(), replace(one, counts=hold(one.counts, valid, np.zeros(6, np.int16))))
+    later = scores.probability[JUDGED - 24 :]
+    assert np.isnan(later).any()
+    np.testing.assert_array_equal(found[JUDGED:], later)
+
+
+def test_a_window_ends_with_the_sample_that_is_judged() -> None:
+    counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
+    one = Trial(counts, np.zeros(150, np.int8), "plane")
+    assert windows(one, 25, 10)[:, -1, 0].tolist() == counts[one.judged(10), 0].tolist()
+    assert windows(one, 100, 10)[0].tolist() == counts[:100].tolist()
+    assert len(labels([one, one], 10)) == 2 * len(windows(one, 25, 10))

@@ -1,0 +1,139 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from flows.learn.training.paper_networks import Arrays, FrequencyCnnNetwork, Network, PaperTcnNetwork
+from operators.detectors import Detector, PaperTcn
+from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
+
+DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
+    "frequency_cnn": FrequencyCnn,
+    "frequency_cnn_interleaved": InterleavedFrequencyCnn,
+    "paper_tcn": PaperTcn,
+}
+
+every = pytest.mark.parametrize("name", DETECTORS)
+
+
+def _network(name: str, generator: torch.Generator) -> Network:
+    """With weights and running statistics that are nowhere 0 or 1."""
+    mean, std = np.linspace(-200, 0, 6), np.linspace(180, 60, 6)
+    network: Network
+    if name == "paper_tcn":
+        network = PaperTcnNetwork(mean, std, dropout=0.2, generator=generator)
+    else:
+        interleaved = name == "frequency_cnn_interleaved"
+        network = FrequencyCnnNetwork(mean, std, interleaved=interleaved, dropout=0.2, generator=generator)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter.add_(torch.randn(parameter.shape, generator=generator), alpha=0.1)
+        for _ in range(20):
+            network(_counts(64, generator))
+    return network.eval()
+
+
+def _counts(windows: int, generator: torch.Generator) -> Tensor:
+    levels = -300 * torch.rand(windows, 1, 6, generator=generator)
+    return (levels + 40 * torch.randn(windows, 100, 6, generator=generator)).round()
+
+
+def _whole(network: PaperTcnNetwork, inputs: Tensor) -> Tensor:
+    """Logits (n, 2) of standardised counts (n, steps, 6), by dilated convolutions at every step."""
+    values = inputs.transpose(1, 2)  # (n, channels, steps)
+    for block in range(4):
+        residual = network.match(inputs).transpose(1, 2) if block == 0 else values
+        for layer in (2 * block, 2 * block + 1):
+            kernel = network.get_parameter(f"convolutions.{layer}.taps.weight")[:, :, 0]
+            bias = network.get_parameter(f"convolutions.{layer}.taps.bias")
+            padded = functional.pad(values, (7 * 2**block, 0))
+            values = functional.conv1d(padded, kernel, bias, dilation=2**block)
+            values = functional.selu(network.norms[layer](values.transpose(1, 2))).transpose(1, 2)
+        values = functional.selu(residual + values)
+    last = values[:, :, -1]
+    for dense, norm in zip(network.dense, network.dense_norms, strict=True):
+        last = functional.selu(norm(dense(last)))
+    logits: Tensor = network.out(last)
+    return logits
+
+
+@every
+def test_the_detector_of_the_exported_arrays_gives_the_networks_probabilities(name: str) -> None:
+    generator = torch.Generator().manual_seed(0)
+    network, counts = _network(name, generator), _counts(200, generator)
+    detector: Detector = DETECTORS[name](network.arrays())
+    with torch.no_grad():
+        expected = network(counts).softmax(1)[:, 1].numpy()
+    assert np.ptp(expected) > 0.2
+    assert detector.name == name
+    np.testing.assert_allclose(detector.score(counts.numpy().astype(np.int16)), expected, atol=1e-5)
+
+
+@every
+def test_it_has_as_many_parameters_as_the_papers(name: str) -> None:
+    expected = 10_070 if name == "paper_tcn" else 29_782
+    parameters = _network(name, torch.Generator()).parameters()
+    assert sum(each.numel() for each in parameters) == expected
+
+
+def test_the_steps_that_the_tcn_leaves_out_change_nothing() -> None:
+    generator = torch.Generator().manual_seed(1)
+    network, inputs = _paper_tcn(generator), torch.randn(30, 100, 6, generator=generator)
+    inputs.requires_grad_()
+    logits, whole = network.logits(inputs), _whole(network, inputs)
+    torch.testing.assert_close(logits, whole, atol=1e-5, rtol=0)
+    parameters = [inputs, *network.parameters()]
+    for found, expected in zip(
+        torch.autograd.grad(logits.square().sum(), parameters),
+        torch.autograd.grad(whole.square().sum(), parameters),
+        strict=True,
+    ):
+        torch.testing.assert_close(found, expected, atol=1e-3, rtol=1e-3)
+
+
+def test_the_tcn_would_see_211_samples_and_sees_zeros_before_its_100() -> None:
+    generator = torch.Generator().manual_seed(2)
+    network = _paper_tcn(generator)
+    inputs = torch.randn(1, 300, 6, generator=generator).double().requires_grad_()
+    network = network.double()
+    torch.autograd.backward(_whole(network, inputs)[0, 0])
+    assert inputs.grad is not None
+    seen = inputs.grad[0].abs().sum(1).numpy() > 0  # (300,)
+    assert np.array_equal(np.flatnonzero(seen), np.arange(300 - 211, 300))
+    assert not torch.allclose(network.logits(inputs[:, -100:]), _whole(network, inputs))
+
+
+def _paper_tcn(generator: torch.Generator) -> PaperTcnNetwork:
+    network = _network("paper_tcn", generator)
+    assert isinstance(network, PaperTcnNetwork)
+    return network
+
+
+@every
+def test_dropout_works_in_training_alone_and_comes_from_the_generator(name: str) -> None:
+    generator = torch.Generator().manual_seed(3)
+    network, counts = _network(name, generator), _counts(8, generator)
+    assert torch.equal(network(counts), network(counts))
+    network.train()
+    state = generator.get_state()
+    first = network(counts)
+    assert not torch.equal(first, network(counts))
+    generator.set_state(state)
+    torch.rand(5)  # the generator that all share moves on
+    assert torch.equal(first, network(counts))
+
+
+@every
+def test_a_channel_is_dropped_wherever_it_stands_and_the_others_make_up_for_it(name: str) -> None:
+    network = _network(name, torch.Generator().manual_seed(4)).train()
+    together = (1,) if name == "paper_tcn" else (2, 3)  # steps; rows and columns of the image
+    shape = (500, 25, 12) if name == "paper_tcn" else (500, 50, 2, 3)
+    dropped = network.get_submodule("drop_channels")(torch.ones(shape)).numpy()
+    assert set(np.unique(dropped).round(3).tolist()) == {0, 1.25}
+    assert (np.ptp(dropped, axis=together) == 0).all()
+    assert dropped.mean() == pytest.approx(1, abs=0.05)
+    alone = network.get_submodule("drop")(torch.ones(shape)).numpy()
+    assert (np.ptp(alone, axis=together) > 0).mean() > 0.7

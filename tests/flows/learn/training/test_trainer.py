@@ -1,0 +1,108 @@
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.lab.simulation import simulate
+from flows.learn.training.learning_curve import Check, best, draw
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.trained_model import provenance
+from flows.learn.training.trainer import train
+from operators.detectors import PaperTcn, Tcn
+from operators.errors import InputError, ParameterError
+from storage import load_detector
+from storage.description import describe_dataset
+
+SMALL = Recipe(filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("train") / "tiny"
+    simulate(root, "tiny", seed=0, jobs=1)
+    return root
+
+
+def test_a_model_and_its_card_say_where_they_come_from(dataset: Path, tmp_path: Path) -> None:
+    told: list[tuple[str, int, int, Check | None]] = []
+
+    def tell(what: str, done: int, of: int, check: Check | None) -> None:
+        told.append((what, done, of, check))
+
+    out = tmp_path / "model.safetensors"
+    outcome = train([dataset], out, recipe=SMALL, progress=tell)
+    card = json.loads((tmp_path / "model.json").read_text())
+    assert card["sha256"] == hashlib.sha256(out.read_bytes()).hexdigest()
+    assert card["detector"] == "tcn"
+    assert card["data"][0]["recordings"]["train"] > card["data"][0]["recordings"]["test"]
+    assert card["recipe"]["filters"] == 4
+    assert card["scores"]["test"]["accuracy"] > 55
+    assert [each[1] for each in told] == list(range(1, 61))
+    assert sum(each[3] is not None for each in told) == 3
+    assert "% on validation" in outcome.report()
+    assert outcome.summary()["models"][0]["path"] == str(out)
+    assert isinstance(load_detector(out), Tcn)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "model.safetensors"]
+
+
+def test_of_several_seeds_the_best_on_validation_is_the_model(dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model.safetensors"
+    outcome = train([dataset], out, recipe=SMALL, seeds=2)
+    scores = [model.card["scores"]["validation"]["balanced"] for model in outcome.models]
+    assert scores == sorted(scores, reverse=True)
+    assert out.read_bytes() == outcome.models[0].path.read_bytes()
+    assert {model.path.stem for model in outcome.models} == {"model-seed0", "model-seed1"}
+    assert "seed sd" in outcome.report()
+
+
+def test_a_network_of_the_paper_is_trained_by_its_recipe(dataset: Path, tmp_path: Path) -> None:
+    out = tmp_path / "paper.safetensors"
+    outcome = train([dataset], out, method="paper_tcn", epochs=1)
+    assert isinstance(load_detector(out), PaperTcn)
+    assert outcome.models[0].card["recipe"]["batch"] == 256
+    assert len(outcome.models[0].curve) == 1
+
+
+def test_the_sha256_of_the_data_changes_with_the_data(dataset: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other"
+    simulate(other, "tiny", seed=1, jobs=1)
+    sums = [provenance(path, [])["sha256"] for path in (dataset, dataset, other)]
+    assert sums[0] == sums[1] != sums[2]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ({"method": "oracle"}, "method"),
+        ({"seeds": 0}, "seeds"),
+        ({"lag": -0.02}, "lag"),
+        ({"lag": float("nan")}, "lag"),
+        ({"out": "model.pt"}, r"ends in \.safetensors"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_read(
+    tmp_path: Path, arguments: dict[str, str], reason: str
+) -> None:
+    out = tmp_path / str(arguments.pop("out", "model.safetensors"))
+    with pytest.raises(ParameterError, match=reason):
+        train([tmp_path / "nothing"], out, **arguments)  # type: ignore[arg-type]
+
+
+def test_a_dataset_without_samples_is_an_input_error(tmp_path: Path) -> None:
+    describe_dataset(tmp_path)
+    with pytest.raises(InputError, match="no labelled samples"):
+        train([tmp_path], tmp_path / "model.safetensors")
+
+
+def test_the_curve_names_the_time_of_the_best_check() -> None:
+    curve = [
+        Check(1, 60.0, 0.5, 80.0, 80.0),
+        Check(2, 120.0, 0.4, 90.0, 90.0),
+        Check(3, 180.0, 0.4, 89.0, 89.0),
+    ]
+    assert best(curve).done == 2
+    (axes,) = draw({"seed 0": curve}).axes
+    assert "2.0 minutes" in axes.get_title(loc="left")
+    assert np.array_equal(axes.lines[0].get_ydata(), [80.0, 90.0, 89.0])

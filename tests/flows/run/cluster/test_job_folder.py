@@ -1,0 +1,106 @@
+from pathlib import Path
+
+import pytest
+
+from flows.graph.compiled_flow import Plan
+from flows.graph.loading import load
+from flows.run.cluster.job_folder import JobFolder
+from flows.run.cluster.work_units import Claim, Done
+from operators import EndpointError, InputError
+
+FLOW = """
+from dataclasses import dataclass
+from flows.graph import Flow
+from flows.graph.testing import TestSource
+from operators import Debounce, Operator, Score, Touch, Zero, Zeroed
+from storage import Dataset, load_detector
+
+@dataclass
+class Own(Operator[Zeroed, Zeroed]):
+    def process(self, batch: Zeroed) -> Zeroed:
+        return batch
+
+def slips(out: str = "out") -> Flow:
+    flow = Flow("slips")
+    scores = flow.source(TestSource(Touch)) | Zero() | Own() | Score(load_detector("psd"))
+    (scores | Debounce()).to(Dataset(out))
+    return flow
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "slips_flow.py"
+    path.write_text(FLOW)
+    return path
+
+
+def created(file: Path, out: str) -> JobFolder:
+    declaration = load(str(file))
+    return JobFolder.create("job", declaration, {"out": out}, declaration.flow({"out": out}))
+
+
+def test_the_flow_is_that_of_the_beginning(file: Path, tmp_path: Path) -> None:
+    folder = created(file, str(tmp_path / "out"))
+    file.write_text("raise RuntimeError")
+    assert str(folder.flow()).startswith("flow slips\n")
+
+
+def test_operators_of_a_flow_file_pickle_between_the_functions_of_one_process(
+    file: Path, tmp_path: Path
+) -> None:
+    folder = created(file, str(tmp_path / "out"))
+    first = Plan(folder.flow())
+    folder.flow()
+    Plan(folder.flow()).restore(first.snapshot())
+
+
+def test_a_relative_path_means_what_it_meant_where_the_job_began(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    folder = created(file, "out")
+    monkeypatch.chdir("/")
+    assert str(tmp_path / "out") in str(folder.flow())
+    assert folder.path == tmp_path / "out" / ".jobs" / "job"
+
+
+def test_ready_made_flows_are_named(tmp_path: Path) -> None:
+    declaration = load("relabel")
+    settings = {"out": str(tmp_path)}
+    folder = JobFolder.create("job", declaration, settings, declaration.flow(settings))
+    assert folder.about["target"] == "relabel:relabel"
+    assert folder.flow().name == "relabel"
+
+
+def test_claims_appear_whole(file: Path, tmp_path: Path) -> None:
+    folder = created(file, str(tmp_path / "out"))
+    claim = Claim("one", "/one", 0, 0, (0,), 0, 0, {}, ())
+    folder.claim("first", [claim, claim])
+    assert [path.name for path in folder.claims.iterdir()] == ["first.jsonl"]
+    assert (folder.claims / "first.jsonl").read_text() == 2 * f"{claim.line()}\n"
+
+
+def test_a_failure_is_noted_and_what_was_staged_goes(file: Path, tmp_path: Path) -> None:
+    folder = created(file, str(tmp_path / "out"))
+    (folder.staged / "one" / "0").mkdir(parents=True)
+    assert folder.error("one") is None
+    folder.finish(Done("one", "/one", 0, 0, 0, None, "is damaged"))
+    assert folder.done() == {"one": "is damaged"}
+    assert not (folder.staged / "one").exists()
+
+
+def test_nothing_is_left_of_a_job_that_is_removed(file: Path, tmp_path: Path) -> None:
+    created(file, str(tmp_path / "out")).remove()
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_job_of_that_name_that_runs_is_an_error(file: Path, tmp_path: Path) -> None:
+    created(file, str(tmp_path / "out"))
+    with pytest.raises(EndpointError, match="cannot be written: File exists"):
+        created(file, str(tmp_path / "out"))
+
+
+def test_a_folder_that_this_machine_does_not_share_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"job\.json: cannot be read"):
+        JobFolder(tmp_path / "elsewhere").flow()

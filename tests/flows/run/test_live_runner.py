@@ -1,0 +1,393 @@
+import asyncio
+import logging
+import os
+import signal
+import time
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource, VirtualLoop, run_virtually
+from flows.run.live_runner import LiveRunner
+from operators import (
+    Align,
+    Clock,
+    Debounce,
+    EndpointError,
+    Join,
+    Motion,
+    OperatorError,
+    Run,
+    Sample,
+    Scores,
+    Slips,
+    Source,
+    Touch,
+    Zero,
+    ms,
+    s,
+)
+from tests.flows.run.live import Endless, execute, scores, times
+
+
+def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(TestSource(Scores, scores(0, 50))).to(sink)
+    run = execute(flow)
+    assert times(sink) == list(range(50))
+    assert (sink.opened, sink.closed) == (1, 1)
+    assert run.sources["scores"].rows == run.sinks["testsink"].rows == 50
+    assert not run.sources["scores"].up
+
+
+def test_a_run_tells_which_of_its_sinks_record() -> None:
+    flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
+    recorder.records = True
+    touch = flow.source(TestSource(Scores, scores(0, 5)))
+    touch.to(recorder)
+    touch.to(viewer)
+    assert [sink.records for sink in execute(flow).sinks.values()] == [True, False]
+
+
+def test_a_run_ends_after_its_duration() -> None:
+    flow, sink, source = Flow("f"), TestSink(), Endless()
+    flow.source(source).to(sink)
+    execute(flow, duration=s)
+    assert 98 <= len(sink.written) <= 100
+    assert source.closed
+    assert sink.closed == 1
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_flushes_and_commits(number: signal.Signals) -> None:
+    flow, sink = Flow("f"), TestSink()
+    stream = flow.source(Endless())
+    (stream | Debounce(consecutive=2)).to(sink)
+
+    async def main() -> None:
+        runner = LiveRunner(flow, "test")
+        asyncio.get_running_loop().call_later(0.5, os.kill, os.getpid(), number)
+        await runner.execute()
+
+    run_virtually(main())
+    assert len(sink.rows(Slips)) == 1
+    assert sink.closed == 1
+
+
+def test_signals_that_are_left_to_others_end_no_run() -> None:
+    flow, sink, heard = Flow("f"), TestSink(), list[int]()
+    flow.source(Endless()).to(sink)
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        loop.add_signal_handler(signal.SIGTERM, heard.append, 1)
+        loop.call_later(0.5, os.kill, os.getpid(), signal.SIGTERM)
+        await LiveRunner(flow, "test", duration=s, signals=False).execute()
+        loop.remove_signal_handler(signal.SIGTERM)
+
+    run_virtually(main())
+    assert heard == [1]
+    assert len(sink.written) >= 98
+
+
+def test_a_failing_source_is_started_again_and_its_gap_recorded(caplog: pytest.LogCaptureFixture) -> None:
+    flow, sink = Flow("f"), TestSink()
+    broken: list[Scores | Exception] = [
+        *scores(0, 10),
+        OSError("unplugged"),
+        OSError("still"),
+        *scores(50, 10),
+    ]
+    flow.source(TestSource(Scores, broken)).to(sink)
+    with caplog.at_level(logging.WARNING):
+        run = execute(flow)
+    assert times(sink) == [*range(10), *range(50, 60)]
+    [gap] = run.sources["scores"].gaps
+    assert gap.reason == "unplugged"
+    assert gap.start == 90 * ms
+    assert gap.end > gap.start
+    assert [record.message for record in caplog.records] == [
+        "scores failed, trying again: unplugged",
+        "scores is back",
+    ]
+
+
+def test_a_failing_source_does_not_stop_the_others() -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(TestSource(Scores, [OSError("gone")] * 1000), name="broken").to(TestSink())
+    flow.source(TestSource(Scores, scores(0, 100))).to(sink)
+    run = execute(flow, duration=10 * s)
+    assert times(sink) == list(range(100))
+    assert not run.sources["broken"].up
+
+
+def test_a_source_that_breaks_its_type_has_failed() -> None:
+    flow, sink = Flow("f"), TestSink()
+    single: Any = np.ones(1, np.float32)
+    wrong = Scores(np.array([0]), single)
+    flow.source(TestSource(Scores, [wrong, *scores(1, 1)])).to(sink)
+    run = execute(flow)
+    assert times(sink) == [1]
+    assert run.sources["scores"].gaps[0].reason == (
+        "Scores.probability: is float32, must be an array of float64"
+    )
+
+
+@dataclass
+class Numbered(Join[Scores, Scores, Scores]):
+    """Numbers what comes, by its time."""
+
+    _next: int = field(default=0, init=False, repr=False)
+
+    def process(self, left: Scores, right: Scores) -> Scores:
+        self._next += 1
+        return Scores(np.array([(self._next - 1) * 10 * ms]), (left if len(left) else right).probability)
+
+
+class Following(Source[Scores]):
+    """One score as soon as it is told to give it."""
+
+    def __init__(self, go: asyncio.Event) -> None:
+        self._go = go
+
+    @property
+    def kind(self) -> type[Scores]:
+        return Scores
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        await self._go.wait()
+        yield Scores(np.array([0]), np.array([0.9]))
+
+
+def test_what_another_source_gives_just_as_a_full_sink_has_room_does_not_overtake() -> None:
+    flow, go = Flow("f"), asyncio.Event()
+
+    async def hold() -> None:
+        await asyncio.sleep(1)
+        go.set()  # the other source has its turn before the one that waits for room
+
+    slow = TestSink(capacity=1, hold=hold)
+    one = flow.source(TestSource(Scores, scores(0, 1) * 3))  # one is written, one queued, one waits
+    (one & flow.source(Following(go), name="other") | Numbered()).to(slow)
+    execute(flow)
+    assert times(slow) == [0, 1, 2, 3]
+
+
+def test_a_step_of_the_hosts_clock_is_noted_and_changes_no_stamp(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    flow, sink, steps = Flow("f"), TestSink(), [0]
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() + steps[0])
+    flow.source(Endless()).to(sink)
+
+    async def main() -> Run:
+        runner = LiveRunner(flow, "test", duration=20 * s)
+        loop = asyncio.get_running_loop()
+        loop.call_later(5.5, steps.__setitem__, 0, -3600 * s)
+        loop.call_later(12.5, steps.__setitem__, 0, -3600 * s + 50 * ms)
+        return await runner.execute()
+
+    with caplog.at_level(logging.WARNING):
+        run = run_virtually(main())
+    stamps = sink.rows(Scores).time
+    assert set(np.diff(stamps).tolist()) == {10 * ms}
+    assert [(step.time - run.start) // s for step in run.clock_steps] == [6, 13]
+    assert [round(step.offset / ms) for step in run.clock_steps] == [-3_600_000, -3_599_950]
+    assert [record.message for record in caplog.records] == [
+        "the host's clock was set by -3600.000 s; time stamps go on",
+        "the host's clock was set by +0.050 s; time stamps go on",
+    ]
+
+
+def test_an_operator_that_fails_ends_the_run_after_committing_what_came_before() -> None:
+    class Broken(Debounce):
+        def process(self, batch: Scores) -> Slips:
+            if batch.time[0] >= 500 * ms:
+                raise ZeroDivisionError
+            return super().process(batch)
+
+    flow, raw = Flow("f"), TestSink()
+    stream = flow.source(TestSource(Scores, scores(0, 100)))
+    stream.to(raw)
+    (stream | Broken()).to(TestSink())
+    with pytest.raises(OperatorError, match="flow 'f': Broken: ZeroDivisionError") as raised:
+        execute(flow)
+    assert isinstance(raised.value.__cause__, ZeroDivisionError)
+    assert times(raw) == list(range(50))
+    assert raw.closed == 1
+    assert raw.run.error == str(raised.value)
+
+
+def test_a_sink_that_cannot_be_opened_ends_the_run_before_it_starts() -> None:
+    class Closed(TestSink):
+        async def open(self, run: Run) -> None:
+            raise EndpointError("mqtt://nowhere", "no such host")
+
+    flow, first = Flow("f"), TestSink()
+    stream = flow.source(TestSource(Scores, scores(0, 10)))
+    stream.to(first)
+    stream.to(Closed())
+    with pytest.raises(EndpointError, match="mqtt://nowhere: no such host"):
+        execute(flow)
+    assert (first.opened, first.closed, first.written) == (1, 1, [])
+    assert first.run.error == "mqtt://nowhere: no such host"
+
+
+def test_late_rows_are_counted_and_reach_the_recorder_as_received() -> None:
+    flow, raw, felt = Flow("f"), TestSink(), TestSink()
+    stream = flow.source(TestSource(Scores, [*scores(0, 3), *scores(1, 1), *scores(3, 2)]))
+    stream.to(raw)
+    (stream | Debounce()).to(felt)
+    run = execute(flow)
+    assert times(raw) == [0, 1, 2, 1, 3, 4]
+    assert run.sources["scores"].late == 1
+    assert len(felt.rows(Slips)) == 1
+
+
+def test_a_source_that_never_waits_leaves_the_others_their_turn() -> None:
+    flow, sink = Flow("f"), TestSink(lossless=False, capacity=64)
+    greedy = TestSource(Scores, scores(0, 1) * 1000)
+    flow.source(greedy).to(sink)
+    run = execute(flow)
+    assert run.sinks["testsink"].dropped == 0
+    assert len(sink.written) == 1000
+
+
+class Recorded(Endless):
+    """The same, from a recording."""
+
+    @property
+    def recording(self) -> str:
+        return "stroke-9"
+
+
+@pytest.mark.parametrize("source", [Endless, Recorded])
+def test_one_recorded_source_makes_a_run_a_replay(source: type[Endless]) -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Endless()).to(sink)
+    flow.source(source()).to(TestSink())
+    run = execute(flow, duration=s)
+    assert run is sink.run
+    assert (run.live, run.recording) == (True, "stroke-9" if source is Recorded else None)
+
+
+@pytest.mark.parametrize(("source", "error"), [(Recorded, "was interrupted"), (Endless, "")])
+def test_a_recording_that_was_stopped_is_not_complete(source: type[Endless], error: str) -> None:
+    flow = Flow("f")
+    flow.source(source()).to(TestSink())
+
+    async def main() -> Run:
+        runner = LiveRunner(flow, "test")
+        asyncio.get_running_loop().call_later(1, runner.stop)
+        return await runner.execute()
+
+    assert run_virtually(main()).error == error
+
+
+def test_what_a_source_prepares_is_not_of_the_run() -> None:
+    class Slow(Endless):
+        async def prepare(self) -> None:
+            await asyncio.sleep(20)
+
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Slow()).to(sink)
+    run = execute(flow, duration=s)
+    assert 98 <= len(sink.written) <= 100
+    assert run.clock.now() - run.start == s
+
+
+def test_what_was_taken_when_the_run_ends_is_delivered_whole() -> None:
+    flow = Flow("f")
+
+    async def slowly() -> None:
+        await asyncio.sleep(0.05)  # five times slower than the source, which waits most of the time
+
+    slow, other = TestSink(capacity=2, hold=slowly), TestSink(capacity=2, hold=slowly)
+    stream = flow.source(TestSource(Scores, scores(0, 1000)))
+    stream.to(slow)
+    stream.to(other)
+    run = execute(flow, duration=s)
+    assert times(slow) == times(other) == list(range(run.sources["scores"].rows))
+    assert 10 < run.sources["scores"].rows < 100
+
+
+def test_an_operator_that_fails_while_the_run_drains_is_not_forgotten() -> None:
+    class Broken(Debounce):
+        def process(self, batch: Scores) -> Slips:
+            raise ZeroDivisionError
+
+    async def slowly() -> None:
+        await asyncio.sleep(3)
+
+    flow = Flow("f")
+    flow.source(TestSource(Scores, scores(0, 500)), "busy").to(TestSink(capacity=1, hold=slowly))
+    late = TestSource(Scores, [*scores(0, 1), *scores(400, 1)])
+    (flow.source(late, "late") | Broken()).to(TestSink())
+    with pytest.raises(OperatorError, match="Broken"):
+        execute(flow, duration=5 * s)
+
+
+def test_the_gap_of_a_source_that_never_comes_back_is_recorded() -> None:
+    flow, sink = Flow("f"), TestSink()
+    broken: list[Scores | Exception] = [*scores(0, 10), *[OSError("gone")] * 1000]
+    flow.source(TestSource(Scores, broken)).to(sink)
+    run = execute(flow, duration=10 * s)
+    [gap] = run.sources["scores"].gaps
+    assert (gap.start, gap.reason) == (90 * ms, "gone")
+    assert gap.end == pytest.approx(run.start + 10 * s)
+    assert run.sources["scores"].error == "gone"
+
+
+def test_fingertips_of_one_source_are_not_late_against_each_other() -> None:
+    flow, sink = Flow("f"), TestSink()
+    batches = [Scores(np.arange(3), np.ones(3), finger=finger) for finger in (0, 1)]
+    flow.source(TestSource(Scores, batches, fingers=(0, 1))).to(sink)
+    assert execute(flow).sources["scores"].late == 0
+
+
+def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> None:
+    class Device(Endless):
+        open = 0
+
+        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+            assert not Device.open
+            Device.open += 1
+            try:
+                single: Any = np.ones(1, np.float32)
+                yield Scores(np.array([0]), single)
+            finally:
+                Device.open -= 1
+
+    flow = Flow("f")
+    flow.source(Device()).to(TestSink())
+    run = execute(flow, duration=s)
+    assert "float32" in run.sources["scores"].error
+    assert Device.open == 0
+
+
+@pytest.mark.parametrize("stall", [0.2, 1.0])
+def test_after_a_stall_of_the_host_what_belongs_together_is_still_joined(stall: float) -> None:
+    flow, sink = Flow("f"), TestSink()
+    cells, flags = np.full((1, 6), 500, np.int16), np.ones((1, 6), np.bool_)
+    six = np.zeros((1, 6))
+    felt = [Touch(np.array([k * 10 * ms]), cells, cells, flags, finger=0) for k in range(200)]
+    moved = [Motion(np.array([k * 8 * ms]), np.array([k]), six, six) for k in range(250)]
+    touch = flow.source(TestSource(Touch, felt, fingers=(0,)))
+    motion = flow.source(TestSource(Motion, moved))
+    ((touch | Zero(500)) & motion | Align(within=20 * ms)).to(sink)
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.call_later(0.5, loop.stall, stall)
+        await LiveRunner(flow, "test").execute()
+
+    run_virtually(main())
+    samples = sink.rows(Sample, 0)
+    assert len(samples) == 200
+    assert samples.matched.all()

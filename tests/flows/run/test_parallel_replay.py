@@ -1,0 +1,169 @@
+import json
+from pathlib import Path
+from shutil import copytree
+
+import pytest
+
+from connectors import Event
+from flows.run.parallel_replay import Replayed, Replays, recordings
+from operators.errors import FlowError, InputError, ParameterError
+from storage import Session
+from storage.layout import session_folder, session_names
+from tests.connectors.mqtt.broker_process import TestBroker
+
+FLOW = """
+from connectors import Console, Mqtt
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource
+from operators import Debounce, Score, Touch, Zero
+from storage import Dataset, load_detector
+
+def felt(out: str = "out", broker: str = "", spoilt: bool = False) -> Flow:
+    flow = Flow("felt")
+    zeroed = flow.source(TestSource(Touch)) | Zero()
+    slips = zeroed | Score(load_detector("tcn")) | Debounce()
+    dataset = Dataset(out)
+    zeroed.to(dataset)
+    slips.to(dataset)
+    slips.to(Console())
+    if broker:
+        slips.to(Mqtt(broker))
+    if spoilt:
+        slips.to(TestSink(failures=[ValueError("no number")]))
+    return flow
+"""
+
+
+@pytest.fixture(scope="module")
+def felt(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("flow") / "felt.py"
+    path.write_text(FLOW)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def four(tiny: Path) -> list[Path]:
+    return recordings([tiny])[:4]
+
+
+def replay(felt: str, paths: list[Path], out: Path, jobs: int | None, **settings: str) -> list[Replayed]:
+    return list(Replays(felt, {"out": str(out), **settings}, paths, "again").run(jobs))
+
+
+def written(out: Path) -> list[tuple[str, dict[str, bytes]]]:
+    """The Parquet files of each session."""
+    return [
+        (
+            name,
+            {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*.parquet"))},
+        )
+        for name in session_names(out)
+        for folder in [session_folder(out, name)]
+    ]
+
+
+def test_two_processes_give_the_bytes_and_lines_that_one_gives(
+    felt: str, four: list[Path], tmp_path: Path
+) -> None:
+    one, two = (replay(felt, four, tmp_path / str(jobs), jobs) for jobs in (1, 2))
+    assert [each.error for each in (*one, *two)] == [""] * 8
+    assert [each.recording for each in two] == list(map(str, four))
+    assert [each.printed for each in one] == [each.printed for each in two]
+    assert "slip onset" in "".join(each.printed for each in one)
+    assert [each.summary for each in one] == [each.summary for each in two]
+    files = written(tmp_path / "1")
+    assert files == written(tmp_path / "2")
+    assert [name for name, _ in files] == [f"again-{number}" for number in (1, 2, 3, 4)]
+    assert all("touch/part-000000.parquet" in parts and "slips.parquet" in parts for _, parts in files)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_damaged_session_is_reported_and_the_others_go_on(
+    felt: str, tiny: Path, tmp_path: Path, jobs: int
+) -> None:
+    dataset = copytree(tiny, tmp_path / "dataset")
+    paths = recordings([dataset])[:3]
+    part = paths[1] / "touch/part-000000.parquet"
+    part.write_bytes(part.read_bytes()[:-1] + b"x")
+    found = replay(felt, paths, tmp_path / "out", jobs)
+    assert "part-000000.parquet: is damaged" in found[1].error
+    assert found[1].summary is None
+    assert [each.error for each in found[::2]] == ["", ""]
+    assert session_names(tmp_path / "out") == ["again-1", "again-3"]
+
+
+def test_whatever_a_sink_raises_ends_its_own_session_only(
+    felt: str, four: list[Path], tmp_path: Path
+) -> None:
+    found = replay(felt, four[:2], tmp_path / "out", None, spoilt="true")
+    assert [each.error for each in found] == ["ValueError: no number"] * 2
+    folders = [session_folder(tmp_path / "out", name) for name in session_names(tmp_path / "out")]
+    assert [Session.open(folder).about["complete"] for folder in folders] == [False, False]
+
+
+def test_a_sink_that_publishes_as_one_rig_needs_one_process(
+    felt: str, four: list[Path], tmp_path: Path
+) -> None:
+    settings = {"out": str(tmp_path), "broker": "mqtt://localhost"}
+    replays = Replays(felt, settings, four, "again")
+    assert replays.lonely() == ["mqtt"]
+    with pytest.raises(ParameterError, match="jobs is 2, must be 1: mqtt cannot be shared by processes"):
+        list(replays.run(2))
+
+
+@pytest.mark.broker
+def test_recordings_are_published_as_one_rig_one_after_the_other_and_that_is_told_once(
+    felt: str, four: list[Path], tmp_path: Path, broker: TestBroker, caplog: pytest.LogCaptureFixture
+) -> None:
+    listener = broker.listen("slip/v1/lab/+/0/event")
+    found = replay(felt, four[:2], tmp_path / "out", None, broker=broker.url)
+    assert [each.error for each in found] == ["", ""]
+    assert caplog.messages == [f"mqtt: the replay goes to {broker.url}/slip/v1/lab/rig-replay"]
+    events = [Event.decode(received.payload.encode()) for received in listener.rest()]
+    assert {each.rig for each in events} == {"rig-replay"}
+    assert [each.seq for each in events] == list(range(1, len(events) + 1))
+    assert [each.session for each in events] == sorted(each.session or "" for each in events)
+    assert {each.session for each in events} == {"again-1", "again-2"}
+
+
+def test_no_job_at_all_is_refused(felt: str, four: list[Path]) -> None:
+    with pytest.raises(ParameterError, match="jobs is 0, must be at least 1"):
+        list(Replays(felt, {}, four, "again").run(0))
+
+
+def test_a_flow_that_cannot_be_built_is_told_before_anything_runs(felt: str, four: list[Path]) -> None:
+    with pytest.raises(InputError, match=r"^felt: has no parameter 'speed'; it has out, broker, spoilt$"):
+        list(Replays(felt, {"speed": "1"}, four, "again").run(2))
+
+
+def test_when_stopped_what_was_replayed_so_far_is_kept_and_not_complete(
+    felt: str, four: list[Path], tmp_path: Path
+) -> None:
+    rows = list[int]()
+    replays = Replays(felt, {"out": str(tmp_path / "out")}, four, "again")
+    found = list(replays.run(1, stopped=lambda: bool(rows), progress=lambda _, taken: rows.append(taken)))
+    assert [each.error for each in found] == ["was interrupted", *["was not begun: interrupted"] * 3]
+    assert found[0].summary
+    assert found[0].summary.taken == rows[0] > 0
+    [name] = session_names(tmp_path / "out")
+    folder = session_folder(tmp_path / "out", name)
+    about = json.loads((folder / "session.json").read_text())
+    assert (about["complete"], about["error"]) == (False, "was interrupted")
+    assert len(Session.open(folder).frame("touch")) > 0
+
+
+def test_a_dataset_names_its_sessions_in_order(tiny: Path, tmp_path: Path) -> None:
+    trace, gone = tmp_path / "trace.csv", tmp_path / "gone"
+    found = recordings([trace, tiny, gone])
+    assert found == [trace, *(session_folder(tiny, name) for name in session_names(tiny)), gone]
+    (tmp_path / "empty/sessions").mkdir(parents=True)
+    with pytest.raises(InputError, match="empty: holds no session"):
+        recordings([tmp_path / "empty"])
+
+
+def test_a_flow_wired_wrongly_is_each_recordings_error(tmp_path: Path, four: list[Path]) -> None:
+    (tmp_path / "wrong.py").write_text("from flows.graph import Flow\nflow = Flow('wrong')\n")
+    found = list(Replays(str(tmp_path / "wrong.py"), {}, four[:2], "again").run(1))
+    assert [each.error for each in found] == [
+        str(FlowError("wrong", "no source", "add one with flow.source(...)"))
+    ] * 2

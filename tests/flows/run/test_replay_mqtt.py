@@ -1,0 +1,233 @@
+"""A live rig and replays of it on one real broker, as subscribers of both see them."""
+
+import asyncio
+import dataclasses
+import json
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from connectors import Consumer, Event, Mqtt, MqttSignal
+from connectors.mqtt.outbox_place import default_path
+from flows.graph import Flow
+from flows.graph.testing import TestSource
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from flows.run.replay_runner import ReplayRunner, first_time, replayed
+from operators import Batch, Operator, Scores, Slips, Touch, ms, s
+from operators.batch import AnyBatch
+from operators.errors import EndpointError, ParameterError
+from operators.ports import Clock, Description, Run, Source
+from tests.connectors.mqtt.broker_process import Received, TestBroker
+
+pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
+
+RIG, REPLAY = "slip/v1/lab/rig", "slip/v1/lab/rig-replay"
+RECORDED = 1_700_000_000 * s  # ns
+
+
+@dataclass
+class Turns(Operator[Touch, Slips]):
+    """Each row is an onset or an end, as its first count is odd or even."""
+
+    def process(self, batch: Touch) -> Slips:
+        state = (batch.counts[:, 0] % 2).astype(np.int8)  # (n,)
+        return Slips(batch.time, state, batch.time, np.full(len(batch), 0.9), finger=batch.finger)
+
+
+@dataclass
+class Sure(Operator[Touch, Scores]):
+    """The same probability for each row."""
+
+    def process(self, batch: Touch) -> Scores:
+        return Scores(batch.time, np.full(len(batch), 0.9), finger=batch.finger)
+
+
+def felt(time: int, rows: int) -> Touch:
+    """Rows 10 ms apart from `time` (ns) on, whose counts go up."""
+    times = time + 10 * ms * np.arange(rows)  # (n,)
+    counts = np.repeat(np.arange(1, rows + 1, dtype=np.int16)[:, None], 6, axis=1)  # (n, 6)
+    return Touch(times, counts, counts, np.ones(counts.shape, np.bool_), finger=0)
+
+
+def given(rows: int = 0) -> TestSource[Touch]:
+    return TestSource(Touch, [felt(0, rows)], fingers=(0,))
+
+
+class Recorded:
+    """A recording of one fingertip."""
+
+    name = "stroke-9"
+
+    def __init__(self, rows: int) -> None:
+        self._touch = felt(RECORDED, rows)
+
+    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
+        return (0,) if kind is Touch else ()
+
+    def read(self, kind: type[AnyBatch], finger: int, rows: int = 1000) -> Iterator[AnyBatch]:
+        touch = self._touch
+        if isinstance(touch, kind) and finger == touch.finger:
+            for start in range(0, len(touch), rows):
+                yield touch[start : start + rows]
+
+    def describe(self) -> Description:
+        return {}
+
+
+def declared(url: str, source: Source[Touch], rig: str = "rig", outbox: Path | None = None) -> Flow:
+    flow = Flow("turns")
+    touch = flow.source(source)
+    (touch | Turns()).to(Mqtt(url, rig=rig, outbox=outbox))
+    (touch | Sure()).to(MqttSignal(url, rig=rig))
+    return flow
+
+
+async def at_full_speed(flow: Flow) -> Run:
+    return await ReplayRunner(flow, Recorded(7), "again").execute()
+
+
+async def at_a_pace(flow: Flow) -> Run:
+    recording = Recorded(7)
+    clock = LoopClock(first_time(recording), 10)
+    return await LiveRunner(replayed(flow, recording), "again", clock=clock).execute()
+
+
+Way = Callable[[Flow], Coroutine[Any, Any, Run]]
+BOTH = pytest.mark.parametrize("replay", [at_full_speed, at_a_pace])
+
+
+class Fed(Source[Touch]):
+    """A fingertip that feels a row whenever it is told to."""
+
+    def __init__(self) -> None:
+        self._told = asyncio.Queue[bool]()
+
+    @property
+    def kind(self) -> type[Touch]:
+        return Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        return (0,)
+
+    def feel(self, *, more: bool = True) -> None:
+        self._told.put_nowait(more)
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
+        while await self._told.get():
+            yield felt(clock.now(), 1)
+
+
+def sessions(received: list[Received], rig: str) -> list[Any]:
+    """The sessions of the events among them."""
+    topic = f"{rig}/0/event"
+    return [json.loads(each.payload)["data"]["session"] for each in received if each.topic == topic]
+
+
+@BOTH
+def test_who_follows_a_live_rig_hears_nothing_of_a_replay_beside_it(broker: TestBroker, replay: Way) -> None:
+    rig, both = broker.listen(f"{RIG}/#"), broker.listen("slip/#")
+
+    async def main() -> None:
+        fingertip = Fed()
+        live = asyncio.create_task(LiveRunner(declared(broker.url, fingertip), "live").execute())
+        fingertip.feel()
+        await asyncio.to_thread(rig.next, f"{RIG}/0/state")
+        done = await replay(declared(broker.url, given()))
+        assert [sink.rows for sink in done.sinks.values()] == [7, 7]
+        fingertip.feel()
+        await asyncio.to_thread(rig.next, f"{RIG}/0/state")
+        fingertip.feel(more=False)
+        await live
+
+    asyncio.run(main())
+    assert {each.topic.removeprefix(RIG)[0] for each in rig.rest()} <= {"/"}
+    heard = both.rest()
+    assert sessions(heard, RIG) == ["live", "live"]
+    assert sessions(heard, REPLAY) == ["again"] * 7
+    ours = [json.loads(each.payload) for each in heard if each.topic.startswith(f"{RIG}/")]
+    assert not [document for document in ours if "again" in json.dumps(document)]
+    assert [each["state"] for each in ours if "state" in each and "version" in each] == ["online", "offline"]
+    numbers = [document["data"]["seq"] for document in ours if "specversion" in document]
+    assert numbers == [1, 2]
+    times = [document["time_ns"] for document in ours if document.keys() == {"time_ns", "p"}]
+    assert min(times) > RECORDED + s
+
+
+@BOTH
+def test_what_a_rig_has_retained_and_written_down_stays_through_a_replay(
+    broker: TestBroker, replay: Way, tmp_path: Path
+) -> None:
+    async def live() -> None:
+        await LiveRunner(declared(broker.url, given(3)), "live").execute()
+
+    asyncio.run(live())
+    before = broker.listen(f"{RIG}/#").rest()
+    outbox = default_path("lab", "rig").read_bytes()
+    asyncio.run(replay(declared(broker.url, given())))
+    assert broker.listen(f"{RIG}/#").rest() == before
+    assert default_path("lab", "rig").read_bytes() == outbox
+    named = tmp_path / "named.sqlite"
+    asyncio.run(replay(declared(broker.url, given(), "other", named)))
+    assert not named.exists()
+    assert (tmp_path / "named-replay.sqlite").exists()
+
+
+@BOTH
+def test_a_replay_is_named_in_its_info_and_its_events_are_of_the_recordings_time(
+    broker: TestBroker, replay: Way
+) -> None:
+    listener = broker.listen(f"{REPLAY}/#")
+    asyncio.run(replay(declared(broker.url, given())))
+    heard = listener.rest()
+    [info] = [json.loads(each.payload) for each in heard if each.topic == f"{REPLAY}/info"]
+    assert (info["recording"], info["session"]) == ("stroke-9", "again")
+    events = [Event.decode(each.payload.encode()) for each in heard if each.topic == f"{REPLAY}/0/event"]
+    assert [(each.rig, each.time) for each in events] == [
+        ("rig-replay", RECORDED + k * 10 * ms) for k in range(7)
+    ]
+    assert {each.latency for each in events} == {None}
+
+
+@BOTH
+def test_a_flow_whose_rig_is_called_a_replay_is_for_replays(broker: TestBroker, replay: Way) -> None:
+    listener = broker.listen("slip/#")
+    asyncio.run(replay(declared(broker.url, given(), "rig-replay")))
+    assert sessions(listener.rest(), REPLAY) == ["again"] * 7
+
+    async def live() -> None:
+        await LiveRunner(declared(broker.url, given(), "rig-replay"), "live").execute()
+
+    with pytest.raises(ParameterError, match="rig is 'rig-replay', must be a name that does not end in"):
+        asyncio.run(live())
+    assert not listener.rest()
+
+
+@BOTH
+def test_two_replays_of_a_rig_at_once_are_one_too_many(broker: TestBroker, run: Run, replay: Way) -> None:
+    async def main() -> None:
+        first = Mqtt(broker.url)
+        await first.open(dataclasses.replace(run, recording="stroke-8"))
+        with pytest.raises(EndpointError, match="two runs may not publish as one rig"):
+            await replay(declared(broker.url, given()))
+        await first.close()
+
+    asyncio.run(main())
+
+
+def test_a_consumer_of_all_rigs_is_given_no_old_event_and_one_of_the_replay_is(broker: TestBroker) -> None:
+    async def main() -> None:
+        async with Consumer(broker.url) as everything, Consumer(broker.url, rig="rig-replay") as old:
+            await at_full_speed(declared(broker.url, given()))
+            async with asyncio.timeout(20):
+                assert [(await anext(old)).session for _ in range(7)] == ["again"] * 7
+                live = declared(broker.url, given(2))
+                await LiveRunner(live, "live").execute()
+                assert [(await anext(everything)).session for _ in range(2)] == ["live", "live"]
+
+    asyncio.run(main())

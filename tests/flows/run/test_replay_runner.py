@@ -1,0 +1,223 @@
+import asyncio
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from flows.graph import Flow
+from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from flows.run.replay_runner import ReplayRunner, first_time, in_slices, replayed, tell_places
+from operators import (
+    EVERY,
+    Align,
+    Batch,
+    EndpointError,
+    InputError,
+    Label,
+    Labelled,
+    Motion,
+    Touch,
+    Zero,
+    ms,
+    s,
+)
+from operators.batch import AnyBatch, columns
+from operators.ports import Description
+
+
+class Memory:
+    """A recording held in memory."""
+
+    name = "memory"
+
+    def __init__(self, *batches: Batch) -> None:
+        self._batches = batches
+
+    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
+        return tuple(batch.finger for batch in self._batches if isinstance(batch, kind))
+
+    def read(self, kind: type[AnyBatch], finger: int, rows: int = 1000) -> Iterator[AnyBatch]:
+        for batch in self._batches:
+            if isinstance(batch, kind) and batch.finger == finger:
+                for start in range(0, len(batch), rows):
+                    yield batch[start : start + rows]
+
+    def describe(self) -> Description:
+        return {}
+
+
+def recording(seconds: float = 5.0, finger: int = 0) -> Memory:
+    rng, start = np.random.default_rng(0), 1_700_000_000 * s
+    time = start + np.arange(int(seconds * 100)) * 10 * ms  # (n,)
+    counts = rng.integers(300, 500, (len(time), 6)).astype(np.int16)
+    touch = Touch(time, counts, counts, np.ones(counts.shape, np.bool_), finger=finger)
+    time = start + 3 * ms + np.arange(int(seconds * 125)) * 8 * ms
+    velocity = rng.normal(0, 0.01, (len(time), 6))
+    return Memory(touch, Motion(time, time, velocity, np.full(velocity.shape, np.nan)))
+
+
+def labelling() -> tuple[Flow, TestSink]:
+    flow, sink = Flow("labelling"), TestSink()
+    zeroed = flow.source(TestSource(Touch)) | Zero()
+    (zeroed & flow.source(TestSource(Motion)) | Align() | Label()).to(sink)
+    return flow, sink
+
+
+def identical(one: Batch, other: Batch) -> bool:
+    return all(getattr(one, c).tobytes() == getattr(other, c).tobytes() for c in columns(type(one)))
+
+
+def test_a_paced_live_replay_gives_what_a_full_speed_replay_gives() -> None:
+    held = recording()
+    full_flow, full = labelling()
+    asyncio.run(ReplayRunner(full_flow, held, "full").execute())
+    live_flow, live = labelling()
+
+    async def paced() -> None:
+        clock = LoopClock(first_time(held))
+        await LiveRunner(replayed(live_flow, held), "paced", clock=clock).execute()
+
+    run_virtually(paced())
+    assert [(sink.run.live, sink.run.recording) for sink in (full, live)] == [
+        (False, "memory"),
+        (True, "memory"),
+    ]
+    assert len(full.rows(Labelled, 0)) == 500
+    assert identical(full.rows(Labelled, 0), live.rows(Labelled, 0))
+
+
+@pytest.mark.parametrize("rows", [1, 7, 1000])
+def test_the_size_of_the_slices_changes_nothing(rows: int) -> None:
+    results: list[Labelled] = []
+    for size in (100, rows):
+        flow, sink = labelling()
+        asyncio.run(ReplayRunner(flow, recording(2), "x", rows=size).execute())
+        results.append(sink.rows(Labelled, 0))
+    assert identical(*results)
+
+
+def test_a_replay_counts_rows_and_shows_event_time() -> None:
+    flow, _ = labelling()
+    run = asyncio.run(ReplayRunner(flow, recording(2), "x").execute())
+    assert {name: status.rows for name, status in run.sources.items()} == {"touch": 200, "motion": 250}
+    assert run.clock.now() - run.start == 250 * 8 * ms - 8 * ms + 3 * ms
+
+
+def test_the_sources_of_a_replay_are_up_while_it_lasts() -> None:
+    flow, _ = labelling()
+    runner, seen = ReplayRunner(flow, recording(2), "x", rows=50), set[bool]()
+    run = asyncio.run(runner.execute(lambda run: seen.update(each.up for each in run.sources.values())))
+    assert seen == {True}
+    assert not any(source.up for source in run.sources.values())
+
+
+def test_a_replay_tells_which_of_its_sinks_record() -> None:
+    flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
+    recorder.records = True
+    touch = flow.source(TestSource(Touch))
+    touch.to(recorder)
+    touch.to(viewer)
+    run = asyncio.run(ReplayRunner(flow, recording(), "again").execute())
+    assert [sink.records for sink in run.sinks.values()] == [True, False]
+
+
+def test_sinks_that_a_replay_writes_elsewhere_are_told_of(caplog: pytest.LogCaptureFixture) -> None:
+    class Moved(TestSink):
+        @property
+        def replay_place(self) -> str:
+            return "the attic"
+
+    flow, sink = Flow("f"), Moved()
+    source = flow.source(TestSource(Touch))
+    source.to(sink)
+    source.to(TestSink())
+    tell_places(flow)
+    assert caplog.messages == [f"{flow.sinks()[0].name}: the replay goes to the attic"]
+
+
+def test_a_stream_that_the_recording_lacks_is_named() -> None:
+    flow, _ = labelling()
+    touch_only = Memory(next(recording().read(Touch, 0, 1000)))
+    with pytest.raises(InputError, match="memory: holds no motion stream, which source 'motion' needs"):
+        ReplayRunner(flow, touch_only, "x")
+
+
+def test_an_empty_recording_is_an_error() -> None:
+    flow, _ = labelling()
+    empty = Memory(Touch.empty(), Motion.empty())
+    with pytest.raises(InputError, match="memory: is empty"):
+        asyncio.run(ReplayRunner(flow, empty, "x").execute())
+
+
+def test_a_failing_sink_ends_a_replay_and_is_closed() -> None:
+    flow, sink = Flow("f"), TestSink(failures=[EndpointError("disk", "full")])
+    flow.source(TestSource(Touch)).to(sink)
+    with pytest.raises(EndpointError, match="disk: full"):
+        asyncio.run(ReplayRunner(flow, recording(), "x").execute())
+    assert sink.closed == 1
+
+
+def test_a_replay_that_is_stopped_keeps_what_it_has_and_tells() -> None:
+    flow, sink = labelling()
+    runner = ReplayRunner(flow, recording(), "x", rows=100)
+    run = asyncio.run(runner.execute(lambda _: runner.stop()))
+    assert run.error == "was interrupted"
+    assert run.sources["touch"].rows < 101
+    assert 0 < len(sink.rows(Labelled, 0)) <= run.sources["touch"].rows
+    assert sink.closed == 1
+
+
+def test_a_replay_that_is_cancelled_is_not_complete() -> None:
+    async def cancelled() -> None:
+        raise asyncio.CancelledError
+
+    flow, sink = Flow("f"), TestSink(hold=cancelled)
+    flow.source(TestSource(Touch)).to(sink)
+    runner = ReplayRunner(flow, recording(), "x")
+    with pytest.raises(asyncio.CancelledError):
+        asyncio.run(runner.execute())
+    assert (runner.run.error, sink.closed) == ("was interrupted", 1)
+
+
+def test_two_sources_of_one_kind_take_the_fingertips_that_they_declare() -> None:
+    flow = Flow("f")
+    thumb, index = TestSink(), TestSink()
+    flow.source(TestSource(Touch, fingers=(0,)), "thumb").to(thumb)
+    flow.source(TestSource(Touch, fingers=(1,)), "index").to(index)
+    both = Memory(*(next(recording(1, finger=f).read(Touch, f, 1000)) for f in (0, 1)))
+    asyncio.run(ReplayRunner(flow, both, "x").execute())
+    assert len(thumb.rows(Touch, 0)) == len(index.rows(Touch, 1)) == 100
+
+
+def test_replaying_leaves_the_flow_as_it_was() -> None:
+    flow, _ = labelling()
+    drawn = str(flow)
+    replayed(flow, recording())
+    assert str(flow) == drawn
+
+
+stamps = st.lists(st.integers(0, 50), max_size=20).map(lambda values: np.array(sorted(values), np.int64))
+
+
+@given(st.lists(st.tuples(stamps, st.integers(1, 7)), min_size=1, max_size=3))
+def test_slices_share_their_cuts_and_keep_every_row(streams: list[tuple[np.ndarray, int]]) -> None:
+    flow = Flow("f")
+    entries = {
+        (flow.source(TestSource(Motion)).node, EVERY): [
+            Motion(t, t, np.zeros((len(t), 6)), np.zeros((len(t), 6)))[i : i + size]
+            for t in [times]
+            for i in range(0, len(times), size)
+        ]
+        for times, size in streams
+    }
+    slices = list(in_slices({e: iter(b) for e, b in entries.items()}))
+    for entry, batches in entries.items():
+        whole = [t for batch in batches for t in batch.time.tolist()]
+        assert [t for cut in slices if entry in cut for t in cut[entry].time.tolist()] == whole
+    for earlier, later in pairwise(slices):
+        assert max(b.time[-1] for b in earlier.values()) <= min(b.time[0] for b in later.values())

@@ -1,0 +1,48 @@
+import json
+from collections.abc import Callable
+
+import pytest
+
+from flows.run.run_summary import Summary
+from operators import Run
+from operators.batch import s
+from operators.ports import SinkStatus, SourceStatus
+
+
+@pytest.fixture
+def ended(run: Run) -> Run:
+    run.sources["touch"] = SourceStatus(rows=300, late=2)
+    run.sinks["dataset"] = SinkStatus(rows=12)
+    return run
+
+
+def test_it_tells_what_a_run_took_and_gave(ended: Run) -> None:
+    summary = Summary.of(ended)
+    assert (summary.seconds, summary.taken, summary.given, summary.lost) == (10.0, 300, 12, False)
+    assert summary.report().splitlines() == [
+        "run1: 10.0 s",
+        "  touch: 300 rows in, 2 late, 0 gaps",
+        "  dataset: 12 rows out, 0 dropped",
+    ]
+    assert json.loads(json.dumps(summary.as_dict()))["sources"]["touch"]["rows"] == 300
+
+
+def dropped(run: Run) -> None:
+    run.sinks["dataset"].dropped = 1
+
+
+def failed(run: Run) -> None:
+    run.sources["touch"].error = "bus stuck"
+
+
+def full(run: Run) -> None:
+    run.sinks["dataset"].error = "disk full"
+
+
+@pytest.mark.parametrize("spoil", [dropped, failed, full])
+def test_rows_that_were_dropped_and_ends_that_are_down_are_losses(
+    ended: Run, spoil: Callable[[Run], None]
+) -> None:
+    spoil(ended)
+    assert Summary.of(ended).lost
+    assert ended.clock.now() == 100 * s

@@ -1,0 +1,119 @@
+"""The ready-made flows, built and run over the simulated rig in virtual time."""
+
+import asyncio
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from connectors import CsvTrace, Rig
+from connectors.sim.scene import Move, Moves, Scene
+from flows.demo import Demo
+from flows.graph import Flow
+from flows.graph.loading import load
+from flows.graph.testing import TestSink, TestSource, run_virtually
+from flows.graph.validation import problems
+from flows.live import live
+from flows.record import record
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from flows.run.replay_runner import ReplayRunner, first_time, replayed
+from operators import Align, Debounce, Label, Labelled, Run, Score, Slips, Touch, Zero, s
+from storage import Session, load_detector
+
+MAT = Path(__file__).parents[3] / "shared" / "real" / "mat_trace.csv"
+WEIGHTS = MAT.with_name("paper_tcn.npz")
+
+
+def run_for(flow: Flow, seconds: int, start: int = 1_700_000_000 * s) -> Run:
+    async def main() -> Run:
+        return await LiveRunner(flow, "test", clock=LoopClock(start), duration=seconds * s).execute()
+
+    return run_virtually(main())
+
+
+@pytest.mark.parametrize("name", ["live", "record"])
+def test_a_ready_made_flow_is_sound(name: str) -> None:
+    assert problems(load(name).flow()) == []
+
+
+def test_record_records_synchronized_labelled_samples(tmp_path: Path) -> None:
+    run = run_for(record(out=str(tmp_path)), 20)
+    assert run.sinks["dataset"].dropped == 0
+    samples = pl.read_parquet(f"{tmp_path}/sessions/test/samples/*.parquet")
+    assert len(samples) == pytest.approx(2000, abs=20)
+    assert set(samples["label"].unique()) >= {0, 1}
+    assert samples["time"].is_sorted()
+    matched = samples["velocity"].arr.first().is_not_nan()
+    assert matched.mean() == pytest.approx(1, abs=0.02)
+
+
+def test_a_recorded_session_replays_to_the_same_samples(tmp_path: Path) -> None:
+    run_for(record(out=str(tmp_path / "live")), 20)
+    session = Session.open(tmp_path / "live")
+    asyncio.run(ReplayRunner(record(out=str(tmp_path / "again")), session, "again").execute())
+    live, again = (
+        pl.read_parquet(f"{tmp_path}/{which}/sessions/*/samples/*.parquet") for which in ("live", "again")
+    )
+    assert live.drop("episode").equals(again.drop("episode"))
+
+
+def test_live_prints_what_it_feels(capsys: pytest.CaptureFixture[str]) -> None:
+    run_for(live(), 20)
+    assert "slip onset" in capsys.readouterr().out
+
+
+def test_the_demo_says_what_came_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    demo = Demo(tmp_path, broker=None)
+    run = run_for(demo.flow, 20)
+    found = demo.summary(run)
+    assert found["true_slips"] > 3
+    assert found["slips"] == capsys.readouterr().out.count("slip onset") > 0
+    assert found["missed"] < found["true_slips"]
+    text = demo.report(run)
+    assert "onset delay: median" in text
+    assert f"{tmp_path}/sessions/test/samples/*.parquet" in text
+    assert set(Session.open(tmp_path).tables) == {"touch", "motion", "samples", "episodes", "slips"}
+
+
+def _events(detector: str, pace: float | None) -> Slips:
+    """Events of the real trace."""
+    flow, sink = Flow("real"), TestSink()
+    touch = flow.source(TestSource(Touch))
+    (touch | Zero() | Score(load_detector(detector)) | Debounce(consecutive=2)).to(sink)
+    trace = CsvTrace(MAT)
+    if pace is None:
+        asyncio.run(ReplayRunner(flow, trace, "real").execute())
+    else:
+
+        async def paced() -> None:
+            clock = LoopClock(first_time(trace), pace)
+            await LiveRunner(replayed(flow, trace), "real", clock=clock).execute()
+
+        run_virtually(paced())
+    return sink.rows(Slips, 0)
+
+
+@pytest.mark.parametrize("detector", ["psd", str(WEIGHTS)], ids=["psd", "paper_tcn"])
+def test_the_real_trace_gives_the_same_events_live_paced_and_at_full_speed(detector: str) -> None:
+    if not MAT.exists():
+        pytest.skip(f"the real trace is not there: {MAT}")
+    full, paced = _events(detector, None), _events(detector, 1.0)
+    assert len(full) > 0
+    for column in ("time", "state", "start", "probability"):
+        assert getattr(full, column).tobytes() == getattr(paced, column).tobytes()
+
+
+def test_a_rig_as_fast_as_it_goes_is_labelled_like_a_paced_one() -> None:
+    labels: list[list[int]] = []
+    for pace in (1.0, None):
+        strokes = [Move("translation", 1.0, 0.4, 45.0 * k, 0.05) for k in range(12)]
+        plan = Moves((Move("hold", 1.2, force=0.0), *strokes))
+        rig, flow, sink = Rig(Scene(plan=plan), pace=pace), Flow("fast"), TestSink()
+        zeroed = flow.source(rig.touch) | Zero()
+        (zeroed & flow.source(rig.motion) | Align() | Label()).to(sink)
+        run_for(flow, 60)
+        labels.append(sink.rows(Labelled, 0).label.tolist())
+    paced, fast = labels
+    assert set(paced) >= {0, 1}
+    assert fast == paced

@@ -1,0 +1,122 @@
+"""The lift as a declared flow: on the simulated grasp, and over the real protocols."""
+
+import asyncio
+from collections.abc import Sequence
+
+import pytest
+
+from connectors import Gripper, TakkTile
+from connectors.emulators.gripper_server import GripperServer
+from connectors.emulators.i2c_bus import I2cBus
+from connectors.gripper.grip_force import ForceScale
+from connectors.sim.grasp import Held
+from connectors.sim.grasp_source import Handling, opened
+from connectors.sim.holding import least_force
+from connectors.sim.lift_motion import Lift
+from connectors.sim.objects import OBJECTS, named
+from flows.graph import Flow
+from flows.graph.loading import load
+from flows.graph.testing import TestSink, run_virtually
+from flows.graph.validation import problems
+from flows.lift import controller, held_by, lift
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from operators import Commands, Grip, InputError, ParameterError, Run, s
+from storage import load_detector
+from tests.connectors.sim.grasp_lab import GraspLab
+
+DETECTOR = "tcn_grasp"
+UP = Lift(5.5)  # the gripper wakes up, the baseline is taken, the fingers close
+SECONDS = 8
+SMALL = ForceScale(((0, 0.05), (255, 10.0)))  # N: this scene's objects are held with a tenth of a real one's
+
+
+def _for(flow: Flow, seconds: int) -> Run:
+    async def main() -> Run:
+        clock = LoopClock(1_700_000_000 * s)
+        return await LiveRunner(flow, "test", clock=clock, duration=seconds * s).execute()
+
+    return run_virtually(main())
+
+
+def _is_held(happened: Sequence[Held]) -> bool:
+    last = happened[-1]
+    return not last.dropped and not last.on_table and last.hand - last.height < 0.02
+
+
+def test_the_ready_made_flow_is_sound() -> None:
+    assert problems(load("lift").flow()) == []
+
+
+def test_what_is_lifted_is_one_of_the_scenes_objects() -> None:
+    with pytest.raises(ParameterError, match="lift: thing is 'anvil', must be one of box, ball"):
+        lift(thing="anvil")
+
+
+def test_hardware_is_given_whole_or_not_at_all() -> None:
+    with pytest.raises(InputError, match="bus and a gripper"):
+        lift(gripper="10.0.0.3")
+    assert [node.name for node in lift(gripper="10.0.0.3", bus=1).sinks()] == ["console", "gripper"]
+    assert [node.name for node in lift().sinks()] == ["console", "hand"]
+
+
+@pytest.mark.parametrize("ruled", [True, False])
+def test_what_is_gripped_too_weakly_is_held_by_the_flow_and_lost_without(*, ruled: bool) -> None:
+    ball = named("ball")
+    handling, commands, flow = Handling(ball, seed=3), TestSink(), Flow("lift")
+    rule = controller(DETECTOR, least_force(ball) / 2)
+    rule = rule if ruled else Grip(force=rule.force, gain=0.0)
+    _, given = held_by(flow, handling.touch, load_detector(DETECTOR), rule)
+    given.to(handling.hand)
+    given.to(commands)
+    run = _for(flow, 6)
+    assert not any(status.error for status in run.sinks.values())
+    assert not any(status.error for status in run.sources.values())
+    assert _is_held(handling.happened) is ruled
+    assert (len(commands.rows(Commands, 0)) > 1) is ruled
+
+
+async def _lifted(number: int, name: str) -> GraspLab:
+    """One lift in real time: I2C bytes in, Modbus requests out."""
+    from connectors.emulators.i2c_device import served  # noqa: PLC0415 - needs smbus2
+
+    thing = named(name)
+    lab = await asyncio.to_thread(lambda: GraspLab(opened(thing, number, UP)))
+    path = f"/dev/i2c-{70 + number}"
+    server = GripperServer(lab, port=0, now=lab.now, activation=0.2, scale=SMALL)
+    rule = controller(DETECTOR, 0.6 * least_force(thing), settle=round(1.5 * s))
+    with served(I2cBus(lab, now=lab.now), path):
+        async with server:
+            flow = Flow("lift")
+            hand = Gripper(server.host, server.port, limits=(0.05, 10.0), scale=SMALL)
+            _, commands = held_by(flow, TakkTile(bus=path), load_detector(DETECTOR), rule)
+            commands.to(hand)
+            run = await LiveRunner(flow, "lift", duration=SECONDS * s).execute()
+    assert not any(status.error for status in run.sinks.values())
+    return lab
+
+
+def _together(names: Sequence[str]) -> dict[str, GraspLab]:
+    async def main() -> list[GraspLab]:
+        return await asyncio.gather(*(_lifted(number, name) for number, name in enumerate(names)))
+
+    return dict(zip(names, asyncio.run(main()), strict=True))
+
+
+def _check(labs: dict[str, GraspLab]) -> None:
+    for name, lab in labs.items():
+        weak = [held for held in lab.happened if held.force and held.instant < UP.instant]
+        assert 0.4 < weak[-1].force / least_force(named(name)) < 0.8, name  # too weak, as the lift begins
+        assert _is_held(lab.happened), name
+
+
+def test_over_i2c_and_modbus_the_ball_and_the_box_are_lifted_and_held() -> None:
+    pytest.importorskip("pymodbus")
+    _check(_together(["ball", "box"]))
+
+
+@pytest.mark.slow
+def test_over_i2c_and_modbus_every_object_is_lifted_and_held() -> None:
+    pytest.importorskip("pymodbus")
+    for name in OBJECTS:
+        _check(_together([name]))

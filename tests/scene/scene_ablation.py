@@ -1,0 +1,150 @@
+"""What each term of the scene is worth: take it away, and see what changes."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from connectors.sim.paper_plan import Collection
+from connectors.sim.scene import Move, Plan, Scene
+from flows.learn.labelled_recordings import simulated_trials
+from operators.batch import Reals
+from operators.detectors import Detector
+from tests.scene.scene_judges import confusion, fitted
+from tests.scene.scene_statistics import distance, measure
+
+NETWORK: Final = "paper's TCN, points"
+DISTANCE: Final = "distance"
+DETECTORS: Final = ("PSD, points", "logistic regression, points")
+
+
+@dataclass(frozen=True, slots=True)
+class Calm:
+    """A plan without what comes between its strokes: the arm stands still there."""
+
+    plan: Plan
+
+    def moves(self, random: np.random.Generator) -> Iterator[Move]:
+        """The plan's moves; those between strokes become holds."""
+        stroked = False
+        for move in self.plan.moves(random):
+            stroked |= move.motion in ("translation", "rotation")
+            still = stroked and move.motion in ("hold", "tap", "lift")
+            yield replace(move, motion="hold", force=None, tap=0.0) if still else move
+
+
+@dataclass(frozen=True, slots=True)
+class CalmCollection(Collection):
+    """A collection without force changes, taps and lifts."""
+
+    def scenes(self, seed: int) -> Iterator[Scene]:
+        """The scenes, each with its plan calmed."""
+        return (replace(scene, plan=Calm(scene.plan)) for scene in Collection.scenes(self, seed))
+
+
+Change = Callable[[Collection], Collection]
+
+
+def _physics(**values: float) -> Change:
+    changes: dict[str, Any] = values
+    return lambda plan: replace(plan, parameters=replace(plan.parameters, **changes))
+
+
+def _plan(**values: float) -> Change:
+    changes: dict[str, Any] = values
+    return lambda plan: replace(plan, **changes)
+
+
+def _no_floor(plan: Collection) -> Collection:
+    return replace(plan, parameters=replace(plan.parameters, rest_lowest=950, rest_highest=950))
+
+
+def _no_stribeck(plan: Collection) -> Collection:
+    return replace(
+        plan, parameters=replace(plan.parameters, static_friction=plan.parameters.kinetic_friction)
+    )
+
+
+def _calm(plan: Collection) -> Collection:
+    return CalmCollection(**{name: getattr(plan, name) for name in Collection.__dataclass_fields__})
+
+
+# what is missing in each
+TERMS: Final[Mapping[str, Change]] = {
+    "response to shear": _physics(shear_gain=0.0),
+    "tilt by drag": _physics(lever=0.0),
+    "texture": _physics(texture=0.0),
+    "creep": _physics(creep=0.0),
+    "Stribeck friction": _no_stribeck,
+    "resonance of the finger (damping 1)": _physics(damping=1.0),
+    "floor of the barometers": _no_floor,
+    "latency of the velocity": _plan(latency=0.0),
+    "arm vibration": _plan(vibration=0.0),
+    "pivot off the pad's centre": _plan(pivot=0.0),
+    "force changes, taps and lifts": _calm,
+}
+# instead of 8 x 6 nodes and 1 ms
+GRIDS: Final[Mapping[str, Change]] = {
+    "6 x 4 nodes": _physics(columns=6, rows=4),
+    "12 x 8 nodes": _physics(columns=12, rows=8),
+    "steps of 0.5 ms": _physics(step=0.0005),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Ablation:
+    """Measures of each variant for each seed, less those of the whole scene."""
+
+    measures: tuple[str, ...]
+    whole: Reals  # (seeds, measures)
+    change: Mapping[str, Reals]  # (seeds, measures) of each variant
+
+    def effect(self, name: str) -> Reals:
+        """Mean change over the seeds; (measures,)."""
+        mean: Reals = self.change[name].mean(axis=0)
+        return mean
+
+    def sigma(self, name: str) -> Reals:
+        """Standard error of the effect, but not below the median of those of all variants; (measures,)."""
+        errors = {
+            key: values.std(axis=0, ddof=1) / np.sqrt(len(values)) for key, values in self.change.items()
+        }
+        largest: Reals = np.maximum(errors[name], np.median(list(errors.values()), axis=0))
+        return largest
+
+    def silent(self, names: Sequence[str]) -> list[str]:
+        """Those that change no measure by two sigma."""
+        return [name for name in names if (np.abs(self.effect(name)) < 2 * self.sigma(name)).all()]
+
+
+def ablate(
+    plan: Collection,
+    seeds: Sequence[int],
+    network: Detector | None,
+    variants: Mapping[str, Change],
+    *,
+    hop: int = 8,
+    told: Callable[[str], None] = lambda _: None,
+) -> Ablation:
+    """Measure the scene with and without each term, on the same seeds.
+
+    The network's measure is its accuracy on the variant. The detectors are fitted to the variant and judged,
+    by balanced accuracy, on other recordings of the whole scene: what they would lose if the scene that they
+    learn from lacked the term.
+    """
+    judged = [simulated_trials(plan, seed + 1000) for seed in seeds]
+
+    def row(changed: Collection, number: int) -> list[float]:
+        trials = simulated_trials(changed, seeds[number])
+        scores = [] if network is None else [confusion(network, trials, hop).accuracy]
+        found = [confusion(detector, judged[number], hop).balanced for detector in fitted(trials, hop)]
+        return [*scores, distance(measure(trials)), *found]
+
+    def rows(name: str, changed: Collection) -> Reals:
+        told(name)
+        return np.array([row(changed, number) for number in range(len(seeds))])
+
+    whole = rows("the whole scene", plan)
+    change = {name: rows(name, alter(plan)) - whole for name, alter in variants.items()}
+    return Ablation((*([] if network is None else [NETWORK]), DISTANCE, *DETECTORS), whole, change)

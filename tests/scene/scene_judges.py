@@ -1,0 +1,45 @@
+"""Detectors that judge the scene, and their answers."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from flows.learn.evaluation.logistic import Logistic
+from flows.learn.evaluation.motion_metrics import Cells
+from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.labelled_recordings import Trial
+from flows.learn.scoring import labels, windows
+from operators.batch import SLIP, STATIC, Flags
+from operators.detectors import Detector, Psd
+
+_BLOCK: Final = 512  # windows scored at once
+
+
+def answers(detector: Detector, trials: Sequence[Trial], hop: int) -> list[Flags]:
+    """Whether the detector calls each judged sample of each trial slip."""
+    result: list[Flags] = []
+    for trial in trials:
+        seen = windows(trial, detector.length, hop)
+        blocks = [detector.score(seen[at : at + _BLOCK]) for at in range(0, len(seen), _BLOCK)]
+        result.append(np.concatenate([np.empty(0), *blocks]) > 1 / 2)
+    return result
+
+
+def confusion(detector: Detector, trials: Sequence[Trial], hop: int) -> Confusion:
+    """The detector's answers to all trials, counted."""
+    return Confusion.of(np.concatenate(answers(detector, trials, hop)), labels(trials, hop))
+
+
+def cells(detector: Detector, trials: Sequence[Trial], hop: int) -> Cells:
+    """The same by kind of motion."""
+    return Cells.of(trials, [trial.judged(hop) for trial in trials], answers(detector, trials, hop))
+
+
+def fitted(trials: Sequence[Trial], hop: int) -> tuple[Psd, Logistic]:
+    """The two detectors that need no training framework, fitted to trials."""
+    slip = labels(trials, hop)
+    codes = np.where(slip, SLIP, STATIC).astype(np.int8)
+    psd, length = Psd(), 41
+    seen = [np.concatenate([windows(trial, n, hop) for trial in trials]) for n in (psd.length, length)]
+    return psd.fitted(seen[0], codes), Logistic.fitted(seen[1], slip)
