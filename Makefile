@@ -58,7 +58,7 @@ models:  ## train again what ships in storage/trained: two hours on two cores
 	slipflow simulate models/paper-0 --plan paper --seed 0
 	for seed in 3 4 5; do slipflow simulate models/wide-$$seed --plan wide --seed $$seed || exit 1; done
 	slipflow train models/paper-0 models/wide-3 models/wide-4 models/wide-5 --seeds 3 \
-	    --curve docs/detectors/training.svg -o models/tcn.safetensors
+	    --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
 	slipflow train models/paper-0 --method paper_tcn --epochs 25 -o models/paper_tcn.safetensors
 	slipflow train models/paper-0 --method frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors
 	slipflow train models/paper-0 --method frequency_cnn_interleaved --epochs 30 \

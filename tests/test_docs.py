@@ -16,7 +16,7 @@ from flows.graph.diagram import svg
 from flows.graph.loading import load
 from tests.pages import PAGES, ROOT, blocks, commands, spoken
 
-RUN = ["tutorial.md", "extending.md", "dataset.md", "mqtt.md"]
+RUN = ["tutorial/own-detector.md", "how-to/extend.md", "reference/dataset.md", "reference/mqtt.md"]
 SHOWN = re.compile(r"[\d.,:]+|\s+")  # what may differ from run to run: numbers, and how wide they are
 
 
@@ -57,7 +57,7 @@ def test_every_block_of_the_page_runs_in_order_and_prints_what_the_page_says(
         elif block.language == "text" and printed:
             lines = {same_but_for_numbers(line) for line in printed.splitlines()}
             assert {same_but_for_numbers(line) for line in block.body.splitlines()} <= lines, printed
-    assert ran or name == "mqtt.md"  # whose files are run by tests/test_docs_mqtt.py
+    assert ran or name == "reference/mqtt.md"  # whose files are run by tests/test_docs_mqtt.py
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -117,8 +117,12 @@ def test_every_link_leads_to_a_file(page: Path) -> None:
 
 def test_the_index_names_every_page() -> None:
     index = (ROOT / "docs" / "README.md").read_text()
-    for page in (ROOT / "docs").glob("*.md"):
-        assert page.name == "README.md" or f"({page.name})" in index, page.name
+    for page in (
+        p
+        for folder in ("tutorial", "how-to", "explanations", "reference")
+        for p in (ROOT / "docs" / folder).glob("*.md")
+    ):
+        assert f"({page.relative_to(ROOT / 'docs')})" in index, page.name
 
 
 @pytest.mark.parametrize(("name", "settings"), [("live", {}), ("record", {"out": "/data/recordings"})])

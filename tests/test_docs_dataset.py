@@ -1,4 +1,4 @@
-"""docs/dataset.md is the contract that the code keeps."""
+"""docs/reference/dataset.md is the contract that the code keeps."""
 
 import asyncio
 import json
@@ -21,7 +21,7 @@ from storage.layout import TABLES
 from storage.schema import schema
 from tests.pages import ROOT, table
 
-PAGE = ROOT / "docs" / "dataset.md"
+PAGE = ROOT / "docs" / "reference" / "dataset.md"
 TIME = np.array([1_700_000_000_000_000_000])
 SLIPS = Slips(TIME, np.array([1], np.int8), TIME, np.array([0.9]), finger=0)
 SCHEMAS: dict[str, Any] = {each.name: schema(each) for each in TABLES} | {"episodes": SCHEMA}

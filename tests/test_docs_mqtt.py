@@ -1,4 +1,4 @@
-"""docs/mqtt.md is the contract that a rig keeps on a real broker; its files run."""
+"""docs/reference/mqtt.md is the contract that a rig keeps on a real broker; its files run."""
 
 import asyncio
 import json
@@ -25,7 +25,7 @@ from tests.pages import ROOT, block, commands, table
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
-PAGE = ROOT / "docs" / "mqtt.md"
+PAGE = ROOT / "docs" / "reference" / "mqtt.md"
 RIG = "slip/v1/lab/rig"
 START = 99_000 * ms  # within the run
 

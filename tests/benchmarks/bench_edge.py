@@ -45,7 +45,7 @@ async def felt() -> Touch:
 
 
 def install(folder: Path) -> Path:
-    """An environment as docs/deploy.md makes it; gives its Python."""
+    """An environment as docs/how-to/deploy.md makes it; gives its Python."""
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     python = folder / "bin" / "python"

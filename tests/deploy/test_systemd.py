@@ -12,7 +12,7 @@ from flows.graph.validation import problems
 from tests.deploy.shipped import DEPLOY
 
 TEXT = (DEPLOY / "systemd" / "slipflow.service").read_text()
-PAGE = (DEPLOY.parent / "docs" / "deploy.md").read_text()
+PAGE = (DEPLOY.parent / "docs" / "how-to" / "deploy.md").read_text()
 PROGRAM = "/opt/slipflow/bin/slipflow"  # where an operator installs it
 EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
 

@@ -19,7 +19,7 @@ def page(of: Found, command: str) -> Page:
     text = (
         f"{tried(of)}, the same for all methods, from seed {of.seed} on, in the simulated "
         "scene; the paper's are of real objects. What counts as success, and what is assumed, is in "
-        "docs/experiments.md."
+        "docs/explanations/experiments.md."
     )
     first, *others = sections(of)
     shown = replace(first, figure=drawn(lambda: trial_figure.example(of)))

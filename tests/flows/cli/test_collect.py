@@ -151,7 +151,7 @@ def test_ctrl_c_on_a_virtual_collection_stops_and_commits(tmp_path: Path) -> Non
 
 @pytest.mark.skipif(importlib.util.find_spec("pymodbus") is None, reason="needs the extra `gripper`")
 def test_the_flow_of_the_hardware_page_runs_on_the_virtual_lab(tmp_path: Path) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "hardware.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "hardware.md").read_text()
     [block] = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     here = block.replace('"127.0.0.1"', repr(HOST)).replace("gripper=5020", f"gripper=5020, host={HOST!r}")
     done = subprocess.run(

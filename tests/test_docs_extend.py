@@ -1,4 +1,4 @@
-"""The operator of docs/extending.md owes what every operator owes; the other parts are what they say."""
+"""The operator of docs/how-to/extend.md owes what every operator owes; the other parts are what they say."""
 
 import asyncio
 import inspect
@@ -20,7 +20,7 @@ from operators.detectors import Detector
 from tests.operators import conftest, test_conformance
 from tests.pages import ROOT, block
 
-PAGE = ROOT / "docs" / "extending.md"
+PAGE = ROOT / "docs" / "how-to" / "extend.md"
 OWED = [name for name in vars(test_conformance) if name.startswith("test_")]
 same = conftest.same  # the fixture
 
