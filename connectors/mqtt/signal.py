@@ -18,7 +18,7 @@ class MqttSignal(Sink[Scores]):
 
     As ``{"time_ns": .., "p": ..}`` on ``slip/v1/<site>/<rig>/<finger>/signal``, with QoS 0, not retained.
     While the broker is away the oldest batches are dropped. It has a queue and a connection of its own, so
-    that it never holds up the events of `connectors.mqtt.mqtt_sink.Mqtt`. As there, a replay publishes as another
+    that it never holds up the events of `Mqtt`. As there, a replay publishes as another
     rig.
 
     Raises:

@@ -25,7 +25,9 @@ class Hand:
     """
 
     sensing: float = 0.007  # s, conversion's start to event: 3 ms of it convert, 4 read (100 kHz bus)
-    path: float = PATHS["direct"]  # s; through a broker on the same host 6 ms (docs/explanations/performance.md, p99)
+    path: float = PATHS[
+        "direct"
+    ]  # s; through a broker on the same host 6 ms (docs/explanations/performance.md, p99)
     refresh: float = PACE  # s, of the gripper's look at its registers: 200 a second (manual)
     settle: float = SETTLE  # s, until a request has its effect (manual: until it shows in the status)
     delay: float = 0.0  # s, added
