@@ -2,7 +2,8 @@
 
 Orders go to a process of their own (`connectors.ur.control_process`). Whatever goes wrong stops the arm: a
 stop of the controller's, a bound that is passed, an order that takes too long, a process that dies or
-hangs, a caller that says so. Three stops stand behind each other: the order to the process; if the arm does not stand soon,
+hangs, a caller that says so.
+Three stops back each other up: the order to the process; if the arm does not stop soon,
 or the process is gone, `stop` over the dashboard; and the controller's watchdog, which ends the program when
 it does not hear of the process.
 """
