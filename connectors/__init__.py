@@ -8,7 +8,7 @@ from connectors.mqtt.consumer import Consumer
 from connectors.mqtt.mqtt_sink import Mqtt
 from connectors.mqtt.signal import MqttSignal
 from connectors.replay import Replay
-from connectors.sim.simulated_rig import Rig
+from connectors.sim.simulated_rig import SimulatedRig
 from connectors.takktile.takktile_source import TakkTile
 from connectors.ur.ur_motion import UrMotion
 from connectors.web.live_page import Page
@@ -25,7 +25,7 @@ __all__ = [
     "MqttSignal",
     "Page",
     "Replay",
-    "Rig",
+    "SimulatedRig",
     "TakkTile",
     "UrMotion",
 ]

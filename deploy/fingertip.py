@@ -5,7 +5,7 @@ Run by the unit and the container in this folder. It is made to be copied and ch
 
 from pathlib import Path
 
-from connectors import Console, Mqtt, Rig, TakkTile
+from connectors import Console, Mqtt, SimulatedRig, TakkTile
 from flows.graph import Flow
 from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
 from storage import Dataset, identify_detector, load_debounce, load_detector
@@ -23,7 +23,7 @@ def fingertip(
 ) -> Flow:
     """Score row `row` of I2C bus `bus`, none: of the simulated rig; record into `out`, none: nowhere."""
     flow = Flow("fingertip")
-    touch = flow.source(Rig().touch if bus is None else TakkTile(bus, (row,)))
+    touch = flow.source(SimulatedRig().touch if bus is None else TakkTile(bus, (row,)))
     debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
     faults = touch | Health(clear_after=2 * s)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from connectors import Console, Mqtt, Rig
+from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
 from flows.learn.onsets import match_onsets
 from flows.record import ARM_LATENCY, declare_recording
@@ -63,7 +63,7 @@ class Demo:
         Where it is `patient`, a broker that refuses it ends nothing.
         """
         self.out, self.broker = out, broker
-        self.rig = Rig(seed=seed)
+        self.rig = SimulatedRig(seed=seed)
         self.onsets = Onsets()
         self.flow = Flow("demo")
         dataset = Dataset(str(out))

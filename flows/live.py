@@ -1,6 +1,6 @@
 """Feel slip as it happens: score a fingertip, print each slip event, publish it if a broker is given."""
 
-from connectors import Console, Mqtt, Rig
+from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
 from operators import Debounce, Faults, Health, Score, Sink, Slips, Zero, s
 from storage import identify_detector, load_debounce, load_detector
@@ -11,7 +11,7 @@ def live(
 ) -> Flow:
     """Score with `detector`, a built-in one or a file of weights; publish to `broker`, as mqtt://localhost."""
     flow = Flow("live")
-    touch = flow.source(Rig(seed=seed).touch)
+    touch = flow.source(SimulatedRig(seed=seed).touch)
     debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
     slips = touch | Zero() | Score(load_detector(detector)) | debounce
 

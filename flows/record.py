@@ -1,6 +1,6 @@
 """Record synchronized, labelled samples of a fingertip dragged by an arm."""
 
-from connectors import Rig
+from connectors import SimulatedRig
 from flows.graph import Flow, Stream
 from flows.graph.quantity import Duration, Speed
 from operators import Align, Label, Zero, Zeroed, ms
@@ -17,11 +17,11 @@ def record(
     The simulated arm tells of its motion `delay` after the barometers felt it.
     """
     flow = Flow("record")
-    declare_recording(flow, Rig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))
+    declare_recording(flow, SimulatedRig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))
     return flow
 
 
-def declare_recording(flow: Flow, rig: Rig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
+def declare_recording(flow: Flow, rig: SimulatedRig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
     """Declare how both streams of a rig, and the samples labelled from them, come into a dataset.
 
     Returns:

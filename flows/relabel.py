@@ -1,6 +1,6 @@
 """Derive samples and slips anew from recordings: for an archive, when a label or a detector has changed."""
 
-from connectors import Rig
+from connectors import SimulatedRig
 from flows.graph import Flow
 from flows.graph.quantity import Duration, Speed
 from flows.record import ARM_LATENCY
@@ -17,7 +17,7 @@ def relabel(
     `detector` is a built-in one or a file of weights.
     """
     flow = Flow("relabel")
-    rig, dataset = Rig(), Dataset(out)  # what was recorded takes the rig's place
+    rig, dataset = SimulatedRig(), Dataset(out)  # what was recorded takes the rig's place
     touch = flow.source(rig.touch)
     motion = flow.source(rig.motion)
 

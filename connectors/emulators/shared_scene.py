@@ -1,6 +1,6 @@
 """The lab: one simulated scene on the host's clock, for emulators to serve over the devices' own protocols.
 
-Where a `Rig` gives samples on its own schedule, the lab is asked: a barometer converts when it is told to,
+Where a `SimulatedRig` gives samples on its own schedule, the lab is asked: a barometer converts when told to,
 a controller looks at its arm when its cycle comes. All who ask share one arm, so that the fingertip is
 dragged by the motion that is reported and commanded.
 """

@@ -18,7 +18,7 @@ from operators.ports import Clock, Description, Json, Run, Sink, Source
 STRETCH: Final = 5.0  # s in one batch of a run that is not paced; joins keep motion for longer
 
 
-class Rig:
+class SimulatedRig:
     """A scene as two sources, `touch` and `motion`, that run on one time, and a sink, `hand`, for commands.
 
     A run begins when the first of the two is asked for its batches, and again when one is asked anew; the
@@ -34,7 +34,7 @@ class Rig:
     Raises:
         ParameterError: on a pace that is not above 0, or without fingertips.
 
-    >>> rig = Rig(seed=1)
+    >>> rig = SimulatedRig(seed=1)
     >>> rig.touch.kind.__name__, rig.motion.kind.__name__, rig.touch.fingers
     ('Touch', 'Motion', (0,))
     """
@@ -49,9 +49,9 @@ class Rig:
         remember: float = 600.0,
     ) -> None:
         if pace is not None and not pace > 0:
-            raise ParameterError("Rig", "pace", pace, "above 0, or None for as fast as it goes")
+            raise ParameterError("SimulatedRig", "pace", pace, "above 0, or None for as fast as it goes")
         if not fingers:
-            raise ParameterError("Rig", "fingers", fingers, "at least one fingertip")
+            raise ParameterError("SimulatedRig", "fingers", fingers, "at least one fingertip")
         self.scene = scene if scene is not None else Scene()
         self.seed, self.pace, self.fingers = seed, pace, fingers
         self.touch = RigTouch(self)
@@ -128,9 +128,9 @@ class Rig:
 
 
 class RigTouch(Source[Touch]):
-    """The simulated fingertips; made by `Rig`."""
+    """The simulated fingertips; made by `SimulatedRig`."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
     @property
@@ -180,9 +180,9 @@ class RigTouch(Source[Touch]):
 
 
 class RigMotion(Source[Motion]):
-    """The simulated arm; made by `Rig`."""
+    """The simulated arm; made by `SimulatedRig`."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
     @property
@@ -218,9 +218,9 @@ class RigMotion(Source[Motion]):
 
 
 class RigHand(Sink[Commands]):
-    """The simulated gripper and arm as something to command; made by `Rig`. See `connectors.sim.hand`."""
+    """The simulated gripper and arm as something to command. See `connectors.sim.hand`."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
     @property
@@ -236,7 +236,7 @@ class RigHand(Sink[Commands]):
         """
         del run
         if self._rig.pace is None:
-            raise ParameterError("Rig", "pace", None, "a number when its hand is commanded")
+            raise ParameterError("SimulatedRig", "pace", None, "a number when its hand is commanded")
         self._rig.orders.given.clear()
 
     async def write(self, batch: Commands) -> None:

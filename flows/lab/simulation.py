@@ -19,7 +19,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from connectors import Rig
+from connectors import SimulatedRig
 from connectors.sim.paper_plan import Collection, Recording
 from connectors.sim.scene import Scene
 from connectors.sim.variety import varied
@@ -219,7 +219,7 @@ def _record(root: Path, delay: int, planned: Planned) -> tuple[str, Tally]:
 
 async def _run(root: Path, delay: int, planned: Planned) -> None:
     """Play a scene to its end, then run the recording flow over it; described as a live run would."""
-    rig = Rig(planned.scene, planned.seed, pace=None)
+    rig = SimulatedRig(planned.scene, planned.seed, pace=None)
     clock = EventClock(planned.start)
     played = _Played(planned.session, await _all(rig.touch, clock), await _all(rig.motion, clock))
     flow = Flow("simulate")

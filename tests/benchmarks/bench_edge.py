@@ -20,7 +20,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 
-from connectors import Rig
+from connectors import SimulatedRig
 from flows.run.clocks import LoopClock
 from operators import Touch, concat
 from tests.benchmarks.machine import commit, machine
@@ -35,7 +35,7 @@ INSTALLED, RESIDENT = 400, 150  # MB, the goals
 
 async def felt() -> Touch:
     """What a simulated fingertip feels: presses and strokes."""
-    read, source = list[Touch](), Rig(seed=0, pace=None).touch
+    read, source = list[Touch](), SimulatedRig(seed=0, pace=None).touch
     async with aclosing(cast("Any", source.batches(LoopClock()))) as batches:
         async for batch in batches:
             read.append(batch)

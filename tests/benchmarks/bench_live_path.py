@@ -27,7 +27,7 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 import numpy as np
 import smbus2.smbus2
 
-from connectors import Rig, TakkTile, UrMotion
+from connectors import SimulatedRig, TakkTile, UrMotion
 from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.i2c_bus import I2cBus
 from connectors.emulators.i2c_device import served
@@ -80,7 +80,7 @@ class Table:
 
 async def felt(seconds: float, seed: int) -> dict[int, Touch]:
     """What the simulated rig's fingertips feel: presses and strokes."""
-    read, source = list[Touch](), Rig(seed=seed, pace=None, fingers=FINGERS).touch
+    read, source = list[Touch](), SimulatedRig(seed=seed, pace=None, fingers=FINGERS).touch
     async with aclosing(cast("Any", source.batches(LoopClock()))) as batches:
         async for batch in batches:
             read.append(batch)

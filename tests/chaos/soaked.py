@@ -13,7 +13,7 @@ import sys
 from dataclasses import asdict
 from pathlib import Path
 
-from connectors import Rig
+from connectors import SimulatedRig
 from flows.graph import Flow
 from flows.record import declare_recording
 from flows.run.live_runner import LiveRunner
@@ -28,7 +28,7 @@ LATENCY = 70 * ms  # ns, of the simulated arm
 
 async def main(folder: Path, pace: float, seconds: float) -> object:
     """Run; say what happened."""
-    flow, dataset, rig = Flow("soaked"), Dataset(folder), Rig(seed=0, pace=pace)
+    flow, dataset, rig = Flow("soaked"), Dataset(folder), SimulatedRig(seed=0, pace=pace)
     zeroed = declare_recording(flow, rig, Label(speed=0.003, delay=LATENCY), dataset)
     (zeroed | Score(load_detector("tcn")) | Debounce(threshold=0.78, consecutive=2, release=12)).to(dataset)
     runner = LiveRunner(flow, SESSION)

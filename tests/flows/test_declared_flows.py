@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from connectors import CsvTrace, Rig
+from connectors import CsvTrace, SimulatedRig
 from connectors.sim.scene import Move, Moves, Scene
 from flows.demo import Demo
 from flows.graph import Flow
@@ -109,7 +109,7 @@ def test_a_rig_as_fast_as_it_goes_is_labelled_like_a_paced_one() -> None:
     for pace in (1.0, None):
         strokes = [Move("translation", 1.0, 0.4, 45.0 * k, 0.05) for k in range(12)]
         plan = Moves((Move("hold", 1.2, force=0.0), *strokes))
-        rig, flow, sink = Rig(Scene(plan=plan), pace=pace), Flow("fast"), TestSink()
+        rig, flow, sink = SimulatedRig(Scene(plan=plan), pace=pace), Flow("fast"), TestSink()
         zeroed = flow.source(rig.touch) | Zero()
         (zeroed & flow.source(rig.motion) | Align() | Label()).to(sink)
         run_for(flow, 60)

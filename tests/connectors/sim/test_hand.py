@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from connectors.sim.arm_motion import Arm, Controller
 from connectors.sim.hand import Orders
 from connectors.sim.scene import Commanded, Move, Moves, Plan, Scene, Timing
-from connectors.sim.simulated_rig import Rig
+from connectors.sim.simulated_rig import SimulatedRig
 from connectors.sim.truth import Truth
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
@@ -77,7 +77,7 @@ def live(
 ) -> Recorded:
     """What a live run in virtual time records; commands are given at their times, by hand or by a flow."""
     scene = plan if isinstance(plan, Scene) else Scene(plan, motion=Timing(125.0, latency=0.07))
-    rig, flow = Rig(scene, seed=2), Flow("loop")
+    rig, flow = SimulatedRig(scene, seed=2), Flow("loop")
     touch, motion = flow.source(rig.touch), flow.source(rig.motion)
     seen, moved, told = TestSink(), TestSink(), TestSink()
     touch.to(seen)
@@ -173,7 +173,7 @@ def test_the_same_commands_at_the_same_times_give_the_same_bytes() -> None:
 
 
 def test_a_command_that_comes_late_is_obeyed_by_both_sources_at_once() -> None:
-    rig = Rig(Scene(Commanded(force=1.0)), pace=1.0)
+    rig = SimulatedRig(Scene(Commanded(force=1.0)), pace=1.0)
     rig.orders.begin(ORIGIN)
     rig.orders.reach(1.0)
     rig.orders.give(commands((0.5, nan, [0.1, 0, 0, 0, 0, 0])))
@@ -208,7 +208,7 @@ def test_without_commands_the_hand_changes_no_byte() -> None:
 
 
 def test_a_hand_is_commanded_only_while_time_is_kept() -> None:
-    rig, flow = Rig(pace=None), Flow("loop")
+    rig, flow = SimulatedRig(pace=None), Flow("loop")
     (flow.source(rig.touch) | Tighten()).to(rig.hand)
 
     async def main() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.scene import Move, Moves, Scene
-from connectors.sim.simulated_rig import Rig
+from connectors.sim.simulated_rig import SimulatedRig
 from operators.batch import Batch, Motion, Touch, concat
 from operators.errors import ParameterError
 from operators.ports import Json, Source
@@ -45,7 +45,9 @@ async def gather(source: Source[Any], clock: Virtual, at_most: int = 100_000) ->
     return batches
 
 
-def run(rig: Rig, clock: Virtual | None = None, at_most: int = 100_000) -> tuple[list[Touch], list[Motion]]:
+def run(
+    rig: SimulatedRig, clock: Virtual | None = None, at_most: int = 100_000
+) -> tuple[list[Touch], list[Motion]]:
     async def both() -> tuple[list[Batch], list[Batch]]:
         shared = clock or Virtual()
         return await asyncio.gather(gather(rig.touch, shared, at_most), gather(rig.motion, shared, at_most))
@@ -55,7 +57,7 @@ def run(rig: Rig, clock: Virtual | None = None, at_most: int = 100_000) -> tuple
 
 
 def test_both_streams_run_at_their_rates_from_one_origin() -> None:
-    touch, motion = run(Rig(Scene(PLAN)))
+    touch, motion = run(SimulatedRig(Scene(PLAN)))
     assert {len(batch) for batch in [*touch, *motion]} == {1}
     t, m = concat(Touch, touch), concat(Motion, motion)
     assert t.time[0] == ORIGIN
@@ -66,7 +68,7 @@ def test_both_streams_run_at_their_rates_from_one_origin() -> None:
 
 def test_a_paced_sample_comes_when_it_is_due() -> None:
     async def check() -> None:
-        rig, clock = Rig(Scene(PLAN)), Virtual()
+        rig, clock = SimulatedRig(Scene(PLAN)), Virtual()
         async for batch in rig.touch.batches(clock):
             assert clock.now() == batch.time[0]
 
@@ -74,7 +76,7 @@ def test_a_paced_sample_comes_when_it_is_due() -> None:
 
 
 def test_as_fast_as_it_goes_gives_the_same_rows_in_large_batches() -> None:
-    paced, fast = run(Rig(Scene(PLAN), 3)), run(Rig(Scene(PLAN), 3, pace=None))
+    paced, fast = run(SimulatedRig(Scene(PLAN), 3)), run(SimulatedRig(Scene(PLAN), 3, pace=None))
     assert [len(fast[0]), len(fast[1])] == [1, 1]
     for kind, slow, quick in ((Touch, paced[0], fast[0]), (Motion, paced[1], fast[1])):
         one, other = concat(kind, cast("Any", slow)), concat(kind, cast("Any", quick))
@@ -83,7 +85,7 @@ def test_as_fast_as_it_goes_gives_the_same_rows_in_large_batches() -> None:
 
 
 def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
-    rig = Rig(Scene(PLAN), pace=None)
+    rig = SimulatedRig(Scene(PLAN), pace=None)
     first = run(rig)
     second = run(rig, Virtual(ORIGIN + 500))
     np.testing.assert_array_equal(first[0][0].counts, second[0][0].counts)
@@ -92,7 +94,7 @@ def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
 
 
 def test_episodes_are_filled_in_while_the_rig_runs() -> None:
-    rig = Rig(Scene(PLAN), pace=None)
+    rig = SimulatedRig(Scene(PLAN), pace=None)
     described = rig.touch.describe()
     run(rig)
     episodes = cast("list[dict[str, Any]]", described["episodes"])
@@ -109,7 +111,7 @@ def test_episodes_are_filled_in_while_the_rig_runs() -> None:
 
 
 def test_episodes_follow_each_other_without_gap_or_overlap() -> None:
-    rig = Rig(pace=None)
+    rig = SimulatedRig(pace=None)
     run(rig, at_most=30_000)
     episodes = cast("list[dict[str, Any]]", rig.describe()["episodes"])
     assert len(episodes) > 100
@@ -117,7 +119,7 @@ def test_episodes_follow_each_other_without_gap_or_overlap() -> None:
 
 
 def test_descriptions_are_plain_data() -> None:
-    rig = Rig(seed=4)
+    rig = SimulatedRig(seed=4)
     for source in (rig.touch, rig.motion):
         about = dict(source.describe())
         listed = cast("Sequence[Json]", about.pop("episodes", ()))  # alive, and made when asked for
@@ -126,14 +128,14 @@ def test_descriptions_are_plain_data() -> None:
 
 
 def test_the_truth_is_stamped_as_the_run_is() -> None:
-    rig = Rig(Scene(PLAN), pace=None)
+    rig = SimulatedRig(Scene(PLAN), pace=None)
     touch, _ = run(rig)
     np.testing.assert_array_equal(rig.truth().time, touch[0].time)
     assert len(rig.truth().slips) == 1
 
 
 def test_the_default_scene_goes_on_and_remembers_a_bounded_stretch() -> None:
-    rig = Rig(pace=None, remember=10.0)
+    rig = SimulatedRig(pace=None, remember=10.0)
     touch, _ = run(rig, at_most=10_000)
     assert sum(map(len, touch)) == 10_000
     truth = rig.truth()
@@ -142,13 +144,13 @@ def test_the_default_scene_goes_on_and_remembers_a_bounded_stretch() -> None:
 
 
 def test_several_fingertips_feel_the_same_motion_with_noise_of_their_own() -> None:
-    touch, _ = run(Rig(Scene(PLAN), pace=None, fingers=(0, 2)))
+    touch, _ = run(SimulatedRig(Scene(PLAN), pace=None, fingers=(0, 2)))
     assert [batch.finger for batch in touch] == [0, 2]
     assert touch[0].counts.tobytes() != touch[1].counts.tobytes()
 
 
 def test_the_baseline_of_the_default_scene_is_the_unloaded_level() -> None:
-    touch, _ = run(Rig(pace=None), at_most=1000)
+    touch, _ = run(SimulatedRig(pace=None), at_most=1000)
     counts = touch[0].counts
     assert (np.median(counts[:100], axis=0) >= 420).all()
     assert np.ptp(counts[:100], axis=0).max() < 10
@@ -157,6 +159,6 @@ def test_the_baseline_of_the_default_scene_is_the_unloaded_level() -> None:
 
 def test_bad_parameters_are_refused() -> None:
     with pytest.raises(ParameterError, match="pace"):
-        Rig(pace=0.0)
+        SimulatedRig(pace=0.0)
     with pytest.raises(ParameterError, match="fingers"):
-        Rig(fingers=())
+        SimulatedRig(fingers=())

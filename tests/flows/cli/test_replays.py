@@ -15,13 +15,13 @@ from storage.layout import session_names
 from tests.command import SLIPFLOW, slipflow
 
 WRONG = """
-from connectors import Console, Rig
+from connectors import Console, SimulatedRig
 from flows.graph import Flow
 from operators import Debounce
 
 def wrong() -> Flow:
     flow = Flow("wrong")
-    (flow.source(Rig().touch) | Debounce()).to(Console())
+    (flow.source(SimulatedRig().touch) | Debounce()).to(Console())
     return flow
 """
 

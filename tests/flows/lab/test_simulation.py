@@ -11,7 +11,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from connectors import Rig
+from connectors import SimulatedRig
 from flows.graph import Flow
 from flows.graph.testing import run_virtually
 from flows.lab.simulation import Collected, recordings, simulate
@@ -96,7 +96,7 @@ def test_a_session_is_what_the_live_flow_records_of_the_same_scene(tmp_path: Pat
 
     async def live() -> None:
         flow = Flow("simulate")
-        rig = Rig(planned.scene, planned.seed, pace=1.0)
+        rig = SimulatedRig(planned.scene, planned.seed, pace=1.0)
         declare_recording(flow, rig, Label(speed=0.003, rotation=0.2), Dataset(tmp_path))
         await LiveRunner(flow, planned.session, clock=LoopClock(planned.start)).execute()
 
