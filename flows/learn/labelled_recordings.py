@@ -42,7 +42,7 @@ _STROKES: Final = ("translation", "rotation")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trial:
+class LabelledRecording:
     """One recording of one fingertip at 100 Hz."""
 
     counts: Counts  # (n, 6) zeroed; a cell that did not answer reads what it read last, as `Score` has it
@@ -72,17 +72,17 @@ class Trial:
         return np.arange(JUDGED, len(self), hop)
 
 
-def simulated_trials(
+def simulated_recordings(
     collection: Collection, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
-) -> list[Trial]:
+) -> list[LabelledRecording]:
     """Every recording of a plan; `change` is what becomes of each scene first."""
     return [
-        trial(change(scene), int(np.random.SeedSequence([seed, n]).generate_state(1)[0]))
+        simulated_recording(change(scene), int(np.random.SeedSequence([seed, n]).generate_state(1)[0]))
         for n, scene in enumerate(collection.scenes(seed))
     ]
 
 
-def trial(scene: Scene, seed: int, name: str = "", split: str = "") -> Trial:
+def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = "") -> LabelledRecording:
     """One scene as the project's own operators see it: zeroed, aligned in event time, labelled by speed."""
     moves: list[tuple[float, Move]] = []
     finger = Finger(scene, seed, begun=lambda move, start: moves.append((start, move)))
@@ -98,7 +98,7 @@ def trial(scene: Scene, seed: int, name: str = "", split: str = "") -> Trial:
     strokes = [(start, move) for start, move in moves if move.motion in _STROKES]
     starts = np.array([start for start, _ in strokes]) * s
     speeds = [move.speed for _, move in strokes if move.motion == "translation"]
-    return Trial(
+    return LabelledRecording(
         _held(labelled),
         labelled.label,
         scene.curvature,
@@ -114,7 +114,7 @@ def trial(scene: Scene, seed: int, name: str = "", split: str = "") -> Trial:
     )
 
 
-def load(dataset: Path) -> list[Trial]:
+def load(dataset: Path) -> list[LabelledRecording]:
     """Every fingertip of every session of a dataset.
 
     Where no session says which split it belongs to, as none does that was recorded by hand, they take turns
@@ -128,28 +128,30 @@ def load(dataset: Path) -> list[Trial]:
             str(dataset), "there is no such folder; `slipflow simulate` or `run record` make one"
         )
     names = session_names(dataset)
-    trials = [
+    recordings = [
         _of_session(session, finger)
         for session in (Session.open(session_folder(dataset, name)) for name in names)
         for finger in session.fingers(Labelled)
     ]
-    if trials and not any(trial.split for trial in trials):
+    if recordings and not any(recording.split for recording in recordings):
         order = {name: number for number, name in enumerate(names)}
-        trials = [replace(trial, split=TURNS[order[trial.name] % len(TURNS)]) for trial in trials]
-    if not trials:
+        recordings = [
+            replace(recording, split=TURNS[order[recording.name] % len(TURNS)]) for recording in recordings
+        ]
+    if not recordings:
         raise InputError(
             str(dataset), "holds no labelled samples; `slipflow simulate` or `run record` make some"
         )
-    return trials
+    return recordings
 
 
-def by_split(trials: Iterable[Trial]) -> dict[str, list[Trial]]:
-    """The trials of each of `SPLITS`; those of no split are left out."""
-    trials = list(trials)
-    return {split: [each for each in trials if each.split == split] for split in SPLITS}
+def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
+    """The recordings of each of `SPLITS`; those of no split are left out."""
+    recordings = list(recordings)
+    return {split: [each for each in recordings if each.split == split] for split in SPLITS}
 
 
-def read(path: Path) -> Trial:
+def read_trace(path: Path) -> LabelledRecording:
     """A real trace.
 
     Raises:
@@ -158,10 +160,10 @@ def read(path: Path) -> Trial:
     trace = CsvTrace(path, zeroed=True)
     if (trace.labels == UNKNOWN).any():
         raise InputError(str(path), "has rows without a label; a trace to judge by needs one in each")
-    return Trial(trace.touch.counts, trace.labels, path.stem, name=path.stem)
+    return LabelledRecording(trace.touch.counts, trace.labels, path.stem, name=path.stem)
 
 
-def _of_session(session: Session, finger: int) -> Trial:
+def _of_session(session: Session, finger: int) -> LabelledRecording:
     labelled = concat(Labelled, list(session.read(Labelled, finger)))
     surface, split, speed, oblique = "", "", None, None
     if "episodes" in session.tables:
@@ -172,7 +174,7 @@ def _of_session(session: Session, finger: int) -> Trial:
         speed = speeds[0] if speeds else None
         starts = np.array([each["start"] for each in strokes])
         oblique = _latest([each["axis"] == "oblique" for each in strokes], starts, labelled.time)
-    return Trial(
+    return LabelledRecording(
         _held(labelled),
         labelled.label,
         surface,

@@ -12,7 +12,7 @@ import numpy as np
 
 from flows.lab.simulation import recordings
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial, trial
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recording
 from flows.learn.scoring import probabilities
 from flows.learn.training.dense_training import train_dense
 from flows.learn.training.label_lag import lags, relabelled
@@ -24,13 +24,13 @@ from tests.benchmarks.machine import commit
 RATE = 100.0  # Hz
 
 
-def shifted(trials: list[Trial], seconds: float) -> list[Trial]:
+def shifted(trials: list[LabelledRecording], seconds: float) -> list[LabelledRecording]:
     """The same with labels that come later."""
     samples = round(seconds * RATE)
     return [replace(each, label=np.roll(each.label, samples)) for each in trials]
 
 
-def balanced(tcn: Tcn, trials: list[Trial]) -> float:
+def balanced(tcn: Tcn, trials: list[LabelledRecording]) -> float:
     """Balanced accuracy, %."""
     probability = np.concatenate([probabilities(tcn, each) for each in trials])
     label = np.concatenate([each.label for each in trials])
@@ -44,9 +44,9 @@ def main() -> None:
     options.add_argument("--steps", type=int, default=1000)
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
-    split: dict[str, list[Trial]] = {"train": [], "validation": [], "test": []}
+    split: dict[str, list[LabelledRecording]] = {"train": [], "validation": [], "test": []}
     for each in recordings("paper", given.seed):
-        split[each.split].append(trial(each.scene, each.seed, each.session, each.split))
+        split[each.split].append(simulated_recording(each.scene, each.seed, each.session, each.split))
     usual = float(np.median(lags(split["train"])))
     recipe = Recipe(steps=given.steps, checks=4, seed=given.seed)
     print(f"{machine()} {processor()}, seed {given.seed}, {given.steps} steps, commit {commit()}")

@@ -9,7 +9,7 @@ from argparse import ArgumentParser
 import numpy as np
 
 from flows.lab.simulation import recordings
-from flows.learn.labelled_recordings import JUDGED, trial
+from flows.learn.labelled_recordings import JUDGED, simulated_recording
 from flows.learn.splits import SPLITS
 from operators.batch import SLIP
 from tests.benchmarks.machine import commit
@@ -26,7 +26,7 @@ def main() -> None:
     given = options.parse_args()
     right: dict[tuple[str, float], list[np.ndarray[tuple[int], np.dtype[np.bool_]]]] = {}
     for each in recordings("paper", given.seed):
-        slip = trial(each.scene, each.seed).label == SLIP
+        slip = simulated_recording(each.scene, each.seed).label == SLIP
         for latency in LATENCIES:
             shift = round((latency - each.scene.motion.latency) * RATE)
             same = (np.roll(slip, shift) == slip)[JUDGED:-EDGE]

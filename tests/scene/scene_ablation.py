@@ -8,7 +8,7 @@ import numpy as np
 
 from connectors.sim.paper_plan import Collection
 from connectors.sim.scene import Move, Plan, Scene
-from flows.learn.labelled_recordings import simulated_trials
+from flows.learn.labelled_recordings import simulated_recordings
 from operators.batch import Reals
 from operators.detectors import Detector
 from tests.scene.scene_judges import confusion, fitted
@@ -133,10 +133,10 @@ def ablate(
     by balanced accuracy, on other recordings of the whole scene: what they would lose if the scene that they
     learn from lacked the term.
     """
-    judged = [simulated_trials(plan, seed + 1000) for seed in seeds]
+    judged = [simulated_recordings(plan, seed + 1000) for seed in seeds]
 
     def row(changed: Collection, number: int) -> list[float]:
-        trials = simulated_trials(changed, seeds[number])
+        trials = simulated_recordings(changed, seeds[number])
         scores = [] if network is None else [confusion(network, trials, hop).accuracy]
         found = [confusion(detector, judged[number], hop).balanced for detector in fitted(trials, hop)]
         return [*scores, distance(measure(trials)), *found]

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
 from operators.batch import BAROMETERS, Reals
 from tests.scene.scene_ablation import TERMS, Ablation
@@ -16,7 +16,7 @@ MARK: Final = 1100  # simulated s per CPU s of one core at 24 nodes: what a prot
 
 
 @styled
-def traces(shown: Sequence[tuple[str, Trial, int]], samples: int = 400) -> Figure:
+def traces(shown: Sequence[tuple[str, LabelledRecording, int]], samples: int = 400) -> Figure:
     """Counts, normal force and label of recordings: title, recording, first sample of each."""
     rows = -(-len(shown) // 3)
     figure, axes = grid(2 * rows, 3, (12, 2.9 * rows), sharex=True, heights=[3, 1] * rows)

@@ -8,7 +8,7 @@ import numpy as np
 from flows.learn.evaluation.logistic import Logistic
 from flows.learn.evaluation.motion_metrics import Cells
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import labels, windows
 from operators.batch import SLIP, STATIC, Flags
 from operators.detectors import Detector, Psd
@@ -16,7 +16,7 @@ from operators.detectors import Detector, Psd
 _BLOCK: Final = 512  # windows scored at once
 
 
-def answers(detector: Detector, trials: Sequence[Trial], hop: int) -> list[Flags]:
+def answers(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> list[Flags]:
     """Whether the detector calls each judged sample of each trial slip."""
     result: list[Flags] = []
     for trial in trials:
@@ -26,17 +26,17 @@ def answers(detector: Detector, trials: Sequence[Trial], hop: int) -> list[Flags
     return result
 
 
-def confusion(detector: Detector, trials: Sequence[Trial], hop: int) -> Confusion:
+def confusion(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> Confusion:
     """The detector's answers to all trials, counted."""
     return Confusion.of(np.concatenate(answers(detector, trials, hop)), labels(trials, hop))
 
 
-def cells(detector: Detector, trials: Sequence[Trial], hop: int) -> Cells:
+def cells(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> Cells:
     """The same by kind of motion."""
     return Cells.of(trials, [trial.judged(hop) for trial in trials], answers(detector, trials, hop))
 
 
-def fitted(trials: Sequence[Trial], hop: int) -> tuple[Psd, Logistic]:
+def fitted(trials: Sequence[LabelledRecording], hop: int) -> tuple[Psd, Logistic]:
     """The two detectors that need no training framework, fitted to trials."""
     slip = labels(trials, hop)
     codes = np.where(slip, SLIP, STATIC).astype(np.int8)

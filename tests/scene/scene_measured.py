@@ -9,7 +9,7 @@ from typing import Final, Self
 from connectors.sim.paper_plan import Collection
 from flows.lab.simulation import PLANS
 from flows.learn.evaluation.motion_metrics import Cells
-from flows.learn.labelled_recordings import read, simulated_trials
+from flows.learn.labelled_recordings import read_trace, simulated_recordings
 from operators.detectors import TRAINED, Detector
 from operators.errors import ParameterError
 from storage import load_detector
@@ -62,12 +62,12 @@ class Measured:
     ) -> None:
         self.seed, self.size, self.told = seed, size, told
         self.network: Detector | None = None if judge is None else load_detector(judge)
-        self.trace = None if trace is None else read(trace)
+        self.trace = None if trace is None else read_trace(trace)
         told("simulating the plan")
         begin = process_time()
-        self.trials = simulated_trials(size.plan, seed)
+        self.trials = simulated_recordings(size.plan, seed)
         self.simulating = process_time() - begin  # CPU s, with alignment and labels
-        training = simulated_trials(size.reduced, seed + 500)
+        training = simulated_recordings(size.reduced, seed + 500)
         told("fitting the detectors")
         self.fitted_to = (
             f"{len(training)} simulated recordings ({sum(map(len, training))} samples) of another seed"

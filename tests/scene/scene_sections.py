@@ -12,7 +12,7 @@ from flows.learn.evaluation.evaluation_figures import motion as motion_figure
 from flows.learn.evaluation.motion_metrics import Cell, Cells, Chosen
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial, trial
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recording
 from flows.report.figures import Figure
 from operators.batch import Reals
 from operators.detectors import Detector
@@ -49,7 +49,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def traces(of: Measured) -> Section:
     """The figure that a person would look at."""
-    shown = list[tuple[str, Trial, int]]()
+    shown = list[tuple[str, LabelledRecording, int]]()
     wanted = [(surface, 0.075) for surface in SURFACES] + [("plane", None), ("sphere", None), ("plane", 0.1)]
     for surface, pace in wanted:
         for one in of.trials:
@@ -57,7 +57,7 @@ def traces(of: Measured) -> Section:
                 how = "rotation, 1 rad/s" if pace is None else f"{100 * pace:g} cm/s"
                 shown.append((f"{surface.replace('_', ' ')}, {how}", one, _SHOWN))
                 break
-    shown.append(("hold: grip change, taps, lift", trial(still(of.size.plan), of.seed), _SHOWN))
+    shown.append(("hold: grip change, taps, lift", simulated_recording(still(of.size.plan), of.seed), _SHOWN))
     if of.trace is not None:
         shown.append((f"real: {of.trace.surface}", of.trace, 0))
     beside = "" if of.trace is None else " beside a real one"

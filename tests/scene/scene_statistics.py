@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.spans import runs
 from operators.batch import BAROMETERS, Flags, Reals
 
@@ -69,7 +69,7 @@ TABLE: Final = (
 )  # fmt: skip
 
 
-def measure(trials: Sequence[Trial]) -> dict[str, Reals]:
+def measure(trials: Sequence[LabelledRecording]) -> dict[str, Reals]:
     """The values of each row of `TABLE` that the trials have something to say to."""
     used = [
         (trial.counts[trial.zeroing :].astype(np.float64), trial.slip[trial.zeroing :]) for trial in trials
@@ -113,7 +113,7 @@ def distance(found: dict[str, Reals]) -> float:
     return float(np.nanmean(far))
 
 
-def edges(trials: Sequence[Trial]) -> tuple[Reals, Reals]:
+def edges(trials: Sequence[LabelledRecording]) -> tuple[Reals, Reals]:
     """How long after a label's onset the signal rises, and after its end rings, ms: (onsets,), (ends,).
 
     The signal is the RMS over 30 ms of the step norm. It is up above the geometric mean of its medians in

@@ -9,7 +9,7 @@ import pytest
 
 from connectors.sim.paper_plan import Collection
 from flows.learn.evaluation.motion_metrics import Cell
-from flows.learn.labelled_recordings import Trial, simulated_trials
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.report import figures
 from operators.errors import EndpointError, InputError
 from tests.scene.scene_judges import cells as judged_cells
@@ -39,8 +39,8 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
 
 
 @pytest.fixture(scope="module")
-def trials() -> list[Trial]:
-    return simulated_trials(TINY, 0)
+def trials() -> list[LabelledRecording]:
+    return simulated_recordings(TINY, 0)
 
 
 def cells(page: str, row: str) -> list[str]:
@@ -72,7 +72,9 @@ def test_what_needs_a_file_that_was_not_given_is_skipped_loudly(written: Written
     assert written.page.count("**Skipped: the real trace, because no `--trace` was given.**") == 2
 
 
-def test_the_numbers_of_the_tables_are_those_computed(written: Written, trials: list[Trial]) -> None:
+def test_the_numbers_of_the_tables_are_those_computed(
+    written: Written, trials: list[LabelledRecording]
+) -> None:
     found = measure(trials)
     for row in TABLE:
         if not row.text.startswith("the same"):
@@ -80,7 +82,7 @@ def test_the_numbers_of_the_tables_are_those_computed(written: Written, trials: 
             assert shown == pytest.approx(found[row.key], rel=5e-3, abs=5e-3, nan_ok=True), row.key
     assert f"**{distance(found):.2f}**" in written.page
 
-    _, logistic = fitted(simulated_trials(TINY, 500), SIZE.hop)
+    _, logistic = fitted(simulated_recordings(TINY, 500), SIZE.hop)
     judged = judged_cells(logistic, trials, SIZE.hop)
     first, second = (judged.at(Cell("primary", 0.05, surface)).f1 for surface in ("plane", "sphere"))
     assert [text.split()[0] for text in cells(written.page, "primary, 5 cm/s")[:2]] == [

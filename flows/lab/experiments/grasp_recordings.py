@@ -23,7 +23,7 @@ from connectors.sim.scene import Curvature, Scene, Vibration
 from connectors.sim.truth import SLIDING
 from connectors.sim.variety import varied
 from flows.learn.evaluation.event_metrics import filled
-from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.labelled_recordings import JUDGED, LabelledRecording
 from operators import Zero
 from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Flags, Touch, Zeroed, concat, ms
 
@@ -36,7 +36,7 @@ _SHARES: Final = (0.4, 0.2, 0.2, 0.2)  # planes feel the least: loaded, half of 
 _SPLITS: Final = ("train",) * 8 + ("validation", "test")
 
 
-def handled(count: int, seed: int) -> Iterator[Trial]:
+def handled(count: int, seed: int) -> Iterator[LabelledRecording]:
     """Recordings of grasps, the same for a seed: eight of ten train, one validates, one tests."""
     for number in range(count):
         yield _recorded(_random(number, seed), f"grasp-{seed}-{number:04}", _SPLITS[number % len(_SPLITS)])
@@ -57,7 +57,7 @@ def _random(number: int, seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, 11, number])
 
 
-def _recorded(random: np.random.Generator, name: str, split: str) -> Trial:
+def _recorded(random: np.random.Generator, name: str, split: str) -> LabelledRecording:
     thing, parameters = _thing(random), _fingertip(random)
     mass = thing.mass
     least = least_force(thing, parameters)
@@ -96,7 +96,7 @@ def _recorded(random: np.random.Generator, name: str, split: str) -> Trial:
     moves = np.array(speed)  # (n,) m/s
     label = by_sliding(moves > SLIDING)
     label[(label == STATIC) & (moves > CREEPS * SLIDING)] = UNKNOWN
-    return Trial(
+    return LabelledRecording(
         zeroed.counts, label, thing.curvature, valid=zeroed.valid, sliding=moves > SLIDING,
         zeroing=JUDGED + 1, name=name, split=split,
     )  # fmt: skip

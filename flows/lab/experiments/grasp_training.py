@@ -15,7 +15,7 @@ from connectors.sim.physics_parameters import Parameters
 from connectors.sim.truth import STICK
 from connectors.sim.variety import varied
 from flows.lab.experiments.grasp_recordings import by_sliding, handled
-from flows.learn.labelled_recordings import Trial, by_split, simulated_trials
+from flows.learn.labelled_recordings import LabelledRecording, by_split, simulated_recordings
 from flows.learn.spans import runs
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import Recipe
@@ -69,8 +69,8 @@ def learn(
     told(f"simulating {grasps} grasps and two plans of strokes")
     kinds = {
         "grasps": list(handled(grasps, seed)),
-        "strokes": _split(simulated_trials(strokes, seed + 1)),
-        "varied strokes": _split(simulated_trials(replace(strokes, vary=varied), seed + 2)),
+        "strokes": _split(simulated_recordings(strokes, seed + 1)),
+        "varied strokes": _split(simulated_recordings(replace(strokes, vary=varied), seed + 2)),
     }
     learnt = {**kinds, "grasps": [replace(t, label=lasting(t.label)) for t in kinds["grasps"]]}
     parts = by_split(chain.from_iterable(learnt.values()))
@@ -158,7 +158,7 @@ def floored(counts: Counts) -> int:
     return int((((counts == least).sum(axis=0) >= _SECOND) & (least < _LOW)).sum())
 
 
-def _split(trials: Sequence[Trial]) -> list[Trial]:
+def _split(trials: Sequence[LabelledRecording]) -> list[LabelledRecording]:
     """Labelled by their true sliding; recordings take turns at the splits."""
     roles = {0: "validation", 1: "test"}
     return [
@@ -167,6 +167,6 @@ def _split(trials: Sequence[Trial]) -> list[Trial]:
     ]
 
 
-def _label(trial: Trial) -> Codes:
+def _label(trial: LabelledRecording) -> Codes:
     assert trial.sliding is not None, "simulated trials know it"
     return by_sliding(trial.sliding, STICK)

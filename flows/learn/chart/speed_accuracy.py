@@ -119,18 +119,20 @@ def chart(
     for name, reason in skipped.items():
         told(f"SKIPPED: {name}, because {reason}")
     detectors |= beside
-    slips = [Slips.labelled(trial) for trial in validation]
+    slips = [Slips.labelled(recording) for recording in validation]
     judged = dict[str, Judgement]()
     with one_thread():
         for name, detector in detectors.items():
             told(f"judging {name}")
             rule = rules.get(DEFAULT if name in beside else name)
             if rule is None:
-                rule = tuned([probabilities(detector, trial) for trial in validation], slips, budget)
+                rule = tuned([probabilities(detector, recording) for recording in validation], slips, budget)
             rules[name] = rule
-            judged[name] = Judgement.of(test, [probabilities(detector, trial) for trial in test], rule)
+            judged[name] = Judgement.of(
+                test, [probabilities(detector, recording) for recording in test], rule
+            )
         told("timing all of them by turns")
-        counts = max((trial.counts for trial in test), key=len)[-_TIMED:]
+        counts = max((recording.counts for recording in test), key=len)[-_TIMED:]
         one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
         many = costs(detectors, counts, fingers=MANY, rounds=_ROUNDS[1], span=span)
     points = [

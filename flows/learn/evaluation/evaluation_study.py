@@ -17,7 +17,7 @@ from flows.learn.evaluation.methods import Method, methods
 from flows.learn.evaluation.motion_metrics import Cells
 from flows.learn.evaluation.sample_metrics import Confusion, Reliability, Roc, known
 from flows.learn.evaluation.simulated_truth import with_truth
-from flows.learn.labelled_recordings import Trial, load
+from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from operators import Debounce
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals
@@ -110,17 +110,20 @@ def evaluate(
     """
     began = perf_counter()
     told(f"reading {dataset.name}")
-    trials = load(dataset)
-    judged = [trial for trial in trials if split in {trial.split, "all"}]
+    recordings = load(dataset)
+    judged = [recording for recording in recordings if split in {recording.split, "all"}]
     if not judged:
-        there = ", ".join(sorted({trial.split for trial in trials} - {""})) or "none"
+        there = ", ".join(sorted({recording.split for recording in recordings} - {""})) or "none"
         raise InputError(str(dataset), f"has no split {split!r}; it has {there}; all takes everything")
     for code, what in ((SLIP, "slip"), (STATIC, "static")):
-        if not any((trial.label == code).any() for trial in judged):
+        if not any((recording.label == code).any() for recording in judged):
             raise InputError(str(dataset), f"has no {what} in its {split} split, so nothing can be judged")
-    parts = {name: [trial for trial in trials if trial.split == name] for name in ("train", "validation")}
+    parts = {
+        name: [recording for recording in recordings if recording.split == name]
+        for name in ("train", "validation")
+    }
     told("simulating again what truly happened, where the session says how")
-    judged = [with_truth(dataset, trial) for trial in judged]
+    judged = [with_truth(dataset, recording) for recording in judged]
     chosen, missing = methods(parts["train"], models, names, told)
     if not chosen:
         raise InputError("evaluate", "; ".join(f"{name}: {reason}" for name, reason in missing.items()))
@@ -129,7 +132,7 @@ def evaluate(
     for method in chosen:
         told(f"judging {method.name}")
         results.append(judge(method))
-    label = np.concatenate([trial.label[at] for trial, at in zip(judged, judge.at, strict=True)])
+    label = np.concatenate([recording.label[at] for recording, at in zip(judged, judge.at, strict=True)])
     return Evaluation(
         dataset.resolve().name,
         split,
@@ -148,22 +151,24 @@ def evaluate(
 class _Judge:
     """Judges one method after the other on the same recordings."""
 
-    def __init__(self, trials: Sequence[Trial], validation: Sequence[Trial], budget: float) -> None:
-        self.trials, self.validation, self.budget = trials, validation, budget
-        self.at = [_known(trial) for trial in trials]
-        self.slips = [Slips.labelled(trial) for trial in trials]
-        slid = [trial for trial in trials if trial.sliding is not None]
-        self.whole = len(slid) == len(trials)  # true sliding is known of all
-        self.sliding = [_slid(trial) for trial in slid] if self.whole else []
+    def __init__(
+        self, recordings: Sequence[LabelledRecording], validation: Sequence[LabelledRecording], budget: float
+    ) -> None:
+        self.recordings, self.validation, self.budget = recordings, validation, budget
+        self.at = [_known(recording) for recording in recordings]
+        self.slips = [Slips.labelled(recording) for recording in recordings]
+        slid = [recording for recording in recordings if recording.sliding is not None]
+        self.whole = len(slid) == len(recordings)  # true sliding is known of all
+        self.sliding = [_slid(recording) for recording in slid] if self.whole else []
         self.slid = [true for true in map(Slips.slid, slid) if true is not None] if self.whole else []
 
     def __call__(self, method: Method) -> Result:
         began = perf_counter()
-        scores = [probabilities(method.detector, trial) for trial in self.trials]
+        scores = [probabilities(method.detector, recording) for recording in self.recordings]
         seconds = perf_counter() - began
         at = [known[np.isfinite(score[known])] for known, score in zip(self.at, scores, strict=True)]
         called = [score[each] >= CALLED for score, each in zip(scores, at, strict=True)]
-        truth = [trial.slip[each] for trial, each in zip(self.trials, at, strict=True)]
+        truth = [recording.slip[each] for recording, each in zip(self.recordings, at, strict=True)]
         probability, slip = _joined([s[each] for s, each in zip(scores, at, strict=True)]), _flags(truth)
         debounce, chosen = self._debounce(method)
         wrong = [one != other for one, other in zip(called, truth, strict=True)]
@@ -172,8 +177,8 @@ class _Judge:
             Confusion.of(_flags(called), slip),
             Roc.of(probability, slip),
             Reliability.of(probability, slip),
-            LabelChanges.of([trial.label for trial in self.trials], at, wrong),
-            Cells.of(self.trials, at, called),
+            LabelChanges.of([recording.label for recording in self.recordings], at, wrong),
+            Cells.of(self.recordings, at, called),
             debounce,
             chosen,
             EventMetrics.of(scores, self.slips, debounce),
@@ -185,7 +190,7 @@ class _Judge:
 
     def label(self) -> Confusion | None:
         """The label, as if it were a method, against true sliding."""
-        labels = [trial.slip[at] for trial, at in zip(self.trials, self.at, strict=True)]
+        labels = [recording.slip[at] for recording, at in zip(self.recordings, self.at, strict=True)]
         return self._against_sliding(self.at, labels)
 
     def _against_sliding(self, at: Sequence[NDArray[np.intp]], called: Sequence[Flags]) -> Confusion | None:
@@ -199,20 +204,20 @@ class _Judge:
             return method.debounce, "its card"
         if not self.validation:
             return PAPER_RULE, "the paper, as there is no validation split"
-        scores = [probabilities(method.detector, trial) for trial in self.validation]
-        slips = [Slips.labelled(trial) for trial in self.validation]
+        scores = [probabilities(method.detector, recording) for recording in self.validation]
+        slips = [Slips.labelled(recording) for recording in self.validation]
         return tuned(scores, slips, self.budget), "validation"
 
 
-def _known(trial: Trial) -> NDArray[np.intp]:
-    at = trial.judged(1)
-    known: NDArray[np.intp] = at[trial.label[at] != UNKNOWN]
+def _known(recording: LabelledRecording) -> NDArray[np.intp]:
+    at = recording.judged(1)
+    known: NDArray[np.intp] = at[recording.label[at] != UNKNOWN]
     return known
 
 
-def _slid(trial: Trial) -> Flags:
-    assert trial.sliding is not None, "only those whose sliding is known are asked for"
-    return filled(trial.sliding, STICK)
+def _slid(recording: LabelledRecording) -> Flags:
+    assert recording.sliding is not None, "only those whose sliding is known are asked for"
+    return filled(recording.sliding, STICK)
 
 
 def _flags(parts: Sequence[Flags]) -> Flags:

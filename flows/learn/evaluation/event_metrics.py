@@ -8,7 +8,7 @@ import numpy as np
 
 from connectors.sim.truth import STICK
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.labelled_recordings import JUDGED, LabelledRecording
 from flows.learn.onsets import match_onsets
 from flows.learn.spans import runs
 from operators import Debounce, ms, s
@@ -33,14 +33,14 @@ class Slips:
     static: int  # ns that are judged and are none of these
 
     @classmethod
-    def labelled(cls, trial: Trial) -> Self:
+    def labelled(cls, recording: LabelledRecording) -> Self:
         """By the arm's speed, as the paper has it."""
-        return cls.of(trial.slip, PAUSE, (trial.label != SLIP) & (trial.label != STATIC))
+        return cls.of(recording.slip, PAUSE, (recording.label != SLIP) & (recording.label != STATIC))
 
     @classmethod
-    def slid(cls, trial: Trial) -> Self | None:
+    def slid(cls, recording: LabelledRecording) -> Self | None:
         """By what the contact did, where that is known; a stick of less than `STICK` is a part of a slip."""
-        return None if trial.sliding is None else cls.of(trial.sliding, STICK)
+        return None if recording.sliding is None else cls.of(recording.sliding, STICK)
 
     @classmethod
     def of(cls, slip: Flags, pause: int, unknown: Flags | None = None) -> Self:

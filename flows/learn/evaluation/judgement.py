@@ -9,7 +9,7 @@ import numpy as np
 from connectors.sim.truth import STICK
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips, filled
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.batch import UNKNOWN, Reals
 
@@ -34,24 +34,24 @@ class Judgement:
     @classmethod
     def of(
         cls,
-        trials: Sequence[Trial],
+        recordings: Sequence[LabelledRecording],
         found: Sequence[Reals],
         debounce: Debounce,
         truth: Truth = "label",
     ) -> Self:
-        """Judge the probabilities (n,) of each trial: samples at 1/2, slips as debounced."""
+        """Judge the probabilities (n,) of each recording: samples at 1/2, slips as debounced."""
         counts = np.zeros((2, 2))
         slips = list[Slips]()
-        for trial, probability in zip(trials, found, strict=True):
+        for recording, probability in zip(recordings, found, strict=True):
             judged = np.isfinite(probability)  # (n,)
             if truth == "sliding":
-                slid = Slips.slid(trial)
-                assert trial.sliding is not None, "known in simulated trials"
+                slid = Slips.slid(recording)
+                assert recording.sliding is not None, "known in simulated recordings"
                 assert slid is not None, "the same"
-                slip = filled(trial.sliding, STICK)
+                slip = filled(recording.sliding, STICK)
             else:
-                slip, slid = trial.slip, Slips.labelled(trial)
-                judged &= trial.label != UNKNOWN
+                slip, slid = recording.slip, Slips.labelled(recording)
+                judged &= recording.label != UNKNOWN
             counts += Confusion.of(probability[judged] >= 1 / 2, slip[judged]).counts
             slips.append(slid)
         right, events = Confusion(counts), EventMetrics.of(found, slips, debounce)

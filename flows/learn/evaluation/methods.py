@@ -9,7 +9,7 @@ import numpy as np
 
 from flows.learn.evaluation.boosting import GradientBoosting
 from flows.learn.evaluation.logistic import Logistic
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import labels, windows
 from operators import Debounce
 from operators.batch import SLIP, STATIC, Counts
@@ -35,7 +35,7 @@ Told: TypeAlias = Callable[[str], object]
 
 
 def methods(
-    training: Sequence[Trial],
+    training: Sequence[LabelledRecording],
     models: Sequence[Path] = (),
     names: Collection[str] = (),
     told: Told = lambda _: None,
@@ -78,24 +78,24 @@ def methods(
     }
 
 
-def _psd(length: int) -> Callable[[Sequence[Trial]], Detector]:
-    def fitted(trials: Sequence[Trial]) -> Detector:
-        codes = np.where(labels(trials, _HOP), SLIP, STATIC).astype(np.int8)
-        return Psd(length).fitted(_seen(trials, length), codes)
+def _psd(length: int) -> Callable[[Sequence[LabelledRecording]], Detector]:
+    def fitted(recordings: Sequence[LabelledRecording]) -> Detector:
+        codes = np.where(labels(recordings, _HOP), SLIP, STATIC).astype(np.int8)
+        return Psd(length).fitted(_seen(recordings, length), codes)
 
     return fitted
 
 
-def _logistic(trials: Sequence[Trial]) -> Detector:
-    return Logistic.fitted(_seen(trials, Logistic.length), labels(trials, _HOP))
+def _logistic(recordings: Sequence[LabelledRecording]) -> Detector:
+    return Logistic.fitted(_seen(recordings, Logistic.length), labels(recordings, _HOP))
 
 
-def _gradient_boosting(trials: Sequence[Trial]) -> Detector:
-    return GradientBoosting.fitted(_seen(trials, GradientBoosting.length), labels(trials, _HOP))
+def _gradient_boosting(recordings: Sequence[LabelledRecording]) -> Detector:
+    return GradientBoosting.fitted(_seen(recordings, GradientBoosting.length), labels(recordings, _HOP))
 
 
 # by name, those that are fitted to the training split at hand
-FITTED: Final[Mapping[str, Callable[[Sequence[Trial]], Detector]]] = {
+FITTED: Final[Mapping[str, Callable[[Sequence[LabelledRecording]], Detector]]] = {
     "gradient_boosting": _gradient_boosting,
     "logistic": _logistic,
     "psd": _psd(25),
@@ -103,11 +103,13 @@ FITTED: Final[Mapping[str, Callable[[Sequence[Trial]], Detector]]] = {
 }
 
 
-def _seen(trials: Sequence[Trial], length: int) -> Counts:
-    return np.concatenate([windows(trial, length, _HOP) for trial in trials])
+def _seen(recordings: Sequence[LabelledRecording], length: int) -> Counts:
+    return np.concatenate([windows(recording, length, _HOP) for recording in recordings])
 
 
-def _fitted(name: str, fit: Callable[[Sequence[Trial]], Detector], training: Sequence[Trial]) -> Method:
+def _fitted(
+    name: str, fit: Callable[[Sequence[LabelledRecording]], Detector], training: Sequence[LabelledRecording]
+) -> Method:
     slip = labels(training, _HOP) if training else np.empty(0, np.bool_)
     if slip.all() or not slip.any():
         raise InputError(name, "has no training split with slip and static to be fitted to")

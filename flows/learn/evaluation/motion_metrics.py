@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from operators.batch import Flags, Reals
 
 
@@ -29,28 +29,33 @@ class Cells:
     """A detector's answers, counted by recording and by axis of the stroke."""
 
     cells: tuple[Cell, ...]  # (k,)
-    trials: NDArray[np.intp]  # (k,) the recording that each is of
+    recordings: NDArray[np.intp]  # (k,) the recording that each is of
     counts: Reals  # (k, 2, 2) as in `Confusion`
 
     @classmethod
-    def of(cls, trials: Sequence[Trial], judged: Sequence[NDArray[np.intp]], called: Sequence[Flags]) -> Self:
+    def of(
+        cls,
+        recordings: Sequence[LabelledRecording],
+        judged: Sequence[NDArray[np.intp]],
+        called: Sequence[Flags],
+    ) -> Self:
         """Count answers; those to recordings whose strokes are not known are left out.
 
         Args:
-            trials: (m,)
-            judged: the samples of each trial that are judged, (j,) each
+            recordings: (m,)
+            judged: the samples of each recording that are judged, (j,) each
             called: whether each of these is called slip, (j,) each
         """
         cells, numbers, counts = list[Cell](), list[int](), list[Reals]()
-        for number, (trial, at, slip) in enumerate(zip(trials, judged, called, strict=True)):
-            if trial.oblique is None:
+        for number, (recording, at, slip) in enumerate(zip(recordings, judged, called, strict=True)):
+            if recording.oblique is None:
                 continue
-            oblique = trial.oblique[at]
+            oblique = recording.oblique[at]
             kinds = (("primary", ~oblique), ("oblique", oblique))
-            for kind, part in kinds if trial.speed else (("rotation", oblique | ~oblique),):
-                cells.append(Cell(kind, trial.speed, trial.surface))
+            for kind, part in kinds if recording.speed else (("rotation", oblique | ~oblique),):
+                cells.append(Cell(kind, recording.speed, recording.surface))
                 numbers.append(number)
-                counts.append(Confusion.of(slip[part], trial.slip[at][part]).counts)
+                counts.append(Confusion.of(slip[part], recording.slip[at][part]).counts)
         return cls(tuple(cells), np.array(numbers, np.intp), np.array(counts).reshape(-1, 2, 2))
 
     def confusion(self, chosen: Chosen = lambda _: True) -> Confusion:
@@ -70,11 +75,13 @@ class Cells:
             self.counts * np.array([side(cell) for cell in self.cells])[:, None, None]
             for side in (first, second)
         ]
-        number = int(self.trials[-1]) + 1
+        number = int(self.recordings[-1]) + 1
         random = np.random.default_rng(seed)
 
         def gap(weights: Reals) -> float:  # (recordings,)
-            one, other = (Confusion((side * weights[self.trials, None, None]).sum(axis=0)) for side in sides)
+            one, other = (
+                Confusion((side * weights[self.recordings, None, None]).sum(axis=0)) for side in sides
+            )
             return one.f1 - other.f1
 
         whole = gap(np.ones(number))

@@ -10,7 +10,7 @@ import numpy as np
 from connectors.sim.paper_plan import Recording
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import Faults, Scene, Timing, Vibration
-from flows.learn.labelled_recordings import Trial, trial
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recording
 from operators.errors import SlipflowError
 from operators.ports import Json
 from storage import Session
@@ -26,15 +26,15 @@ _PARTS: Final[Mapping[str, type[Any]]] = {
 }
 
 
-def with_truth(dataset: Path, recorded: Trial) -> Trial:
-    """The trial with its true sliding, where that can be had: else as it is.
+def with_truth(dataset: Path, recorded: LabelledRecording) -> LabelledRecording:
+    """The recording with its true sliding, where that can be had: else as it is.
 
     The scene is simulated again; only if that gives the very same counts is its truth believed.
     """
     try:
         about: Any = Session.open(session_folder(dataset, recorded.name)).about
         touch = about["sources"]["touch"]
-        again = trial(scene(touch["scene"]), int(touch["seed"]))
+        again = simulated_recording(scene(touch["scene"]), int(touch["seed"]))
     except (AttributeError, KeyError, TypeError, ValueError, SlipflowError):
         return recorded
     if again.sliding is None or not np.array_equal(again.counts, recorded.counts):

@@ -22,7 +22,7 @@ from flows.learn.evaluation.event_metrics import Slips
 from flows.learn.evaluation.judgement import TRUTHS, Judgement, Truth
 from flows.learn.evaluation.methods import methods
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import JUDGED, Trial, simulated_trials
+from flows.learn.labelled_recordings import JUDGED, LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import GRIDS, plan_of
 from flows.learn.stress.stress_result import Condition, Outcome, Stress
@@ -73,7 +73,10 @@ def stress(
         raise ParameterError("stress", "seed", seed, "0 or above")
     if jobs is not None and jobs < 1:
         raise ParameterError("stress", "jobs", jobs, "1 or above")
-    fitting, nominal = simulated_trials(training, seed + _FITTING), simulated_trials(training, seed + _TUNING)
+    fitting, nominal = (
+        simulated_recordings(training, seed + _FITTING),
+        simulated_recordings(training, seed + _TUNING),
+    )
     subjects = dict[str, tuple[Detector, Debounce]]()
     with one_thread():
         chosen, missing = methods(fitting, models, names, told)
@@ -133,16 +136,16 @@ class _Judge:
 
     def _outcome(self, condition: Condition) -> Outcome:
         field, value = condition.field, condition.value
-        trials = simulated_trials(
+        recordings = simulated_recordings(
             plan_of(field, self.plan), self.seed, lambda scene: stressed(scene, field, value)
         )
         unscored, judged = dict[str, float](), dict[tuple[str, Truth], Judgement]()
         for name, (detector, debounce) in self.subjects.items():
-            found = [probabilities(detector, trial) for trial in trials]
+            found = [probabilities(detector, recording) for recording in recordings]
             unscored[name] = _share([np.isnan(each)[JUDGED:] for each in found])
             for truth in TRUTHS:
-                judged[name, truth] = Judgement.of(trials, found, debounce, truth)
-        return Outcome(_share([_degraded(trial)[JUDGED:] for trial in trials]), unscored, judged)
+                judged[name, truth] = Judgement.of(recordings, found, debounce, truth)
+        return Outcome(_share([_degraded(recording)[JUDGED:] for recording in recordings]), unscored, judged)
 
 
 def _distinct(condition: Condition) -> Condition:
@@ -154,14 +157,14 @@ def _distinct(condition: Condition) -> Condition:
     return Condition(first, GRIDS[first].values[0])
 
 
-def _tuned(detector: Detector, trials: Sequence[Trial]) -> Debounce:
-    slips = [Slips.labelled(trial) for trial in trials]
-    return tuned([probabilities(detector, trial) for trial in trials], slips)
+def _tuned(detector: Detector, recordings: Sequence[LabelledRecording]) -> Debounce:
+    slips = [Slips.labelled(recording) for recording in recordings]
+    return tuned([probabilities(detector, recording) for recording in recordings], slips)
 
 
-def _degraded(trial: Trial) -> Flags:
-    assert trial.degraded is not None, "simulated trials know it"
-    return trial.degraded
+def _degraded(recording: LabelledRecording) -> Flags:
+    assert recording.degraded is not None, "simulated recordings know it"
+    return recording.degraded
 
 
 def _share(flags: Sequence[Flags]) -> float:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional, utils
 
-from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.labelled_recordings import JUDGED, LabelledRecording
 from flows.learn.training.augmentation import augmented
 from flows.learn.training.checkpoint import Checkpoint
 from flows.learn.training.learning_curve import Check, best
@@ -41,8 +41,8 @@ class Trained:
 
 
 def train_dense(
-    train: Sequence[Trial],
-    validation: Sequence[Trial],
+    train: Sequence[LabelledRecording],
+    validation: Sequence[LabelledRecording],
     recipe: Recipe,
     *,
     checkpoint: Path | None = None,
@@ -63,7 +63,7 @@ def train_dense(
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     corpus = _Corpus(train, recipe, device)
-    judge = [_Judged.of(trial, device) for trial in validation]
+    judge = [_Judged.of(recording, device) for recording in validation]
     if not judge:
         raise ParameterError("train_dense", "validation", len(judge), "recordings to choose by")
     _seed(recipe.seed)
@@ -134,20 +134,20 @@ def _stuck(curve: Sequence[Check], patience: int) -> bool:
 class _Corpus:
     """All recordings behind each other on the device, from which crops are drawn."""
 
-    def __init__(self, trials: Sequence[Trial], recipe: Recipe, device: torch.device) -> None:
+    def __init__(self, recordings: Sequence[LabelledRecording], recipe: Recipe, device: torch.device) -> None:
         self.device, self._crop, self._batch = device, recipe.crop, recipe.batch
-        usable = [trial for trial in trials if len(trial) >= recipe.crop]
-        label = np.concatenate([np.empty(0, np.int8), *(trial.label for trial in usable)])
+        usable = [recording for recording in recordings if len(recording) >= recipe.crop]
+        label = np.concatenate([np.empty(0, np.int8), *(recording.label for recording in usable)])
         slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())
         if not slip or not static:
             reason = f"recordings of {recipe.crop} samples or more, with slip and static among them"
             raise ParameterError("train_dense", "train", f"{slip} slip, {static} static samples", reason)
-        counts = np.concatenate([trial.counts for trial in usable])
+        counts = np.concatenate([recording.counts for recording in usable])
         self._counts = torch.as_tensor(counts).to(device)  # (n, 6)
         self._slip = torch.as_tensor(label == SLIP).to(device, torch.float32)  # (n,)
         weight = np.select([label == SLIP, label == STATIC], [0.5 / slip, 0.5 / static]) * len(label)
         self._weight = torch.as_tensor(weight).to(device, torch.float32)  # (n,) 0: no label
-        begins = np.cumsum([0, *(len(trial) for trial in usable)])
+        begins = np.cumsum([0, *(len(recording) for recording in usable)])
         starts: list[NDArray[np.int64]] = [
             np.arange(a, b - recipe.crop + 1) for a, b in pairwise(begins.tolist())
         ]
@@ -171,17 +171,17 @@ class _Judged:
     label: NDArray[np.int8]  # (n - JUDGED,)
 
     @classmethod
-    def of(cls, trial: Trial, device: torch.device) -> "_Judged":
-        counts = torch.as_tensor(trial.counts).to(device, torch.float32).T[None]
-        return cls(counts, trial.label[JUDGED:])
+    def of(cls, recording: LabelledRecording, device: torch.device) -> "_Judged":
+        counts = torch.as_tensor(recording.counts).to(device, torch.float32).T[None]
+        return cls(counts, recording.label[JUDGED:])
 
 
-def _judge(network: DenseTcn, trials: Sequence[_Judged]) -> tuple[float, float]:
+def _judge(network: DenseTcn, recordings: Sequence[_Judged]) -> tuple[float, float]:
     """Accuracy and balanced accuracy, %."""
     network.eval()
     with torch.no_grad():
-        called = [network(trial.counts)[0, JUDGED:].cpu().numpy() > 0 for trial in trials]
-    slip, label = np.concatenate(called), np.concatenate([trial.label for trial in trials])
+        called = [network(recording.counts)[0, JUDGED:].cpu().numpy() > 0 for recording in recordings]
+    slip, label = np.concatenate(called), np.concatenate([recording.label for recording in recordings])
     hits, rests = slip[label == SLIP], ~slip[label == STATIC]
     balanced = 50 * (float(hits.mean()) + float(rests.mean()))
     return 100 * float(np.concatenate((hits, rests)).mean()), balanced

@@ -1,4 +1,4 @@
-"""How late labels come after what the fingertip felt, learned from the recording itself.
+"""Delay of labels after the signal, estimated from each recording.
 
 Two streams have two clocks, and an arm tells of its motion late; a detector that is trained on such labels
 learns to be as late, or to foresee. While the contact slides the counts move: the lag of a recording is the
@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.labelled_recordings import JUDGED, LabelledRecording
 from operators.batch import SLIP, UNKNOWN, Reals
 
 RATE: Final = 100.0  # Hz
@@ -22,40 +22,40 @@ _SMOOTH: Final = 3  # samples
 _CLEAR: Final = 0.3  # correlation, below which a recording tells nothing by itself
 
 
-def lags(trials: Sequence[Trial]) -> Reals:
-    """By how much the labels of each trial come after the signal, s; (k,).
+def lags(recordings: Sequence[LabelledRecording]) -> Reals:
+    """Return the delay of each recording's labels after the signal, s; (k,).
 
-    A trial that tells nothing (no slip, or nothing felt) has the median of the others; 0 where none tells.
+    A recording that tells nothing (no slip, or nothing felt) has the median of the others; 0 where none tells.
     """
-    found = [_peak(trial) for trial in trials]
+    found = [_peak(recording) for recording in recordings]
     clear = [lag for lag, correlation in found if correlation >= _CLEAR]
     usual = float(np.median(clear)) if clear else 0.0
     return np.array([lag if correlation >= _CLEAR else usual for lag, correlation in found])
 
 
-def relabelled(trials: Sequence[Trial], lag: float) -> list[Trial]:
-    """The trials with their labels shifted so that each comes `lag` (s) after the signal."""
-    shifts = np.rint((lags(trials) - lag) * RATE).astype(int).tolist()
-    return [_shifted(trial, shift) for trial, shift in zip(trials, shifts, strict=True)]
+def relabelled(recordings: Sequence[LabelledRecording], lag: float) -> list[LabelledRecording]:
+    """The recordings with their labels shifted so that each comes `lag` (s) after the signal."""
+    shifts = np.rint((lags(recordings) - lag) * RATE).astype(int).tolist()
+    return [_shifted(recording, shift) for recording, shift in zip(recordings, shifts, strict=True)]
 
 
-def _shifted(trial: Trial, earlier: int) -> Trial:
-    """A trial whose labels come `earlier` samples sooner; unknown where none is left."""
-    label = np.full_like(trial.label, UNKNOWN)
+def _shifted(recording: LabelledRecording, earlier: int) -> LabelledRecording:
+    """A recording whose labels come `earlier` samples sooner; unknown where none is left."""
+    label = np.full_like(recording.label, UNKNOWN)
     size = max(len(label) - abs(earlier), 0)
     if earlier >= 0:
-        label[:size] = trial.label[earlier:]
+        label[:size] = recording.label[earlier:]
     else:
-        label[-earlier:] = trial.label[:size]
-    return replace(trial, label=label)
+        label[-earlier:] = recording.label[:size]
+    return replace(recording, label=label)
 
 
-def _peak(trial: Trial) -> tuple[float, float]:
+def _peak(recording: LabelledRecording) -> tuple[float, float]:
     """The lag (s) of the best correlation, and that."""
-    steps = np.diff(trial.counts.astype(np.float64), axis=0, prepend=trial.counts[:1])  # (n, 6)
+    steps = np.diff(recording.counts.astype(np.float64), axis=0, prepend=recording.counts[:1])  # (n, 6)
     moving = np.log1p(np.sqrt(np.square(steps).sum(axis=1)))  # (n,)
     moving = np.convolve(moving, np.full(_SMOOTH, 1 / _SMOOTH), "same")
-    slip = (trial.label == SLIP).astype(np.float64)
+    slip = (recording.label == SLIP).astype(np.float64)
     shifts = np.arange(round(_EARLIEST * RATE), round(LATEST * RATE) + 1)
     inner = np.arange(max(JUDGED, -int(shifts[0])), len(slip) - int(shifts[-1]))  # judged at every shift
     if len(inner) < 2 or slip[inner].std() == 0 or moving[inner].std() == 0:  # noqa: PLR2004 no correlation

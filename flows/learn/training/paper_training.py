@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from operators.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -56,8 +56,8 @@ _PAPER: Final = PaperRecipe()
 
 def train_windowed(
     name: str,
-    train: Sequence[Trial],
-    validation: Sequence[Trial],
+    train: Sequence[LabelledRecording],
+    validation: Sequence[LabelledRecording],
     *,
     seed: int,
     epochs: int,
@@ -98,8 +98,8 @@ def train_windowed(
 
 def windowed_epochs(
     name: str,
-    train: Sequence[Trial],
-    validation: Sequence[Trial],
+    train: Sequence[LabelledRecording],
+    validation: Sequence[LabelledRecording],
     *,
     seed: int,
     recipe: PaperRecipe = _PAPER,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
 from flows.learn.training.learning_curve import Check
 from operators.batch import SLIP, UNKNOWN
@@ -32,16 +32,16 @@ class Model:
     curve: Sequence[Check]
 
 
-def label_scores(detector: Detector, trials: Sequence[Trial]) -> dict[str, float]:
-    """How right a detector is, as it will be used, on the labelled samples of trials: shares in %."""
-    probability = np.concatenate([probabilities(detector, trial) for trial in trials])
-    label = np.concatenate([trial.label for trial in trials])
+def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) -> dict[str, float]:
+    """How right a detector is, as it will be used, on the labelled samples of recordings: shares in %."""
+    probability = np.concatenate([probabilities(detector, recording) for recording in recordings])
+    label = np.concatenate([recording.label for recording in recordings])
     known = (label != UNKNOWN) & ~np.isnan(probability)
     confusion = Confusion.of(probability[known] > 1 / 2, label[known] == SLIP)
     return {"accuracy": confusion.accuracy, "balanced": confusion.balanced, "f1": confusion.f1}
 
 
-def provenance(dataset: Path, trials: Sequence[Trial]) -> dict[str, Any]:
+def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
     """What a dataset was, for the card of a model that was trained on it.
 
     Its sha256 is that of the manifests of its sessions, and these hold the sha256 of every part.
@@ -52,8 +52,8 @@ def provenance(dataset: Path, trials: Sequence[Trial]) -> dict[str, Any]:
     return {
         "dataset": dataset.resolve().name,
         "sha256": digest.hexdigest(),
-        "recordings": dict(Counter(trial.split for trial in trials)),
-        "samples": sum(map(len, trials)),
+        "recordings": dict(Counter(recording.split for recording in recordings)),
+        "samples": sum(map(len, recordings)),
     }
 
 

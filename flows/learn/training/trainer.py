@@ -13,7 +13,7 @@ import numpy as np
 
 from flows.learn.evaluation.debounce_tuning import tuned
 from flows.learn.evaluation.event_metrics import Slips
-from flows.learn.labelled_recordings import Trial, by_split, load
+from flows.learn.labelled_recordings import LabelledRecording, by_split, load
 from flows.learn.scoring import probabilities
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
@@ -87,8 +87,8 @@ def train(
     """
     recipe = recipe or Recipe()
     _check(out, method, seeds, lag)
-    trials = {dataset: load(dataset) for dataset in datasets}
-    parts = by_split(chain.from_iterable(trials.values()))
+    recordings = {dataset: load(dataset) for dataset in datasets}
+    parts = by_split(chain.from_iterable(recordings.values()))
     for split in ("train", "validation"):
         if not parts[split]:
             names = ", ".join(map(str, datasets))
@@ -99,7 +99,7 @@ def train(
     about: dict[str, Any] = {
         "detector": method,
         "software": f"slipflow {version('slipflow')}",
-        "data": [provenance(dataset, found) for dataset, found in trials.items()],
+        "data": [provenance(dataset, found) for dataset, found in recordings.items()],
         "label_lag_s": lag,
     }
     models: list[Model] = []
@@ -148,7 +148,7 @@ def _check(out: Path, method: str, seeds: int, lag: float | None) -> None:
 
 
 def _dense(
-    parts: Mapping[str, Sequence[Trial]], recipe: Recipe, path: Path, progress: Progress
+    parts: Mapping[str, Sequence[LabelledRecording]], recipe: Recipe, path: Path, progress: Progress
 ) -> tuple[Arrays, Sequence[Check]]:
     from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
 
@@ -161,7 +161,7 @@ def _dense(
 
 
 def _windowed(
-    method: str, parts: Mapping[str, Sequence[Trial]], seed: int, epochs: int, progress: Progress
+    method: str, parts: Mapping[str, Sequence[LabelledRecording]], seed: int, epochs: int, progress: Progress
 ) -> tuple[Arrays, Sequence[Check]]:
     began, curve = perf_counter(), list[Check]()
 
@@ -179,8 +179,8 @@ def _windowed(
     return arrays, curve
 
 
-def _debounce(detector: Detector, validation: Sequence[Trial]) -> dict[str, float]:
+def _debounce(detector: Detector, validation: Sequence[LabelledRecording]) -> dict[str, float]:
     """The settings that raise events soonest within the usual budget of false alarms."""
-    slips = [Slips.labelled(trial) for trial in validation]
-    found = tuned([probabilities(detector, trial) for trial in validation], slips)
+    slips = [Slips.labelled(recording) for recording in validation]
+    found = tuned([probabilities(detector, recording) for recording in validation], slips)
     return {name: getattr(found, name) for name in ("threshold", "consecutive", "release")}

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.augmentation import MIRROR_X, MIRROR_Y
 from operators.batch import BAROMETERS, UNKNOWN, Flags, Reals
 from operators.errors import InputError
@@ -26,30 +26,30 @@ MIRRORED: Final = (
 
 @dataclass(frozen=True)
 class Windows:
-    """The windows behind every judged sample of some trials whose label is known."""
+    """The windows behind every judged sample of some recordings whose label is known."""
 
-    counts: Tensor  # (samples, 6) int16, of all trials one after another
+    counts: Tensor  # (samples, 6) int16, of all recordings one after another
     newest: NDArray[np.intp]  # (n,) where each window ends in `counts`
     slip: Flags  # (n,) the label at its newest sample
 
     @classmethod
-    def of(cls, trials: Sequence[Trial], device: torch.device) -> Self:
-        """The windows of trials.
+    def of(cls, recordings: Sequence[LabelledRecording], device: torch.device) -> Self:
+        """The windows of recordings.
 
         Raises:
             InputError: there is no window of slip, or none of static.
         """
         newest: list[NDArray[np.intp]] = []
         start = 0
-        for trial in trials:
-            judged = trial.judged(1)
-            newest.append(start + judged[trial.label[judged] != UNKNOWN])
-            start += len(trial)
+        for recording in recordings:
+            judged = recording.judged(1)
+            newest.append(start + judged[recording.label[judged] != UNKNOWN])
+            start += len(recording)
         ends = np.concatenate([np.empty(0, np.intp), *newest])
-        slip = np.concatenate([np.empty(0, np.bool_), *(trial.slip for trial in trials)])[ends]
+        slip = np.concatenate([np.empty(0, np.bool_), *(recording.slip for recording in recordings)])[ends]
         if not 0 < slip.sum() < len(slip):
-            raise InputError("the trials to train on", "must hold windows of slip and of static")
-        counts = torch.as_tensor(np.concatenate([trial.counts for trial in trials]))
+            raise InputError("the recordings to train on", "must hold windows of slip and of static")
+        counts = torch.as_tensor(np.concatenate([recording.counts for recording in recordings]))
         return cls(counts.to(device), ends, slip)
 
     def __len__(self) -> int:

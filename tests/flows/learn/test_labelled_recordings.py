@@ -1,4 +1,4 @@
-"""Simulated trials: what they know beside counts and labels."""
+"""Simulated recordings: what they know beside counts and labels."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +10,13 @@ from connectors.sim.paper_plan import Collection
 from connectors.sim.scene import Faults, Move, Moves, Scene
 from connectors.sim.stress_profiles import stressed
 from flows.lab.simulation import recordings, simulate
-from flows.learn.labelled_recordings import Trial, by_split, load, simulated_trials, trial
+from flows.learn.labelled_recordings import (
+    LabelledRecording,
+    by_split,
+    load,
+    simulated_recording,
+    simulated_recordings,
+)
 from flows.learn.splits import SPLITS, TURNS
 from operators.batch import Flags
 from operators.errors import InputError
@@ -35,7 +41,10 @@ def there(flags: Flags | None) -> Flags:
 
 
 def test_the_truth_of_a_sample_is_that_of_its_own_instant_even_where_others_were_lost() -> None:
-    whole, thinned = trial(SCENE, 3), trial(stressed(SCENE, "touch_dropped", 0.3), 3)
+    whole, thinned = (
+        simulated_recording(SCENE, 3),
+        simulated_recording(stressed(SCENE, "touch_dropped", 0.3), 3),
+    )
     assert 0.6 < len(thinned) / len(whole) < 0.8
     found = [there(flags) for flags in (thinned.sliding, thinned.oblique, thinned.degraded)]
     assert [len(flags) for flags in found] == [len(thinned)] * 3
@@ -47,7 +56,7 @@ def test_the_truth_of_a_sample_is_that_of_its_own_instant_even_where_others_were
 
 
 def test_the_truth_says_when_the_contact_slides() -> None:
-    sliding = np.flatnonzero(there(trial(SCENE, 3).sliding)) / 100  # s
+    sliding = np.flatnonzero(there(simulated_recording(SCENE, 3).sliding)) / 100  # s
     assert START < sliding[0] < START + 0.15
     assert not ((sliding > REST[0]) & (sliding < REST[1])).any()
 
@@ -57,7 +66,7 @@ def test_the_truth_says_when_the_contact_slides() -> None:
 )
 def test_a_fault_degrades_a_trial_from_when_it_can_be_told(faults: Faults, after: float) -> None:
     def degraded(scene: Scene) -> Flags:
-        found: Trial = trial(scene, 3)
+        found: LabelledRecording = simulated_recording(scene, 3)
         return there(found.degraded)
 
     assert not degraded(SCENE).any()
@@ -90,17 +99,19 @@ def test_a_folder_that_is_not_there_is_told_as_such(tmp_path: Path) -> None:
 
 
 def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> None:
-    trials = load(tiny)
-    parts = by_split(iter([*trials, replace(trials[0], split="")]))
+    recordings = load(tiny)
+    parts = by_split(iter([*recordings, replace(recordings[0], split="")]))
     assert tuple(parts) == SPLITS
-    assert sum(map(len, parts.values())) == len(trials)
+    assert sum(map(len, parts.values())) == len(recordings)
     assert all(each.split == split for split, found in parts.items() for each in found)
 
 
-def test_the_same_seed_gives_the_same_trials() -> None:
+def test_the_same_seed_gives_the_same_recordings() -> None:
     plan = Collection(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
-    first, again, other = (simulated_trials(plan, seed) for seed in (0, 0, 1))
-    counts = [[trial.counts.tobytes() for trial in trials] for trials in (first, again, other)]
+    first, again, other = (simulated_recordings(plan, seed) for seed in (0, 0, 1))
+    counts = [
+        [recording.counts.tobytes() for recording in recordings] for recordings in (first, again, other)
+    ]
     assert counts[0] == counts[1] != counts[2]
-    assert {trial.surface for trial in first} == {"plane", "sphere"}
-    assert {trial.speed for trial in first} == {0.05, None}
+    assert {recording.surface for recording in first} == {"plane", "sphere"}
+    assert {recording.speed for recording in first} == {0.05, None}

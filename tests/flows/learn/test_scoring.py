@@ -4,7 +4,7 @@ from typing import Self
 import numpy as np
 import pytest
 
-from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.labelled_recordings import JUDGED, LabelledRecording
 from flows.learn.scoring import labels, probabilities, windows
 from operators import Score, Zeroed
 from operators.batch import Counts, Reals
@@ -34,13 +34,15 @@ class Streamed(Mean):
         return fives
 
 
-def trial(samples: int, valid: np.ndarray[tuple[int, int], np.dtype[np.bool_]] | None = None) -> Trial:
+def recording(
+    samples: int, valid: np.ndarray[tuple[int, int], np.dtype[np.bool_]] | None = None
+) -> LabelledRecording:
     counts = np.random.default_rng(0).integers(-400, 100, (samples, 6)).astype(np.int16)
-    return Trial(counts, np.zeros(samples, np.int8), "plane", valid=valid)
+    return LabelledRecording(counts, np.zeros(samples, np.int8), "plane", valid=valid)
 
 
 def test_windows_end_with_the_sample_that_is_scored() -> None:
-    one = trial(1500)
+    one = recording(1500)
     found = probabilities(Mean(), one)
     assert np.isnan(found[:JUDGED]).all()
     expected = [one.counts[end - 19 : end + 1].mean() / 1000 for end in range(JUDGED, 1500)]
@@ -48,7 +50,7 @@ def test_windows_end_with_the_sample_that_is_scored() -> None:
 
 
 def test_a_streaming_detector_streams() -> None:
-    one = trial(300)
+    one = recording(300)
     one.counts[150, 5] = 5
     found = probabilities(Streamed(), one)
     assert np.isnan(found[:JUDGED]).all()
@@ -57,18 +59,18 @@ def test_a_streaming_detector_streams() -> None:
 
 
 def test_a_longer_window_begins_later() -> None:
-    found = probabilities(Mean(length=130), trial(140))
+    found = probabilities(Mean(length=130), recording(140))
     assert np.flatnonzero(np.isfinite(found)).tolist() == list(range(129, 140))
 
 
 @pytest.mark.parametrize("samples", [0, 1, JUDGED])
 def test_a_recording_that_is_too_short_has_no_score(samples: int) -> None:
-    assert np.isnan(probabilities(Mean(), trial(samples))).all()
+    assert np.isnan(probabilities(Mean(), recording(samples))).all()
 
 
 def test_the_operator_says_the_same() -> None:
     valid = np.random.default_rng(1).random((700, 6)) > 0.4
-    one = trial(700, valid)
+    one = recording(700, valid)
     scores = Score(Psd()).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
     found = probabilities(Psd(), replace(one, counts=hold(one.counts, valid, np.zeros(6, np.int16))))
     later = scores.probability[JUDGED - 24 :]
@@ -78,7 +80,7 @@ def test_the_operator_says_the_same() -> None:
 
 def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
-    one = Trial(counts, np.zeros(150, np.int8), "plane")
+    one = LabelledRecording(counts, np.zeros(150, np.int8), "plane")
     assert windows(one, 25, 10)[:, -1, 0].tolist() == counts[one.judged(10), 0].tolist()
     assert windows(one, 100, 10)[0].tolist() == counts[:100].tolist()
     assert len(labels([one, one], 10)) == 2 * len(windows(one, 25, 10))

@@ -14,7 +14,7 @@ from flows.learn.chart import chart_page
 from flows.learn.chart import speed_accuracy as module
 from flows.learn.chart.speed_accuracy import ONNX, TORCH, Chart, chart
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial, load
+from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from operators.errors import InputError
 from storage import load_detector
@@ -47,10 +47,12 @@ def test_every_detector_is_a_point_and_so_is_the_default_by_other_libraries(foun
 
 
 def test_the_accuracy_is_that_on_the_test_split(found: Chart, tiny: Path, small: Path) -> None:
-    test = [trial for trial in load(tiny) if trial.split == "test"]
+    test = [recording for recording in load(tiny) if recording.split == "test"]
     detector = load_detector(small)
-    called = [probabilities(detector, trial)[99:] >= 0.5 for trial in test]
-    expected = Confusion.of(np.concatenate(called), np.concatenate([trial.slip[99:] for trial in test]))
+    called = [probabilities(detector, recording)[99:] >= 0.5 for recording in test]
+    expected = Confusion.of(
+        np.concatenate(called), np.concatenate([recording.slip[99:] for recording in test])
+    )
     [point] = [point for point in found.points if point.name == "tcn4"]
     assert (point.judged.accuracy, point.judged.balanced) == (expected.accuracy, expected.balanced)
     assert found.recordings == len(test)
@@ -95,7 +97,7 @@ def test_without_torch_it_says_so_and_goes_on(tiny: Path, monkeypatch: pytest.Mo
 
 
 def test_a_dataset_without_splits_is_refused(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def without(dataset: Path) -> list[Trial]:
+    def without(dataset: Path) -> list[LabelledRecording]:
         return [each for each in load(dataset) if each.split != "test"]
 
     monkeypatch.setattr(module, "load", without)

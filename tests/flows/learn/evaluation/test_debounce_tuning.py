@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from flows.learn.evaluation import debounce_tuning as tuning
 from flows.learn.evaluation.debounce_tuning import Joined, run_lengths, tuned
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.batch import Reals
 
@@ -24,7 +24,7 @@ def recordings(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Rea
         probability = 1 / (1 + np.exp(-logit))
         probability[random.random(len(label)) < 0.01] = np.nan
         found.append(probability)
-        slips.append(Slips.labelled(Trial(np.zeros((len(label), 6), np.int16), label, "plane")))
+        slips.append(Slips.labelled(LabelledRecording(np.zeros((len(label), 6), np.int16), label, "plane")))
     return found, slips
 
 

@@ -7,7 +7,7 @@ import pytest
 from flows.learn.evaluation import evaluation_study as module
 from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
 from flows.learn.evaluation.sample_metrics import Confusion
-from flows.learn.labelled_recordings import Trial, load
+from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from operators import Debounce
 from operators.batch import Codes
@@ -20,16 +20,16 @@ def found(tiny: Path) -> Evaluation:
 
 
 def test_the_scores_are_those_of_the_test_split(found: Evaluation, tiny: Path) -> None:
-    trials = [trial for trial in load(tiny) if trial.split == "test"]
+    recordings = [recording for recording in load(tiny) if recording.split == "test"]
     result = found["psd"]
-    called = [probabilities(result.method.detector, trial)[99:] >= 0.5 for trial in trials]
-    truth = [trial.slip[99:] for trial in trials]
+    called = [probabilities(result.method.detector, recording)[99:] >= 0.5 for recording in recordings]
+    truth = [recording.slip[99:] for recording in recordings]
     expected = Confusion.of(np.concatenate(called), np.concatenate(truth))
     assert result.confusion.counts.tolist() == expected.counts.tolist()
     assert result.cells.confusion().counts.tolist() == expected.counts.tolist()
     assert result.changes.errors.sum() == expected.counts[0, 1] + expected.counts[1, 0]
     assert result.reliability.number.sum() == found.samples == expected.counts.sum()
-    assert found.recordings == len(trials)
+    assert found.recordings == len(recordings)
 
 
 def test_the_most_accurate_comes_first(found: Evaluation) -> None:
@@ -62,7 +62,7 @@ def test_the_summary_has_every_number_that_is_promised(found: Evaluation) -> Non
 def test_nobody_knows_the_truth_of_what_was_not_simulated(
     tiny: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unknown(_dataset: Path, recorded: Trial) -> Trial:
+    def unknown(_dataset: Path, recorded: LabelledRecording) -> LabelledRecording:
         return recorded
 
     monkeypatch.setattr(module, "with_truth", unknown)
@@ -75,7 +75,7 @@ def test_nobody_knows_the_truth_of_what_was_not_simulated(
 def test_without_a_validation_split_the_papers_rule_stands(
     tiny: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def some(dataset: Path) -> list[Trial]:
+    def some(dataset: Path) -> list[LabelledRecording]:
         return [
             replace(each, split="train") if each.split == "validation" else each for each in load(dataset)
         ]
@@ -92,12 +92,12 @@ def _doubtful(label: Codes) -> Codes:
 
 
 def test_samples_whose_label_is_not_known_are_not_judged(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def doubtful(dataset: Path) -> list[Trial]:
+    def doubtful(dataset: Path) -> list[LabelledRecording]:
         return [replace(each, label=_doubtful(each.label)) for each in load(dataset)]
 
     monkeypatch.setattr(module, "load", doubtful)
     found = evaluate(tiny, names=["psd"], split="all")
-    lengths = [len(trial) for trial in load(tiny)]
+    lengths = [len(recording) for recording in load(tiny)]
     assert found.samples == sum(length - 99 - 100 for length in lengths)
 
 

@@ -11,7 +11,7 @@ from flows.learn.evaluation.event_metrics import (
     filled,
     onsets,
 )
-from flows.learn.labelled_recordings import JUDGED, Trial
+from flows.learn.labelled_recordings import JUDGED, LabelledRecording
 from operators import Debounce, ms
 from operators.batch import Codes, Reals
 
@@ -31,7 +31,7 @@ def sure(samples: int, *runs: tuple[int, int]) -> Reals:
 
 
 def slips(codes: Codes) -> Slips:
-    return Slips.labelled(Trial(np.zeros((len(codes), 6), np.int16), codes, "plane"))
+    return Slips.labelled(LabelledRecording(np.zeros((len(codes), 6), np.int16), codes, "plane"))
 
 
 def seconds(*stretches: tuple[int, int]) -> tuple[tuple[int, int], ...]:
@@ -69,13 +69,13 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
     assert felt.false_alarms == 0
 
 
-def test_true_sliding_is_known_only_of_simulated_trials() -> None:
+def test_true_sliding_is_known_only_of_simulated_recordings() -> None:
     sliding = label(400, (150, 170), (180, 200)) == 1
-    trial = Trial(np.zeros((400, 6), np.int16), label(400), "plane", sliding=sliding)
-    slid = Slips.slid(trial)
+    recording = LabelledRecording(np.zeros((400, 6), np.int16), label(400), "plane", sliding=sliding)
+    slid = Slips.slid(recording)
     assert slid is not None
     assert slid.found == seconds((150, 199))
-    assert Slips.slid(Trial(trial.counts, trial.label, "plane")) is None
+    assert Slips.slid(LabelledRecording(recording.counts, recording.label, "plane")) is None
 
 
 def test_pauses_are_bridged_from_end_to_start() -> None:

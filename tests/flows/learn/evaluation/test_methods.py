@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flows.learn.evaluation.methods import FITTED, methods
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.detectors import TRAINED, Psd
 from operators.detectors.paper_tcn import shapes
@@ -15,13 +15,13 @@ from storage import save_weights
 
 
 @pytest.fixture(scope="module")
-def training() -> list[Trial]:
+def training() -> list[LabelledRecording]:
     """Two recordings in which slip shakes every barometer."""
     random = np.random.default_rng(0)
     label = np.repeat(np.arange(16) % 2, 50).astype(np.int8)
     spread = np.where(label, 40, 1)[:, None]
     counts = (random.normal(0, spread, (800, 6)).round().astype(np.int16) for _ in range(2))
-    return [Trial(each, label, "plane", split="train") for each in counts]
+    return [LabelledRecording(each, label, "plane", split="train") for each in counts]
 
 
 def model(path: Path, **about: object) -> Path:
@@ -34,7 +34,7 @@ def model(path: Path, **about: object) -> Path:
     return path
 
 
-def test_the_fitted_ones_know_the_training_split(training: list[Trial]) -> None:
+def test_the_fitted_ones_know_the_training_split(training: list[LabelledRecording]) -> None:
     found, missing = methods(training, names=["psd", "psd_1s", "logistic"])
     assert {method.name: method.detector.length for method in found} == {
         "logistic": 41,
@@ -63,19 +63,19 @@ def test_a_model_is_named_as_its_detector_and_the_next_of_its_kind_as_its_file(t
     assert names == [*TRAINED, "one", "two", "two_2"]  # the paper's network ships: its name is taken
 
 
-def test_all_trained_ones_are_there_or_missing(training: list[Trial]) -> None:
+def test_all_trained_ones_are_there_or_missing(training: list[LabelledRecording]) -> None:
     found, missing = methods(training[:1], names=[*TRAINED, "psd"])
     assert {method.name for method in found} | set(missing) == {*TRAINED, "psd"}
 
 
-def test_only_what_is_asked_for_is_fitted(training: list[Trial]) -> None:
+def test_only_what_is_asked_for_is_fitted(training: list[LabelledRecording]) -> None:
     told = list[str]()
     methods(training, names=["psd"], told=told.append)
     assert told == ["fitting psd"]
     assert len(FITTED) > 1
 
 
-def test_a_method_that_there_is_not_is_refused(training: list[Trial]) -> None:
+def test_a_method_that_there_is_not_is_refused(training: list[LabelledRecording]) -> None:
     with pytest.raises(InputError, match="oracle: is no method: there are"):
         methods(training, names=["psd", "oracle"])
 

@@ -2,29 +2,29 @@ import numpy as np
 import pytest
 
 from flows.learn.evaluation.motion_metrics import Cell, Cells
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 
 SLIDE = Cell("primary", 0.05, "plane")
 ACROSS = Cell("oblique", 0.05, "plane")
 TURN = Cell("rotation", None, "sphere")
 
 
-def trial(surface: str, speed: float | None, oblique: list[bool] | None) -> Trial:
+def recording(surface: str, speed: float | None, oblique: list[bool] | None) -> LabelledRecording:
     label = np.array([0, 1] * 5, np.int8)
     known = None if oblique is None else np.array(oblique)
-    return Trial(np.zeros((10, 6), np.int16), label, surface, speed, known)
+    return LabelledRecording(np.zeros((10, 6), np.int16), label, surface, speed, known)
 
 
 @pytest.fixture
 def cells() -> Cells:
-    trials = [
-        trial("plane", 0.05, [False] * 6 + [True] * 4),
-        trial("sphere", None, [False] * 10),
-        trial("", None, None),
+    recordings = [
+        recording("plane", 0.05, [False] * 6 + [True] * 4),
+        recording("sphere", None, [False] * 10),
+        recording("", None, None),
     ]
     at = [np.arange(2, 10)] * 3
-    slip = [one.slip[2:] for one in trials]
-    return Cells.of(trials, at, [slip[0], ~slip[1], slip[2]])
+    slip = [one.slip[2:] for one in recordings]
+    return Cells.of(recordings, at, [slip[0], ~slip[1], slip[2]])
 
 
 def test_answers_are_counted_by_axis_speed_and_surface(cells: Cells) -> None:

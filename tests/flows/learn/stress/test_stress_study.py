@@ -9,7 +9,7 @@ import pytest
 from connectors.sim.paper_plan import Collection
 from connectors.sim.stress_profiles import stressed
 from flows.learn.evaluation.judgement import Judgement
-from flows.learn.labelled_recordings import Trial, simulated_trials
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress import stress_figure, stress_page
 from flows.learn.stress.stress_fields import GOALS, GRIDS
@@ -90,9 +90,9 @@ def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: 
 
 
 def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None:
-    trials = simulated_trials(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
-    answers = [probabilities(Psd(), trial) for trial in trials]
-    expected = Judgement.of(trials, answers, Debounce(), "label")
+    recordings = simulated_recordings(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
+    answers = [probabilities(Psd(), recording) for recording in recordings]
+    expected = Judgement.of(recordings, answers, Debounce(), "label")
     assert found.at("psd", "friction", 0.3) == expected
 
 
@@ -137,11 +137,11 @@ def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.Mo
     )
     seeds, told = list[int](), list[str]()
 
-    def noted(plan: Collection, seed: int, *_: object) -> list[Trial]:
+    def noted(plan: Collection, seed: int, *_: object) -> list[LabelledRecording]:
         seeds.append(seed)
-        return simulated_trials(plan, seed)
+        return simulated_recordings(plan, seed)
 
-    monkeypatch.setattr("flows.learn.stress.stress_study.simulated_trials", noted)
+    monkeypatch.setattr("flows.learn.stress.stress_study.simulated_recordings", noted)
     found = stress(names=["psd"], seed=SEED, plan=TINY, training=TINY, jobs=1, told=told.append)
     assert found.names == ("psd",)
     assert SEED in seeds[2:]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.dense_training import train_dense
 from flows.learn.training.learning_curve import Check, best
 from flows.learn.training.recipe import Recipe
@@ -31,31 +31,39 @@ def _stop_at(last: int) -> Callable[[int, Check | None], None]:
     return progress
 
 
-def test_training_tells_what_can_be_told(trials: list[Trial]) -> None:
-    trained = train_dense(trials[:4], trials[4:], SMALL)
+def test_training_tells_what_can_be_told(recordings: list[LabelledRecording]) -> None:
+    trained = train_dense(recordings[:4], recordings[4:], SMALL)
     assert best(trained.curve).balanced > 90
     assert trained.curve[-1].loss < trained.curve[0].loss
 
 
-def test_the_same_seed_gives_the_same_weights_and_another_gives_others(trials: list[Trial]) -> None:
+def test_the_same_seed_gives_the_same_weights_and_another_gives_others(
+    recordings: list[LabelledRecording],
+) -> None:
     recipe = replace(SMALL, steps=10)
     first, again, other = (
-        train_dense(trials[:4], trials[4:], replace(recipe, seed=seed)).arrays for seed in (0, 0, 1)
+        train_dense(recordings[:4], recordings[4:], replace(recipe, seed=seed)).arrays for seed in (0, 0, 1)
     )
     for name, array in first.items():
         np.testing.assert_array_equal(array, again[name])
     assert not np.array_equal(first["conv0/kernel"], other["conv0/kernel"])
 
 
-def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(trials: list[Trial], tmp_path: Path) -> None:
+def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(
+    recordings: list[LabelledRecording], tmp_path: Path
+) -> None:
     file = tmp_path / "model.checkpoint.safetensors"
-    whole = train_dense(trials[:4], trials[4:], SMALL)
+    whole = train_dense(recordings[:4], recordings[4:], SMALL)
     with pytest.raises(Stopped):
-        train_dense(trials[:4], trials[4:], SMALL, checkpoint=file, progress=_stop_at(33))
+        train_dense(recordings[:4], recordings[4:], SMALL, checkpoint=file, progress=_stop_at(33))
     assert file.exists()
     steps: list[int] = []
     resumed = train_dense(
-        trials[:4], trials[4:], SMALL, checkpoint=file, progress=lambda step, _check: steps.append(step)
+        recordings[:4],
+        recordings[4:],
+        SMALL,
+        checkpoint=file,
+        progress=lambda step, _check: steps.append(step),
     )
     assert steps[0] == 31  # behind the last check
     assert not file.exists()
@@ -64,40 +72,44 @@ def test_a_run_that_was_stopped_goes_on_as_if_it_had_not_been(trials: list[Trial
     assert [c.balanced for c in resumed.curve] == [c.balanced for c in whole.curve]
 
 
-def test_a_checkpoint_of_other_settings_is_refused(trials: list[Trial], tmp_path: Path) -> None:
+def test_a_checkpoint_of_other_settings_is_refused(
+    recordings: list[LabelledRecording], tmp_path: Path
+) -> None:
     file = tmp_path / "model.checkpoint.safetensors"
     with pytest.raises(Stopped):
-        train_dense(trials[:4], trials[4:], SMALL, checkpoint=file, progress=_stop_at(20))
+        train_dense(recordings[:4], recordings[4:], SMALL, checkpoint=file, progress=_stop_at(20))
     with pytest.raises(InputError, match="other settings"):
-        train_dense(trials[:4], trials[4:], replace(SMALL, rate=1e-3), checkpoint=file)
+        train_dense(recordings[:4], recordings[4:], replace(SMALL, rate=1e-3), checkpoint=file)
 
 
-def test_training_ends_when_validation_does_not_improve(trials: list[Trial]) -> None:
+def test_training_ends_when_validation_does_not_improve(recordings: list[LabelledRecording]) -> None:
     recipe = replace(SMALL, steps=400, checks=100, patience=3)
-    curve = train_dense(trials[:4], trials[4:], recipe).curve
+    curve = train_dense(recordings[:4], recordings[4:], recipe).curve
     assert len(curve) < 100
     assert len(curve) - 1 - curve.index(best(curve)) == 3
 
 
 @pytest.mark.parametrize("label", [0, 1, -1])
-def test_recordings_of_one_class_teach_nothing(trials: list[Trial], label: int) -> None:
-    flat = [replace(trial, label=np.full_like(trial.label, label)) for trial in trials[:4]]
+def test_recordings_of_one_class_teach_nothing(recordings: list[LabelledRecording], label: int) -> None:
+    flat = [replace(recording, label=np.full_like(recording.label, label)) for recording in recordings[:4]]
     with pytest.raises(ParameterError, match="with slip and static among them"):
-        train_dense(flat, trials[4:], SMALL)
+        train_dense(flat, recordings[4:], SMALL)
 
 
-def test_samples_without_a_label_and_recordings_that_are_too_short_do_not_count(trials: list[Trial]) -> None:
+def test_samples_without_a_label_and_recordings_that_are_too_short_do_not_count(
+    recordings: list[LabelledRecording],
+) -> None:
     recipe = replace(SMALL, steps=10)
-    wrong = replace(trials[5], counts=-trials[5].counts[:200], label=1 - trials[5].label[:200])
-    plain = train_dense(trials[:4], trials[4:5], recipe).arrays
-    more = train_dense([*trials[:4], wrong], trials[4:5], recipe).arrays
+    wrong = replace(recordings[5], counts=-recordings[5].counts[:200], label=1 - recordings[5].label[:200])
+    plain = train_dense(recordings[:4], recordings[4:5], recipe).arrays
+    more = train_dense([*recordings[:4], wrong], recordings[4:5], recipe).arrays
     np.testing.assert_array_equal(plain["out/kernel"], more["out/kernel"])
 
 
-def test_the_detector_made_of_the_weights_is_the_network(trials: list[Trial]) -> None:
+def test_the_detector_made_of_the_weights_is_the_network(recordings: list[LabelledRecording]) -> None:
     cast("Any", torch).manual_seed(0)
     network = DenseTcn(Recipe(filters=5))
-    counts = torch.as_tensor(trials[0].counts).to(torch.float32).T[None]
+    counts = torch.as_tensor(recordings[0].counts).to(torch.float32).T[None]
     for _ in range(3):  # so that the norms have seen something
         network(counts)
     network.eval()
@@ -105,7 +117,7 @@ def test_the_detector_made_of_the_weights_is_the_network(trials: list[Trial]) ->
         dense = torch.sigmoid(network(counts))[0].numpy()
     tcn = Tcn(network.arrays())
     assert tcn.length == 100
-    streamed = tcn.stream().push(trials[0].counts[:, None])[:, 0]
+    streamed = tcn.stream().push(recordings[0].counts[:, None])[:, 0]
     np.testing.assert_allclose(streamed[99:], dense[99:], atol=1e-5)
 
 

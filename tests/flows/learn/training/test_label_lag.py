@@ -4,43 +4,45 @@ import numpy as np
 import pytest
 
 from connectors.sim.paper_plan import Collection
-from flows.learn.labelled_recordings import Trial, simulated_trials
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.training.label_lag import lags, relabelled
 
 PLAN = Collection(speeds=(0.05, 0.1), repeats=1, rotations=0)
 
 
 @pytest.fixture(scope="module")
-def recordings() -> list[Trial]:
-    return simulated_trials(PLAN, seed=5)
+def recordings() -> list[LabelledRecording]:
+    return simulated_recordings(PLAN, seed=5)
 
 
-def _later(trial: Trial, samples: int) -> Trial:
-    return replace(trial, label=np.roll(trial.label, samples))
+def _later(recording: LabelledRecording, samples: int) -> LabelledRecording:
+    return replace(recording, label=np.roll(recording.label, samples))
 
 
-def test_the_latency_of_the_arm_is_found_in_its_recordings(recordings: list[Trial]) -> None:
+def test_the_latency_of_the_arm_is_found_in_its_recordings(recordings: list[LabelledRecording]) -> None:
     latency = np.array([scene.motion.latency for scene in PLAN.scenes(5)])
     error = lags(recordings) - latency
     assert np.median(np.abs(error - np.median(error))) < 0.015  # s; latencies spread over 84 ms
 
 
-def test_labels_that_come_later_have_so_much_more_lag(recordings: list[Trial]) -> None:
-    later = lags([_later(trial, 10) for trial in recordings])
+def test_labels_that_come_later_have_so_much_more_lag(recordings: list[LabelledRecording]) -> None:
+    later = lags([_later(recording, 10) for recording in recordings])
     assert np.median(later - lags(recordings)) == pytest.approx(0.1, abs=0.005)
 
 
-def test_relabelled_recordings_have_the_lag_asked_for(recordings: list[Trial]) -> None:
-    found = lags(relabelled([_later(trial, 10) for trial in recordings], 0.04))
+def test_relabelled_recordings_have_the_lag_asked_for(recordings: list[LabelledRecording]) -> None:
+    found = lags(relabelled([_later(recording, 10) for recording in recordings], 0.04))
     assert np.median(np.abs(found - 0.04)) < 0.01
 
 
-def test_a_recording_that_tells_nothing_has_the_lag_of_the_others(recordings: list[Trial]) -> None:
+def test_a_recording_that_tells_nothing_has_the_lag_of_the_others(
+    recordings: list[LabelledRecording],
+) -> None:
     silent = replace(recordings[0], counts=np.zeros_like(recordings[0].counts))
     assert lags([*recordings[1:], silent])[-1] == np.median(lags(recordings[1:]))
     assert lags([silent]).tolist() == [0.0]
 
 
 def test_a_recording_that_is_too_short_is_left_as_it_is() -> None:
-    short = Trial(np.zeros((30, 6), np.int16), np.ones(30, np.int8), "plane")
+    short = LabelledRecording(np.zeros((30, 6), np.int16), np.ones(30, np.int8), "plane")
     assert relabelled([short], 0.0)[0].label.tolist() == [1] * 30

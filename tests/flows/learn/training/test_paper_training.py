@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training import paper_training as paper
 from flows.learn.training.paper_networks import PaperTcnNetwork
 from flows.learn.training.paper_training import (
@@ -37,19 +37,19 @@ SMALL = PaperRecipe(batch=64)
 every = pytest.mark.parametrize("name", WINDOWED)
 
 
-def _trial(seed: int, samples: int = 700) -> Trial:
+def _recording(seed: int, samples: int = 700) -> LabelledRecording:
     """Stick-slip at 15 Hz for some seconds, and rest for as long."""
     rng = np.random.default_rng(seed)
     time = np.arange(samples)
     slip = (2 * time // samples + seed) % 2 == 1
     wave = np.sin(2 * np.pi * 15 * time / 100 + rng.uniform(0, 6))
     counts = -150 + 3 * rng.normal(size=(samples, 6)) + 60 * np.outer(slip * wave, rng.uniform(0.5, 1, 6))
-    return Trial(counts.round().astype(np.int16), slip.astype(np.int8), "plane")
+    return LabelledRecording(counts.round().astype(np.int16), slip.astype(np.int8), "plane")
 
 
-def _accuracy(detector: Detector, trials: Sequence[Trial]) -> float:
+def _accuracy(detector: Detector, recordings: Sequence[LabelledRecording]) -> float:
     """Balanced."""
-    windows = Windows.of(trials, CPU)
+    windows = Windows.of(recordings, CPU)
     called: Flags = detector.score(windows.take(np.arange(len(windows))).numpy().astype(np.int16)) > 0.5
     right = called == windows.slip
     return float(right[windows.slip].mean() + right[~windows.slip].mean()) / 2
@@ -57,7 +57,7 @@ def _accuracy(detector: Detector, trials: Sequence[Trial]) -> float:
 
 @every
 def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) -> None:
-    train, validation, test = ([_trial(seed) for seed in seeds] for seeds in (range(4), (5, 6), (7, 8)))
+    train, validation, test = ([_recording(seed) for seed in seeds] for seeds in (range(4), (5, 6), (7, 8)))
     told: list[Epoch] = []
     weights, history = train_windowed(
         name, train, validation, seed=0, epochs=5, recipe=SMALL, progress=told.append
@@ -72,11 +72,11 @@ def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) 
 
 @every
 def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_others(name: str) -> None:
-    trials = [_trial(seed, 300) for seed in range(2)]
+    recordings = [_recording(seed, 300) for seed in range(2)]
 
     def weights(seed: int) -> Arrays:
         torch.rand(seed + 3)
-        return train_windowed(name, trials, trials, seed=seed, epochs=2, recipe=SMALL)[0]
+        return train_windowed(name, recordings, recordings, seed=seed, epochs=2, recipe=SMALL)[0]
 
     first, again, other = weights(0), weights(0), weights(1)
     for array, value in first.items():
@@ -86,11 +86,13 @@ def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_other
 
 
 def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: pytest.MonkeyPatch) -> None:
-    trials = [_trial(seed, 300) for seed in range(2)]
+    recordings = [_recording(seed, 300) for seed in range(2)]
     scores = [(0.5, 0.6), (0.7, 0.8), (0.9, 0.8), (0.6, 0.7)]
     monkeypatch.setattr(paper, "_evaluate", Mock(side_effect=scores + scores))
-    each = [arrays() for _, arrays in islice(windowed_epochs("frequency_cnn", trials, trials, seed=0), 4)]
-    weights, history = train_windowed("frequency_cnn", trials, trials, seed=0, epochs=4)
+    each = [
+        arrays() for _, arrays in islice(windowed_epochs("frequency_cnn", recordings, recordings, seed=0), 4)
+    ]
+    weights, history = train_windowed("frequency_cnn", recordings, recordings, seed=0, epochs=4)
     assert [(epoch.accuracy, epoch.balanced) for epoch in history] == scores
     for array, value in weights.items():
         np.testing.assert_array_equal(value, each[1][array])
@@ -98,7 +100,7 @@ def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: p
 
 
 def test_dropout_is_on_in_steps_and_off_on_validation(monkeypatch: pytest.MonkeyPatch) -> None:
-    trials, told = [_trial(seed, 300) for seed in range(2)], list[tuple[bool, bool]]()
+    recordings, told = [_recording(seed, 300) for seed in range(2)], list[tuple[bool, bool]]()
     logits = PaperTcnNetwork.logits
 
     def watched(network: PaperTcnNetwork, inputs: Tensor) -> Tensor:
@@ -106,18 +108,18 @@ def test_dropout_is_on_in_steps_and_off_on_validation(monkeypatch: pytest.Monkey
         return logits(network, inputs)
 
     monkeypatch.setattr(PaperTcnNetwork, "logits", watched)
-    train_windowed("paper_tcn", trials, trials, seed=0, epochs=2)
+    train_windowed("paper_tcn", recordings, recordings, seed=0, epochs=2)
     assert told == [(True, True), (False, False)] * 2  # a step and a block each
 
 
 def test_each_step_is_told() -> None:
-    trials, told = [_trial(seed, 300) for seed in range(2)], list[tuple[int, int]]()
-    windows = Windows.of(trials, CPU)
+    recordings, told = [_recording(seed, 300) for seed in range(2)], list[tuple[int, int]]()
+    windows = Windows.of(recordings, CPU)
     steps = len(windows.balanced(np.random.default_rng(0))) // SMALL.batch
     train_windowed(
         "frequency_cnn",
-        trials,
-        trials,
+        recordings,
+        recordings,
         seed=0,
         epochs=2,
         recipe=SMALL,
@@ -128,18 +130,20 @@ def test_each_step_is_told() -> None:
 
 
 def test_fewer_windows_than_a_batch_make_one_step() -> None:
-    trials = [_trial(0, 230)]
+    recordings = [_recording(0, 230)]
     told: list[tuple[int, int]] = []
     train_windowed(
-        "paper_tcn", trials, trials, seed=0, epochs=1, step=lambda done, of: told.append((done, of))
+        "paper_tcn", recordings, recordings, seed=0, epochs=1, step=lambda done, of: told.append((done, of))
     )
     assert told == [(1, 1)]
 
 
 def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
-    trials = [_trial(seed, 300) for seed in range(2)]
+    recordings = [_recording(seed, 300) for seed in range(2)]
     free, bound = (
-        train_windowed("paper_tcn", trials, trials, seed=0, epochs=1, recipe=replace(SMALL, clip=clip))[0]
+        train_windowed(
+            "paper_tcn", recordings, recordings, seed=0, epochs=1, recipe=replace(SMALL, clip=clip)
+        )[0]
         for clip in (1.0, 1e-12)  # so short that Adam's epsilon outweighs it
     )
     at_rest = _rest("out/kernel")
@@ -154,9 +158,9 @@ def _rest(name: str) -> NDArray[np.float32]:
 
 def test_a_network_that_is_none_of_the_papers_is_refused() -> None:
     with pytest.raises(ParameterError, match=r"name is 'lstm', must be one of frequency_cnn, "):
-        train_windowed("lstm", [_trial(0)], [_trial(1)], seed=0, epochs=1)
+        train_windowed("lstm", [_recording(0)], [_recording(1)], seed=0, epochs=1)
 
 
 def test_no_epoch_is_refused() -> None:
     with pytest.raises(ParameterError, match="epochs is 0, must be at least 1"):
-        train_windowed("paper_tcn", [_trial(0)], [_trial(1)], seed=0, epochs=0)
+        train_windowed("paper_tcn", [_recording(0)], [_recording(1)], seed=0, epochs=0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from flows.learn.labelled_recordings import Trial
+from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.training_windows import MIRRORED, Windows, mirrored, varied
 from operators import InputError
 from operators.batch import SLIP, UNKNOWN
@@ -12,17 +12,19 @@ from operators.batch import SLIP, UNKNOWN
 CPU = torch.device("cpu")
 
 
-def _trial(seed: int, samples: int) -> Trial:
+def _recording(seed: int, samples: int) -> LabelledRecording:
     rng = np.random.default_rng(seed)
     counts = rng.integers(-500, 100, (samples, 6)).astype(np.int16)
-    return Trial(counts, rng.integers(0, 2, samples).astype(np.int8), "plane")
+    return LabelledRecording(counts, rng.integers(0, 2, samples).astype(np.int8), "plane")
 
 
 def test_a_window_ends_at_its_label_and_stays_within_its_recording() -> None:
-    trials = [_trial(0, 150), _trial(1, 99), _trial(2, 230)]
-    windows = Windows.of(trials, CPU)
+    recordings = [_recording(0, 150), _recording(1, 99), _recording(2, 230)]
+    windows = Windows.of(recordings, CPU)
     expected = [
-        (trial.counts[end - 99 : end + 1], trial.slip[end]) for trial in trials for end in trial.judged(1)
+        (recording.counts[end - 99 : end + 1], recording.slip[end])
+        for recording in recordings
+        for end in recording.judged(1)
     ]
     assert len(windows) == 51 + 131
     np.testing.assert_array_equal(windows.take(np.arange(len(windows))), [counts for counts, _ in expected])
@@ -30,10 +32,10 @@ def test_a_window_ends_at_its_label_and_stays_within_its_recording() -> None:
 
 
 def test_samples_without_a_label_are_left_out() -> None:
-    trial = _trial(0, 400)
-    label = trial.label.copy()
+    recording = _recording(0, 400)
+    label = recording.label.copy()
     label[200:300] = UNKNOWN
-    windows = Windows.of([replace(trial, label=label)], CPU)
+    windows = Windows.of([replace(recording, label=label)], CPU)
     assert len(windows) == 301 - 100
     assert windows.slip.sum() == (label[99:] == SLIP).sum()
 
@@ -41,7 +43,7 @@ def test_samples_without_a_label_are_left_out() -> None:
 @pytest.mark.parametrize("rarer", [0, 1])
 def test_as_many_windows_of_slip_as_of_static_are_drawn_and_anew_each_time(rarer: int) -> None:
     label = np.where(np.arange(400) < 330, 1 - rarer, rarer).astype(np.int8)
-    windows, rng = Windows.of([replace(_trial(0, 400), label=label)], CPU), np.random.default_rng(0)
+    windows, rng = Windows.of([replace(_recording(0, 400), label=label)], CPU), np.random.default_rng(0)
     first, second = windows.balanced(rng), windows.balanced(rng)
     for picked in (first, second):
         assert len(picked) == len(set(picked.tolist())) == 140
@@ -73,11 +75,11 @@ def test_each_motion_is_made_of_a_quarter_of_the_windows_and_noise_is_added() ->
 
 
 def test_the_counts_of_the_recordings_give_mean_and_standard_deviation() -> None:
-    trials = [_trial(0, 150), _trial(1, 230)]
-    for trial in trials:
-        trial.counts[:, 3] = 7
-    mean, std = Windows.of(trials, CPU).spread()
-    counts = np.concatenate([trial.counts for trial in trials])
+    recordings = [_recording(0, 150), _recording(1, 230)]
+    for recording in recordings:
+        recording.counts[:, 3] = 7
+    mean, std = Windows.of(recordings, CPU).spread()
+    counts = np.concatenate([recording.counts for recording in recordings])
     np.testing.assert_allclose(mean, counts.mean(axis=0))
     np.testing.assert_allclose(np.delete(std, 3), np.delete(counts.std(axis=0), 3))
     assert std[3] == 1  # a cell that never moved divides nothing by 0
@@ -85,6 +87,6 @@ def test_the_counts_of_the_recordings_give_mean_and_standard_deviation() -> None
 
 @pytest.mark.parametrize("slip", [True, False])
 def test_recordings_of_one_class_are_refused(slip: bool) -> None:  # noqa: FBT001
-    trial = replace(_trial(0, 400), label=np.full(400, slip, np.int8))
+    recording = replace(_recording(0, 400), label=np.full(400, slip, np.int8))
     with pytest.raises(InputError, match="must hold windows of slip and of static"):
-        Windows.of([trial], CPU)
+        Windows.of([recording], CPU)
