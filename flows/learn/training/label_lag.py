@@ -25,7 +25,7 @@ _CLEAR: Final = 0.3  # correlation, below which a recording tells nothing by its
 def lags(recordings: Sequence[LabelledRecording]) -> Reals:
     """Return the delay of each recording's labels after the signal, s; (k,).
 
-    A recording that tells nothing (no slip, or nothing felt) has the median of the others; 0 where none tells.
+    A recording without a clear correlation (no slip, or a flat signal) gets the median of the others, or 0.
     """
     found = [_peak(recording) for recording in recordings]
     clear = [lag for lag, correlation in found if correlation >= _CLEAR]
