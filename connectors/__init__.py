@@ -6,7 +6,6 @@ from connectors.files.csv_trace import CsvTrace
 from connectors.gripper.gripper_sink import Gripper
 from connectors.mqtt.consumer import Consumer
 from connectors.mqtt.mqtt_sink import Mqtt
-from connectors.mqtt.signal import MqttSignal
 from connectors.replay import Replay
 from connectors.sim.simulated_rig import SimulatedRig
 from connectors.takktile.takktile_source import TakkTile
@@ -22,7 +21,6 @@ __all__ = [
     "Gripper",
     "Metrics",
     "Mqtt",
-    "MqttSignal",
     "Page",
     "Replay",
     "SimulatedRig",

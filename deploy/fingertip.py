@@ -32,7 +32,7 @@ def fingertip(
     if broker:
         rules = debounce.threshold, debounce.consecutive
         sinks.append(
-            Mqtt(broker, site, rig, identify_detector(detector), *rules, patient=True)
+            Mqtt(broker, site, rig, identify_detector(detector), *rules, connect_required=False)
         )  # it records meanwhile
     if out:
         dataset = Dataset(out)

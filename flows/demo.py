@@ -53,14 +53,14 @@ class Demo:
         out: Path,
         *,
         broker: str | None,
-        patient: bool = False,
+        connect_required: bool = True,
         rig: str = "demo",
         outbox: Path | None = None,
         seed: int = 0,
     ) -> None:
         """Record into `out`; publish as `rig` to `broker` (a URL) if there is one, through `outbox`.
 
-        Where it is `patient`, a broker that refuses it ends nothing.
+        With ``connect_required=False`` it starts even if the broker is unavailable.
         """
         self.out, self.broker = out, broker
         self.rig = SimulatedRig(seed=seed)
@@ -83,7 +83,7 @@ class Demo:
                     model=identify_detector(DETECTOR),
                     threshold=debounce.threshold,
                     consecutive=debounce.consecutive,
-                    patient=patient,
+                    connect_required=connect_required,
                 )
             )
 

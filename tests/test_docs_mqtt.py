@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from connectors import Consumer, Event, Mqtt, MqttSignal
+from connectors import Consumer, Event, Mqtt
 from connectors.events import encode
 from connectors.mqtt.gap_request import GapAnswer, GapRequest
-from operators.batch import Scores, Slips, ms
+from operators.batch import Slips, ms
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener, until
 from tests.pages import ROOT, block, commands, table
@@ -53,7 +53,7 @@ def slips(*states: int, finger: int = 0, time: int = START) -> Slips:
     return Slips(times, np.array(states, np.int8), times, np.full(len(states), 0.93), finger=finger)
 
 
-def use(sink: Mqtt | MqttSignal, run: Run, body: Callable[[], Awaitable[None]]) -> None:
+def use(sink: Mqtt, run: Run, body: Callable[[], Awaitable[None]]) -> None:
     async def main() -> None:
         await sink.open(run)
         try:
@@ -92,10 +92,6 @@ def test_what_a_rig_publishes_is_what_the_page_shows(broker: TestBroker, run: Ru
         await asyncio.to_thread(lambda: found.update(heard(listener, f"{RIG}/replay/logger-1")))
 
     async def body() -> None:
-        signal = MqttSignal(broker.url)
-        await signal.open(run)
-        await signal.write(Scores(np.array([START]), np.array([0.5]), finger=0))
-        await signal.close()
         await sink.write(slips(1, 0, 1, 0, 1, 0))
         await ask()
 
@@ -139,10 +135,6 @@ def test_a_replay_publishes_what_the_page_shows_as_another_rig(
     replay, listener = replace(run, recording="stroke-9", live=live), broker.listen("slip/#")
 
     async def body() -> None:
-        signal = MqttSignal(broker.url)
-        await signal.open(replay)
-        await signal.write(Scores(np.array([START]), np.array([0.5]), finger=0))
-        await signal.close()
         await sink.write(slips(1, 0))
 
     sink = Mqtt(broker.url)
@@ -327,7 +319,7 @@ def test_the_bridge_gives_each_event_to_ros(
     module = loaded("slip_bridge.py")
     monkeypatch.setattr(module, "Consumer", Entered)
     bridge = vars(module)["SlipBridge"]()
-    bridge.parameters |= {"broker": broker.url, "remember": str(tmp_path / "position")}
+    bridge.parameters |= {"broker": broker.url, "position_file": str(tmp_path / "position")}
     events: list[str] = bridge.made["slip/events"].published
     follow(broker, run, bridge.follow, lambda: len(events) == 3)
     assert [Event.decode(each.encode()).state for each in events] == ["onset", "end", "onset"]

@@ -38,12 +38,12 @@ class Consumer(AsyncIterator[Event]):
     What the rig no longer keeps is reported as lost. So is what is malformed, and a connection that is lost,
     which is made again.
 
-    With `remember`, a file, it goes on where it was. The position is saved when the loop comes back for the
+    With `position_file` it resumes from where it stopped. The position is saved when the loop comes back for the
     next event: what was being worked on when the process died is given again. `Event.identifier`, kept beside
     what was made of an event, tells. A file is one consumer's at a time. A rig that is heard of for the first
     time begins ``now``, or at the ``start`` of what it keeps, as `since` says.
 
-        async with Consumer("mqtt://localhost", site="lab", remember="events.position") as events:
+        async with Consumer("mqtt://localhost", site="lab", position_file="events.position") as events:
             async for event in events:
                 print(event.time, event.finger, event.state)
 
@@ -57,7 +57,7 @@ class Consumer(AsyncIterator[Event]):
         site: str = "+",
         rig: str = "+",
         *,
-        remember: str | Path | None = None,
+        position_file: str | Path | None = None,
         since: Literal["now", "start"] = "now",
         report: Callable[[str], object] = log.warning,
     ) -> None:
@@ -68,7 +68,7 @@ class Consumer(AsyncIterator[Event]):
             raise ParameterError("Consumer", "since", since, "now or start")
         self._everything, self._report = since == "start", report
         self._replays = rig != "+"  # it was named: whether it is one is for the caller to know
-        self._remember = Path(remember) if remember else None
+        self._position_file = Path(position_file) if position_file else None
         self._position = Position(everything=self._everything)
         self._held: int | None = None  # descriptor of its lock
         self._reply = f"consumer-{token_hex(6)}"  # the last level of the topic for answers
@@ -90,9 +90,11 @@ class Consumer(AsyncIterator[Event]):
             InputError: if the position is something else, or a file with the password cannot be read.
         """
         try:
-            if self._remember:
-                self._held = await asyncio.to_thread(hold, self._remember)
-                self._position = await asyncio.to_thread(load, self._remember, everything=self._everything)
+            if self._position_file:
+                self._held = await asyncio.to_thread(hold, self._position_file)
+                self._position = await asyncio.to_thread(
+                    load, self._position_file, everything=self._everything
+                )
             await self._connect()
         except BaseException:
             self._let_go()
@@ -238,11 +240,11 @@ class Consumer(AsyncIterator[Event]):
 
     def _finish(self) -> None:
         """Have the position saved: what was given is done with."""
-        if not (self._remember and self._changed):
+        if not (self._position_file and self._changed):
             return
         self._changed, self._unsaved = False, self._position.encode()
         if self._saving is None or self._saving.done():
-            self._saving = asyncio.create_task(self._save(self._remember))
+            self._saving = asyncio.create_task(self._save(self._position_file))
 
     async def _save(self, path: Path) -> None:
         while self._unsaved is not None:  # what came meanwhile is saved at once

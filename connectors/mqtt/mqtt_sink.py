@@ -63,7 +63,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     outbox: str | Path | None = None  # None: a file per site and rig below $XDG_STATE_HOME/slipflow
     keep: int = 100_000  # events, for those who missed them
     keep_for: float = 7 * 86400  # s
-    patient: bool = False  # whether a run begins without waiting for its broker; events wait in the outbox
+    connect_required: bool = True  # False: start without the broker; events wait in the outbox
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url)
@@ -96,7 +96,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         """Open the outbox, connect, and say that we are online.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses us (not if we are `patient`), or another
+            EndpointError: if the broker is unreachable or refuses us (unless `connect_required` is false), or another
                 run uses the outbox.
             InputError: if the outbox is no outbox, or a file with the password cannot be read.
             ParameterError: if the rig is live and called as a replay.
@@ -116,7 +116,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         try:
             documents = online, self._info(), self._head(), self._report()
             will = self._status("offline", None)
-            await self._sender.start(identifier, will, *documents, patient=self.patient)
+            await self._sender.start(identifier, will, *documents, connect_required=self.connect_required)
         except BaseException:
             await self._outbox.close()
             raise

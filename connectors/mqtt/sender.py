@@ -68,17 +68,19 @@ class Sender:
         """Topics that the broker refuses."""
         return sorted(self._refused)
 
-    async def start(self, identifier: str, will: Message, *retained: Message, patient: bool = False) -> None:
-        """Connect, publish what is to be retained, and begin to send; `patient`: without waiting for that.
+    async def start(
+        self, identifier: str, will: Message, *retained: Message, connect_required: bool = True
+    ) -> None:
+        """Connect, publish what is to be retained, and begin to send.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses, and we are not patient.
+            EndpointError: if the broker is unreachable or refuses, unless `connect_required` is false.
             InputError: if a file with the password or the authorities cannot be read.
         """
         self._identifier, self._will = identifier, (will.topic, will.payload)
         for message in retained:
             self._retained[message.topic] = message
-        if patient:  # only what a person must mend is told now
+        if not connect_required:  # only what a person must mend is told now
             self._broker.login()
             if self._broker.scheme == "mqtts":
                 self._broker.tls()

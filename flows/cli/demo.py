@@ -50,8 +50,10 @@ def demo(
     from flows.run.run_summary import Summary
 
     limit = None if duration is None else time("demo", "--for", duration)  # ns
-    broker, patient = (mqtt, False) if mqtt else (demonstration.local_broker(), True)  # nobody asked for it
-    flow = demonstration.Demo(out, broker=broker, patient=patient, rig=rig, outbox=outbox, seed=seed)
+    broker = mqtt or demonstration.local_broker()
+    flow = demonstration.Demo(
+        out, broker=broker, connect_required=bool(mqtt), rig=rig, outbox=outbox, seed=seed
+    )
     if log is Format.JSON:
         flow.flow = in_json(flow.flow)
     if page:

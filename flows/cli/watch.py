@@ -23,9 +23,9 @@ def watch(
     since: Annotated[
         str, typer.Option(help="now: only what happens; start: first all that the rigs still keep.")
     ] = "now",
-    remember: Annotated[
+    position: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Go on where the watch before with this file was stopped."),
+        typer.Option(metavar="FILE", help="Resume from the position saved in FILE, and save it there."),
     ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print each event as one JSON object a line, as it came.")
@@ -47,7 +47,7 @@ def watch(
 
     async def show() -> None:
         async with Consumer(
-            url, site, rig, remember=remember, since="start" if since == "start" else "now", report=told
+            url, site, rig, position_file=position, since="start" if since == "start" else "now", report=told
         ) as events:
             async for event in events:
                 typer.echo(event.encode() if as_json else _line(event, time_ns()))

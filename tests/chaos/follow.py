@@ -40,7 +40,7 @@ def say(line: object) -> None:
 async def main(url: str, position: str, kept: str) -> None:
     """Follow for ever."""
     file = os.open(kept, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
-    async with Consumer(url, since="start", remember=position, report=say) as events:
+    async with Consumer(url, since="start", position_file=position, report=say) as events:
         say("ready")
         async for event in events:
             os.write(file, f"{event.time} {event.identifier} {time.time_ns()}\n".encode())

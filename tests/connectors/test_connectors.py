@@ -5,8 +5,8 @@ import connectors
 
 CODE = """
 import sys
-from connectors import Console, Mqtt, MqttSignal
-Console(), Mqtt("mqtt://localhost"), MqttSignal("mqtt://localhost")
+from connectors import Console, Mqtt
+Console(), Mqtt("mqtt://localhost")
 print(*{"aiomqtt", "polars", "pyarrow", "rich", "scipy"} & set(sys.modules))
 """
 

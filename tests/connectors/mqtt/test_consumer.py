@@ -157,14 +157,14 @@ async def test_the_newest_event_is_missed_too_when_only_the_head_tells(
     broker: TestBroker, run: Run, tmp_path: Path
 ) -> None:
     async with publishing(broker, run) as sink:
-        async with Consumer(broker.url, remember=tmp_path / "position") as events:
+        async with Consumer(broker.url, position_file=tmp_path / "position") as events:
             await following(events)
             await sink.write(slips(1))
             assert await take(events, 1) == [1]
             await following(events)
         await sink.write(slips(0, 1))
         await until(lambda: not inside(sink, "_outbox").waiting)
-        async with Consumer(broker.url, remember=tmp_path / "position") as events:
+        async with Consumer(broker.url, position_file=tmp_path / "position") as events:
             assert await take(events, 2) == [2, 3]
 
 
@@ -278,8 +278,8 @@ CONSUME = """
 import asyncio, sys, os
 from connectors import Consumer
 
-async def main(url, remember):
-    async with Consumer(url, remember=remember) as events:
+async def main(url, position):
+    async with Consumer(url, position_file=position) as events:
         print("ready", flush=True)
         async for event in events:
             print(event.seq, flush=True)
@@ -309,7 +309,7 @@ async def test_a_consumer_that_is_killed_goes_on_where_it_was_and_misses_nothing
             await sink.write(slips(*[1, 0] * (turn + 1)))
         await until(lambda: not inside(sink, "_outbox").waiting)
         last = inside(sink, "_outbox").heads()[-1][1]
-        async with Consumer(broker.url, remember=tmp_path / "position") as events:
+        async with Consumer(broker.url, position_file=tmp_path / "position") as events:
             async with asyncio.timeout(10):
                 while len(set(found)) < last:
                     found.append((await anext(events)).seq)
@@ -319,7 +319,7 @@ async def test_a_consumer_that_is_killed_goes_on_where_it_was_and_misses_nothing
 
 async def test_an_event_that_was_not_finished_is_given_again(broker: TestBroker, tmp_path: Path) -> None:
     for expected in ([1, 2], [2, 3], [3, 4]):
-        async with Consumer(broker.url, remember=tmp_path / "position") as events:
+        async with Consumer(broker.url, position_file=tmp_path / "position") as events:
             if expected[0] == 1:
                 publish(broker, 1)
             else:  # the broker brings it again, as the rig would on request
@@ -334,7 +334,7 @@ async def test_a_position_that_cannot_be_saved_is_reported_and_events_go_on(
 ) -> None:
     reports, folder = list[str](), tmp_path / "there"
     folder.mkdir()
-    async with Consumer(broker.url, remember=folder / "position", report=reports.append) as events:
+    async with Consumer(broker.url, position_file=folder / "position", report=reports.append) as events:
         shutil.rmtree(folder)
         publish(broker, 1)
         publish(broker, 2)
@@ -346,16 +346,16 @@ async def test_two_cannot_go_on_from_one_position_and_the_second_may_once_the_fi
     broker: TestBroker, tmp_path: Path, links: list[Link]
 ) -> None:
     for _ in range(2):
-        async with Consumer(broker.url, remember=tmp_path / "position"):
+        async with Consumer(broker.url, position_file=tmp_path / "position"):
             with pytest.raises(EndpointError, match="two consumers cannot go on from one position"):
-                async with Consumer(broker.url, remember=tmp_path / "position"):
+                async with Consumer(broker.url, position_file=tmp_path / "position"):
                     pass
             assert len(links) % 2 == 1  # the second did not connect
         links.append(links[0])
     broker.stop()
     for _ in range(2):  # an attempt that failed lets go, too
         with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
-            async with Consumer(broker.url, remember=tmp_path / "position"):
+            async with Consumer(broker.url, position_file=tmp_path / "position"):
                 pass
 
 
@@ -373,7 +373,7 @@ async def test_a_wait_that_is_cancelled_loses_no_event(broker: TestBroker) -> No
 async def test_a_position_that_is_none_is_an_error(broker: TestBroker, tmp_path: Path) -> None:
     (tmp_path / "position").write_text("{}")
     with pytest.raises(InputError, match="is no position"):
-        async with Consumer(broker.url, remember=tmp_path / "position"):
+        async with Consumer(broker.url, position_file=tmp_path / "position"):
             pass
 
 

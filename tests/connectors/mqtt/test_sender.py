@@ -190,7 +190,7 @@ async def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_
     async with opened(tmp_path) as (sending, outbox):
         with pytest.raises(EndpointError, match="nobody there"):
             await sending.start("me", WILL, ONLINE)
-        await sending.start("me", WILL, ONLINE, patient=True)
+        await sending.start("me", WILL, ONLINE, connect_required=False)
         await outbox.append([DRAFT] * 2)
         await until(lambda: bool(caplog.messages))
         assert outbox.waiting == 2
@@ -209,7 +209,7 @@ async def test_a_patient_one_tells_at_once_of_a_password_that_cannot_be_read(
     monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "nowhere"))
     async with opened(tmp_path) as (sending, _):
         with pytest.raises(InputError, match="cannot read the password"):
-            await sending.start("me", WILL, ONLINE, patient=True)
+            await sending.start("me", WILL, ONLINE, connect_required=False)
 
 
 async def test_of_what_is_retained_the_newest_is_sent(tmp_path: Path, peer: Peer) -> None:
