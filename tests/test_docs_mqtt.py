@@ -99,7 +99,7 @@ def test_what_a_rig_publishes_is_what_the_page_shows(broker: TestBroker, run: Ru
     use(sink, run, body)
     retained = {received.topic for received in broker.listen(f"{RIG}/#").rest()}
     assert retained == {topic(row) for row in rows if row["retained"] == "yes"}
-    assert set(topics) - retained == {f"{RIG}/{name}" for name in ("0/event", "0/signal", "replay/logger-1")}
+    assert set(topics) - retained == {f"{RIG}/{name}" for name in ("0/event", "replay/logger-1")}
     published = {name: json.loads(found[f"{RIG}/0/{name}"].payload) for name in ("event", "state")}
     assert shown("event").keys() == published["event"].keys()
     assert shown("event")["data"].keys() == published["event"]["data"].keys()
