@@ -38,7 +38,7 @@ class Consumer(AsyncIterator[Event]):
     What the rig no longer keeps is reported as lost. So is what is malformed, and a connection that is lost,
     which is made again.
 
-    With `position_file` it resumes from where it stopped. The position is saved when the loop comes back for the
+    With `position_file` it resumes from where it stopped. The position is saved when the loop asks for the
     next event: what was being worked on when the process died is given again. `Event.identifier`, kept beside
     what was made of an event, tells. A file is one consumer's at a time. A rig that is heard of for the first
     time begins ``now``, or at the ``start`` of what it keeps, as `since` says.

@@ -96,7 +96,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         """Open the outbox, connect, and say that we are online.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses us (unless `connect_required` is false), or another
+            EndpointError: if the broker is unreachable or refuses us, with `connect_required`, or another
                 run uses the outbox.
             InputError: if the outbox is no outbox, or a file with the password cannot be read.
             ParameterError: if the rig is live and called as a replay.
