@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-cluster cluster chaos check bench models clean
+.PHONY: demo test test-slow test-cluster cluster chaos check docs bench models clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -31,6 +31,12 @@ check:  ## format, lint, types, import contracts
 	.venv/bin/mypy
 	.venv/bin/pyright
 	.venv/bin/lint-imports --no-logo
+
+docs: export NO_MKDOCS_2_WARNING=1
+docs:  ## build the documentation site into build/site; warnings are errors
+	@deploy/prepare test
+	.venv/bin/python -m tests.reference_pages
+	.venv/bin/mkdocs build --quiet
 
 bench:  ## measure; prints tables
 	@deploy/prepare test

@@ -37,7 +37,8 @@ class Event:
     >>> document = json.loads(event.encode())
     >>> document["type"], document["source"], document["id"], document["time"]
     ('slip.onset.v1', '/lab/ur10/0', 's1-7', '1970-01-01T00:00:01.500000000Z')
-    >>> document["data"]["p"], document["data"]["quality"]
+    >>> data = document["data"]
+    >>> data["p"], data["quality"]
     (0.9, 'good')
     """
 
