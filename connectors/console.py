@@ -42,7 +42,7 @@ class Console(Sink[Slips | Faults]):
             raise ParameterError("Console", "format", self.format, "text or json")
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Name of the stream."""
         return str(getattr(self.stream, "name", "console"))
 

@@ -33,7 +33,7 @@ class Onsets(Sink[Slips]):
         self.times: list[int] = []  # ns
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """The summary."""
         return "summary"
 

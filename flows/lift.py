@@ -12,7 +12,7 @@ from flows.graph.quantity import Force
 from operators import Commands, Debounce, Grip, Score, Scores, Sink, Source, Touch, Zero, ms, s
 from operators.detectors import Detector
 from operators.errors import InputError, ParameterError
-from operators.grip import Gripping
+from operators.grip import GripController
 from storage import load_debounce, load_detector
 
 WEAKEST: Final = ForceScale().weakest  # N, of a Robotiq 3-finger gripper
@@ -69,7 +69,7 @@ def controller(detector: str, force: float, most: float = 10.0, settle: int = CL
 
 
 def held_by(
-    flow: Flow, source: Source[Touch], detector: Detector, grip: Gripping, scans: int = 100
+    flow: Flow, source: Source[Touch], detector: Detector, grip: GripController, scans: int = 100
 ) -> tuple[Stream[Scores], Stream[Commands]]:
     """Declare how a fingertip's touch comes to grip commands: what it scores, what it commands.
 

@@ -34,12 +34,12 @@ from operators.errors import (
     OperatorError,
     ParameterError,
     SlipflowError,
-    because,
+    os_error_reason,
 )
-from operators.grip import Grip, Gripping, StepGrip
+from operators.grip import Grip, GripController, StepGrip
 from operators.health import FaultKind, Health
 from operators.label import Label
-from operators.lifted import Lifted
+from operators.mask_lifted import MaskLifted
 from operators.operator import Join, Operator
 from operators.ports import (
     Clock,
@@ -77,13 +77,13 @@ __all__ = [
     "FlowError",
     "Gap",
     "Grip",
-    "Gripping",
+    "GripController",
     "Health",
     "InputError",
     "Join",
     "Label",
     "Labelled",
-    "Lifted",
+    "MaskLifted",
     "Motion",
     "Operator",
     "OperatorError",
@@ -106,10 +106,10 @@ __all__ = [
     "Windows",
     "Zero",
     "Zeroed",
-    "because",
     "concat",
     "fit_clock",
     "ms",
+    "os_error_reason",
     "s",
     "us",
 ]

@@ -1,46 +1,46 @@
-"""The errors that slipflow raises: few, typed, carrying the data they are about."""
+"""Errors that slipflow raises: few types, each with the data of the failure as attributes."""
 
 import errno
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-_RIGHTS: Final = "give this user the right to it"
-_ROOM: Final = "make room there, or name another place"
-_FILE: Final = "a file has a name that must be a folder's"
-_WAY: Final = "is the cable in, and is this its address?"
+_PERMISSION: Final = "grant this user permission"
+_SPACE: Final = "free some space, or use another location"
+_FILE_FOUND: Final = "a file exists where a folder is needed"
+_NETWORK: Final = "check the cable and the address"
 _REMEDIES: Final[Mapping[int | None, str]] = MappingProxyType(
     {
-        errno.EACCES: _RIGHTS,
-        errno.EPERM: _RIGHTS,
-        errno.EROFS: "name a place that can be written to",
-        errno.ENOSPC: _ROOM,
-        errno.EDQUOT: _ROOM,
-        errno.EFBIG: _ROOM,
-        errno.EEXIST: _FILE,
-        errno.ENOTDIR: _FILE,
-        errno.EISDIR: "a folder has a name that must be a file's",
-        errno.EIO: "the disk fails: the system's log says more",
-        errno.EMFILE: "allow more open files, as with ulimit -n",
-        errno.EADDRINUSE: "stop the program that uses it, or give another port",
-        errno.EADDRNOTAVAIL: "this machine has no such address: give one that it has",
-        errno.ECONNREFUSED: "is it on, and are this its address and port?",
-        errno.EHOSTUNREACH: _WAY,
-        errno.ENETUNREACH: _WAY,
+        errno.EACCES: _PERMISSION,
+        errno.EPERM: _PERMISSION,
+        errno.EROFS: "use a writable location",
+        errno.ENOSPC: _SPACE,
+        errno.EDQUOT: _SPACE,
+        errno.EFBIG: _SPACE,
+        errno.EEXIST: _FILE_FOUND,
+        errno.ENOTDIR: _FILE_FOUND,
+        errno.EISDIR: "a folder exists where a file is needed",
+        errno.EIO: "the disk is failing: see the system log",
+        errno.EMFILE: "raise the limit on open files, for example with ulimit -n",
+        errno.EADDRINUSE: "stop the program that uses this port, or choose another port",
+        errno.EADDRNOTAVAIL: "use an address of this machine",
+        errno.ECONNREFUSED: "check that the device is on, its address and its port",
+        errno.EHOSTUNREACH: _NETWORK,
+        errno.ENETUNREACH: _NETWORK,
     }
 )
 
 
 class SlipflowError(Exception):
-    """Base of every error that a user can cause and mend; its text is one line."""
+    """Base of all errors that a user can cause and fix; the message is one line."""
 
     def __reduce__(self) -> tuple[type["SlipflowError"], tuple[object, ...]]:
-        """Made anew from what it carries, in the order of its arguments: errors travel between processes."""
+        """Rebuild the error from its attributes, in the order of its arguments: errors cross processes."""
         return type(self), tuple(vars(self).values()) or self.args
 
 
 class ParameterError(SlipflowError):
-    """A parameter has a value that its owner cannot work with.
+    """Invalid value of a parameter.
 
     >>> raise ParameterError("Debounce", "consecutive", 0, "at least 1")
     Traceback (most recent call last):
@@ -53,7 +53,7 @@ class ParameterError(SlipflowError):
 
 
 class BatchError(SlipflowError):
-    """A batch breaks the contract of its type."""
+    """Batch that violates the contract of its type."""
 
     def __init__(self, kind: str, column: str, reason: str) -> None:
         super().__init__(f"{kind}.{column}: {reason}")
@@ -61,7 +61,7 @@ class BatchError(SlipflowError):
 
 
 class FlowError(SlipflowError):
-    """A flow is wired wrongly; `edge` names the place, as in ``touch -> Label``."""
+    """Wrong wiring of a flow; `edge` names the location, as in ``touch -> Label``."""
 
     def __init__(self, flow: str, edge: str, reason: str) -> None:
         super().__init__(f"flow {flow!r}: {edge}: {reason}")
@@ -69,7 +69,7 @@ class FlowError(SlipflowError):
 
 
 class OperatorError(SlipflowError):
-    """An operator failed, or broke its contract, while the flow ran."""
+    """Failure of an operator, or a breach of its contract, while the flow runs."""
 
     def __init__(self, flow: str, operator: str, reason: str) -> None:
         super().__init__(f"flow {flow!r}: {operator}: {reason}")
@@ -77,7 +77,7 @@ class OperatorError(SlipflowError):
 
 
 class InputError(SlipflowError):
-    """Something that was to be read cannot be; `where` names the file, and the line or column if known."""
+    """Unreadable or invalid input; `where` names the file, and the line or column if known."""
 
     def __init__(self, where: str, reason: str) -> None:
         super().__init__(f"{where}: {reason}")
@@ -85,18 +85,18 @@ class InputError(SlipflowError):
 
 
 class EndpointError(SlipflowError):
-    """A connector cannot reach or write to its place; a runner tries a source or sink again."""
+    """Failed access of a connector to a device, server or file; a runner retries sources and sinks."""
 
-    def __init__(self, place: str, reason: str) -> None:
-        super().__init__(f"{place}: {reason}")
-        self.place, self.reason = place, reason
+    def __init__(self, endpoint: str, reason: str) -> None:
+        super().__init__(f"{endpoint}: {reason}")
+        self.endpoint, self.reason = endpoint, reason
 
 
-def because(error: OSError) -> str:
-    """Why the system did not do what it was asked, and what to do about it where that is known.
+def os_error_reason(error: OSError) -> str:
+    """Return the system's reason for an error, and the remedy where one is known.
 
-    >>> because(OSError(errno.ENOSPC, "No space left on device"))
-    'No space left on device; make room there, or name another place'
+    >>> os_error_reason(OSError(errno.ENOSPC, "No space left on device"))
+    'No space left on device; free some space, or use another location'
     """
     reason = error.strerror or str(error) or type(error).__name__
     if error.errno == errno.EEXIST and error.filename is not None:

@@ -10,7 +10,7 @@ from operators.batch import Flags
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 
-def hold(values: NDArray[Scalar], valid: Flags, last: NDArray[Scalar]) -> NDArray[Scalar]:
+def forward_fill(values: NDArray[Scalar], valid: Flags, last: NDArray[Scalar]) -> NDArray[Scalar]:
     """Values in which the last valid one of a column stands for its invalid ones.
 
     Args:
@@ -19,7 +19,7 @@ def hold(values: NDArray[Scalar], valid: Flags, last: NDArray[Scalar]) -> NDArra
         last: (m,) what stands for invalid values before any valid one
 
     >>> values, valid = np.array([[7], [0], [9]]), np.array([[True], [False], [True]])
-    >>> hold(values, valid, np.zeros(1, np.int64)).ravel()
+    >>> forward_fill(values, valid, np.zeros(1, np.int64)).ravel()
     array([7, 7, 9])
     """
     if np.count_nonzero(valid) == valid.size:  # as valid.all(), in a third of the time for few rows

@@ -16,7 +16,7 @@ _LONGEST: Final = 50 * ms  # ns, between two decisions of one slip: what is long
 
 
 @dataclass
-class Gripping(Operator[Scores, Commands]):
+class GripController(Operator[Scores, Commands]):
     """What rules for the grip force share: limits, the first command, and letting go.
 
     The first decision commands `force`: the hand closes. What is felt within `settle` of it is the touch
@@ -126,7 +126,7 @@ class Gripping(Operator[Scores, Commands]):
 
 
 @dataclass
-class StepGrip(Gripping):
+class StepGrip(GripController):
     """The paper's rule: each registered slip raises the force by a step ("Under Pressure", 2021, V-B).
 
     A slip that lasts is registered again after `consecutive` more decisions. The force never falls. The paper
@@ -158,7 +158,7 @@ class StepGrip(Gripping):
 
 
 @dataclass
-class Grip(Gripping):
+class Grip(GripController):
     """Force in proportion to the evidence of slip, and no more; in shares of itself, as it knows no scale.
 
     While a slip is registered the force grows by ``gain * e * (1 + T / soon)`` per second, in shares of what

@@ -8,7 +8,7 @@ import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
 from operators.errors import ParameterError
-from operators.forward_fill import hold
+from operators.forward_fill import forward_fill
 from operators.operator import Operator
 from operators.tail import Tail
 
@@ -108,7 +108,7 @@ class Health(Operator[Touch, Faults]):
         time, counts, valid = rows.time, rows.counts, rows.valid
         before = time[:1] if self._time is None else [self._time]
         age = self._age + np.minimum(np.diff(time, prepend=before), _PAUSE).cumsum()[:, None]  # (n, 1)
-        readings = hold(counts, valid, self._last)  # (n, 6)
+        readings = forward_fill(counts, valid, self._last)  # (n, 6)
         changes = np.diff(readings, axis=0, prepend=self._last[None]) != 0
         dead = self._lasting(FaultKind.DEAD, valid, age, self.dead_after)
         stuck = self._lasting(FaultKind.STUCK, changes | dead, age, self.stuck_after)
@@ -157,4 +157,6 @@ class Health(Operator[Touch, Faults]):
         if len(quiet):
             first = np.take_along_axis(mean, quiet.argmax(axis=0)[None], axis=0)[0]
             self._first = np.where(quiet.any(axis=0) & np.isnan(self._first), first, self._first)
-        return np.concatenate((state[None], hold(np.abs(mean - self._first) > self.drift, quiet, state)))
+        return np.concatenate(
+            (state[None], forward_fill(np.abs(mean - self._first) > self.drift, quiet, state))
+        )

@@ -55,7 +55,7 @@ class Order:
 class Step(ABC):
     """What operators and joins have in common: parameters are fields, state is fields with ``init=False``."""
 
-    def fresh(self) -> Self:
+    def reset_copy(self) -> Self:
         """The same parameters, the state forgotten."""
         return replace(self)
 

@@ -1,6 +1,6 @@
-"""The ends of a flow: what a connector must offer to feed it or to take what it gives.
+"""Interfaces between a flow and the outside world: `Source`, `Sink`, `Recording`, `Clock`, `Run`.
 
-Only the shapes stand here; what talks to the world lives in connectors and storage.
+Connectors and storage implement them.
 """
 
 from abc import ABC, abstractmethod
@@ -18,173 +18,173 @@ Description: TypeAlias = Mapping[str, Json]
 
 
 class Clock(Protocol):
-    """Time as a run sees it: never steps back, and in tests need not pass."""
+    """Monotonic clock of a run; virtual in tests and replays."""
 
     def now(self) -> int:
-        """The present, ns since 1970-01-01 UTC."""
+        """Return the current time, ns since 1970-01-01 UTC."""
         ...
 
     async def sleep_until(self, time: int) -> None:
-        """Wait until `time` (ns); at once if it has passed."""
+        """Wait until `time` (ns); return at once if it has passed."""
         ...
 
 
 @dataclass(frozen=True)
 class Gap:
-    """A span in which a source gave nothing because it had failed."""
+    """Period without rows while a source was failing."""
 
-    start: int  # ns, the last row before it
-    end: int  # ns, when the source was up again
+    start: int  # ns, the last row before the failure
+    end: int  # ns, when the source worked again
     reason: str
 
 
 @dataclass(frozen=True)
 class ClockStep:
-    """The host's clock was set during a run, whose time goes on as before."""
+    """Step of the host's clock during a run; the run's own time is not affected."""
 
-    time: int  # ns, of the run, when it was noticed
-    offset: int  # ns, the host's clock minus the run's since then
+    time: int  # ns, run time at which the step was detected
+    offset: int  # ns, host clock minus run time after the step
 
 
 @dataclass
 class SourceStatus:
-    """What a run knows of one source."""
+    """Counters and state of one source during a run."""
 
     rows: int = 0
-    late: int = 0  # rows that came after newer ones
+    late: int = 0  # rows older than a row before them
     newest: int = 0  # ns, event time of the newest row
     up: bool = False
-    failures: int = 0  # after each it is started again
-    error: str = ""  # the newest failure; empty while it works
+    failures: int = 0  # the source is restarted after each
+    error: str = ""  # latest failure; empty while the source works
     gaps: list[Gap] = field(default_factory=list[Gap])
 
 
 @dataclass
 class SinkStatus:
-    """What a run knows of one sink."""
+    """Counters and state of one sink during a run."""
 
     rows: int = 0
     queued: int = 0  # batches
-    dropped: int = 0  # rows that were given up, by policy or because the sink had failed
+    dropped: int = 0  # rows lost by policy, or while the sink failed
     failures: int = 0
-    error: str = ""  # the newest failure; empty while it works
-    records: bool = False  # what it drops is missing in what is recorded of the run
+    error: str = ""  # latest failure; empty while the sink works
+    records: bool = False  # copy of `Sink.records`
 
 
 @dataclass
 class Run:
-    """One execution of a flow, shown to its sinks while it lasts."""
+    """State of one execution of a flow, shared with its sinks."""
 
-    session: str  # identifier, a file name
+    session: str  # identifier, valid as a file name
     flow: str
     clock: Clock
     start: int  # ns
-    live: bool = True  # False: a replay at full speed, whose clock tells event time
-    recording: str | None = None  # the name of what is replayed, paced or not; None: its rows are new
-    error: str = ""  # why it ended early; empty: it did not
-    declaration: tuple[str, ...] = ()  # how the streams come about, a line each
+    live: bool = True  # False: a replay at full speed, whose clock follows event time
+    recording: str | None = None  # name of the replayed recording; None: the rows are new
+    error: str = ""  # reason of an early end; empty: none
+    declaration: tuple[str, ...] = ()  # definition of each stream, one line each
     describe: dict[str, Description] = field(default_factory=dict[str, Description])  # by source
     sources: dict[str, SourceStatus] = field(default_factory=dict[str, SourceStatus])
     sinks: dict[str, SinkStatus] = field(default_factory=dict[str, SinkStatus])
-    wired: dict[str, tuple[type[Batch], ...]] = field(  # by a sink's place: what it may be given
+    sink_types: dict[str, tuple[type[Batch], ...]] = field(  # by destination: types that it can receive
         default_factory=dict[str, tuple[type[Batch], ...]]
     )
     clock_steps: list[ClockStep] = field(default_factory=list[ClockStep])
 
     def latency(self, time: int) -> int | None:
-        """How long ago (ns) a sample was taken that has `time` (ns); None in a replay: it is an old one."""
+        """Return the age (ns) of a sample with stamp `time` (ns); None in a replay."""
         return self.clock.now() - time if self.live and self.recording is None else None
 
 
 class Source(ABC, Generic[Given]):
-    """A stream from the world."""
+    """Input stream of a flow."""
 
     @property
     @abstractmethod
     def kind(self) -> type[Given]:
-        """The type of the batches it gives."""
+        """Type of the batches."""
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The fingertips that its batches belong to."""
+        """Fingertips that the batches belong to."""
         return (EVERY,)
 
     async def prepare(self) -> None:
-        """Do what takes long before the run's time begins, without holding up the event loop."""
+        """Do slow set-up, such as compilation, before the run's time starts; do not block the event loop."""
         return
 
     @abstractmethod
     def batches(self, clock: Clock) -> AsyncIterator[Given]:
-        """One connection's worth of batches, each of one fingertip, stamped in the clock's time.
+        """Connect and yield batches, each of one fingertip, stamped in the clock's time.
 
-        Ending means that the stream is complete. Raising means that the source failed: the runner records
-        a gap and calls again, with back-off.
+        Returning ends the stream. Raising reports a failure: the runner records a gap and calls this again
+        after a back-off.
         """
 
     @property
     def recording(self) -> str | None:
-        """The name of the recording that its rows are from; None: they are new."""
+        """Name of the recording that the rows come from; None: they are new."""
         return None
 
     def describe(self) -> Description:
-        """What a recording should say of this source: sensor, rate, bus, seed."""
+        """Return the metadata to record with the stream: sensor, rate, bus, seed."""
         return {}
 
 
 class Sink(ABC, Generic[Taken]):
-    """Something that takes batches out of a flow.
+    """Output of a flow.
 
-    The runner gives each sink a bounded queue of its own, calls `open` once, `write` one batch at a time and
-    `close` once. When `write` raises, the runner calls it again with the same batch, after a back-off.
+    The runner gives each sink a bounded queue, calls `open` once, `write` for each batch and `close`
+    once. If `write` raises, the runner retries the same batch after a back-off.
     """
 
-    lossless: bool = True  # False: when the queue is full the oldest batch is dropped and counted
-    capacity: int = 4096  # batches
-    shared: bool = False  # True: several processes may write to its place at once, each a run of its own
-    records: bool = False  # True: it keeps the rows of a run; what it drops is missing for good
+    lossless: bool = True  # False: when the queue is full, the oldest batch is dropped and counted
+    capacity: int = 4096  # batches in the queue
+    shared: bool = False  # True: several processes may write to the destination at once, each in its own run
+    records: bool = False  # True: stores the run's rows, so dropped rows are lost; status displays warn
 
     @property
     @abstractmethod
-    def place(self) -> str:
-        """What it writes to, such as a path or an address: two sinks of a flow may not share it."""
+    def destination(self) -> str:
+        """Path or address that the sink writes to; unique in a flow."""
 
     @property
-    def replay_place(self) -> str:
-        """What it writes to in a replay: elsewhere, if what is old could be taken for new at its place."""
-        return self.place
+    def replay_destination(self) -> str:
+        """Destination in a replay, different if readers could mistake replayed rows for live ones."""
+        return self.destination
 
     @abstractmethod
     async def open(self, run: Run) -> None:
-        """Get ready to write. Raising ends the run before it starts.
+        """Prepare for writing. Raising ends the run before it starts.
 
-        What moves something must refuse a run that has a `recording`.
+        A sink that moves hardware must refuse a run that has a `recording`.
         """
 
     @abstractmethod
     async def write(self, batch: Taken) -> None:
-        """Write one batch. Raising means that nothing of it was written."""
+        """Write one batch. Raising means that none of it was written."""
 
     async def close(self) -> None:
-        """Complete what was written."""
+        """Complete and release the destination."""
         return
 
 
 class Recording(Protocol):
-    """Something recorded that a flow can be run over again."""
+    """Recorded streams that can be replayed."""
 
     @property
     def name(self) -> str:
-        """What it is called in messages."""
+        """Name for messages."""
         ...
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        """The fingertips it holds rows of `kind` for; () where it holds no such stream."""
+        """Return the fingertips that have rows of `kind`; () if there is no such stream."""
         ...
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
-        """The stream in batches of at most `rows`; a subtype may be given, as Zeroed for Touch."""
+        """Yield the stream in batches of at most `rows`; may yield a subtype, as Zeroed for Touch."""
         ...
 
     def describe(self) -> Description:
-        """What the recording says of itself."""
+        """Return the metadata of the recording."""
         ...

@@ -8,7 +8,7 @@ import numpy as np
 from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed, maker
 from operators.detectors.detector import Detector, Stream, Streaming
 from operators.errors import ParameterError
-from operators.forward_fill import hold
+from operators.forward_fill import forward_fill
 from operators.operator import Operator
 from operators.window import Window
 
@@ -48,7 +48,7 @@ class Score(Operator[Zeroed, Scores]):
 
     def process(self, batch: Zeroed) -> Scores:
         """Give a score for each window whose newest sample is in the batch."""
-        counts = hold(batch.counts, batch.valid, self._last)
+        counts = forward_fill(batch.counts, batch.valid, self._last)
         answered = counts is batch.counts
         if not answered:
             batch = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)

@@ -52,7 +52,7 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
         self._committing: asyncio.Task[None] | None = None
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """The dataset's folder, resolved."""
         return str(self._root)
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NoReturn, TypeAlias, cast
 
-from operators.errors import InputError, because
+from operators.errors import InputError, os_error_reason
 from storage import steps
 
 MiB: Final = 1 << 20  # bytes
@@ -112,7 +112,7 @@ def read(path: Path, limit: int = 1024 * MiB) -> bytes:
             size = os.fstat(file.fileno()).st_size
             data = file.read(min(size, limit) + 1)
     except OSError as error:
-        raise InputError(str(path), f"cannot be read: {because(error)}") from error
+        raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from error
     if len(data) > limit:
         raise InputError(
             str(path), f"is larger than {limit // MiB} MiB, the most that is read of such a file"

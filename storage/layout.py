@@ -25,7 +25,7 @@ from types import MappingProxyType
 from typing import Final
 
 from operators.batch import Batch, Clocks, Column, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns
-from operators.errors import InputError, ParameterError, because
+from operators.errors import InputError, ParameterError, os_error_reason
 
 DATASET: Final = "dataset.json"
 SESSIONS: Final = "sessions"
@@ -140,7 +140,7 @@ def _session_folders(root: Path) -> list[Path]:
     try:
         return [*folder.iterdir()]
     except PermissionError as error:
-        raise InputError(str(folder), f"cannot be read: {because(error)}") from error
+        raise InputError(str(folder), f"cannot be read: {os_error_reason(error)}") from error
     except OSError:
         if folder.is_file():
             raise InputError(str(folder), "is a file, must be the folder of the sessions") from None

@@ -7,7 +7,7 @@ from pathlib import Path
 from shutil import rmtree
 from typing import BinaryIO
 
-from operators.errors import EndpointError, because
+from operators.errors import EndpointError, os_error_reason
 from storage.files import sync
 
 SUFFIX = ".partial"
@@ -87,4 +87,4 @@ def _reporting(path: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {because(error)}") from error
+        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error

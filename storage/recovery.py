@@ -5,7 +5,7 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from operators.errors import EndpointError, because
+from operators.errors import EndpointError, os_error_reason
 from storage.description import read_session
 from storage.layout import JOURNAL
 from storage.lock import lock
@@ -37,7 +37,7 @@ def recover(folder: str | Path) -> Recovery:
         try:
             return Salvage(folder, about).carry_out()
         except OSError as error:
-            raise EndpointError(str(folder), f"cannot be recovered: {because(error)}") from error
+            raise EndpointError(str(folder), f"cannot be recovered: {os_error_reason(error)}") from error
 
 
 @contextmanager
@@ -53,7 +53,7 @@ def _alone(folder: Path) -> Generator[None]:
             raise EndpointError(str(folder), "is being recorded just now; recover it when that has ended")
         held.append(own)
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be locked: {because(error)}") from error
+        raise EndpointError(str(folder), f"cannot be locked: {os_error_reason(error)}") from error
     else:
         yield
     finally:

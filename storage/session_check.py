@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
-from operators.errors import InputError, because
+from operators.errors import InputError, os_error_reason
 from operators.ports import Description
 from storage import files
 from storage.description import read_session, recorders
@@ -56,7 +56,7 @@ class SessionCheck:
         try:
             yield from self._check_all()
         except OSError as error:  # what it looks into by itself; files are read with typed errors
-            self._find("lost", f"{error.filename or self.folder}: cannot be read: {because(error)}")
+            self._find("lost", f"{error.filename or self.folder}: cannot be read: {os_error_reason(error)}")
 
     def _check_all(self) -> Iterator[None]:
         from storage import unlisted  # noqa: PLC0415 - it imports pyarrow

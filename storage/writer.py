@@ -11,7 +11,7 @@ from shutil import rmtree
 from threading import Lock
 
 from operators.batch import EVERY, Batch, Zeroed
-from operators.errors import EndpointError, ParameterError, because
+from operators.errors import EndpointError, ParameterError, os_error_reason
 from operators.ports import Run
 from storage import files
 from storage.buffer import Buffer
@@ -51,7 +51,7 @@ class SessionWriter:
         self._host = host
         self._episodes = Timeline(run.describe)
         self._unwritten = False  # episodes of which their file does not tell
-        kinds = run.wired.get(str(root), ())
+        kinds = run.sink_types.get(str(root), ())
         self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # that may get rows
         self._buffers: dict[str, Buffer | Growing] = {
             table.name: Growing(table.kind) for table in self._tables if not table.parted
@@ -273,7 +273,7 @@ class SessionWriter:
         try:
             yield
         except OSError as error:
-            raise EndpointError(str(self._root), f"cannot be written: {because(error)}") from error
+            raise EndpointError(str(self._root), f"cannot be written: {os_error_reason(error)}") from error
 
 
 def _leave(journal: Journal | None, held: int | None) -> None:

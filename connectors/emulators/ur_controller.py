@@ -23,7 +23,7 @@ from connectors.emulators.ur_ports import (
 )
 from connectors.ur.rtde import Version
 from operators.batch import s
-from operators.errors import EndpointError, ParameterError, because
+from operators.errors import EndpointError, ParameterError, os_error_reason
 
 CATCH_UP: Final = (
     1.0  # s of cycles that are made up for when the host held us up; of more, the rest is skipped
@@ -101,7 +101,7 @@ class UrController:
             except OSError as error:
                 await self.close()  # nothing of it keeps listening
                 raise EndpointError(
-                    f"{self.host}:{port}", f"cannot be listened on: {because(error)}"
+                    f"{self.host}:{port}", f"cannot be listened on: {os_error_reason(error)}"
                 ) from error
             self._servers.append(server)
             ports.append(server.sockets[0].getsockname()[1])

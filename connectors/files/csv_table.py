@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from operators.errors import InputError, because
+from operators.errors import InputError, os_error_reason
 
 LIMIT: Final = 1 << 30  # bytes of a file
 
@@ -37,7 +37,7 @@ class CsvTable:
             with path.open("rb") as file:
                 content = file.read(LIMIT + 1)
         except OSError as error:
-            raise InputError(self.where, f"cannot be read: {because(error)}") from None
+            raise InputError(self.where, f"cannot be read: {os_error_reason(error)}") from None
         if len(content) > LIMIT:
             raise InputError(self.where, f"is larger than {LIMIT >> 20} MiB; cut it into several traces")
         self.sha256 = hashlib.sha256(content).hexdigest()

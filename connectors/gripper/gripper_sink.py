@@ -54,7 +54,7 @@ class Gripper(Sink[Commands]):
     Raises:
         ParameterError: on a value that cannot be used.
 
-    >>> Gripper("10.0.0.3", limits=(15, 40)).place
+    >>> Gripper("10.0.0.3", limits=(15, 40)).destination
     'modbus://10.0.0.3:502/2'
     """
 
@@ -105,7 +105,7 @@ class Gripper(Sink[Commands]):
         self._serving: asyncio.Task[None] | None = None  # None: it is not open
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Its address and unit."""
         return f"modbus://{self.host}:{self.port}/{self.unit}"
 
@@ -124,7 +124,7 @@ class Gripper(Sink[Commands]):
         status, wanted = self.status, self._wanted.request
         return {
             "gripper": "Robotiq 3-finger",
-            "address": self.place,
+            "address": self.destination,
             "mode": self.mode.name.lower(),
             "limits_n": list(self.limits),
             "scale": [list(point) for point in self.scale.points],
@@ -145,7 +145,7 @@ class Gripper(Sink[Commands]):
         """
         if run.recording is not None or not run.live:
             reason = "a replay moves no gripper: leave this sink out, or run the flow live"
-            raise FlowError(run.flow, self.place, reason)
+            raise FlowError(run.flow, self.destination, reason)
         self._begin()
         try:
             drive = await self._connect()
@@ -169,7 +169,7 @@ class Gripper(Sink[Commands]):
             self._batch = batch
             self._take(batch)
         if self._failure:
-            raise EndpointError(self.place, self._failure)
+            raise EndpointError(self.destination, self._failure)
 
     async def close(self) -> None:
         """Send the newest command, if that is not done, and leave; the fingers stay as they are.
@@ -191,7 +191,7 @@ class Gripper(Sink[Commands]):
         finally:
             self._drop()
         if not self._wanted.sent:
-            raise EndpointError(self.place, self._failure)
+            raise EndpointError(self.destination, self._failure)
 
     def _take(self, batch: Commands) -> None:
         forces = batch.force[~np.isnan(batch.force)]
@@ -221,11 +221,11 @@ class Gripper(Sink[Commands]):
                 retry = min(2 * retry, LAST_RETRY)
             else:
                 if drive.ready and self._failure:
-                    log.warning("%s is back", self.place)
+                    log.warning("%s is back", self.destination)
                     self._failure, retry = "", FIRST_RETRY
 
     async def _connect(self) -> GripperDrive:
-        link = GripperLink(self.place, self.host, self.port, self.unit, self.patience)
+        link = GripperLink(self.destination, self.host, self.port, self.unit, self.patience)
         limits = {"patience": self.patience, "activation": self.activation, "poll": self.poll}
         self._drive = GripperDrive(link, self._wanted, self._counted, known=self._known, **limits)
         await link.connect()

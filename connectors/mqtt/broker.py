@@ -6,7 +6,7 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
-from operators.errors import InputError, ParameterError, because
+from operators.errors import InputError, ParameterError, os_error_reason
 
 USER = "SLIPFLOW_MQTT_USER"
 PASSWORD = "SLIPFLOW_MQTT_PASSWORD"  # noqa: S105 - the variable's name
@@ -69,7 +69,7 @@ class Broker:
             try:
                 password = Path(path).read_text(encoding="utf-8").rstrip("\r\n")
             except OSError as error:
-                reason = f"cannot read the password ({PASSWORD_FILE}): {because(error)}"
+                reason = f"cannot read the password ({PASSWORD_FILE}): {os_error_reason(error)}"
                 raise InputError(path, reason) from None
             except UnicodeError:
                 raise InputError(path, f"the password ({PASSWORD_FILE}) must be UTF-8 text") from None
@@ -88,4 +88,6 @@ class Broker:
             reason = f"holds no certificates of authorities ({CA}): these are text, PEM"
             raise InputError(str(path), reason) from None
         except OSError as error:
-            raise InputError(str(path), f"cannot read the authorities ({CA}): {because(error)}") from None
+            raise InputError(
+                str(path), f"cannot read the authorities ({CA}): {os_error_reason(error)}"
+            ) from None

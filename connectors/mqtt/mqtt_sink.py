@@ -83,12 +83,12 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             raise ParameterError("Mqtt", "keep_for", self.keep_for, "more than 0 s")
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Broker and topic."""
         return self._place
 
     @property
-    def replay_place(self) -> str:
+    def replay_destination(self) -> str:
         """Broker and topic in a replay."""
         return f"{self._broker}/{topic('Mqtt', self.site, replay_name(self.rig))}"
 

@@ -16,7 +16,7 @@ from threading import Lock
 from zlib import crc32
 
 from connectors.mqtt.outbox_wal import committed_frames
-from operators.errors import InputError, because
+from operators.errors import InputError, os_error_reason
 
 log = logging.getLogger("slipflow")
 
@@ -263,7 +263,7 @@ def reason_of(error: Exception) -> str:
     """What is wrong with the file, and what to do about it where that is known."""
     if isinstance(error, sqlite3.Error):
         return f"{error}{_REMEDIES.get(_code(error), '')}"
-    return because(error) if isinstance(error, OSError) else str(error)
+    return os_error_reason(error) if isinstance(error, OSError) else str(error)
 
 
 def _code(error: sqlite3.Error) -> int:

@@ -15,7 +15,7 @@ from connectors.fields import Fields
 from connectors.mqtt.gap_request import GapAnswer
 from connectors.mqtt.lock import lock_beside
 from connectors.mqtt.numbers import Numbers
-from operators.errors import EndpointError, InputError, because
+from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Json
 
 Place: TypeAlias = tuple[str, str]  # site and rig
@@ -186,7 +186,7 @@ def hold(path: Path) -> int:
         reason = "is in use: two consumers cannot go on from one position; name another file"
         raise EndpointError(str(path), reason) from None
     except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {because(error)}") from None
+        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
 
 
 def load(path: Path, *, everything: bool = False) -> Position:
@@ -202,7 +202,7 @@ def load(path: Path, *, everything: bool = False) -> Position:
     except FileNotFoundError:
         return Position(everything=everything)
     except OSError as error:
-        raise EndpointError(str(path), f"cannot be read: {because(error)}") from None
+        raise EndpointError(str(path), f"cannot be read: {os_error_reason(error)}") from None
     try:
         return Position.decode(payload, str(path), everything=everything)
     except InputError as error:
@@ -231,7 +231,7 @@ def save(path: Path, payload: bytes) -> None:
     except OSError as error:
         with suppress(OSError):
             partial.unlink(missing_ok=True)
-        raise EndpointError(str(path), f"cannot be written: {because(error)}") from None
+        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
 
 
 def _name(place: Place) -> str:

@@ -120,7 +120,7 @@ class Hand(Sink[Commands]):
         self._handling = handling
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """One flow commands it once."""
         return f"hand around a {self._handling.held.name} {id(self._handling):x}"
 

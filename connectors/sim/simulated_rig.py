@@ -224,7 +224,7 @@ class RigHand(Sink[Commands]):
         self._rig = rig
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """The rig's hand: one flow commands it once."""
         return f"hand of the rig {id(self._rig):x}"
 

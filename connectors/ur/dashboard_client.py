@@ -4,7 +4,7 @@ import asyncio
 from typing import Final
 
 from connectors.ur.rtde_link import SILENT
-from operators.errors import EndpointError, because
+from operators.errors import EndpointError, os_error_reason
 
 PORT: Final = 29999
 
@@ -28,7 +28,7 @@ async def ask(host: str, line: str, *, port: int = PORT, patience: float = 1.0) 
     except TimeoutError as error:
         raise EndpointError(place, SILENT.format(patience)) from error
     except OSError as error:
-        raise EndpointError(place, because(error)) from error
+        raise EndpointError(place, os_error_reason(error)) from error
     if not answer:
         raise EndpointError(place, f"closed the connection without an answer to {line!r}")
     return answer.decode("utf-8", "replace").strip()

@@ -10,7 +10,7 @@ import numpy as np
 from connectors.ur.rtde import RtdeError, Version
 from connectors.ur.rtde_subscription import Subscription
 from operators.batch import Times
-from operators.errors import because
+from operators.errors import os_error_reason
 from operators.ports import Clock
 
 SILENT: Final = "does not answer for {} s: is this its address, and is it on?"
@@ -114,7 +114,7 @@ def reason(error: Exception) -> str:
             "refuses the connection: is this its address, is it on, is RTDE enabled there"
             " (e-Series: Settings, Security, Services)?"
         )
-    return because(error) if isinstance(error, OSError) else str(error)
+    return os_error_reason(error) if isinstance(error, OSError) else str(error)
 
 
 def mistyped(outputs: Sequence[str], types: Sequence[str], expected: Sequence[str]) -> str:

@@ -66,7 +66,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._sent = 0.0  # s of the loop, when the newest frame went out
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Its address."""
         return address(self._host, PAGE_PORT if self._port is None else self._port)
 

@@ -49,7 +49,7 @@ class Metrics(Sink[Slips | Faults | Clocks]):
         self._host, self._port, self._opened = host, port, opened
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Its address."""
         return address(self._host, self._port)
 

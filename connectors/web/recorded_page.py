@@ -48,7 +48,7 @@ class Recorded(Sink[Touch | Motion | Scores | Slips]):
         self._zeroed, self._rows = False, 0
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """The memory of this process."""
         return "memory"
 

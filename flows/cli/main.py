@@ -45,9 +45,9 @@ def main() -> None:
     except OSError as error:
         if _debug or error.filename is None:
             raise
-        from operators.errors import because  # noqa: PLC0415 - loads numpy, which `slipflow --help` need not
+        from operators.errors import os_error_reason  # noqa: PLC0415 - loads numpy, which `slipflow --help` need not
 
-        typer.echo(f"error: {error.filename}: {because(error)}", err=True)
+        typer.echo(f"error: {error.filename}: {os_error_reason(error)}", err=True)
         sys.exit(2)
     except Exception as error:
         from operators.errors import SlipflowError  # noqa: PLC0415 - loads numpy, which `slipflow --help` need not

@@ -12,7 +12,7 @@ from flows.cli.verification_figure import LANES, by_session, lanes
 from flows.report.figures import lacking
 from flows.report.page import Page, Section, Table
 from operators.batch import s
-from operators.errors import EndpointError, ParameterError, because
+from operators.errors import EndpointError, ParameterError, os_error_reason
 from storage.findings import Finding, Weight, heaviest
 from storage.verification import Verified
 
@@ -49,7 +49,7 @@ def write(found: Verified, place: Path, path: Path) -> None:
     try:
         path.write_text(page(found, place, command).html(), encoding="utf-8")
     except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {because(error)}") from error
+        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
 
 
 def summary(found: Verified) -> dict[str, Any]:

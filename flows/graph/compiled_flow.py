@@ -1,4 +1,4 @@
-"""What a runner carries out: a flow unfolded into one fresh operator per fingertip, in order of flow."""
+"""What a runner carries out: a flow compiled into one fresh operator per fingertip, in order of flow."""
 
 import pickle
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -75,7 +75,7 @@ class _Stage:
         return out
 
 
-class Plan:
+class CompiledFlow:
     """The state of one run of a flow: push batches in at its sources, get what its sinks are to take.
 
     >>> import numpy as np
@@ -83,7 +83,7 @@ class Plan:
     >>> from operators import Debounce, Scores
     >>> flow = Flow("felt")
     >>> (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
-    >>> plan = Plan(flow)
+    >>> plan = CompiledFlow(flow)
     >>> scores = Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))
     >>> [(sink, slips)] = plan.push({plan.entries[0]: scores})
     >>> sink.name, slips.time, slips.start
@@ -94,7 +94,7 @@ class Plan:
         only: the fingertips to do it for, with all that belongs to every one; None: for all of them.
 
     Attributes:
-        wired: By the place of each sink, the types of the batches that it may be given.
+        sink_types: By the place of each sink, the types of the batches that it may be given.
 
     Raises:
         FlowError: if the flow is wired wrongly.
@@ -116,10 +116,10 @@ class Plan:
                         self._stages[self._stage_of[parent, finger]].sinks.append(node)
             else:
                 for finger in fingers[node]:
-                    self._unfold(node, finger)
+                    self._compile(node, finger)
         self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
-        self.wired = {
-            node.part.place: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
+        self.sink_types = {
+            node.part.destination: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
             for node in flow.nodes
             if isinstance(node.part, Sink)
         }
@@ -206,11 +206,11 @@ class Plan:
         reason = str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"
         return OperatorError(self._flow, stage.node.name, reason)
 
-    def _unfold(self, node: Node, finger: int) -> None:
+    def _compile(self, node: Node, finger: int) -> None:
         inputs = tuple(
             self._stage_of[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
         )
-        operator = node.part.fresh() if isinstance(node.part, Operator | Join) else None
+        operator = node.part.reset_copy() if isinstance(node.part, Operator | Join) else None
         kind = cast("type[Batch]", node.gives)
         self._stage_of[node, finger] = len(self._stages)
         self._stages.append(_Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind))

@@ -65,7 +65,7 @@ class TestSink(Sink[Batch]):
     """Keeps what it is given; can be made to fail, or to wait.
 
     Args:
-        place: what it claims to write to; of its own by default.
+        destination: what it claims to write to; of its own by default.
         lossless: whether the runner may drop when it falls behind.
         capacity: batches that may wait for it.
         failures: exceptions for its first writes, None for a write that works.
@@ -76,23 +76,23 @@ class TestSink(Sink[Batch]):
 
     def __init__(
         self,
-        place: str = "",
+        destination: str = "",
         *,
         lossless: bool = True,
         capacity: int = 4096,
         failures: Sequence[Exception | None] = (),
         hold: Callable[[], Coroutine[Any, Any, None]] | None = None,
     ) -> None:
-        self._place = place or f"test sink {id(self)}"
+        self._destination = destination or f"test sink {id(self)}"
         self.lossless, self.capacity = lossless, capacity
         self._failures, self._hold = list(failures), hold
         self.written: list[Batch] = []
         self.opened = self.closed = 0
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """What it claims to write to."""
-        return self._place
+        return self._destination
 
     async def open(self, run: Run) -> None:
         """Count it."""

@@ -125,12 +125,12 @@ def _shared_places(flow: Flow) -> Iterator[FlowError]:
     for node in flow.sinks():
         if not isinstance(node.part, Sink):
             continue
-        first = places.setdefault(node.part.place, node)
+        first = places.setdefault(node.part.destination, node)
         if first is not node:
             where, other = (
                 _edge(each.inputs[0], each) if each.inputs else each.name for each in (node, first)
             )
-            reason = f"writes to {node.part.place}, and so does {other}: use one sink for both"
+            reason = f"writes to {node.part.destination}, and so does {other}: use one sink for both"
             yield FlowError(flow.name, where, reason)
 
 

@@ -32,7 +32,7 @@ from operators.batch import (
     s,
 )
 from operators.errors import InputError
-from operators.forward_fill import hold
+from operators.forward_fill import forward_fill
 from storage import Session
 from storage.layout import session_folder, session_names
 
@@ -204,7 +204,7 @@ def _degraded(touch: Touch) -> Flags:
 
 
 def _held(labelled: Labelled) -> Counts:
-    return hold(labelled.counts, labelled.valid, np.zeros(BAROMETERS, np.int16))
+    return forward_fill(labelled.counts, labelled.valid, np.zeros(BAROMETERS, np.int16))
 
 
 def _latest(flags: Sequence[bool], starts: Reals | NDArray[np.int64], time: NDArray[np.int64]) -> Flags:

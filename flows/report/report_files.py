@@ -8,7 +8,7 @@ from typing import Any
 
 from flows.report.figures import save
 from flows.report.page import Page
-from operators.errors import EndpointError, because
+from operators.errors import EndpointError, os_error_reason
 
 
 def make_output_folder(folder: Path) -> None:
@@ -20,7 +20,7 @@ def make_output_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be made: {because(error)}") from error
+        raise EndpointError(str(folder), f"cannot be made: {os_error_reason(error)}") from error
 
 
 @contextmanager
@@ -33,7 +33,7 @@ def writing(folder: Path) -> Generator[None]:
     try:
         yield
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be written: {because(error)}") from error
+        raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
 
 
 def write_page(page: Page, numbers: Mapping[str, Any], folder: Path, name: str) -> list[Path]:

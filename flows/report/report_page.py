@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from flows.report.figures import Figure, inline, lacking, save
 from flows.report.table import Table
-from operators.errors import EndpointError, because
+from operators.errors import EndpointError, os_error_reason
 
 _STYLE: Final = """
 :root { color-scheme: light; }
@@ -115,7 +115,7 @@ class Report:
                     paths.append(folder / _figure_file(name, section))
                     save(section.figure, paths[-1])
         except OSError as error:
-            raise EndpointError(str(folder), f"cannot be written: {because(error)}") from error
+            raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
         return paths
 
 
@@ -128,7 +128,7 @@ def make_output_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be made: {because(error)}") from error
+        raise EndpointError(str(folder), f"cannot be made: {os_error_reason(error)}") from error
 
 
 def _figure_file(page: str, section: Section) -> str:

@@ -1,4 +1,4 @@
-"""Running a flow live: a task per source, operators called inline, an outlet per sink."""
+"""Running a flow live: a task per source, operators called inline, an queue per sink."""
 
 import asyncio
 from collections import defaultdict
@@ -7,14 +7,14 @@ from contextlib import aclosing, nullcontext
 from typing import Any
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node
-from flows.run import log_events as incidents
+from flows.run import log_events
 from flows.run.back_off import FIRST_RETRY, LAST_RETRY
 from flows.run.clocks import STEP, LoopClock
 from flows.run.replay_runner import recorded_of
-from flows.run.sink_queue import Outlet
+from flows.run.sink_queue import SinkQueue
 from flows.run.stop_signals import signals_to
 from operators.batch import Batch, ms
 from operators.operator import Order
@@ -52,7 +52,7 @@ class LiveRunner:
         Raises:
             FlowError: if the flow is wired wrongly.
         """
-        self.plan = Plan(flow)
+        self.plan = CompiledFlow(flow)
         self.clock = clock or LoopClock()
         self._duration, self._signals = duration, signals
         self._sources: dict[Node, Source[Any]] = {
@@ -65,16 +65,16 @@ class LiveRunner:
             self.clock.now(),
             recording=recorded_of(self._sources.values()),
             declaration=tuple(streams(flow.nodes)),
-            wired=self.plan.wired,
+            sink_types=self.plan.sink_types,
         )
         for node, source in self._sources.items():
             self.run.describe[node.name] = source.describe()
             self.run.sources[node.name] = SourceStatus()
-        self._outlets = {
-            node: Outlet(node.name, node.part) for node in flow.nodes if isinstance(node.part, Sink)
+        self._queues = {
+            node: SinkQueue(node.name, node.part) for node in flow.nodes if isinstance(node.part, Sink)
         }
-        for outlet in self._outlets.values():
-            self.run.sinks[outlet.name] = outlet.status
+        for queue in self._queues.values():
+            self.run.sinks[queue.name] = queue.status
         self._push = asyncio.Lock()  # a full sink makes all sources wait: the rows of a stream stay in order
         self._in_hand = 0  # batches taken from a source that wait for a sink with room
         self._delivered, self._ending = asyncio.Event(), False
@@ -91,8 +91,8 @@ class LiveRunner:
         if self.run.recording is not None:
             self.run.error = "was interrupted"
         if self._stops > 1:
-            for outlet in self._outlets.values():
-                outlet.give_up()
+            for queue in self._queues.values():
+                queue.give_up()
         if self._stops > 2:  # noqa: PLR2004 - as said above
             for writer in self._writers:
                 writer.cancel()
@@ -103,25 +103,25 @@ class LiveRunner:
         Raises:
             SlipflowError: if a sink cannot be opened, or an operator fails; what it gave before is committed.
         """
-        opened: list[Outlet] = []
+        opened: list[SinkQueue] = []
         for source in self._sources.values():
             await source.prepare()
         self.run.start = self.clock.now()
         try:
-            for outlet in self._outlets.values():
-                await outlet.sink.open(self.run)
-                opened.append(outlet)
+            for queue in self._queues.values():
+                await queue.sink.open(self.run)
+                opened.append(queue)
         except BaseException as error:
             self.run.error = str(error) or type(error).__name__
-            for outlet in opened:
-                await outlet.sink.close()
+            for queue in opened:
+                await queue.sink.close()
             raise
         with signals_to(self.stop) if self._signals else nullcontext():
             await self._carry()
         return self.run
 
     async def _carry(self) -> None:
-        self._writers = [asyncio.create_task(outlet.carry()) for outlet in self._outlets.values()]
+        self._writers = [asyncio.create_task(queue.carry()) for queue in self._queues.values()]
         readers = [asyncio.create_task(self._read(node)) for node in self._sources]
         ends: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
         watching = asyncio.create_task(self._watch_host())
@@ -142,15 +142,15 @@ class LiveRunner:
                     task.result()  # raises what an operator raised: that ends the run
             await self._deliver(self.plan.flush())
         except Exception as error:
-            self.run.error = incidents.reason_of(error)
+            self.run.error = log_events.reason_of(error)
             raise
         finally:
             tasks: list[asyncio.Task[Any]] = [*readers, *ends, watching]
             for task in tasks:
                 task.cancel()
             await asyncio.gather(reading, *tasks, return_exceptions=True)
-            for outlet in self._outlets.values():
-                outlet.complete()
+            for queue in self._queues.values():
+                queue.complete()
             await asyncio.gather(*self._writers, return_exceptions=True)
 
     async def _read(self, node: Node) -> None:
@@ -187,7 +187,7 @@ class LiveRunner:
     def _refused(self, deliveries: list[Delivery]) -> list[Delivery]:
         """Queue what sinks are to take, up to the first that has no room: give the rest."""
         for place, (node, batch) in enumerate(deliveries):
-            if not self._outlets[node].offer(batch):
+            if not self._queues[node].offer(batch):
                 return deliveries[place:]
         return []
 
@@ -211,15 +211,15 @@ class LiveRunner:
                             continue
                         if failed_at:
                             status.gaps.append(gap := Gap(failed_at, self.clock.now(), reason))
-                            incidents.source_restarted(node.name, gap)
+                            log_events.source_restarted(node.name, gap)
                             retry, failed_at = FIRST_RETRY, 0
                         status.up, status.error = True, ""
                         yield batch
                 except Exception as error:  # noqa: BLE001 - whatever a device raises, it is tried again
                     if not failed_at:
-                        failed_at, reason = status.newest or self.run.start, incidents.reason_of(error)
-                        incidents.source_failed(node.name, reason)
-                    status.up, status.error = False, incidents.reason_of(error)
+                        failed_at, reason = status.newest or self.run.start, log_events.reason_of(error)
+                        log_events.source_failed(node.name, reason)
+                    status.up, status.error = False, log_events.reason_of(error)
                     status.failures += 1
                 else:
                     return
@@ -235,7 +235,7 @@ class LiveRunner:
 
     async def _deliver(self, deliveries: Sequence[Delivery]) -> None:
         for node, batch in deliveries:
-            await self._outlets[node].put(batch)
+            await self._queues[node].put(batch)
 
     async def _watch_host(self) -> None:
         """Note when the host's clock is set: stamps go on, and are that much off from then on."""
@@ -243,5 +243,5 @@ class LiveRunner:
             known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
             if abs(stray - known) >= STEP:
                 self.run.clock_steps.append(ClockStep(self.clock.now(), stray))
-                incidents.clock_set(stray, known)
+                log_events.clock_set(stray, known)
             await asyncio.sleep(LOOK)

@@ -122,7 +122,7 @@ def apart(flow: Flow, paths: Iterable[Path]) -> None:
         InputError: if a recording is in the dataset of one of its sinks.
     """
     validate(flow)
-    written = {Path(node.part.place) for node in flow.sinks() if isinstance(node.part, Dataset)}
+    written = {Path(node.part.destination) for node in flow.sinks() if isinstance(node.part, Dataset)}
     for path in paths:
         if written & set(path.resolve().parents):
             reason = "is in the dataset that the flow records into: give that another folder"

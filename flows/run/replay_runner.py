@@ -8,10 +8,10 @@ import numpy as np
 
 from connectors.replay import Replay
 from flows.graph import Flow
-from flows.graph.compiled_flow import Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, Part
-from flows.run import log_events as incidents
+from flows.run import log_events
 from flows.run.clocks import EventClock
 from operators.batch import Batch, Motion, Touch
 from operators.errors import InputError
@@ -62,8 +62,8 @@ def tell_places(flow: Flow) -> None:
     """Say where the sinks of a flow write in a replay, if that is elsewhere than in a live run."""
     for node in flow.sinks():
         sink = cast("Sink[Any]", node.part)
-        if sink.replay_place != sink.place:
-            incidents.replay_elsewhere(node.name, sink.replay_place)
+        if sink.replay_destination != sink.destination:
+            log_events.replay_elsewhere(node.name, sink.replay_destination)
 
 
 class ReplayRunner:
@@ -81,18 +81,18 @@ class ReplayRunner:
         session: str,
         *,
         rows: int = 1000,
-        unfold: Callable[[Flow], Plan] = Plan,
+        compile_flow: Callable[[Flow], CompiledFlow] = CompiledFlow,
     ) -> None:
         """Get ready to run `flow` over `recording` as `session`, in batches of at most `rows`.
 
-        What `unfold` makes of the flow is carried out.
+        What `compile_flow` makes of the flow is carried out.
 
         Raises:
             FlowError: if the flow is wired wrongly.
             InputError: if the recording lacks a stream.
         """
         self._flow = replayed(flow, recording, paced=False)
-        self.plan = unfold(self._flow)
+        self.plan = compile_flow(self._flow)
         self._recording, self._rows = recording, rows
         self._stopping = False
         self._clock = EventClock(0)
@@ -104,7 +104,7 @@ class ReplayRunner:
             live=False,
             recording=recorded_of(cast("Source[Any]", node.part) for node in self._flow.sources()),
             declaration=tuple(streams(flow.nodes)),
-            wired=self.plan.wired,
+            sink_types=self.plan.sink_types,
         )
         for node in self._flow.sources():
             self.run.describe[node.name] = cast("Source[Any]", node.part).describe()

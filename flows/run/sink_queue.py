@@ -6,7 +6,7 @@ from contextlib import suppress
 from math import inf
 from typing import Any, Final
 
-from flows.run import log_events as incidents
+from flows.run import log_events
 from flows.run.back_off import FIRST_RETRY, LAST_RETRY
 from operators.batch import Batch
 from operators.errors import EndpointError
@@ -16,7 +16,7 @@ FAREWELL: Final = 5.0  # s, how long a failing sink is retried once the run is o
 STUCK: Final = 10.0  # s, that one write may take while others wait; then the sink counts as failing
 
 
-class Outlet:
+class SinkQueue:
     """A sink's queue and the task that empties it.
 
     A write that fails is tried again with the same batch. While it fails, or takes too long, nobody waits:
@@ -81,7 +81,7 @@ class Outlet:
             await self.sink.close()
         except asyncio.CancelledError:
             self._drop_waiting()
-            self._failed(EndpointError(self.sink.place, "was given up while it was being written"))
+            self._failed(EndpointError(self.sink.destination, "was given up while it was being written"))
             raise
         except Exception as error:  # noqa: BLE001 - the others must be closed too
             self._failed(error)
@@ -118,14 +118,14 @@ class Outlet:
     def _wrote(self, batch: Batch) -> None:
         """Count a batch that was written; say it if the sink works again."""
         if self.status.error:
-            incidents.sink_restored(self.name, self.status.dropped - self._dropped_before)
+            log_events.sink_restored(self.name, self.status.dropped - self._dropped_before)
             self.status.error = ""
         self.status.rows += len(batch)
 
     def _lose(self, batch: Batch) -> None:
         """Count a batch for which there is no room; say it once in each failure."""
         if self.status.error and self.status.dropped == self._dropped_before:
-            incidents.sink_drops(self.name)
+            log_events.sink_drops(self.name)
         self.status.dropped += len(batch)
 
     def _drop_waiting(self) -> None:
@@ -138,13 +138,13 @@ class Outlet:
         """Whether the write at hand takes too long; it counts as failed until it ends."""
         stuck = self._writing is not None and asyncio.get_running_loop().time() - self._writing >= STUCK
         if stuck:
-            self._failed(EndpointError(self.sink.place, f"has been stuck for {STUCK:.0f} s"))
+            self._failed(EndpointError(self.sink.destination, f"has been stuck for {STUCK:.0f} s"))
         return stuck
 
     def _failed(self, error: Exception) -> None:
-        reason = incidents.reason_of(error)
+        reason = log_events.reason_of(error)
         if not self.status.error:
-            incidents.sink_failed(self.name, reason)
+            log_events.sink_failed(self.name, reason)
             self._dropped_before = self.status.dropped
         self.status.error = reason
         self.status.failures += 1

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, EVERY, Codes, Counts, Flags, Labelled, Motion, Times, ms, s
 from operators.errors import InputError
-from operators.forward_fill import hold
+from operators.forward_fill import forward_fill
 from storage.session import Session
 
 WITHIN: Final = 20 * ms  # ns, that a pose may lie from its sample
@@ -136,7 +136,7 @@ def _samples(session: Session, finger: int) -> _Samples:
     ]
     time, counts, valid, label, velocity = (np.concatenate(column) for column in zip(*pieces, strict=True))
     order = np.argsort(time, kind="stable")
-    held = hold(counts[order], valid[order], np.zeros(BAROMETERS, np.int16))
+    held = forward_fill(counts[order], valid[order], np.zeros(BAROMETERS, np.int16))
     return _Samples(time[order], held, valid[order], label[order], velocity[order])
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import polars as pl
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Reals
@@ -125,7 +125,7 @@ def through_flow(rows: int, stages: int = len(STAGES)) -> Callable[[Touch, Motio
     """The job, or its first stages, carried out by slipflow in batches of `rows` barometer samples."""
 
     def run(touch: Touch, motion: Motion) -> Reals:
-        plan, out = Plan(flow(stages)), list[Delivery]()
+        plan, out = CompiledFlow(flow(stages)), list[Delivery]()
         pushes = cut(plan.entries, touch, motion, rows)
         began = time.process_time()
         for push in pushes:

@@ -111,7 +111,7 @@ class Told(Sink[Slips]):
         self.events = list[tuple[int, int, int]]()  # finger, stamp of the deciding sample, now; ns
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Memory."""
         return "told"
 

@@ -77,8 +77,8 @@ def test_a_terminal_gets_the_same_lines_in_colour(run: Run, monkeypatch: pytest.
 
 
 def test_a_console_stands_for_its_stream() -> None:
-    assert Console().place == Console().place
-    assert Console(io.StringIO()).place != ""
+    assert Console().destination == Console().destination
+    assert Console(io.StringIO()).destination != ""
 
 
 def objects(run: Run, *batches: Slips | Faults) -> list[dict[str, Any]]:

@@ -10,5 +10,5 @@ def test_two_demos_beside_each_other_publish_as_two_rigs_from_two_outboxes(tmp_p
     demo = Demo(tmp_path, broker="mqtt://localhost", rig="left", outbox=outbox)
     [mqtt] = [node.part for node in demo.flow.nodes if isinstance(node.part, Mqtt)]
     assert (mqtt.rig, mqtt.outbox) == ("left", outbox)
-    assert mqtt.place == "mqtt://localhost:1883/slip/v1/lab/left"
+    assert mqtt.destination == "mqtt://localhost:1883/slip/v1/lab/left"
     assert problems(demo.flow) == []

@@ -25,7 +25,7 @@ from operators import (
     Health,
     Label,
     Labelled,
-    Lifted,
+    MaskLifted,
     Motion,
     Sample,
     Score,
@@ -195,8 +195,8 @@ CASES: Final = [
     Case(Label(rotation=0.2, normal=(0, 1, 2)), (_sample,)),
     Case(Label(rotation=0.2, delay=37 * ms), (_sample,)),
     Case(Label(delay=-40 * ms, within=5 * ms), (_sample,)),
-    Case(Lifted((0, 0, 0, 0, 0, 0)), (_labelled,)),
-    Case(Lifted((0.1, -0.2, 0.3, 0, 1.5, 0.5), margin=0), (_labelled,)),
+    Case(MaskLifted((0, 0, 0, 0, 0, 0)), (_labelled,)),
+    Case(MaskLifted((0.1, -0.2, 0.3, 0, 1.5, 0.5), margin=0), (_labelled,)),
     Case(Window(length=7, hop=3), (_touch(Touch),)),
     Case(Window(length=3, hop=10), (_touch(Zeroed),)),
     Case(Score(_Spread(), hop=2), (_touch(Zeroed),)),
@@ -270,7 +270,7 @@ def test_cutting_the_input_anywhere_changes_nothing(
     case: Case, same: Same, seed: int, rows: int, cuts: list[int]
 ) -> None:
     streams = case.streams(seed, rows)
-    same(_run(case.step.fresh(), _pieces(streams, cuts)), _run(case.step.fresh(), [streams]))
+    same(_run(case.step.reset_copy(), _pieces(streams, cuts)), _run(case.step.reset_copy(), [streams]))
 
 
 @every
@@ -278,12 +278,12 @@ def test_cutting_the_input_anywhere_changes_nothing(
 def test_pickling_midstream_and_going_on_changes_nothing(
     case: Case, same: Same, seed: int, rows: int, cut: int
 ) -> None:
-    streams, step = case.streams(seed, rows), case.step.fresh()
+    streams, step = case.streams(seed, rows), case.step.reset_copy()
     first, *rest = _pieces(streams, [cut])
     before = _push(step, first)
     after = _run(_pickled(step), rest)
     same(_run(step, rest), after)
-    same(concat(type(before), [before, after]), _run(case.step.fresh(), [streams]))
+    same(concat(type(before), [before, after]), _run(case.step.reset_copy(), [streams]))
 
 
 @pytest.mark.parametrize("align", [case.step for case in CASES if isinstance(case.step, Align)], ids=repr)
@@ -304,7 +304,7 @@ def test_whichever_stream_lags_within_the_wait_the_join_is_the_same(
         (left[row : row + 1], right[:0]) if row < len(left) else (left[:0], right[row - len(left) :][:1])
         for row in order.tolist()
     ]
-    same(_run(align.fresh(), one_by_one), _run(align.fresh(), [(left, right)]))
+    same(_run(align.reset_copy(), one_by_one), _run(align.reset_copy(), [(left, right)]))
 
 
 # --- what else every one of them owes --------------------------------------------------------------------
@@ -321,9 +321,9 @@ def test_every_public_operator_and_join_is_in_the_table() -> None:
 def test_fresh_keeps_the_parameters_and_forgets_the_state(
     case: Case, same: Same, seed: int, rows: int
 ) -> None:
-    streams, step = case.streams(seed, rows), case.step.fresh()
+    streams, step = case.streams(seed, rows), case.step.reset_copy()
     first = _run(step, [streams])
-    again = step.fresh()
+    again = step.reset_copy()
     assert repr(again) == repr(step)
     assert again.late == 0
     same(_run(again, [streams]), first)
@@ -334,7 +334,7 @@ def test_fresh_keeps_the_parameters_and_forgets_the_state(
 def test_late_rows_are_dropped_and_counted_and_rows_of_one_stamp_kept(
     case: Case, same: Same, seed: int, rows: int
 ) -> None:
-    streams, step, clean = case.streams(seed, rows), case.step.fresh(), case.step.fresh()
+    streams, step, clean = case.streams(seed, rows), case.step.reset_copy(), case.step.reset_copy()
     kept = tuple(_kept(stream) for stream in streams)
     same(_run(step, [streams]), _run(clean, [kept]))
     assert step.late == sum(map(len, streams)) - sum(map(len, kept))
@@ -344,7 +344,7 @@ def test_late_rows_are_dropped_and_counted_and_rows_of_one_stamp_kept(
 @every
 def test_an_empty_batch_gives_an_empty_batch(case: Case, same: Same) -> None:
     nothing = tuple(kind.empty() for kind in input_types(type(case.step)))
-    same(_run(case.step.fresh(), [nothing, nothing]), output_type(type(case.step)).empty())
+    same(_run(case.step.reset_copy(), [nothing, nothing]), output_type(type(case.step)).empty())
 
 
 @every
@@ -352,7 +352,7 @@ def test_an_empty_batch_gives_an_empty_batch(case: Case, same: Same) -> None:
 def test_a_snapshot_stays_small_whatever_went_in_or_stayed_away(case: Case, rows: int) -> None:
     streams = tuple(_kept(stream) for stream in case.streams(1, rows))
     for away in [None, *range(len(streams))]:
-        step = case.step.fresh()
+        step = case.step.reset_copy()
         came = tuple(stream[:0] if i == away else stream for i, stream in enumerate(streams))
         for piece in _pieces(came, range(0, rows, 97)):
             _push(step, piece)
@@ -364,7 +364,7 @@ def test_a_snapshot_stays_small_whatever_went_in_or_stayed_away(case: Case, rows
 def test_what_went_in_or_came_out_is_never_written_again(
     case: Case, same: Same, seed: int, rows: int
 ) -> None:
-    streams, step = case.streams(seed, rows), case.step.fresh()
+    streams, step = case.streams(seed, rows), case.step.reset_copy()
     copies = _pickled(streams)
     results = [_push(step, piece) for piece in _pieces(streams, range(0, rows, 9))]
     results_then = _pickled(results)

@@ -12,7 +12,7 @@ from operators import (
     ParameterError,
     SlipflowError,
 )
-from operators.errors import because
+from operators.errors import os_error_reason
 
 
 @pytest.mark.parametrize(
@@ -40,11 +40,11 @@ def test_an_error_travels_between_processes_with_what_it_carries(error: Slipflow
     [
         (
             PermissionError(errno.EACCES, "Permission denied", "/data"),
-            "Permission denied; give this user the right to it",
+            "Permission denied; grant this user permission",
         ),
         (
             FileExistsError(errno.EEXIST, "File exists", "/data/sessions"),
-            "File exists, /data/sessions; a file has a name that must be a folder's",
+            "File exists, /data/sessions; a file exists where a folder is needed",
         ),
         (FileNotFoundError(errno.ENOENT, "No such file or directory"), "No such file or directory"),
         (OSError("only words"), "only words"),
@@ -52,4 +52,4 @@ def test_an_error_travels_between_processes_with_what_it_carries(error: Slipflow
     ],
 )
 def test_what_the_system_refuses_is_told_with_what_to_do_about_it(error: OSError, text: str) -> None:
-    assert because(error) == text
+    assert os_error_reason(error) == text

@@ -4,10 +4,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators import Commands, Grip, Gripping, ParameterError, Scores, StepGrip, ms
+from operators import Commands, Grip, GripController, ParameterError, Scores, StepGrip, ms
 
 
-def _pushed(grip: Gripping, probability: Sequence[float], since: int = 0) -> Commands:
+def _pushed(grip: GripController, probability: Sequence[float], since: int = 0) -> Commands:
     times = (np.arange(len(probability)) + since) * 10 * ms
     return grip.push(Scores(times, np.array(probability), finger=2))
 
@@ -93,7 +93,7 @@ def test_what_slips_with_all_force_is_given_up_once_and_let_go() -> None:
     assert force[-2:].tolist() == [1.3, 0.1]
     assert grip.given_up
     assert not len(_pushed(grip, [1.0] * 50, since=61))
-    assert not grip.fresh().given_up
+    assert not grip.reset_copy().given_up
 
 
 def test_a_pause_in_the_slip_begins_its_patience_anew() -> None:
@@ -130,6 +130,6 @@ def test_the_papers_rule_adds_a_step_for_each_registered_slip_and_never_takes_on
         (StepGrip, {"step": 0.0}),
     ],
 )
-def test_a_setting_that_cannot_be_is_refused(kind: type[Gripping], settings: dict[str, Any]) -> None:
+def test_a_setting_that_cannot_be_is_refused(kind: type[GripController], settings: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=next(iter(settings))):
         kind(**settings)

@@ -19,4 +19,4 @@ def test_what_is_replayed_at_any_pace_has_no_latency(run: Run, *, live: bool) ->
 
 def test_unless_it_says_otherwise_a_source_is_new_and_a_sink_writes_where_it_always_does() -> None:
     assert TestSource(Touch).recording is None
-    assert TestSink("the attic").replay_place == "the attic"
+    assert TestSink("the attic").replay_destination == "the attic"

@@ -117,5 +117,7 @@ def test_without_matplotlib_it_says_what_to_install_before_it_measures(
 
 def test_a_folder_that_cannot_be_made_is_told_before_anything_is_measured(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(EndpointError, match=r"file/x: cannot be made: .*; a file has a name that must be"):
+    with pytest.raises(
+        EndpointError, match=r"file/x: cannot be made: .*; a file exists where a folder is needed"
+    ):
         write_report(tmp_path / "file" / "x", told=pytest.fail)

@@ -100,7 +100,7 @@ def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(
     tmp_path: Path, *, live: bool
 ) -> None:
     run = new_run(live=live)
-    run.wired = {str(tmp_path): (Touch, Slips, Clocks), "elsewhere": (Faults,)}
+    run.sink_types = {str(tmp_path): (Touch, Slips, Clocks), "elsewhere": (Faults,)}
     record(Dataset(tmp_path), run, [new_batch(Touch)])
     session = Session.open(tmp_path)
     assert session.about["tables"] == ["touch", "slips", "clocks"]
@@ -116,7 +116,7 @@ async def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, failing = new_run(), [True]
-    run.wired = {str(tmp_path): (Slips,)}
+    run.sink_types = {str(tmp_path): (Slips,)}
 
     def describe(folder: Path, run: Run, *, ended: bool = False, **named: Any) -> None:  # noqa: ANN401
         if ended and failing and failing.pop():
@@ -228,7 +228,7 @@ def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(tmp_pa
         (tmp_path / "file", "file: is a file, must be a folder"),
         (
             tmp_path / "file/below",
-            "below: cannot be written: Not a directory; a file has a name that must be",
+            "below: cannot be written: Not a directory; a file exists where a folder is needed",
         ),
         (Path("/proc/slipflow"), "slipflow: cannot be written: No such file or directory"),
     ):
@@ -408,7 +408,7 @@ def test_a_full_disk_is_told_at_each_write_until_there_is_room_and_costs_no_row(
             await dataset.close()
         full = False
         await dataset.close()
-        told = "cannot be written: No space left on device; make room there, or name another place"
+        told = "cannot be written: No space left on device; free some space, or use another location"
         assert set(reasons) == {told}
         assert len(reasons) > 5
 
@@ -436,7 +436,11 @@ def test_the_same_folder_is_the_same_place_however_it_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert Dataset("data/../data/").place == Dataset(tmp_path / "data").place == str(tmp_path / "data")
+    assert (
+        Dataset("data/../data/").destination
+        == Dataset(tmp_path / "data").destination
+        == str(tmp_path / "data")
+    )
 
 
 def test_a_dataset_takes_one_run_after_another(tmp_path: Path) -> None:

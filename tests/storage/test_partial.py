@@ -62,7 +62,7 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
     with (
         pytest.raises(
             EndpointError,
-            match=r"/a: cannot be written: File exists, .*/file; a file has a name that must be a folder",
+            match=r"/a: cannot be written: File exists, .*/file; a file exists where a folder is needed",
         ),
         partial_file(tmp_path / "file/a"),
     ):

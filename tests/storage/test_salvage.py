@@ -277,7 +277,7 @@ def test_a_log_of_single_files_that_is_gone_is_told_of(left: Path) -> None:
 
 def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(tmp_path: Path) -> None:
     run = new_run()
-    run.wired = {str(tmp_path): (Touch, Slips)}
+    run.sink_types = {str(tmp_path): (Touch, Slips)}
     folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
     assert recover(folder).lost == ()
     session = Session.open(folder)
@@ -289,7 +289,7 @@ def test_slips_that_were_looked_for_and_not_found_are_a_file_without_rows(tmp_pa
 
 def test_slips_that_may_have_been_lost_are_not_said_to_be_none(tmp_path: Path) -> None:
     run = new_run()
-    run.wired = {str(tmp_path): (Touch, Slips)}
+    run.sink_types = {str(tmp_path): (Touch, Slips)}
     folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
     single_log(folder).unlink()
     assert "single.wal: is gone" in " ".join(recover(folder).lost)

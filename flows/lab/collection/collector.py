@@ -13,7 +13,7 @@ from flows.lab.collection.contact_monitor import Felt
 from flows.lab.collection.stroke_driver import Driver
 from flows.lab.collection.stroke_plan import Session
 from flows.run.live_runner import LiveRunner
-from operators import Align, DeviceClock, Label, Lifted, Motion, Source, Touch, WatchClock, Zero, ms, s
+from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, WatchClock, Zero, ms, s
 from operators.errors import EndpointError, SlipflowError
 from operators.ports import Clock, Json, Run
 from storage import Dataset
@@ -45,7 +45,9 @@ def declare(
     flow = Flow("collect")
     felt_stream, moved = flow.source(touch, "touch"), flow.source(motion, "motion")
     samples = (felt_stream | Zero()) & (moved | DeviceClock()) | Align(within=20 * ms)
-    labelled = samples | Label(speed=0.003, rotation=0.2, delay=delay) | Lifted(place)  # m/s, rad/s; paper
+    labelled = (
+        samples | Label(speed=0.003, rotation=0.2, delay=delay) | MaskLifted(place)
+    )  # m/s, rad/s; paper
     felt_stream.to(dataset)
     moved.to(dataset)
     (moved | WatchClock()).to(dataset)

@@ -25,7 +25,7 @@ class Felt(Sink[Touch]):
         self._air = dict[int, Reals]()  # (6,) counts
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Its name among the sinks of a flow; nothing is written anywhere."""
         return "what was felt"
 

@@ -14,7 +14,7 @@ from flows.lab.experiments.trial_setting import Conditions
 from flows.lift import controller
 from flows.run.one_thread import one_thread
 from flows.run.process_map import process_map
-from operators import Gripping, StepGrip
+from operators import GripController, StepGrip
 from operators.errors import InputError, ParameterError
 from storage import load_detector
 
@@ -39,7 +39,7 @@ class Method:
         """Its name in tables."""
         return f"{self.detector}, {self.rule}"
 
-    def grip(self) -> Gripping:
+    def grip(self) -> GripController:
         """Its controller.
 
         Raises:

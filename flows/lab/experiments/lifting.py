@@ -12,7 +12,7 @@ from flows.lab.experiments.decisions import registered
 from flows.lab.experiments.trial import BASELINE, By, Trace, run
 from flows.lab.experiments.trial_setting import SLIDES, Conditions, Setting
 from operators.batch import s
-from operators.grip import Gripping
+from operators.grip import GripController
 
 LIFT: Final = Lift(2.5)  # the hand closes at 1 s; 50 mm at 50 mm/s, assumed: the paper says nothing
 END: Final = 6.0  # s; the hand has come to rest 2.3 s before
@@ -76,7 +76,7 @@ def raised(conditions: Conditions) -> Lift:
     return replace(LIFT, speed=pace * LIFT.speed, acceleration=pace * LIFT.acceleration)
 
 
-def judged(trace: Trace, grip: Gripping, least: float) -> Lifting:
+def judged(trace: Trace, grip: GripController, least: float) -> Lifting:
     """What a lift came to; `least` is the least force that holds (N)."""
     lifting = trace.between(LIFT.instant, END + 1)
     slides = trace.t[lifting][trace.speed[lifting] > SLIDES]
@@ -102,7 +102,7 @@ def judged(trace: Trace, grip: Gripping, least: float) -> Lifting:
     )
 
 
-def _ending(trace: Trace, grip: Gripping, least: float, delay: float) -> Ending:
+def _ending(trace: Trace, grip: GripController, least: float, delay: float) -> Ending:
     last = trace.between(END - 0.5, END + 1)
     dropped = bool(trace.dropped[-1])
     lags = float(trace.hand[-1] - trace.height[-1])

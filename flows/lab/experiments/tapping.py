@@ -17,7 +17,7 @@ from flows.lab.experiments.decisions import registered, slipping
 from flows.lab.experiments.trial import By, Trace, run
 from flows.lab.experiments.trial_setting import SLIDES, Conditions, Setting
 from operators.batch import Counts, Reals, s
-from operators.grip import Gripping, StepGrip
+from operators.grip import GripController, StepGrip
 
 LIFT: Final = Lift(2.0)  # until 3.1 s
 BLOW: Final = 4.5  # s; by then the load of the lift has crept in
@@ -77,7 +77,7 @@ def tap(held: Object, seed: int, by: By, conditions: Conditions) -> tuple[Trace,
 
 
 def _blow(
-    setting: Setting, place: Place, grip: Gripping, conditions: Conditions, random: np.random.Generator
+    setting: Setting, place: Place, grip: GripController, conditions: Conditions, random: np.random.Generator
 ) -> tuple[Tap, int]:
     """A blow that moves the object, but not too far, and how many were drawn for it: no detector is asked."""
     mass, excess = setting.held.mass * setting.mass, grip.force / setting.least - (place == "top")
@@ -104,7 +104,7 @@ class Nothing:
         return np.zeros(len(windows))
 
 
-def judged(trace: Trace, soft: Trace, grip: Gripping, place: Place, drawn: int) -> Tapping:
+def judged(trace: Trace, soft: Trace, grip: GripController, place: Place, drawn: int) -> Tapping:
     """What a blow, and a soft one under the same conditions, came to."""
     felt = registered(trace, grip.threshold, grip.consecutive)
     at = felt[felt >= BLOW]

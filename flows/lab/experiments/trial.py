@@ -7,16 +7,16 @@ import numpy as np
 
 from connectors.sim.grasp import Grasp, Held
 from flows.graph import Flow
-from flows.graph.compiled_flow import Plan
+from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.experiments.hand_model import Grasping
 from flows.lab.experiments.trial_setting import Conditions
 from flows.lift import held_by
 from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, s
 from operators.detectors import Detector
-from operators.grip import Gripping
+from operators.grip import GripController
 
-By: TypeAlias = tuple[Detector, Gripping]
+By: TypeAlias = tuple[Detector, GripController]
 
 BASELINE: Final = 1.0  # s with an open hand, before everything
 
@@ -64,7 +64,7 @@ def run(grasp: Grasp, by: By, conditions: Conditions, seconds: float) -> Trace:
     scores, commands = held_by(flow, TestSource(Touch, fingers=(0,)), *by, scans)
     scores.to(notes)
     commands.to(told)
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     [entry] = plan.entries
     mechanics = Grasping(conditions.hand, grasp)
     instants = np.concatenate((np.arange(scans) / scans * BASELINE, np.arange(waits, seconds * rate) / rate))

@@ -147,6 +147,6 @@ class EventMetrics:
 def onsets(probability: Reals, debounce: Debounce) -> Times:
     """When the operator says that a slip begins; (k,) ns from the first of the probabilities (n,)."""
     scores = Scores(np.arange(len(probability)) * PERIOD, probability)
-    slips = debounce.fresh().push(scores[JUDGED:])
+    slips = debounce.reset_copy().push(scores[JUDGED:])
     raised: Times = slips.time[slips.state == SLIP]
     return raised

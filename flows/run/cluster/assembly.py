@@ -14,14 +14,14 @@ from typing import Any, Final, TypeAlias, cast
 from uuid import uuid4
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.node import Node, Part
 from flows.run.cluster.cluster_segment import tapped
 from flows.run.cluster.staging import Given, staged_in
 from flows.run.cluster.work_units import Done, End
 from flows.run.replay_runner import ReplayRunner
 from operators.batch import Batch
-from operators.errors import EndpointError, InputError, because
+from operators.errors import EndpointError, InputError, os_error_reason
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.files import make_folder, sync
@@ -50,7 +50,7 @@ class _Staged:
         return self._rest.pop(number, {})
 
 
-class Assembled(Plan):
+class Assembled(CompiledFlow):
     """A plan of a flow that gives what was staged, instead of working it out.
 
     Args:
@@ -119,13 +119,13 @@ def assemble(flow: Flow, places: Mapping[str, str], job: str, staged: Path, done
         part: Any = node.part
         return part.moved(scratch[node.name]) if isinstance(part, Dataset) else part
 
-    def unfold(replayed: Flow) -> Plan:
+    def compile_flow(replayed: Flow) -> CompiledFlow:
         plans.append(Assembled(replayed, staged, end))
         return plans[0]
 
     try:
         recording = Session.open(done.folder)
-        runner = ReplayRunner(flow.replaced(elsewhere), recording, done.session, unfold=unfold)
+        runner = ReplayRunner(flow.replaced(elsewhere), recording, done.session, compile_flow=compile_flow)
         asyncio.run(runner.execute())
         if plans[0].slices != end.slices:
             raise InputError(done.folder, "has changed since the job began")
@@ -149,4 +149,4 @@ def _commit(whole: Path, root: Path, session: str) -> None:
         os.rename(whole, target)  # noqa: PTH104 - as of folders, never onto one that holds anything
         sync(root / SESSIONS)
     except OSError as error:
-        raise EndpointError(str(root), f"cannot be written: {because(error)}") from error
+        raise EndpointError(str(root), f"cannot be written: {os_error_reason(error)}") from error

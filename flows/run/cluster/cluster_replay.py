@@ -16,7 +16,7 @@ from flows.run.cluster.cluster_segment import check_flow
 from flows.run.cluster.cutting import Cutter
 from flows.run.cluster.job_folder import JobFolder
 from flows.run.cluster.job_manager import ENDED, JobManager
-from operators.errors import EndpointError, InputError, ParameterError, SlipflowError, because
+from operators.errors import EndpointError, InputError, ParameterError, SlipflowError, os_error_reason
 from operators.ports import Sink
 from storage.layout import SESSION, SESSIONS, session_folder, session_names
 
@@ -169,7 +169,7 @@ class Feed:
         Raises:
             InputError: if there are none, or two of one name, or one has been worked out before.
         """
-        places = [Path(node.part.place) for node in self.flow.sinks() if isinstance(node.part, Sink)]
+        places = [Path(node.part.destination) for node in self.flow.sinks() if isinstance(node.part, Sink)]
         for folder in [folder for path in self.paths for folder in _sessions(path, follow=self.follow)]:
             name = folder.name
             if name in self.cutters:
@@ -234,7 +234,7 @@ def _submitted(python: Path, url: str, folder: JobFolder, workers: int, *, follo
             [*command, "--follow"] if follow else command, capture_output=True, text=True, check=False
         )
     except OSError as error:
-        raise EndpointError(str(python), f"cannot be run: {because(error)}") from error
+        raise EndpointError(str(python), f"cannot be run: {os_error_reason(error)}") from error
     if done.returncode or not done.stdout.strip():
         lines = [line for line in done.stderr.splitlines() if line.strip()]
         causes = [line.strip() for line in lines if "Caused by:" in line or "Error" in line]

@@ -49,7 +49,7 @@ class Tap(Sink[Batch]):
     operator: int  # its place among the flow's nodes
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Its own."""
         return f"{_TAP}{self.operator}"
 

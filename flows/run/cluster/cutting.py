@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import cast
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Entry
 from flows.run.cluster.cluster_segment import needed, tapped
 from flows.run.cluster.part_files import Stamps, read_stamps
 from flows.run.cluster.work_units import Claim, End, Rows, Slice
@@ -80,7 +80,7 @@ class Cutter:
 
     def _cut(self, stamped: "_Stamped", flow: Flow, *, closed: bool) -> Iterator[dict[Entry, Stamps]]:
         streams: dict[Entry, Iterator[Batch]] = {}
-        for node, finger in Plan(flow).entries:
+        for node, finger in CompiledFlow(flow).entries:
             stream = stamped.read(cast("type[Batch]", node.gives), finger, self.rows)
             streams[node, finger] = stream if closed else _waiting(stream)
         try:

@@ -23,7 +23,7 @@ from flows.graph import Flow
 from flows.graph.loading import SHIPPED, Declaration, load
 from flows.run.cluster.assembly import JOBS, assemble
 from flows.run.cluster.work_units import Claim, Done
-from operators.errors import EndpointError, InputError, because
+from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Sink
 from storage import files
 
@@ -50,7 +50,7 @@ class JobFolder:
         Raises:
             EndpointError: if it cannot be made.
         """
-        places = {node.name: node.part.place for node in flow.sinks() if isinstance(node.part, Sink)}
+        places = {node.name: node.part.destination for node in flow.sinks() if isinstance(node.part, Sink)}
         path = Path(next(iter(places.values()))) / JOBS / job
         folder, target = cls(path), f"{declaration.file.stem}:{declaration.name}"
         try:
@@ -171,4 +171,4 @@ def _loaded(target: str) -> Declaration:
 
 
 def _unwritable(path: Path, error: OSError) -> EndpointError:
-    return EndpointError(str(path), f"cannot be written: {because(error)}")
+    return EndpointError(str(path), f"cannot be written: {os_error_reason(error)}")

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import Batch, columns
-from operators.errors import EndpointError, InputError, because
+from operators.errors import EndpointError, InputError, os_error_reason
 from storage import files
 
 Given: TypeAlias = dict[tuple[int, int, int], Batch]  # by slice, operator's place among the nodes, fingertip
@@ -53,7 +53,7 @@ def stage(path: Path, given: Given) -> None:
     except OSError as error:
         with suppress(OSError):
             scratch.unlink(missing_ok=True)
-        raise EndpointError(str(path), f"cannot be written: {because(error)}") from error
+        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
 
 
 def staged(path: Path, kinds: Mapping[int, type[Batch]]) -> Given:

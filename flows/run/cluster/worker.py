@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import cast
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.node import Node
 from flows.run.cluster.cluster_segment import Tap, segment
 from flows.run.cluster.part_files import PartReader
@@ -79,7 +79,7 @@ class Work:
             now.waiting[newest.number] = newest.line()
             return None
         flow = segment(self._flow, newest.sources)
-        plan = Plan(flow, only=newest.fingers)
+        plan = CompiledFlow(flow, only=newest.fingers)
         if now.operators:
             plan.restore(now.operators)
         entries = {node.name: node for node in flow.sources()}

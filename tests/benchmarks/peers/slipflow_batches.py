@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Labelled, Motion, Scores, Touch, Zero, ms
 from operators.batch import Batch
@@ -50,10 +50,10 @@ def pushes(job: Job, entries: list[Entry], rows: int) -> list[dict[Entry, Batch]
 def prepare(job: Job, rows: int) -> Run:
     """Batches of `rows` samples of each fingertip."""
     declared = flow(len(job.time))
-    given = pushes(job, Plan(declared).entries, rows)
+    given = pushes(job, CompiledFlow(declared).entries, rows)
 
     def run(meter: Meter) -> Iterable[Judged]:
-        plan, out = Plan(declared), list[Delivery]()
+        plan, out = CompiledFlow(declared), list[Delivery]()
         with meter:
             for push in given:
                 out += plan.push(push)

@@ -58,7 +58,7 @@ class Told(Sink[Scores]):
         self._live, self._source = live, source
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Memory."""
         return "told"
 

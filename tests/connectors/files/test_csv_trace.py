@@ -230,7 +230,7 @@ def test_a_file_that_is_missing_empty_or_no_text_is_told_so(tmp_path: Path, writ
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
         CsvTrace(tmp_path / "absent.csv")
     with pytest.raises(
-        InputError, match=r"cannot be read: Is a directory; a folder has a name that must be a file's$"
+        InputError, match=r"cannot be read: Is a directory; a folder exists where a file is needed$"
     ):
         CsvTrace(tmp_path)
     (tmp_path / "empty.csv").touch()

@@ -483,17 +483,22 @@ async def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_
 
 def test_two_sinks_of_one_rig_share_a_place() -> None:
     assert (
-        Mqtt("mqtt://localhost").place
-        == Mqtt("mqtt://localhost:1883").place
+        Mqtt("mqtt://localhost").destination
+        == Mqtt("mqtt://localhost:1883").destination
         == f"mqtt://localhost:1883/{RIG}"
     )
-    assert Mqtt("mqtt://localhost").place != Mqtt("mqtt://localhost", rig="other").place
+    assert Mqtt("mqtt://localhost").destination != Mqtt("mqtt://localhost", rig="other").destination
 
 
 def test_a_rig_says_before_it_is_replayed_where_that_goes(run: Run) -> None:
     sink, again = Mqtt("mqtt://127.0.0.1:1"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
-    assert sink.place == f"mqtt://127.0.0.1:1/{RIG}"
-    assert sink.replay_place == again.place == again.replay_place == f"{sink.place}-replay"
+    assert sink.destination == f"mqtt://127.0.0.1:1/{RIG}"
+    assert (
+        sink.replay_destination
+        == again.destination
+        == again.replay_destination
+        == f"{sink.destination}-replay"
+    )
     with pytest.raises(
         ParameterError, match="rig is 'rig-replay', must be a name that does not end in -replay"
     ):

@@ -66,7 +66,7 @@ class Lab:
         """All that a connection gives if there is a fault `after` so many seconds, and why it ended."""
         asyncio.get_running_loop().call_later(after, fault)
         taken, error = await exhaust(self.source, self.clock)
-        assert error.place == f"rtde://{HOST}:{self.controller.ports.rtde}"
+        assert error.endpoint == f"rtde://{HOST}:{self.controller.ports.rtde}"
         return taken, error.reason
 
 

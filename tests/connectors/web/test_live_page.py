@@ -181,8 +181,8 @@ def test_others_than_this_machine_need_a_token(run: Run) -> None:
 
 
 def test_two_pages_of_a_flow_have_two_places() -> None:
-    assert Page().place == "http://127.0.0.1:8765"
-    assert Page(80, "::1").place == "http://[::1]:80"
+    assert Page().destination == "http://127.0.0.1:8765"
+    assert Page(80, "::1").destination == "http://[::1]:80"
 
 
 def test_a_replay_at_full_speed_lets_browsers_have_their_turn(run: Run) -> None:

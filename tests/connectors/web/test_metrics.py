@@ -43,7 +43,7 @@ def test_a_run_is_measured_while_it_lasts_and_no_longer(run: Run) -> None:
 def test_only_this_machine_reaches_it_and_no_page_in_disguise(run: Run) -> None:
     async def main() -> None:
         metrics = Metrics(0)
-        assert metrics.place == "http://127.0.0.1:0"
+        assert metrics.destination == "http://127.0.0.1:0"
         await metrics.open(run)
         assert (await asked(metrics.url, Host="evil.example"))[0] == 421
         assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404

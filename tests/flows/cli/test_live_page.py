@@ -41,7 +41,7 @@ def test_the_page_takes_what_it_can_show_of_the_demo(tmp_path: Path) -> None:
     assert problems(flow) == []
     [debounce] = [node.part for node in flow.nodes if isinstance(node.part, Debounce)]
     assert page_of(flow).threshold == debounce.threshold
-    assert page_of(flow).place == "http://127.0.0.1:8765"
+    assert page_of(flow).destination == "http://127.0.0.1:8765"
 
 
 def test_raw_touch_is_shown_where_none_is_zeroed_and_each_type_once() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Plan
+from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from operators import (
     EVERY,
@@ -60,7 +60,7 @@ def test_a_plan_leaves_the_declared_operators_as_they_were() -> None:
     flow, declared = Flow("f"), Debounce(consecutive=2)
     (flow.source(TestSource(Scores)) | declared).to(TestSink())
     for _ in range(2):  # the second run must not remember the first
-        plan = Plan(flow)
+        plan = CompiledFlow(flow)
         assert plan.push({plan.entries[0]: scores(0.9)}) == []
         [(_, slips)] = plan.push({plan.entries[0]: scores(0.9, start=10 * ms)})
         assert len(slips) == 1
@@ -69,7 +69,7 @@ def test_a_plan_leaves_the_declared_operators_as_they_were() -> None:
 def test_every_fingertip_has_operators_of_its_own() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores, fingers=(0, 1))) | Debounce(consecutive=2)).to(TestSink())
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     first, second = plan.entries
     assert plan.push({first: scores(0.9, finger=0)}) == []
     assert plan.push({second: scores(0.9, finger=1)}) == []
@@ -81,7 +81,7 @@ def test_the_arm_motion_reaches_every_fingertip() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
     (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     left, right, arm = plan.entries
     plan.push({left: touch(0, finger=0)})
     plan.push({right: touch(0, finger=1)})
@@ -96,7 +96,7 @@ def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
     stream.to(one)
     stream.to(other)
     batch = scores(0.1)
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     assert [(node.part, given) for node, given in plan.push({plan.entries[0]: batch})] == [
         (one, batch),
         (other, batch),
@@ -110,14 +110,14 @@ def test_a_plan_says_what_each_sink_may_be_given() -> None:
     slips.to(one)
     probabilities.to(one)
     slips.to(other)
-    assert Plan(flow).wired == {one.place: (Slips, Scores), other.place: (Slips,)}
+    assert CompiledFlow(flow).sink_types == {one.destination: (Slips, Scores), other.destination: (Slips,)}
 
 
 def test_streams_given_together_reach_their_join_together() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
     (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     left, right = plan.entries
     hour = [k * 10 * ms for k in range(1000)]
     [(_, joined)] = plan.push({left: touch(*hour), right: motion(*hour)})
@@ -128,7 +128,7 @@ def test_streams_given_together_reach_their_join_together() -> None:
 def test_flush_passes_what_operators_held_on_to_those_behind_them() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Keep() | Debounce(consecutive=2)).to(TestSink())
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     assert plan.push({plan.entries[0]: scores(0.9, 0.9)}) == []
     [(_, slips)] = plan.flush()
     assert isinstance(slips, Slips)
@@ -138,7 +138,7 @@ def test_flush_passes_what_operators_held_on_to_those_behind_them() -> None:
 def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
     flow = Flow("f")
     flow.source(TestSource(Scores, fingers=(0,))).to(TestSink())
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     with pytest.raises(BatchError, match=r"source 'scores' gave fingertip 3, and declares \(0,\)"):
         plan.push({(plan.entries[0][0], 3): scores(0.9, finger=3)})
 
@@ -146,7 +146,7 @@ def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
 def test_nothing_in_gives_nothing_out() -> None:
     flow = Flow("f")
     flow.source(TestSource(Scores)).to(TestSink())
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     assert plan.push({plan.entries[0]: Scores.empty()}) == []
     assert plan.flush() == list[tuple[object, Batch]]()
 
@@ -174,7 +174,7 @@ def test_an_operator_that_breaks_its_contract_is_named(
 ) -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores, fingers=(2,))) | operator).to(TestSink())
-    plan = Plan(flow)
+    plan = CompiledFlow(flow)
     with pytest.raises(OperatorError, match=re.escape(message)):
         plan.push({plan.entries[0]: scores(0.1, finger=2)})
 
@@ -182,7 +182,7 @@ def test_an_operator_that_breaks_its_contract_is_named(
 def test_a_plan_goes_on_from_a_snapshot() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())
-    whole, first, second = Plan(flow), Plan(flow), Plan(flow)
+    whole, first, second = CompiledFlow(flow), CompiledFlow(flow), CompiledFlow(flow)
     batch = scores(0.9, 0.9, 0.9, 0.1, 0.1)
     [(_, expected)] = whole.push({whole.entries[0]: batch})
     assert first.push({first.entries[0]: batch[:2]}) == []
@@ -201,14 +201,14 @@ def test_a_state_that_does_not_pickle_names_its_operator() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Local()).to(TestSink())
     with pytest.raises(OperatorError, match="flow 'f': Local: "):
-        Plan(flow).snapshot()
+        CompiledFlow(flow).snapshot()
 
 
 def test_a_plan_of_one_fingertip_leaves_the_others_out() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch, fingers=(0, 1, 2))) | Zero(baseline=400)
     (zeroed & flow.source(TestSource(Motion)) | Align(wait=20 * ms)).to(TestSink())
-    plan = Plan(flow, only=(1,))
+    plan = CompiledFlow(flow, only=(1,))
     assert [(node.name, finger) for node, finger in plan.entries] == [("touch", 1), ("motion", EVERY)]
     pushed = plan.push({plan.entries[0]: touch(0, finger=1), plan.entries[1]: motion(0, 10 * ms)})
     assert [batch.finger for _, batch in pushed] == [1]

@@ -71,8 +71,8 @@ def test_a_swapped_pair_is_two_wrong_edges() -> None:
 def test_two_sinks_that_write_the_same_place_are_named() -> None:
     flow = Flow("f")
     scores = flow.source(TestSource(Scores))
-    scores.to(TestSink(place="/data"))
-    (scores | Debounce()).to(TestSink(place="/data"))
+    scores.to(TestSink(destination="/data"))
+    (scores | Debounce()).to(TestSink(destination="/data"))
     message = _one_problem(flow)
     assert "Debounce -> testsink2" in message
     assert "/data" in message

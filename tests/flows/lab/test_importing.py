@@ -221,4 +221,4 @@ def test_labels_are_given_to_their_rows_however_the_stream_is_cut(cuts: list[int
     given = concat(Labelled, [*batches, told.flush()]).check()
     assert given.label.tolist() == list(labels)
     assert not given.matched.any()
-    assert told.fresh().push(touch[:2]).label.tolist() == [-1, 0]
+    assert told.reset_copy().push(touch[:2]).label.tolist() == [-1, 0]

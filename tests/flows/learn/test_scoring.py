@@ -9,7 +9,7 @@ from flows.learn.scoring import labels, probabilities, windows
 from operators import Score, Zeroed
 from operators.batch import Counts, Reals
 from operators.detectors import Psd
-from operators.forward_fill import hold
+from operators.forward_fill import forward_fill
 
 
 @dataclass
@@ -72,7 +72,7 @@ def test_the_operator_says_the_same() -> None:
     valid = np.random.default_rng(1).random((700, 6)) > 0.4
     one = recording(700, valid)
     scores = Score(Psd()).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
-    found = probabilities(Psd(), replace(one, counts=hold(one.counts, valid, np.zeros(6, np.int16))))
+    found = probabilities(Psd(), replace(one, counts=forward_fill(one.counts, valid, np.zeros(6, np.int16))))
     later = scores.probability[JUDGED - 24 :]
     assert np.isnan(later).any()
     np.testing.assert_array_equal(found[JUDGED:], later)

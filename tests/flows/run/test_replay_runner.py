@@ -129,7 +129,7 @@ def test_a_replay_tells_which_of_its_sinks_record() -> None:
 def test_sinks_that_a_replay_writes_elsewhere_are_told_of(caplog: pytest.LogCaptureFixture) -> None:
     class Moved(TestSink):
         @property
-        def replay_place(self) -> str:
+        def replay_destination(self) -> str:
             return "the attic"
 
     flow, sink = Flow("f"), Moved()

@@ -186,7 +186,7 @@ def test_session_json_says_the_plan(quick: Made) -> None:
     assert (collection["plan"], collection["surface"], collection["speed"]) == ("quick", "plane", 0.1)
     assert collection["place"] == list(PLACE)
     assert quick.about["sources"]["touch"]["sensor"] == "TakkTile 2x3"
-    assert "Lifted" in " ".join(quick.about["declaration"])
+    assert "MaskLifted" in " ".join(quick.about["declaration"])
 
 
 @pytest.fixture(scope="module")

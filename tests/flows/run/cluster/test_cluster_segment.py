@@ -4,7 +4,7 @@ import pytest
 
 from connectors import Console
 from flows.graph import Flow
-from flows.graph.compiled_flow import Plan
+from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSource
 from flows.run.cluster.cluster_segment import Tap, check_flow, needed, segment, tapped
 from operators import EVERY, Debounce, FlowError, Motion, Score, Touch, Zero
@@ -23,10 +23,10 @@ def test_what_datasets_take_of_operators_is_tapped_by_place(tmp_path: Path) -> N
 
 def test_a_segment_has_the_fingertips_of_the_recording(tmp_path: Path) -> None:
     part = segment(derive(tmp_path), {"touch": (0, 4), "motion": (EVERY,)})
-    assert {(node.name, finger) for node, finger in Plan(part).entries} == {
+    assert {(node.name, finger) for node, finger in CompiledFlow(part).entries} == {
         ("touch", 0), ("touch", 4), ("motion", EVERY)
     }  # fmt: skip
-    assert {(node.name, finger) for node, finger in Plan(part, only=(4,)).entries} == {
+    assert {(node.name, finger) for node, finger in CompiledFlow(part, only=(4,)).entries} == {
         ("touch", 4), ("motion", EVERY)
     }  # fmt: skip
 

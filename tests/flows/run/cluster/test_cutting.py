@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import Delivery, Entry, Plan
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.run.cluster.cluster_segment import segment
 from flows.run.cluster.cutting import Cutter, shared
 from flows.run.cluster.work_units import Claim
@@ -18,7 +18,7 @@ from storage import Session
 from .conftest import derive
 
 
-class Counted(Plan):
+class Counted(CompiledFlow):
     """A plan that counts the slices that it is given."""
 
     pushes = 0
@@ -101,11 +101,15 @@ def test_there_are_as_many_slices_as_a_replay_makes(folder: Path, tmp_path: Path
     claims = Cutter(derive(tmp_path / "out"), folder).claims()
     plans = list[Counted]()
 
-    def unfold(flow: Flow) -> Plan:
+    def compile_flow(flow: Flow) -> CompiledFlow:
         plans.append(Counted(flow))
         return plans[0]
 
-    asyncio.run(ReplayRunner(derive(tmp_path / "other"), Session.open(folder), "x", unfold=unfold).execute())
+    asyncio.run(
+        ReplayRunner(
+            derive(tmp_path / "other"), Session.open(folder), "x", compile_flow=compile_flow
+        ).execute()
+    )
     assert claims[-1].end
     assert claims[-1].end.slices == plans[0].pushes
 

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from flows.graph.compiled_flow import Plan
+from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.loading import load
 from flows.run.cluster.job_folder import JobFolder
 from flows.run.cluster.work_units import Claim, Done
@@ -50,9 +50,9 @@ def test_operators_of_a_flow_file_pickle_between_the_functions_of_one_process(
     file: Path, tmp_path: Path
 ) -> None:
     folder = created(file, str(tmp_path / "out"))
-    first = Plan(folder.flow())
+    first = CompiledFlow(folder.flow())
     folder.flow()
-    Plan(folder.flow()).restore(first.snapshot())
+    CompiledFlow(folder.flow()).restore(first.snapshot())
 
 
 def test_a_relative_path_means_what_it_meant_where_the_job_began(

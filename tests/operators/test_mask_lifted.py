@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from operators import SLIP, STATIC, UNKNOWN, Labelled, Lifted, ParameterError
+from operators import SLIP, STATIC, UNKNOWN, Labelled, MaskLifted, ParameterError
 
 PLACE = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)  # looks down
 
@@ -32,7 +32,7 @@ LABELS = [SLIP, SLIP, SLIP, SLIP, SLIP, STATIC, SLIP]
 
 
 def test_only_slip_in_the_air_becomes_unknown() -> None:
-    given = Lifted(PLACE).push(labelled(HEIGHTS, LABELS))
+    given = MaskLifted(PLACE).push(labelled(HEIGHTS, LABELS))
     assert given.label.tolist() == [SLIP, SLIP, SLIP, UNKNOWN, UNKNOWN, STATIC, SLIP]
     assert given.finger == 1
     np.testing.assert_array_equal(given.pose, labelled(HEIGHTS, LABELS).pose)
@@ -41,11 +41,11 @@ def test_only_slip_in_the_air_becomes_unknown() -> None:
 def test_a_surface_may_lie_any_way() -> None:
     wall = (0.5, 0.3, 0.1, 0.0, math.pi / 2, 0.0)  # looks along x, away from the base
     batch = labelled([0.1, 0.2], [SLIP, SLIP])  # both at the wall's x
-    assert Lifted(wall).push(batch).label.tolist() == [SLIP, SLIP]
+    assert MaskLifted(wall).push(batch).label.tolist() == [SLIP, SLIP]
     away = (0.6, 0.3, 0.1, 0.0, math.pi / 2, 0.0)
-    assert Lifted(away).push(batch).label.tolist() == [UNKNOWN, UNKNOWN]
+    assert MaskLifted(away).push(batch).label.tolist() == [UNKNOWN, UNKNOWN]
 
 
 def test_a_margin_below_0_is_refused() -> None:
     with pytest.raises(ParameterError):
-        Lifted(PLACE, margin=-0.001)
+        MaskLifted(PLACE, margin=-0.001)

@@ -11,7 +11,7 @@ from operators.rotation import quaternion, turn
 
 
 @dataclass
-class Lifted(Operator[Labelled, Labelled]):
+class MaskLifted(Operator[Labelled, Labelled]):
     """Take back the slip labels of samples whose fingertip is not where it touches the surface.
 
     `Label` knows how fast the arm is, not whether anything is touched. The label becomes unknown where the
@@ -22,16 +22,16 @@ class Lifted(Operator[Labelled, Labelled]):
         ParameterError: on a margin below 0.
     """
 
-    place: tuple[float, float, float, float, float, float]  # m and rotation vector: it just touches
+    contact_pose: tuple[float, float, float, float, float, float]  # m and rotation vector: it just touches
     margin: float = 0.002  # m
 
     def __post_init__(self) -> None:
         if not self.margin >= 0:
-            raise ParameterError("Lifted", "margin", self.margin, "at least 0 m")
+            raise ParameterError("MaskLifted", "margin", self.margin, "at least 0 m")
 
     def process(self, batch: Labelled) -> Labelled:
         """Take labels back."""
-        x, y, z, *rotation = self.place
+        x, y, z, *rotation = self.contact_pose
         u, v, w = turn((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
         pose = batch.pose  # (n, 6)
         deep = u * (pose[:, 0] - x) + v * (pose[:, 1] - y) + w * (pose[:, 2] - z)  # (n,) m; NaN: unknown
