@@ -39,7 +39,7 @@ class Discard(Sink[Scores]):
     """Drops the scores: only the load of the detector counts."""
 
     @property
-    def place(self) -> str:
+    def destination(self) -> str:
         """Nowhere."""
         return "nowhere"
 
