@@ -1,13 +1,14 @@
-"""The process that commands a UR arm through ur-rtde's RTDEControlInterface, which can crash: alone in it.
+"""Process that commands a UR arm through ur-rtde's RTDEControlInterface, which can crash.
 
-It stops the arm when nobody has talked to it for `SILENCE`. If it dies itself, the controller misses the
-watchdog's kicks, ends the control script and so stops the arm by itself.
+It stops the arm when it has received no command for `SILENCE`. If the process itself dies, the controller
+misses the watchdog kicks, ends the control script and so stops the arm.
 
-A velocity and a kick are written to the same register of the controller, which looks at it once a cycle: of
-two that come within a cycle the first is lost. So nothing is kicked while the arm goes by velocities. The
-velocity itself is sent again instead, 0 until `Rest`: any command counts as a kick, and no order stays lost.
+A velocity and a kick are written to the same register, which the controller reads once per cycle: if two
+writes fall into one cycle, the first is lost. So this process never kicks while the arm moves by velocities.
+Instead it repeats the velocity, including 0, until `Release`: every command counts as a kick, and no command
+stays lost.
 
-A controller has one client of this kind at a time. ur-rtde knows one RTDE port only, 30004.
+A controller accepts one such client at a time. ur-rtde supports RTDE port 30004 only.
 """
 
 import signal
@@ -21,67 +22,68 @@ from typing import Final, Literal, NamedTuple, Protocol, TypeAlias, cast
 
 from operators.errors import EndpointError
 
-SILENCE: Final = 0.5  # s without an order after which the arm is stopped; longer if the watchdog is
-REMIND: Final = 0.05  # s at most from reminder to reminder of the controller
-WATCHDOG: Final = 5.0  # Hz at which the controller must hear of us at least
-HARD: Final = 2.0  # m/s2 and rad/s2 of a stop
-_TURN: Final = 0.01  # s, for an order to come
-_TELL: Final = 0.1  # s from word to word
+SILENCE: Final = 0.5  # s without a command after which the arm is stopped; longer for a slow watchdog
+REPEAT: Final = 0.05  # s, longest time between two writes to the controller
+WATCHDOG: Final = 5.0  # Hz, lowest rate of writes that the controller accepts
+STOP_DECELERATION: Final = 2.0  # m/s2 and rad/s2
+_POLL: Final = 0.01  # s
+_HEARTBEAT: Final = 0.1  # s, from reply to reply
+INSTALL: Final = "pip install -e '.[ur]'"
 
-Vector: TypeAlias = tuple[float, float, float, float, float, float]
+Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or 1/s
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
-    """Go straight to a pose and stop there."""
+class MoveTo:
+    """Command to move in a straight line to a pose and stop there."""
 
-    pose: Vector  # m, rotation vector in rad
+    pose: Pose
     speed: float  # m/s
     acceleration: float  # m/s2
 
 
 @dataclass(frozen=True, slots=True)
-class Go:
-    """Go on with a velocity, until the next order."""
+class Move:
+    """Command to move with a velocity until the next command."""
 
-    velocity: Vector  # m/s, rad/s
+    velocity: Pose  # m/s, rad/s
     acceleration: float  # m/s2, rad/s2
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Come to rest at once."""
+    """Command to come to rest at once."""
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
-    """The arm is seen to stand: no velocity, not even that of 0, is to be kept up any more."""
+class Release:
+    """Command to end velocity control, because the arm stands still."""
 
 
 @dataclass(frozen=True, slots=True)
-class Alive:
-    """Nothing; who orders is there."""
+class KeepAlive:
+    """Command without effect: the commanding process is alive."""
 
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """Stop and end the process."""
+    """Command to stop the arm and end the process."""
 
 
-_STOP: Final = Go((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), HARD)
+_STANDSTILL: Final = Move((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), STOP_DECELERATION)
 
-Order: TypeAlias = Line | Go | Stop | Rest | Alive | End
+Command: TypeAlias = MoveTo | Move | Stop | Release | KeepAlive | End
 
 
-class Word(NamedTuple):
-    """What the process says of itself."""
+class Reply(NamedTuple):
+    """Message from the process."""
 
     kind: Literal["ready", "alive", "failed"]
     text: str = ""
 
 
 class Control(Protocol):
-    """What is used of ur-rtde's RTDEControlInterface."""
+    """Used part of ur-rtde's RTDEControlInterface."""
 
     def moveL(self, pose: list[float], speed: float, acceleration: float, asynchronous: bool, /) -> bool: ...  # noqa: D102, N802, FBT001
     def speedL(self, velocity: list[float], acceleration: float, time: float, /) -> bool: ...  # noqa: D102, N802
@@ -94,125 +96,123 @@ class Control(Protocol):
 
 
 def connect(host: str) -> Control:
-    """The real interface: uploads its program to the controller, which begins to run it.
+    """Connect ur-rtde, which uploads its control script to the controller and starts it.
 
     Raises:
-        EndpointError: if ur-rtde is not installed, or the controller is not to be commanded.
+        EndpointError: if ur-rtde is not installed, or the controller does not accept it.
     """
     try:
         library = import_module("rtde_control")
     except ImportError as error:
-        reason = f"commanding it needs ur-rtde: in the clone, pip install -e '.[ur]' ({error})"
+        reason = f"commanding an arm needs ur-rtde: in the clone, {INSTALL} ({error})"
         raise EndpointError(f"ur://{host}", reason) from error
     try:
         return cast("Callable[[str], Control]", library.RTDEControlInterface)(host)
     except RuntimeError as error:
-        reason = (
-            f"cannot be commanded: {error}; is another program in control, or the arm not in remote control?"
-        )
+        reason = f"cannot be commanded: {error}; does another program control it, is it in remote control?"
         raise EndpointError(f"ur://{host}", reason) from error
 
 
 def serve(
     pipe: Connection, host: str, watchdog: float = WATCHDOG, connect: Callable[[str], Control] = connect
 ) -> None:
-    """Carry out orders that come by a pipe until `End`, an error, or silence; what the process runs."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who orders, who tells us to stop
+    """Carry out commands from a pipe until `End`, an error, or silence; the target of the process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # on Ctrl-C the commanding process ends this one
     try:
         control = connect(host)
     except EndpointError as error:
-        pipe.send(Word("failed", error.reason))
+        pipe.send(Reply("failed", error.reason))
         return
-    operator = _Operator(control)
+    commander = _Commander(control)
     try:
         control.setWatchdog(watchdog)
-        pipe.send(Word("ready"))
-        operator.follow(pipe, watchdog)
-    except (EOFError, OSError):  # who orders is gone
+        pipe.send(Reply("ready"))
+        commander.run(pipe, watchdog)
+    except (EOFError, OSError):  # the commanding process is gone
         pass
     except RuntimeError as error:
-        pipe.send(Word("failed", str(error)))
+        pipe.send(Reply("failed", str(error)))
     finally:
-        operator.stop()
+        commander.stop()
         control.stopScript()
         control.disconnect()
 
 
-class _Operator:
-    """Carries orders out, none of which it waits for."""
+class _Commander:
+    """Sender of commands to the controller; it waits for none of them to finish."""
 
     def __init__(self, control: Control) -> None:
         self._control = control
-        self._doing: Literal["rest", "line", "go"] = "rest"
-        self._going = _STOP  # the newest velocity, while it goes
+        self._mode: Literal["rest", "line", "velocity"] = "rest"
+        self._velocity = _STANDSTILL  # newest command in velocity mode
 
-    def follow(self, pipe: Connection, watchdog: float) -> None:
-        """Take orders until the end, reminding the controller three times as often as it has to be, or more.
+    def run(self, pipe: Connection, watchdog: float) -> None:
+        """Carry out commands until `End`; write to the controller at least three times per watchdog period.
 
         Raises:
-            RuntimeError: if the controller does not obey, or nobody orders.
+            RuntimeError: if the controller rejects a command, or no command arrives.
         """
-        silence, every = max(SILENCE, 1 / watchdog), min(REMIND, 1 / watchdog / 3)  # s
-        heard = monotonic()
-        reminded, told = heard, heard - _TELL
+        silence, period = max(SILENCE, 1 / watchdog), min(REPEAT, 1 / watchdog / 3)  # s
+        received = monotonic()
+        written, replied = received, received - _HEARTBEAT
         while True:
-            if pipe.poll(_TURN):
-                order: Order = pipe.recv()
-                heard = monotonic()
-                if isinstance(order, End):
+            if pipe.poll(_POLL):
+                command: Command = pipe.recv()
+                received = monotonic()
+                if isinstance(command, End):
                     return
-                self._obey(order)
+                self._execute(command)
             now = monotonic()
-            if now - heard > silence:
-                raise RuntimeError(f"nobody has talked to the arm for {silence:g} s: it was stopped")
-            if now - reminded > every:
-                reminded = now
-                if not self._remind():
+            if now - received > silence:
+                raise RuntimeError(f"no command for {silence:g} s: the arm was stopped")
+            if now - written > period:
+                written = now
+                if not self._repeat():
                     raise RuntimeError(
-                        "the controller ended our program: stopped there, or by its watchdog, as when it"
-                        f" hears nothing of us for {1 / watchdog:g} s (--watchdog {watchdog:g})"
+                        "the controller ended our program: stopped there, or by its watchdog, which stops the"
+                        f" arm when it receives nothing for {1 / watchdog:g} s (watchdog {watchdog:g} Hz)"
                     )
-            if now - told > _TELL:
-                told = now
-                pipe.send(Word("alive"))
+            if now - replied > _HEARTBEAT:
+                replied = now
+                pipe.send(Reply("alive"))
 
     def stop(self) -> None:
-        """Come to rest, without waiting for it."""
-        if self._doing == "line":
-            self._control.stopL(HARD, True)  # noqa: FBT003 - positional in ur-rtde
-            self._doing = "rest"
-        elif self._doing == "go":
-            self._go(_STOP)  # kept up until `Rest`
+        """Start to come to rest."""
+        if self._mode == "line":
+            self._control.stopL(STOP_DECELERATION, True)  # noqa: FBT003 - positional in ur-rtde
+            self._mode = "rest"
+        elif self._mode == "velocity":
+            self._move(_STANDSTILL)  # repeated until `Release`
 
-    def _obey(self, order: Order) -> None:
+    def _execute(self, command: Command) -> None:
         done = True
-        match order:
-            case Line(pose, speed, acceleration):
+        match command:
+            case MoveTo(pose, speed, acceleration):
                 self._end_velocity()
-                self._doing = "line"
+                self._mode = "line"
                 done = self._control.moveL([*pose], speed, acceleration, True)  # noqa: FBT003
-            case Go(velocity, acceleration):
-                gentle = acceleration if hypot(*velocity) else max(acceleration, 0.1)
-                done = self._go(Go(velocity, gentle))
+            case Move(velocity, acceleration):
+                used = acceleration if hypot(*velocity) else max(acceleration, 0.1)
+                done = self._move(Move(velocity, used))
             case Stop():
                 self.stop()
-            case Rest():
+            case Release():
                 self._end_velocity()
-                self._doing = "rest"
+                self._mode = "rest"
             case _:
                 pass
         if not done:
-            raise RuntimeError(f"the controller does not carry out {type(order).__name__}")
+            raise RuntimeError(f"the controller rejects the command {type(command).__name__}")
 
-    def _go(self, order: Go) -> bool:
-        self._doing, self._going = "go", order
-        return self._control.speedL([*order.velocity], order.acceleration, 0.0)
+    def _move(self, command: Move) -> bool:
+        self._mode, self._velocity = "velocity", command
+        return self._control.speedL([*command.velocity], command.acceleration, 0.0)
 
-    def _remind(self) -> bool:
-        """Let the controller hear of us; a velocity that it may have missed once more."""
-        return self._go(self._going) if self._doing == "go" else self._control.kickWatchdog()
+    def _repeat(self) -> bool:
+        """Write to the controller: repeat the velocity, which may have been lost, or kick the watchdog."""
+        return self._move(self._velocity) if self._mode == "velocity" else self._control.kickWatchdog()
 
     def _end_velocity(self) -> None:
-        if self._doing == "go":
-            self._control.speedStop(HARD)
-            self._doing = "rest"
+        if self._mode == "velocity":
+            self._control.speedStop(STOP_DECELERATION)
+            self._mode = "rest"

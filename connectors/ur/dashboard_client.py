@@ -1,34 +1,36 @@
-"""The dashboard of a UR controller, for one request: another way to stop an arm than its program's."""
+"""Requests to the dashboard server of a UR controller, which stops an arm independently of its program."""
 
 import asyncio
 from typing import Final
 
-from connectors.ur.rtde_link import SILENT
+from connectors.ur.rtde_client import NO_ANSWER
 from operators.errors import EndpointError, os_error_reason
 
 PORT: Final = 29999
 
 
-async def ask(host: str, line: str, *, port: int = PORT, patience: float = 1.0) -> str:
-    """What the dashboard answers to a line, such as ``stop``; all within `patience` (s).
+async def request(host: str, command: str, *, port: int = PORT, timeout: float = 1.0) -> str:  # noqa: ASYNC109 - reported in the error
+    """Send a command such as ``stop`` and return the answer, all within `timeout` (s).
+
+    Source: Universal Robots, "Dashboard Server".
 
     Raises:
-        EndpointError: if it does not answer.
+        EndpointError: if the dashboard does not answer.
     """
     place = f"dashboard://{host}:{port}"
     try:
-        async with asyncio.timeout(patience):
+        async with asyncio.timeout(timeout):
             reader, writer = await asyncio.open_connection(host, port)
             try:
                 await reader.readline()  # its greeting
-                writer.write(f"{line}\n".encode())
+                writer.write(f"{command}\n".encode())
                 answer = await reader.readline()
             finally:
                 writer.close()
     except TimeoutError as error:
-        raise EndpointError(place, SILENT.format(patience)) from error
+        raise EndpointError(place, NO_ANSWER.format(timeout)) from error
     except OSError as error:
         raise EndpointError(place, os_error_reason(error)) from error
     if not answer:
-        raise EndpointError(place, f"closed the connection without an answer to {line!r}")
+        raise EndpointError(place, f"closed the connection without an answer to {command!r}")
     return answer.decode("utf-8", "replace").strip()

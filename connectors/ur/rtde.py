@@ -1,8 +1,8 @@
-"""UR's Real-Time Data Exchange (RTDE), version 2, as bytes: packages and recipes. No I/O.
+"""Packages and recipes of UR's Real-Time Data Exchange (RTDE), version 2, as bytes. No I/O.
 
-A connection carries packages: uint16 size (these three bytes included), uint8 kind, payload; all numbers are
-big-endian. A client asks for a *recipe* of outputs by name, is told their types, and then is sent their
-values at a rate. It may ask for recipes of inputs, too, and send values for those.
+A connection carries packages: uint16 size (including these three bytes), uint8 kind, payload; all numbers are
+big-endian. A client requests a *recipe* of outputs by name, receives their types, and then their values at a
+rate. It may also request recipes of inputs, and send values for those.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 """
@@ -16,13 +16,11 @@ from typing import Final, NamedTuple, Self, TypeAlias
 
 from operators.errors import SlipflowError
 
-Value: TypeAlias = float | tuple[float, ...]  # integers and flags are floats, too, as type checkers see it
+Value: TypeAlias = float | tuple[float, ...]  # for type checkers, integers and flags are floats
 
 PORT: Final = 30004
-PROTOCOL: Final = 2  # its version
-LARGEST: Final = (
-    8192  # bytes of one package that we read; all variables that a controller has take half of it
-)
+PROTOCOL: Final = 2  # version
+LARGEST: Final = 8192  # bytes of a package; all variables of a controller together take half of it
 FORMATS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "BOOL": "?",
@@ -44,11 +42,11 @@ _RATE: Final = Struct(">d")
 
 
 class RtdeError(SlipflowError):
-    """What the peer sent is not as RTDE has it, or says that it refused."""
+    """A peer violated the protocol, or refused a request."""
 
 
 class Kind(IntEnum):
-    """What a package is; a request and its answer are of one kind."""
+    """Kind of a package; a request and its answer have the same kind."""
 
     PROTOCOL = ord("V")  # uint16 version -> bool
     CONTROLLER = ord("v")  # -> uint32 major, minor, bugfix, build
@@ -61,14 +59,14 @@ class Kind(IntEnum):
 
 
 class Package(NamedTuple):
-    """One package without its header."""
+    """Package without its header."""
 
     kind: int
     payload: bytes
 
 
 def pack(kind: int, payload: bytes = b"") -> bytes:
-    r"""A package as bytes.
+    r"""Return a package as bytes.
 
     >>> pack(Kind.PROTOCOL, b"\0\2").hex(" ")
     '00 05 56 00 02'
@@ -77,16 +75,16 @@ def pack(kind: int, payload: bytes = b"") -> bytes:
 
 
 class Packages:
-    """Cuts what is read from a connection, however it comes, into packages."""
+    """Splitter of a byte stream into packages, however the stream is cut."""
 
     def __init__(self, largest: int = LARGEST) -> None:
         self._largest, self._rest = largest, b""
 
     def feed(self, data: bytes) -> Iterator[Package]:
-        """Give the packages that `data` completes; to be iterated to its end.
+        """Yield the packages that `data` completes; exhaust the iterator.
 
         Raises:
-            RtdeError: where a size cannot be: there is no telling where the next package begins.
+            RtdeError: on an invalid size, after which no package boundary can be found.
         """
         data, begin = self._rest + data, 0
         try:
@@ -103,7 +101,7 @@ class Packages:
 
 
 def names(payload: bytes) -> tuple[str, ...]:
-    """Names or types separated by commas; clients end their lists with one, too.
+    """Return names or types that are separated by commas; a trailing comma is allowed.
 
     >>> names(b"timestamp,actual_q,")
     ('timestamp', 'actual_q')
@@ -113,10 +111,10 @@ def names(payload: bytes) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Recipe:
-    """The fields of a data package, in order.
+    """Fields of a data package, in order.
 
     Raises:
-        RtdeError: on a type that RTDE does not have.
+        RtdeError: on an unknown type.
 
     >>> recipe = Recipe(1, ("timestamp", "actual_q"), ("DOUBLE", "VECTOR6D"))
     >>> recipe.unpack(recipe.pack((0.5, (1, 2, 3, 4, 5, 6))))
@@ -127,50 +125,48 @@ class Recipe:
     names: tuple[str, ...]
     types: tuple[str, ...]
     _struct: Struct = field(init=False, repr=False, compare=False)
-    _widths: tuple[int, ...] = field(init=False, repr=False, compare=False)  # numbers that each field has
+    _widths: tuple[int, ...] = field(init=False, repr=False, compare=False)  # numbers per field
 
     def __post_init__(self) -> None:
         unknown = [kind for kind in self.types if kind not in FORMATS]
         if unknown or len(self.types) != len(self.names):
-            raise RtdeError(f"{len(self.names)} fields cannot be of the types {', '.join(self.types)}")
+            raise RtdeError(f"{len(self.names)} fields cannot have the types {', '.join(self.types)}")
         formats = [FORMATS[kind] for kind in self.types]
         object.__setattr__(self, "_struct", Struct(">B" + "".join(formats)))
         object.__setattr__(self, "_widths", tuple(int(each[:-1] or 1) for each in formats))
 
     @classmethod
     def granted(cls, names_asked: Sequence[str], payload: bytes) -> Self:
-        """The recipe that a controller's answer grants.
+        """Return the recipe that a controller's answer grants.
 
         Raises:
-            RtdeError: if it grants none, naming the fields at fault.
+            RtdeError: if it grants none, naming the refused fields.
         """
         number, types = payload[:1], names(payload[1:])
-        refused = [
-            f"{name} {why}" for name, why in zip(names_asked, types, strict=False) if why not in FORMATS
-        ]
+        pairs = zip(names_asked, types, strict=False)
+        refused = [f"{name} {reason}" for name, reason in pairs if reason not in FORMATS]
         if refused:
             raise RtdeError(f"the controller refused {', '.join(refused)}")
         if number in (b"", b"\0"):
-            raise RtdeError(
-                f"the controller refused {', '.join(names_asked)}: does another program use them?"
-            )
+            wanted = ", ".join(names_asked)
+            raise RtdeError(f"the controller refused {wanted}: does another program use them?")
         return cls(number[0], tuple(names_asked), types)
 
     @property
     def size(self) -> int:
-        """Bytes of a payload."""
+        """Size of a payload, bytes."""
         return self._struct.size
 
     @property
     def answer(self) -> bytes:
-        """What tells a client that it is granted."""
+        """Payload of the answer that grants it."""
         return bytes([self.number]) + ",".join(self.types).encode()
 
     def pack(self, values: Sequence[Value]) -> bytes:
-        """The payload that carries values.
+        """Return the payload that carries values.
 
         Raises:
-            RtdeError: if one is of another type or out of its range.
+            RtdeError: if a value has another type or is out of range.
         """
         flat: list[float] = []
         for value in values:
@@ -181,10 +177,10 @@ class Recipe:
             raise RtdeError(f"{self.names} cannot be {tuple(values)}: {reason}") from reason
 
     def unpack(self, payload: bytes) -> tuple[Value, ...]:
-        """The values that a payload carries.
+        """Return the values of a payload.
 
         Raises:
-            RtdeError: if it belongs to another recipe, or has another size.
+            RtdeError: if it has another recipe number or size.
         """
         self.check(payload)
         flat, begin, values = self._struct.unpack(payload), 1, list[Value]()
@@ -194,10 +190,10 @@ class Recipe:
         return tuple(values)
 
     def check(self, payload: bytes) -> None:
-        """Do nothing if a payload is one of this recipe.
+        """Check that a payload belongs to this recipe.
 
         Raises:
-            RtdeError: if it is not.
+            RtdeError: if it has another recipe number or size.
         """
         if payload[:1] != bytes([self.number]) or len(payload) != self.size:
             found = f"{len(payload)} bytes for recipe {payload[:1].hex() or 'none'}"
@@ -205,7 +201,7 @@ class Recipe:
 
 
 class Version(NamedTuple):
-    """Of a controller's software."""
+    """Software version of a controller."""
 
     major: int  # 3: CB3, 125 Hz; 5: e-Series, 500 Hz
     minor: int
@@ -214,18 +210,18 @@ class Version(NamedTuple):
 
     @classmethod
     def read(cls, payload: bytes) -> Self:
-        """The version that a controller's answer tells.
+        """Return the version in a controller's answer.
 
         Raises:
-            RtdeError: if it has another size.
+            RtdeError: if the answer has another size.
         """
         if len(payload) != _VERSION.size:
-            raise RtdeError(f"the controller's version in {len(payload)} bytes, must be {_VERSION.size}")
+            raise RtdeError(f"the controller's version has {len(payload)} bytes, must have {_VERSION.size}")
         return cls(*_VERSION.unpack(payload))
 
     @property
     def payload(self) -> bytes:
-        """What tells a client."""
+        """Payload of the answer to a client."""
         return _VERSION.pack(*self)
 
     def __str__(self) -> str:
@@ -233,23 +229,23 @@ class Version(NamedTuple):
 
 
 def ask_outputs(rate: float, outputs: Sequence[str]) -> bytes:
-    """The payload that asks for outputs at a rate (Hz)."""
+    """Return the payload that requests outputs at a rate (Hz)."""
     return _RATE.pack(rate) + ",".join(outputs).encode()
 
 
 def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
-    """Rate (Hz) and names that a client asks for.
+    """Return the rate (Hz) and the names in a client's request for outputs.
 
     Raises:
         RtdeError: if the payload is too short.
     """
     if len(payload) < _RATE.size:
-        raise RtdeError(f"outputs asked for in {len(payload)} bytes, must be at least {_RATE.size}")
+        raise RtdeError(f"a request for outputs of {len(payload)} bytes, must be at least {_RATE.size}")
     return _RATE.unpack_from(payload)[0], names(payload[_RATE.size :])
 
 
 def text(payload: bytes) -> str:
-    r"""The message of a text package and where it comes from.
+    r"""Return the message of a text package and its source.
 
     >>> text(b"\5hello\4RTDE\1")
     'hello (RTDE)'

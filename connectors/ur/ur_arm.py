@@ -1,11 +1,9 @@
-"""A UR arm that is moved: one order at a time, watched at every package of its controller.
+"""UR arm that executes one move at a time; every state that its controller sends is checked.
 
-Orders go to a process of their own (`connectors.ur.control_process`). Whatever goes wrong stops the arm: a
-stop of the controller's, a bound that is passed, an order that takes too long, a process that dies or
-hangs, a caller that says so.
-Three stops back each other up: the order to the process; if the arm does not stop soon,
-or the process is gone, `stop` over the dashboard; and the controller's watchdog, which ends the program when
-it does not hear of the process.
+Commands go to a separate process (`control_process`). The arm is stopped by a stop of the controller, a
+violated bound, a move that takes too long, a process that dies or hangs, and by its caller. There are three
+independent stops: the command to the process; `stop` over the dashboard, if the arm does not stand soon or
+the process is gone; and the controller's watchdog, which ends the control script when the process is silent.
 """
 
 import asyncio
@@ -13,191 +11,178 @@ import logging
 from collections.abc import AsyncGenerator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager, suppress
 from math import hypot, inf, isfinite, isnan
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnProcess
 from types import TracebackType
 from typing import Any, Final, Self
 
-from connectors.ur import dashboard_client as ur_dashboard
-from connectors.ur.control_process import (
-    WATCHDOG,
-    Alive,
-    End,
-    Go,
-    Line,
-    Order,
-    Rest,
-    Stop,
-    Vector,
-    Word,
-    serve,
-)
-from connectors.ur.course import Course, Place
-from connectors.ur.probe import Probe, mean_force
-from connectors.ur.ur_state import Bounds, State, Watch
+from connectors.ur import dashboard_client
+from connectors.ur.contact_search import ContactSearch, mean_force
+from connectors.ur.control_client import START_TIMEOUT, ControlClient
+from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Pose, Release, Stop
+from connectors.ur.path_follower import PathFollower, Point
+from connectors.ur.ur_state import ArmState, ArmStateReader, Bounds
 from operators.errors import EndpointError
 from operators.ports import Clock
 
 log = logging.getLogger("slipflow")
 
-BEGIN: Final = 30.0  # s, for the process to begin; it imports and uploads a program
-STAND: Final = 1.0  # s, for the arm to come to rest
-HUNG: Final = 2.0  # s without a word from the process
-_TALK: Final = 0.1  # s from word to word to the process
-_STEER: Final = 0.02  # s from order to order along a bent way
-STRAY: Final = 0.005  # m
+STOP_TIMEOUT: Final = 1.0  # s, for the arm to come to rest
+PATH_TOLERANCE: Final = 0.005  # m
+_STEERING: Final = 0.02  # s, from command to command along a line of points
+_REST: Final[Pose] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class UrArm:
-    """An arm between `open` and `close`, or as a context; afterwards it stands.
+    """Arm that can be moved between `open` and `close`, or inside an async with block; afterwards it stands.
 
     Args:
-        host: Its controller.
-        bounds: Where it may be, and how hard it may press.
-        clock: Of the run.
-        watchdog: Least rate at which the controller has to hear of us, Hz: it stops the arm otherwise.
-        stray: How far it may get off a line of places, or beyond its end, before it is stopped, m.
+        host: Address of the controller.
+        bounds: Workspace and force limit.
+        clock: Clock of the run.
+        watchdog: Lowest rate of writes that the controller accepts before it stops the arm, Hz.
+        path_tolerance: Distance from a line of points at which the arm is stopped, m.
 
     Attributes:
-        state: The newest that the controller told.
-        fault: Why it was stopped; empty: it was not.
-        process: That commands it, while it is open.
+        state: Newest state.
+        fault: Reason for which the arm was stopped; empty if it was not.
+        control: The process that commands it.
     """
 
     def __init__(
-        self, host: str, bounds: Bounds, clock: Clock, *, watchdog: float = WATCHDOG, stray: float = STRAY
+        self,
+        host: str,
+        bounds: Bounds,
+        clock: Clock,
+        *,
+        watchdog: float = WATCHDOG,
+        path_tolerance: float = PATH_TOLERANCE,
     ) -> None:
         self.host, self.bounds, self.fault = host, bounds, ""
-        self._place, self._watchdog, self._stray = f"ur://{host}", watchdog, stray
-        self._watch = Watch(clock, host)
-        self.state = State((0.0,) * 6, (0.0,) * 6)
-        self._pipe: Connection | None = None
-        self.process: SpawnProcess | None = None
-        self._news, self._ready, self._gone = asyncio.Event(), False, asyncio.Event()
-        self._closing = self._asked = False
-        self._air: Place = (0.0, 0.0, 0.0)  # N, that is told though nothing is touched
-        self._guard: Callable[[State], str] | None = None  # of the move at hand: why to stop
-        self._told = True  # the controller still tells the state
-        self._heard = 0.0  # s, of the loop, when the process last said something
-        self._moved = 0.0  # s, of the loop, when it moved last
+        self.state = ArmState(_REST, _REST)
+        self.control = ControlClient(host, watchdog, self._notify, self.fail)
+        self._place, self._path_tolerance = f"ur://{host}", path_tolerance
+        self._reader = ArmStateReader(clock, host)
+        self._state_known = True  # the controller still sends the state
+        self._changed, self._dashboard_asked = asyncio.Event(), False
+        self._force_offset: Point = (0.0, 0.0, 0.0)  # N, reported in the air
+        self._guard: Callable[[ArmState], str] | None = None  # check of the current move: why to stop
+        self._moved = 0.0  # s of the loop, time at which the arm last moved
         self._tasks = set[asyncio.Task[None]]()
 
     async def open(self) -> None:
-        """Connect to the controller, and begin the process that commands the arm.
+        """Connect to the controller, and start the process that commands the arm.
 
         Raises:
-            EndpointError: if the arm does not tell its state, may not move, or cannot be commanded.
+            EndpointError: if the controller sends no state, or the arm may not move or cannot be commanded.
         """
         try:
-            self.state = await self._watch.open()
-            self.fault = self.fault or self.bounds.breach(self.state)
+            self.state = await self._reader.open()
+            self.fault = self.fault or self.bounds.violation(self.state)
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
-                log.warning("%s: the controller tells no force: its bound is not watched", self._place)
-            self._begin(self._follow())
-            self._start()
-            self._begin(self._talk())
-            await self._until(lambda: self._ready, BEGIN, "to begin")
+                log.warning("%s: the controller reports no force: the limit is not checked", self._place)
+            self._spawn(self._read_states())
+            self.control.start()
+            self._spawn(self.control.keep_alive())
+            await self._until(lambda: self.control.ready, START_TIMEOUT, "to start")
         except BaseException:
             await self.close()
             raise
 
-    async def line(self, pose: Vector, speed: float, acceleration: float, seconds: float) -> None:
-        """Go straight to a pose and stop there, which is planned to take so many seconds.
+    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
+        """Move in a straight line to a pose and stop there; planned to take `seconds`.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
-        if why := self.bounds.breach(State(pose, (0.0,) * 6)):
-            self.fail(f"not sent where {why}")
-        self._check()
+        self._check_target(pose)
         self._moved = asyncio.get_running_loop().time()
         try:
-            self._send(Line(pose, speed, acceleration))
-            await self._until(lambda: self._there(pose, speed, acceleration), 2 * seconds + 2, "to get there")
+            self.control.send(MoveTo(pose, speed, acceleration))
+            await self._until(lambda: self._at(pose, speed, acceleration), 2 * seconds + 2, "to get there")
         except asyncio.CancelledError:
-            self._send(Stop())
+            self.control.send(Stop())
             raise
 
-    async def slide(self, velocity: Vector, seconds: float, acceleration: float) -> None:
-        """Go on with a velocity for a time, then come to rest.
+    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
+        """Move with a velocity (m/s, rad/s) for a time, then come to rest.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
         self._check()
-        async with self._gliding(max(map(abs, velocity)), acceleration):
-            self._send(Go(velocity, acceleration))
+        async with self._velocity_control(max(map(abs, velocity)), acceleration):
+            self.control.send(Move(velocity, acceleration))
             await self.wait(seconds)
 
-    async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
-        """Go along a line of places at one speed, turned as it is, which is planned to take so many seconds.
+    async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
+        """Move along a line of points at constant speed and orientation; planned to take `seconds`.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
-        for place in places:
-            if why := self.bounds.breach(State((*place, *self.state.pose[3:]), (0.0,) * 6)):
-                self.fail(f"not sent where {why}")
+        for point in points:
+            self._check_target((*point, *self.state.pose[3:]))
         self._check()
         loop = asyncio.get_running_loop()
-        course, end = Course([self._here, *places], speed, acceleration), loop.time() + 2 * seconds + 2
+        follower = PathFollower([self._position, *points], speed, acceleration)
+        end = loop.time() + 2 * seconds + 2
 
-        def strays(state: State) -> str:
-            off = course.off((state.pose[0], state.pose[1], state.pose[2]))
-            return f"it is {1000 * off:.1f} mm off its way" if off > self._stray else ""
+        def deviates(state: ArmState) -> str:
+            off = follower.deviation((state.pose[0], state.pose[1], state.pose[2]))
+            return f"it is {1000 * off:.1f} mm off its path" if off > self._path_tolerance else ""
 
-        async with self._gliding(speed, acceleration, strays):
-            while (velocity := course.steer(self._here)) is not None:
+        async with self._velocity_control(speed, acceleration, deviates):
+            while (velocity := follower.velocity(self._position)) is not None:
                 if loop.time() > end:
                     self.fail(f"takes more than {2 * seconds + 2:.1f} s to get there")
-                self._send(Go((*velocity, 0.0, 0.0, 0.0), acceleration))
-                await self.wait(_STEER)
+                self.control.send(Move((*velocity, 0.0, 0.0, 0.0), acceleration))
+                await self.wait(_STEERING)
 
     async def tare(self, seconds: float) -> None:
-        """Stand still in the air, and take the force that is told meanwhile for none.
+        """Stand still in the air, and take the mean force reported meanwhile as the zero of `touch`.
 
         Raises:
-            EndpointError: if the arm had to be stopped, or its controller tells no force.
+            EndpointError: if the arm had to be stopped, or its controller reports no force.
         """
-        loop, told = asyncio.get_running_loop(), [self.state]
+        loop, states = asyncio.get_running_loop(), [self.state]
         end = loop.time() + seconds
         while loop.time() < end:
-            await self.wait(_STEER)
-            told.append(self.state)
-        if (air := mean_force(told)) is None:
-            self.fail("its controller tells no force, so contact cannot be felt")
+            await self.wait(_STEERING)
+            states.append(self.state)
+        if (offset := mean_force(states)) is None:
+            self.fail(
+                "its controller reports no force, so contact cannot be detected: press to a depth instead"
+            )
             self._check()
         else:
-            self._air = air
+            self._force_offset = offset
 
-    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> float:
-        """Go straight on, by a way (m) at most, until what is touched pushes back with a force (N).
+    async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float:
+        """Move in a straight line until the surface pushes back with a force (N), or the path (m) ends.
 
-        The force is what the controller tells beyond that of the last `tare`.
+        The force is relative to that of the last `tare`.
 
         Returns:
-            The force where it stands.
+            The force (N) at rest.
 
         Raises:
-            EndpointError: if the arm had to be stopped, as it is when the way ends without that force.
+            EndpointError: if the arm had to be stopped, as at the end of a path without contact.
         """
         self._check()
-        probe = Probe(self.state, way, force, self._air)
-        x, y, z = (speed * each for each in probe.direction)
-        async with self._gliding(speed, acceleration, probe.overruns):
-            self._send(Go((x, y, z, 0.0, 0.0, 0.0), acceleration))
-            longest = 2 * probe.longest / speed + 2
-            await self._until(lambda: probe.look(self.state), longest, "to touch anything")
-        if not probe.felt:
-            far, push = 1000 * probe.longest, probe.push
-            self.fail(f"no contact of {force:g} N within {far:.1f} mm: {push:.1f} N there")
+        search = ContactSearch(self.state, path, force, self._force_offset)
+        x, y, z = (speed * each for each in search.direction)
+        async with self._velocity_control(speed, acceleration, search.overrun):
+            self.control.send(Move((x, y, z, 0.0, 0.0, 0.0), acceleration))
+            longest = 2 * search.longest / speed + 2
+            await self._until(lambda: search.update(self.state), longest, "to find the surface")
+        if not search.found:
+            distance, found = 1000 * search.longest, search.mean
+            self.fail(f"no contact of {force:g} N within {distance:.1f} mm: {found:.1f} N there")
             self._check()
-        return probe.pushed(self.state)
+        return search.force(self.state)
 
     async def wait(self, seconds: float) -> None:
-        """Go on as it is for a time.
+        """Wait, while the arm continues as it is.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -206,46 +191,36 @@ class UrArm:
             async with asyncio.timeout(seconds):
                 await self._until(lambda: False, inf, "")
 
-    def fail(self, why: str) -> None:
-        """Stop the arm for good; whoever moves it is told why."""
+    def fail(self, reason: str) -> None:
+        """Stop the arm for good; the current and every later move raises with this reason."""
         if self.fault:
             return
-        self.fault = why
-        self._send(Stop())
-        log.error("%s is stopped: %s", self._place, why)
-        self._news.set()
-        if self.process:
-            self._begin(self.stop())
+        self.fault = reason
+        self.control.send(Stop())
+        log.error("%s is stopped: %s", self._place, reason)
+        self._changed.set()
+        if self.control.process:
+            self._spawn(self.stop())
 
     async def stop(self) -> None:
-        """Come to rest, whatever it takes; returns when the arm stands, or nothing more can be done."""
-        self._send(Stop())
-        if self._gone.is_set() or not await self._stands():
-            await self._stop_otherwise()
+        """Come to rest by every available stop; return when the arm stands or nothing more can be done."""
+        self.control.send(Stop())
+        if self.control.ended.is_set() or not await self._stands():
+            await self._stop_by_dashboard()
             if not await self._stands():
                 log.error("%s may still move: press its emergency stop", self._place)
                 return
-        self._send(Rest())
+        self.control.send(Release())
 
     async def close(self) -> None:
         """Stop the arm, and end the process and the connections."""
-        if process := self.process:
-            if self._ready:
-                await self.stop()
-            self._closing = True
-            self._send(End())
-            with suppress(TimeoutError):
-                async with asyncio.timeout(HUNG):
-                    await self._gone.wait()
-            self.process = None
-            if not self._gone.is_set():
-                process.kill()
-            await asyncio.to_thread(process.join, HUNG)
-            self._leave()
+        if self.control.process and self.control.ready:
+            await self.stop()
+        await self.control.close()
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        await self._watch.close()
+        await self._reader.close()
 
     async def __aenter__(self) -> Self:
         await self.open()
@@ -257,17 +232,23 @@ class UrArm:
         await self.close()
 
     @property
-    def _here(self) -> Place:
+    def _position(self) -> Point:
         x, y, z, *_ = self.state.pose
         return x, y, z
 
-    @asynccontextmanager
-    async def _gliding(
-        self, speed: float, acceleration: float, guard: Callable[[State], str] | None = None
-    ) -> AsyncGenerator[None]:
-        """A block that moves by velocities (m/s or rad/s at most); it ends at rest.
+    def _check_target(self, pose: tuple[float, ...]) -> None:
+        """Stop the arm if a target is outside its bounds, and raise if it is stopped."""
+        if reason := self.bounds.violation(ArmState(pose, _REST)):
+            self.fail(f"target outside the bounds: {reason}")
+        self._check()
 
-        A guard looks at every state until then, and says why the arm has to be stopped.
+    @asynccontextmanager
+    async def _velocity_control(
+        self, speed: float, acceleration: float, guard: Callable[[ArmState], str] | None = None
+    ) -> AsyncGenerator[None]:
+        """Open a block that moves by velocities (at most `speed`, m/s or rad/s) and ends at rest.
+
+        A guard checks every state until then, and returns why the arm must be stopped.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -275,93 +256,45 @@ class UrArm:
         self._guard = guard
         try:
             yield
-            self._send(Go((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), acceleration))
+            self.control.send(Move(_REST, acceleration))
             await self._until(lambda: self.state.still, 2 * speed / acceleration + 2, "to come to rest")
         except asyncio.CancelledError:
-            self._send(Stop())
+            self.control.send(Stop())
             raise
         finally:
             self._guard = None
-        self._send(Rest())
+        self.control.send(Release())
 
-    def _start(self) -> None:
-        context = get_context("spawn")  # what a fork would inherit, an event loop and threads, is not for it
-        self._pipe, theirs = context.Pipe()
-        self.process = context.Process(
-            target=serve, args=(theirs, self.host, self._watchdog), name=f"arm {self.host}", daemon=True
-        )
-        self.process.start()
-        theirs.close()
-        loop = asyncio.get_running_loop()
-        self._heard = loop.time() + BEGIN
-        loop.add_reader(self._pipe.fileno(), self._hear)
-
-    def _begin(self, work: Coroutine[Any, Any, None]) -> None:
+    def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _follow(self) -> None:
-        """Look at each state."""
+    async def _read_states(self) -> None:
+        """Check each state."""
         try:
             while True:
-                for state in await self._watch.next():
+                for state in await self._reader.read():
                     self.state = state
-                    if why := self.bounds.breach(state) or (self._guard(state) if self._guard else ""):
-                        self.fail(why)
-                self._news.set()
+                    if reason := self.bounds.violation(state) or (self._guard(state) if self._guard else ""):
+                        self.fail(reason)
+                self._changed.set()
         except EndpointError as error:
-            self._told = False
+            self._state_known = False
             self.fail(f"its state is unknown: {error.reason}")
 
-    async def _talk(self) -> None:
-        """Tell the process that we are there, and see that it is."""
-        loop = asyncio.get_running_loop()
-        while not self._gone.is_set():
-            self._send(Alive())
-            if loop.time() - self._heard > HUNG:
-                self.fail(f"the process that commands it says nothing for {HUNG} s")
-            await asyncio.sleep(_TALK)
-
-    def _hear(self) -> None:
-        """Take the words of the process."""
-        assert self._pipe
-        try:
-            while self._pipe.poll():
-                word: Word = self._pipe.recv()
-                self._heard = asyncio.get_running_loop().time()
-                if word.kind == "ready":
-                    self._ready = True
-                    self._news.set()
-                elif word.kind == "failed":
-                    self.fail(word.text)
-        except (EOFError, OSError):
-            self._leave()
-            if not self._closing:
-                self.fail("the process that commands it died; the controller's watchdog stops the arm, too")
-
-    def _leave(self) -> None:
-        """The process is gone."""
-        self._gone.set()
-        if self._pipe:
-            asyncio.get_running_loop().remove_reader(self._pipe.fileno())
-            self._pipe.close()
-            self._pipe = None
-
-    def _send(self, order: Order) -> None:
-        if self._pipe:
-            with suppress(OSError):  # it is gone: `_hear` says so
-                self._pipe.send(order)
+    def _notify(self) -> None:
+        self._changed.set()
 
     def _check(self) -> None:
         if self.fault:
             raise EndpointError(self._place, self.fault)
 
-    async def _until(self, done: Callable[[], bool], seconds: float, what: str) -> None:
-        """Wait for something of the arm's, at most so long.
+    async def _until(self, done: Callable[[], bool], seconds: float, purpose: str) -> None:
+        """Wait for a condition, which is checked at every state; stop the arm if it takes too long.
 
         Raises:
-            EndpointError: if it was stopped, or it takes too long: then it is stopped.
+            EndpointError: if the arm had to be stopped.
         """
         loop = asyncio.get_running_loop()
         end = loop.time() + seconds
@@ -369,43 +302,43 @@ class UrArm:
             self._check()
             if done():
                 return
-            self._news.clear()
+            self._changed.clear()
             try:
                 async with asyncio.timeout(None if seconds == inf else end - loop.time()):
-                    await self._news.wait()
+                    await self._changed.wait()
             except TimeoutError:
-                self.fail(f"takes more than {seconds:.1f} s {what}")
+                self.fail(f"takes more than {seconds:.1f} s {purpose}")
 
-    def _there(self, pose: Vector, speed: float, acceleration: float) -> bool:
-        """Whether the arm is at a pose; one that stands short of it is sent there again."""
+    def _at(self, pose: Pose, speed: float, acceleration: float) -> bool:
+        """Return whether the arm stands at a pose; repeat the command if it stands elsewhere."""
         now = asyncio.get_running_loop().time()
-        if self.state.at(pose):
+        if self.state.stands_at(pose):
             return True
         if not self.state.still:
             self._moved = now
-        elif now - self._moved > STAND:
+        elif now - self._moved > STOP_TIMEOUT:
             self._moved = now
-            self._send(Line(pose, speed, acceleration))
+            self.control.send(MoveTo(pose, speed, acceleration))
         return False
 
     async def _stands(self) -> bool:
-        """Whether the arm is told to stand, soon."""
+        """Return whether the arm is seen to stand within `STOP_TIMEOUT`."""
         try:
-            async with asyncio.timeout(STAND):
+            async with asyncio.timeout(STOP_TIMEOUT):
                 while True:
-                    self._news.clear()
-                    await self._news.wait()
-                    if self._told and self.state.still:
+                    self._changed.clear()
+                    await self._changed.wait()
+                    if self._state_known and self.state.still:
                         return True
         except TimeoutError:
             return False
 
-    async def _stop_otherwise(self) -> None:
-        if self._asked:
+    async def _stop_by_dashboard(self) -> None:
+        if self._dashboard_asked:
             return
-        self._asked = True
+        self._dashboard_asked = True
         try:
-            answer = await ur_dashboard.ask(self.host, "stop")
-            log.warning("%s: asked over the dashboard to stop, it says: %s", self._place, answer)
+            answer = await dashboard_client.request(self.host, "stop")
+            log.warning("%s: sent stop over the dashboard, which answers: %s", self._place, answer)
         except EndpointError as error:
             log.error("%s: cannot be stopped over the dashboard: %s", self._place, error.reason)  # noqa: TRY400

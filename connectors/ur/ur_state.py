@@ -1,27 +1,27 @@
-"""What a UR controller says of its arm's state, over RTDE: where it is, and whether it may move."""
+"""State of a UR arm, read over RTDE, and the bounds within which it may move."""
 
-import asyncio
 from dataclasses import dataclass
 from math import dist, hypot, inf, nan
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from connectors.ur.rtde import PORT, RtdeError
-from connectors.ur.rtde_link import SILENT, STALLED, RtdeLink, mistyped, reason
-from operators.errors import EndpointError, ParameterError
+from connectors.ur.rtde import PORT
+from connectors.ur.rtde_client import RtdeClient
+from operators.checks import check_above
+from operators.errors import ParameterError
 from operators.ports import Clock
 from operators.rotation import onward
 
-OUTPUTS: Final = (
-    "timestamp",
-    "actual_TCP_pose",
-    "actual_TCP_speed",
-    "actual_TCP_force",
-    "robot_mode",
-    "safety_mode",
-)
-TYPES: Final = ("DOUBLE", "VECTOR6D", "VECTOR6D", "VECTOR6D", "INT32", "INT32")
+OUTPUTS: Final = {
+    "timestamp": "DOUBLE",
+    "actual_TCP_pose": "VECTOR6D",
+    "actual_TCP_speed": "VECTOR6D",
+    "actual_TCP_force": "VECTOR6D",
+    "robot_mode": "INT32",
+    "safety_mode": "INT32",
+}
+RATE: Final = 125.0  # Hz, which every controller has
 RUNNING: Final = 7  # robot mode; RTDE guide
 SAFETY: Final = {  # RTDE guide
     1: "",
@@ -34,9 +34,9 @@ SAFETY: Final = {  # RTDE guide
     8: "violation of a safety limit",
     9: "fault",
 }
-STILL: Final = 1e-3  # m/s, rad/s
-NEAR: Final = 5e-4  # m; an arm repeats to 1e-4
-NEAR_TURN: Final = 5e-3  # rad
+STANDSTILL: Final = 1e-3  # m/s, rad/s; slower counts as standing
+POSITION_TOLERANCE: Final = 5e-4  # m; a UR arm repeats to 1e-4
+ROTATION_TOLERANCE: Final = 5e-3  # rad
 
 _ROW: Final = np.dtype(
     [
@@ -51,8 +51,8 @@ _ROW: Final = np.dtype(
 )
 
 
-class State(NamedTuple):
-    """An arm at one instant, in the base frame."""
+class ArmState(NamedTuple):
+    """State of an arm at one instant, in the base frame."""
 
     pose: tuple[float, ...]  # (6,) m and rotation vector in rad
     velocity: tuple[float, ...]  # (6,) m/s and rad/s
@@ -62,24 +62,25 @@ class State(NamedTuple):
 
     @property
     def still(self) -> bool:
-        """Whether it stands."""
-        return max(map(abs, self.velocity)) < STILL
+        """True if the arm stands still."""
+        return max(map(abs, self.velocity)) < STANDSTILL
 
-    def at(self, pose: tuple[float, ...]) -> bool:
-        """Whether it stands at a pose (6,)."""
+    def stands_at(self, pose: tuple[float, ...]) -> bool:
+        """Return whether the arm stands still at a pose (6,)."""
         turn = hypot(*onward((self.pose[3], self.pose[4], self.pose[5]), (pose[3], pose[4], pose[5])))
-        return self.still and dist(self.pose[:3], pose[:3]) < NEAR and turn < NEAR_TURN
+        near = dist(self.pose[:3], pose[:3]) < POSITION_TOLERANCE and turn < ROTATION_TOLERANCE
+        return self.still and near
 
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Where the TCP may be, and how hard it may press.
+    """Workspace of the TCP and limit of the force on it.
 
     Raises:
-        ParameterError: if there is no room.
+        ParameterError: if the workspace is empty or the force limit is not above 0 N.
 
     >>> bounds = Bounds((0, 0, 0), (1, 1, 1), force=20)
-    >>> bounds.breach(State((0.5, 0.5, 1.1, 0, 0, 0), (0,) * 6))
+    >>> bounds.violation(ArmState((0.5, 0.5, 1.1, 0, 0, 0), (0,) * 6))
     'at z 1.1000 m it is outside its workspace'
     """
 
@@ -90,77 +91,59 @@ class Bounds:
     def __post_init__(self) -> None:
         if not all(a < b for a, b in zip(self.low, self.high, strict=True)):
             raise ParameterError("Bounds", "high", self.high, f"above low, {self.low} m, on each axis")
-        if not self.force > 0:
-            raise ParameterError("Bounds", "force", self.force, "above 0 N")
+        check_above("Bounds", "force", self.force, 0, "N")
 
-    def breach(self, state: State) -> str:
-        """Why an arm in this state has to be stopped; empty: it need not be."""
-        if state.safety_mode != 1 and (why := SAFETY.get(state.safety_mode, "unknown safety mode")):
-            return why
+    def violation(self, state: ArmState) -> str:
+        """Return why an arm in this state must be stopped; empty if it need not be."""
+        if state.safety_mode != 1 and (reason := SAFETY.get(state.safety_mode, "unknown safety mode")):
+            return reason
         if state.robot_mode != RUNNING:
             return f"the arm is not running (robot mode {state.robot_mode})"
         for axis, low, at, high in zip("xyz", self.low, state.pose, self.high, strict=False):
             if not low <= at <= high:
                 return f"at {axis} {at:.4f} m it is outside its workspace"
-        if (push := hypot(*state.force)) > self.force:  # NaN is not
+        if (push := hypot(*state.force)) > self.force:  # an unknown force, NaN, is not
             return f"a force of {push:.1f} N, more than {self.force:g} N"
         return ""
 
 
-class Watch:
-    """Reads an arm's state from its controller, package after package.
+class ArmStateReader:
+    """Reader of an arm's states from its controller.
 
     Args:
-        clock: Of the run.
-        host: The controller.
-        port: Its RTDE port.
-        patience: For a connection, and from package to package, s.
+        clock: Clock of the run.
+        host: Address of the controller.
+        port: RTDE port.
+        timeout: Longest wait for the connection, and from package to package, s.
     """
 
-    def __init__(self, clock: Clock, host: str, port: int = PORT, patience: float = 1.0) -> None:
-        self._link = RtdeLink(clock, OUTPUTS, 125.0)
-        self._host, self._port, self._patience = host, port, patience
-        self._place = f"rtde://{host}:{port}"
+    def __init__(self, clock: Clock, host: str, port: int = PORT, timeout: float = 1.0) -> None:
+        self._client = RtdeClient(clock, host, port, OUTPUTS, rate=RATE, timeout=timeout)
 
-    async def open(self) -> State:
-        """Connect; the first state.
+    async def open(self) -> ArmState:
+        """Connect, and return the first state.
 
         Raises:
-            EndpointError: if the controller does not tell.
+            EndpointError: if the controller sends no state.
         """
-        loop = asyncio.get_running_loop()
-        try:
-            async with asyncio.timeout(self._patience):
-                await loop.create_connection(lambda: self._link, self._host, self._port)
-        except TimeoutError as error:
-            raise EndpointError(self._place, SILENT.format(self._patience)) from error
-        except OSError as error:
-            raise EndpointError(self._place, reason(error)) from error
-        return (await self.next())[-1]
+        await self._client.connect()
+        return (await self.read())[-1]
 
-    async def next(self) -> list[State]:
-        """The states that came since the last call, at least one.
+    async def read(self) -> list[ArmState]:
+        """Return the states received since the last call; wait for one if there is none.
 
         Raises:
-            EndpointError: if the controller does not tell.
+            EndpointError: if the controller sends no state.
         """
-        try:
-            async with asyncio.timeout(self._patience):
-                _, packages = await self._link.take()
-        except TimeoutError as error:
-            raise EndpointError(self._place, STALLED.format(self._patience)) from error
-        except (OSError, RtdeError) as error:
-            raise EndpointError(self._place, reason(error)) from error
-        if self._link.types != TYPES:
-            raise EndpointError(self._place, mistyped(OUTPUTS, self._link.types, TYPES))
+        _, packages = await self._client.receive()
         rows = np.frombuffer(packages, _ROW)
         force = rows["force"][:, :3]  # (n, 3)
         fields = rows["pose"], rows["velocity"], force, rows["robot_mode"], rows["safety_mode"]
         return [
-            State(tuple(pose), tuple(velocity), tuple(push), mode, safety)
+            ArmState(tuple(pose), tuple(velocity), tuple(push), mode, safety)
             for pose, velocity, push, mode, safety in zip(*(each.tolist() for each in fields), strict=True)
         ]
 
     async def close(self) -> None:
-        """Let go of the connection."""
-        await self._link.close()
+        """Close the connection."""
+        await self._client.close()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, cast
 from connectors import TakkTile, UrMotion
 from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_arm import UrArm
-from connectors.ur.ur_state import Bounds, Watch
+from connectors.ur.ur_state import ArmStateReader, Bounds
 from flows.lab.collection.arm_path import Place, Pose
 from flows.lab.collection.collector import APPEAR, PATIENCE, Collection
 from flows.lab.collection.signal_handlers import answered
@@ -110,7 +110,7 @@ async def collect(
     await look(touch, clock)
     await asyncio.to_thread(import_module, "storage.writer")  # takes long, and would hold up the run
     bounds, stray = Bounds(low, high, rigging.force), rigging.margin
-    arm = UrArm(rigging.robot, bounds, clock, watchdog=rigging.watchdog, stray=stray)
+    arm = UrArm(rigging.robot, bounds, clock, watchdog=rigging.watchdog, path_tolerance=stray)
     collection = Collection(
         arm,
         touch,
@@ -156,7 +156,7 @@ async def where(robot: str, clock: Clock) -> Pose:
     Raises:
         EndpointError: if its controller does not tell.
     """
-    watch = Watch(clock, robot)
+    watch = ArmStateReader(clock, robot)
     try:
         x, y, z, a, b, c = (await watch.open()).pose
     finally:

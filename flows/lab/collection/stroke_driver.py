@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
-from connectors.ur.ur_state import State
+from connectors.ur.ur_state import ArmState
 from flows.lab.collection.arm_path import (
     Line,
     Place,
@@ -30,7 +30,7 @@ _LOOK: Final = 0.05  # s, from look to look whether to go on
 class Arm(Protocol):
     """What moves: a `connectors.ur.ur_arm.UrArm`. Its moves raise EndpointError once it had to be stopped."""
 
-    state: State
+    state: ArmState
 
     async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
         """Go straight to a pose, which is planned to take so many seconds."""
@@ -223,6 +223,6 @@ class Driver:
             episode["end"] = max(self._clock.now(), start + 1)
 
 
-def _pose(state: State) -> Pose:
+def _pose(state: ArmState) -> Pose:
     x, y, z, a, b, c = state.pose
     return x, y, z, a, b, c

@@ -8,8 +8,18 @@ from typing import Any
 
 import pytest
 
-from connectors.ur import control_process as ur_control
-from connectors.ur.control_process import Alive, End, Go, Line, Order, Rest, Stop, Word, serve
+from connectors.ur import control_process
+from connectors.ur.control_process import (
+    Command,
+    End,
+    KeepAlive,
+    Move,
+    MoveTo,
+    Release,
+    Reply,
+    Stop,
+    serve,
+)
 from operators import EndpointError
 
 POSE = (0.4, 0.0, 0.1, 3.14, 0.0, 0.0)
@@ -19,47 +29,47 @@ STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass
 class TestControl:
-    """Remembers what ur-rtde would be told, kicks apart."""
+    """Record of the calls to ur-rtde, except kicks."""
 
     __test__ = False
-    told: list[tuple[Any, ...]] = field(default_factory=list[tuple[Any, ...]])
+    sent: list[tuple[Any, ...]] = field(default_factory=list[tuple[Any, ...]])
     obeys: bool = True
 
     def moveL(self, pose: list[float], speed: float, acceleration: float, asynchronous: bool, /) -> bool:  # noqa: N802, FBT001
-        self.told.append(("moveL", pose, speed, acceleration, asynchronous))
+        self.sent.append(("moveL", pose, speed, acceleration, asynchronous))
         return self.obeys
 
     def speedL(self, velocity: list[float], acceleration: float, time: float, /) -> bool:  # noqa: N802
-        self.told.append(("speedL", velocity, acceleration, time))
+        self.sent.append(("speedL", velocity, acceleration, time))
         return self.obeys
 
     def speedStop(self, deceleration: float, /) -> bool:  # noqa: N802
-        self.told.append(("speedStop",))
+        self.sent.append(("speedStop",))
         return self.obeys
 
     def stopL(self, deceleration: float, asynchronous: bool, /) -> None:  # noqa: N802, FBT001
-        self.told.append(("stopL", asynchronous))
+        self.sent.append(("stopL", asynchronous))
 
     def setWatchdog(self, rate: float, /) -> bool:  # noqa: N802
-        self.told.append(("setWatchdog", rate))
+        self.sent.append(("setWatchdog", rate))
         return True
 
     def kickWatchdog(self) -> bool:  # noqa: N802
         return True
 
     def stopScript(self) -> None:  # noqa: N802
-        self.told.append(("stopScript",))
+        self.sent.append(("stopScript",))
 
     def disconnect(self) -> None:
-        self.told.append(("disconnect",))
+        self.sent.append(("disconnect",))
 
 
 @dataclass
 class Slow(TestControl):
-    """Looks at the register that commands are written to at every second write only, as in a long cycle."""
+    """Controller that reads the command register at every second write only, as in a long cycle."""
 
     writes: int = 0
-    velocity: list[float] | None = None  # that the arm goes with
+    velocity: list[float] | None = None  # m/s, of the arm
     _register: list[float] | None = None  # None: no command
 
     def speedL(self, velocity: list[float], acceleration: float, time: float, /) -> bool:  # noqa: N802
@@ -78,12 +88,12 @@ class Slow(TestControl):
 
 
 def calls(control: TestControl) -> list[tuple[Any, ...]]:
-    """What ur-rtde would be told, without its repeats."""
-    return [call for call, _ in groupby(control.told)]
+    """Return the calls to ur-rtde, without repeats."""
+    return [call for call, _ in groupby(control.sent)]
 
 
 def ignored(number: int, handler: object) -> None:
-    """Only a main thread may set what a signal does."""
+    """Do nothing: only a main thread may set signal handlers."""
 
 
 @pytest.fixture
@@ -103,30 +113,32 @@ def begin(pipe: Connection, control: TestControl) -> None:
     serve(pipe, "robot", 5.0, connect)
 
 
-def served(pipe: tuple[Connection, Connection], control: TestControl, *orders: Order) -> list[Word]:
-    """What the process says to orders, until it ends."""
+def served(pipe: tuple[Connection, Connection], control: TestControl, *commands: Command) -> list[Reply]:
+    """Return the replies of the process to commands, until it ends."""
     ours, theirs = pipe
     thread = Thread(target=begin, args=(theirs, control))
     thread.start()
-    for order in orders:
-        ours.send(order)
+    for command in commands:
+        ours.send(command)
     thread.join(10)
     assert not thread.is_alive()
-    words = list[Word]()
+    replies = list[Reply]()
     while ours.poll():
-        words.append(ours.recv())
-    return [word for word in words if word.kind != "alive"]
+        replies.append(ours.recv())
+    return [reply for reply in replies if reply.kind != "alive"]
 
 
-def test_orders_become_calls_that_wait_for_nothing(pipe: tuple[Connection, Connection]) -> None:
+def test_commands_become_asynchronous_calls(pipe: tuple[Connection, Connection]) -> None:
     control = TestControl()
-    words = served(pipe, control, Line(POSE, 0.1, 0.5), Alive(), Go(FORWARD, 0.5), Stop(), Rest(), End())
-    assert words == [Word("ready")]
+    replies = served(
+        pipe, control, MoveTo(POSE, 0.1, 0.5), KeepAlive(), Move(FORWARD, 0.5), Stop(), Release(), End()
+    )
+    assert replies == [Reply("ready")]
     assert calls(control) == [
         ("setWatchdog", 5.0),
         ("moveL", [*POSE], 0.1, 0.5, True),
         ("speedL", [*FORWARD], 0.5, 0.0),
-        ("speedL", [0.0] * 6, ur_control.HARD, 0.0),
+        ("speedL", [0.0] * 6, control_process.STOP_DECELERATION, 0.0),
         ("speedStop",),
         ("stopScript",),
         ("disconnect",),
@@ -141,11 +153,11 @@ def test_no_velocity_is_lost_to_a_kick_in_the_same_cycle(
     thread = Thread(target=begin, args=(theirs, control))
     thread.start()
     for velocity in (FORWARD, STILL):
-        ours.send(Go(velocity, 0.5))
+        ours.send(Move(velocity, 0.5))
         reached = control.writes + 4
-        while control.writes < reached:  # whoever orders talks on
+        while control.writes < reached:  # stay alive
             assert ours.recv()
-            ours.send(Alive())
+            ours.send(KeepAlive())
         assert control.velocity == [*velocity]
     ours.send(Stop())
     ours.send(End())
@@ -153,71 +165,71 @@ def test_no_velocity_is_lost_to_a_kick_in_the_same_cycle(
     assert not thread.is_alive()
 
 
-def test_a_stop_is_kept_up_until_the_arm_is_seen_to_stand(pipe: tuple[Connection, Connection]) -> None:
+def test_a_stop_is_repeated_until_release(pipe: tuple[Connection, Connection]) -> None:
     control, (ours, theirs) = TestControl(), pipe
     thread = Thread(target=begin, args=(theirs, control))
     thread.start()
-    ours.send(Go(FORWARD, 0.5))
+    ours.send(Move(FORWARD, 0.5))
     ours.send(Stop())
-    stopped = ("speedL", [0.0] * 6, ur_control.HARD, 0.0)
-    while control.told.count(stopped) < 3:
+    stopped = ("speedL", [0.0] * 6, control_process.STOP_DECELERATION, 0.0)
+    while control.sent.count(stopped) < 3:
         assert ours.recv()
-        ours.send(Alive())
-    ours.send(Rest())
+        ours.send(KeepAlive())
+    ours.send(Release())
     ours.send(End())
     thread.join(10)
-    assert control.told[-3:] == [("speedStop",), ("stopScript",), ("disconnect",)]
+    assert control.sent[-3:] == [("speedStop",), ("stopScript",), ("disconnect",)]
 
 
-def test_a_program_that_ended_says_what_may_have_ended_it(pipe: tuple[Connection, Connection]) -> None:
+def test_an_ended_program_is_reported_with_possible_causes(pipe: tuple[Connection, Connection]) -> None:
     class Ended(TestControl):
         def kickWatchdog(self) -> bool:  # noqa: N802
             return False
 
-    words = served(pipe, Ended())
-    assert words[-1].kind == "failed"
-    assert "nothing of us for 0.2 s (--watchdog 5)" in words[-1].text
+    replies = served(pipe, Ended())
+    assert replies[-1].kind == "failed"
+    assert "receives nothing for 0.2 s (watchdog 5 Hz)" in replies[-1].text
 
 
 def test_a_line_is_stopped_and_a_velocity_ended_before_a_line(pipe: tuple[Connection, Connection]) -> None:
     control = TestControl()
-    served(pipe, control, Go(FORWARD, 0.5), Line(POSE, 0.1, 0.5), Stop(), End())
+    served(pipe, control, Move(FORWARD, 0.5), MoveTo(POSE, 0.1, 0.5), Stop(), End())
     assert [call[0] for call in calls(control)[1:-2]] == ["speedL", "speedStop", "moveL", "stopL"]
 
 
-def test_the_arm_is_stopped_when_nobody_talks_any_more(
+def test_the_arm_is_stopped_when_no_command_arrives(
     pipe: tuple[Connection, Connection], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(ur_control, "SILENCE", 0.05)
+    monkeypatch.setattr(control_process, "SILENCE", 0.05)
     control = TestControl()
-    *_, last = served(pipe, control, Line(POSE, 0.1, 0.5))
-    assert last.text == "nobody has talked to the arm for 0.2 s: it was stopped"  # as patient as the watchdog
+    *_, last = served(pipe, control, MoveTo(POSE, 0.1, 0.5))
+    assert last.text == "no command for 0.2 s: the arm was stopped"  # the watchdog's period
     assert last.kind == "failed"
-    assert [call[0] for call in control.told[-3:]] == ["stopL", "stopScript", "disconnect"]
+    assert [call[0] for call in control.sent[-3:]] == ["stopL", "stopScript", "disconnect"]
 
 
-def test_the_arm_is_stopped_when_who_orders_is_gone(pipe: tuple[Connection, Connection]) -> None:
+def test_the_arm_is_stopped_when_the_commanding_process_is_gone(pipe: tuple[Connection, Connection]) -> None:
     ours, theirs = pipe
     control = TestControl()
-    ours.send(Line(POSE, 0.1, 0.5))
+    ours.send(MoveTo(POSE, 0.1, 0.5))
     thread = Thread(target=begin, args=(theirs, control))
     thread.start()
     while ours.recv().kind != "alive":
         pass
     ours.close()
     thread.join(10)
-    assert [call[0] for call in control.told[-3:]] == ["stopL", "stopScript", "disconnect"]
+    assert [call[0] for call in control.sent[-3:]] == ["stopL", "stopScript", "disconnect"]
 
 
-def test_a_controller_that_does_not_obey_ends_it(pipe: tuple[Connection, Connection]) -> None:
-    words = served(pipe, TestControl(obeys=False), Line(POSE, 0.1, 0.5))
-    assert words[-1] == Word("failed", "the controller does not carry out Line")
+def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]) -> None:
+    replies = served(pipe, TestControl(obeys=False), MoveTo(POSE, 0.1, 0.5))
+    assert replies[-1] == Reply("failed", "the controller rejects the command MoveTo")
 
 
-def test_without_ur_rtde_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_without_ur_rtde_names_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> None:
         raise ImportError(name)
 
-    monkeypatch.setattr(ur_control, "import_module", missing)
+    monkeypatch.setattr(control_process, "import_module", missing)
     with pytest.raises(EndpointError, match=r"pip install -e '\.\[ur\]'"):
-        ur_control.connect("robot")
+        control_process.connect("robot")

@@ -5,14 +5,16 @@ import pytest
 
 from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_controller import Ports, UrController
-from connectors.ur import dashboard_client as ur_dashboard
+from connectors.ur import dashboard_client
 from operators import EndpointError
 
 
-def test_it_answers_as_a_controllers_does() -> None:
+def test_a_command_is_answered() -> None:
     async def main() -> str:
         async with UrController(FreeArm(np.zeros(6)), ports=Ports(0, 0, 0)) as controller:
-            return await ur_dashboard.ask("127.0.0.1", "safetystatus", port=controller.ports.dashboard)
+            return await dashboard_client.request(
+                "127.0.0.1", "safetystatus", port=controller.ports.dashboard
+            )
 
     assert asyncio.run(main()) == "Safetystatus: NORMAL"
 
@@ -20,7 +22,7 @@ def test_it_answers_as_a_controllers_does() -> None:
 @pytest.mark.parametrize(
     ("silent", "why"), [(True, r"does not answer for 0\.05 s"), (False, "closed the connection")]
 )
-def test_one_that_says_nothing_is_not_waited_for(silent: bool, why: str) -> None:  # noqa: FBT001
+def test_a_silent_dashboard_is_an_error_after_the_timeout(silent: bool, why: str) -> None:  # noqa: FBT001
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if silent:
             await reader.read()  # until the client is gone
@@ -34,7 +36,7 @@ def test_one_that_says_nothing_is_not_waited_for(silent: bool, why: str) -> None
         async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
             port = server.sockets[0].getsockname()[1]
             try:
-                await ur_dashboard.ask("127.0.0.1", "stop", port=port, patience=0.05)
+                await dashboard_client.request("127.0.0.1", "stop", port=port, timeout=0.05)
             finally:
                 await served.wait()
 
@@ -42,6 +44,6 @@ def test_one_that_says_nothing_is_not_waited_for(silent: bool, why: str) -> None
         asyncio.run(main())
 
 
-def test_a_dashboard_that_nobody_serves_is_an_error() -> None:
+def test_a_missing_dashboard_is_an_error() -> None:
     with pytest.raises(EndpointError, match=r"dashboard://127\.0\.0\.1:1"):
-        asyncio.run(ur_dashboard.ask("127.0.0.1", "stop", port=1))
+        asyncio.run(dashboard_client.request("127.0.0.1", "stop", port=1))

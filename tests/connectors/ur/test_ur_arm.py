@@ -20,10 +20,10 @@ from connectors.emulators.pressing import PressingArm
 from connectors.emulators.ur_control_box import Arm, RuntimeState
 from connectors.emulators.ur_controller import UrController
 from connectors.emulators.ur_program import Program
-from connectors.ur.control_process import Go, Order
+from connectors.ur.control_process import Command, Move
 from connectors.ur.rtde import Version
 from connectors.ur.ur_arm import UrArm
-from connectors.ur.ur_state import Bounds, State
+from connectors.ur.ur_state import ArmState, Bounds
 from flows.run.clocks import LoopClock
 from operators import EndpointError
 from operators.batch import Reals
@@ -46,7 +46,7 @@ class Lab:
 
 
 class Leaning(PressingArm):
-    """Stands 2 mm above a surface, on an arm that tells a force in the air, too, as real ones do."""
+    """Arm 2 mm above a surface that reports a force in the air, as real ones do."""
 
     def __init__(self) -> None:
         super().__init__(FreeArm(np.array((*BEGIN[:2], 0.0, *BEGIN[3:])), 1.0), 0.002)
@@ -68,7 +68,7 @@ async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator
 
 
 def refused(act: Callable[[Lab], None] | None, move: Callable[[UrArm], Coroutine[Any, Any, None]]) -> Lab:
-    """A lab whose arm was stopped while it moved, some time after which something was done."""
+    """Return a lab whose arm was stopped during a move, because of what `act` does after 0.3 s, if given."""
 
     async def main() -> Lab:
         async with lab() as here:
@@ -89,7 +89,7 @@ def away(arm: UrArm) -> Coroutine[Any, Any, None]:
     return arm.slide((0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 4.0, 0.5)
 
 
-def test_it_goes_along_lines_slides_and_turns() -> None:
+def test_it_moves_along_lines_slides_and_turns() -> None:
     async def main() -> list[tuple[float, ...]]:
         poses = list[tuple[float, ...]]()
         async with lab() as here:
@@ -99,7 +99,7 @@ def test_it_goes_along_lines_slides_and_turns() -> None:
             await arm.slide((0.05, 0.0, 0.0, 0.0, 0.0, 0.5), 0.5, 1.0)
             poses.append(arm.state.pose)
             await arm.line(BEGIN, 0.2, 0.5, 0.8)  # a line after a velocity
-            assert arm.state.at(BEGIN)
+            assert arm.state.stands_at(BEGIN)
             assert not arm.fault
         return poses
 
@@ -109,11 +109,11 @@ def test_it_goes_along_lines_slides_and_turns() -> None:
     assert abs(second[4]) > 0.1  # turned about the vertical
 
 
-def test_it_stops_though_its_controller_is_slow_to_look_at_orders(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_stops_though_its_controller_reads_commands_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     step, turns = Program.step, count()
 
     def seldom(program: Program) -> bool:
-        return step(program) if next(turns) % 25 == 0 else True  # every 0.2 s; it is kicked every 0.07 s
+        return step(program) if next(turns) % 25 == 0 else True  # every 0.2 s; writes come every 0.05 s
 
     async def main() -> None:
         clock = LoopClock()
@@ -133,10 +133,10 @@ def test_it_stops_though_its_controller_is_slow_to_look_at_orders(monkeypatch: p
 def test_it_follows_an_arc_at_its_speed_and_height() -> None:
     radius, centre = 0.06, (0.4, 0.06)  # m
     angles = np.linspace(0.0, 0.5, 20)
-    places = [(0.4, 0.06 - radius * math.cos(a), 0.1 + radius * math.sin(a)) for a in angles.tolist()]
+    points = [(0.4, 0.06 - radius * math.cos(a), 0.1 + radius * math.sin(a)) for a in angles.tolist()]
 
-    async def main() -> list[State]:
-        seen = list[State]()
+    async def main() -> list[ArmState]:
+        seen = list[ArmState]()
 
         async def watch(arm: UrArm) -> None:
             while True:
@@ -145,7 +145,7 @@ def test_it_follows_an_arc_at_its_speed_and_height() -> None:
 
         async with lab() as here:
             watching = asyncio.create_task(watch(here.arm))
-            await here.arm.trace(places[1:], 0.05, 0.5, 0.7)
+            await here.arm.trace(points[1:], 0.05, 0.5, 0.7)
             assert here.arm.state.still
             watching.cancel()
             await here.arm.line(BEGIN, 0.2, 0.5, 0.5)  # a line after it
@@ -154,14 +154,14 @@ def test_it_follows_an_arc_at_its_speed_and_height() -> None:
     seen = asyncio.run(main())
     off = [math.dist(state.pose[1:3], (centre[1], 0.1)) - radius for state in seen]
     assert max(map(abs, off)) < 1e-3
-    assert math.dist(seen[-1].pose[:3], places[-1]) < 5e-3
+    assert math.dist(seen[-1].pose[:3], points[-1]) < 5e-3
     speeds = sorted(math.hypot(*state.velocity[:3]) for state in seen)
     assert speeds[-len(speeds) // 4 :] == pytest.approx([0.05] * len(speeds[-len(speeds) // 4 :]), rel=0.03)
     assert all(state.pose[3:] == pytest.approx(BEGIN[3:]) for state in seen)
 
 
-def test_it_comes_down_until_it_feels_a_force_whatever_it_felt_in_the_air() -> None:
-    async def main() -> tuple[State, float]:
+def test_it_moves_down_until_the_force_beyond_that_in_the_air_is_reached() -> None:
+    async def main() -> tuple[ArmState, float]:
         leaning = Leaning()
         async with lab(DOWN, leaning) as here:
             await here.arm.tare(0.1)
@@ -174,7 +174,7 @@ def test_it_comes_down_until_it_feels_a_force_whatever_it_felt_in_the_air() -> N
     assert state.pose[2] == pytest.approx(-0.001 * force, abs=1e-6)
 
 
-def test_it_is_stopped_where_there_is_nothing_to_touch() -> None:
+def test_it_is_stopped_without_contact() -> None:
     async def main() -> str:
         async with lab(DOWN, Leaning()) as here:
             await here.arm.tare(0.1)
@@ -187,44 +187,44 @@ def test_it_is_stopped_where_there_is_nothing_to_touch() -> None:
     assert "no contact" in asyncio.run(main())
 
 
-def test_it_is_stopped_for_good_where_it_goes_on_beyond_the_deepest() -> None:
+def test_it_is_stopped_when_it_overruns_the_contact_search() -> None:
     async def main() -> tuple[str, float]:
         leaning = Leaning()
         async with lab(DOWN, leaning) as here:
-            arm = cast("Any", here.arm)
-            send = arm._send
+            control = here.arm.control
+            send = control.send
 
-            def lose(order: Order) -> None:
-                """Lose every order to come to rest."""
-                if not (isinstance(order, Go) and not any(order.velocity)):
-                    send(order)
+            def lose(command: Command) -> None:
+                """Lose every command to come to rest."""
+                if not (isinstance(command, Move) and not any(command.velocity)):
+                    send(command)
 
-            arm._send = lose
+            cast("Any", control).send = lose
             await here.arm.tare(0.1)
-            with pytest.raises(EndpointError, match=r"beyond the 1\.0 mm that it might seek contact"):
+            with pytest.raises(EndpointError, match=r"past the end of its 1\.0 mm contact search"):
                 await here.arm.touch((0.0, 0.0, -0.001), 2.0, 0.005, 0.5)
             await here.arm.stop()
             assert here.arm.state.still
             return here.arm.fault, here.arm.state.pose[2]
 
     fault, height = asyncio.run(main())
-    assert fault.startswith("it went 1.")
+    assert fault.startswith("it moved 1.")
     assert -0.002 < height < 0.0
 
 
-def test_it_is_stopped_where_it_gets_off_a_line_of_places() -> None:
-    places = [(0.4, 0.02, 0.1), (0.4, 0.04, 0.1)]
+def test_it_is_stopped_off_its_path() -> None:
+    points = [(0.4, 0.02, 0.1), (0.4, 0.04, 0.1)]
 
     def push(here: Lab) -> None:
-        cast("Any", here.arm)._stray = 0.0
+        cast("Any", here.arm)._path_tolerance = 0.0
 
-    here = refused(push, lambda arm: arm.trace(places, 0.02, 0.5, 2.0))
-    assert re.fullmatch(r"it is \d\.\d mm off its way", here.arm.fault)
+    here = refused(push, lambda arm: arm.trace(points, 0.02, 0.5, 2.0))
+    assert re.fullmatch(r"it is \d\.\d mm off its path", here.arm.fault)
 
 
-def test_no_contact_is_sought_without_a_force_to_feel() -> None:
+def test_contact_search_needs_a_force() -> None:
     here = refused(None, lambda arm: arm.tare(0.1))
-    assert "tells no force" in here.arm.fault
+    assert "reports no force" in here.arm.fault
 
 
 def test_pressed_too_deep_it_is_stopped() -> None:
@@ -262,23 +262,24 @@ def test_it_is_stopped_by_too_much_force() -> None:
     assert refused(press, away).arm.fault == "a force of 30.1 N, more than 20 N"
 
 
-def test_it_is_not_sent_beyond_its_workspace() -> None:
+def test_a_target_outside_its_workspace_is_refused() -> None:
     here = refused(None, lambda arm: arm.line((0.6, 0.0, 0.1, math.pi, 0, 0), 0.1, 0.5, 2.0))
     assert here.arm.state.pose == pytest.approx(BEGIN)
 
 
 def test_a_process_that_dies_leaves_no_arm_moving() -> None:
     def kill(here: Lab) -> None:
-        assert here.arm.process
-        assert here.arm.process.pid
-        os.kill(here.arm.process.pid, signal.SIGSEGV)
+        process = here.arm.control.process
+        assert process
+        assert process.pid
+        os.kill(process.pid, signal.SIGSEGV)
 
     here = refused(kill, away)
     assert "died" in here.arm.fault
     assert here.controller.box.runtime_state == RuntimeState.STOPPED
 
 
-def test_a_state_that_is_not_told_any_more_stops_it() -> None:
+def test_a_missing_state_stops_it() -> None:
     async def main() -> str:
         async with lab() as here:
             asyncio.get_running_loop().call_later(0.3, here.controller.stall)
@@ -289,7 +290,7 @@ def test_a_state_that_is_not_told_any_more_stops_it() -> None:
     assert "sends nothing" in asyncio.run(main())
 
 
-def test_who_cancels_a_move_stops_the_arm() -> None:
+def test_a_cancelled_move_stops_the_arm() -> None:
     async def main() -> bool:
         async with lab() as here:
             move = asyncio.create_task(away(here.arm))
@@ -316,7 +317,7 @@ def test_an_arm_that_may_not_move_is_not_opened() -> None:
         asyncio.run(main())
 
 
-def test_no_controller_is_said_at_once() -> None:
+def test_a_missing_controller_is_an_error() -> None:
     async def main() -> None:
         async with UrArm(HOST, BOUNDS, LoopClock()):
             pass

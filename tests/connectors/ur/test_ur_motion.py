@@ -16,9 +16,9 @@ from connectors import UrMotion
 from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.shared_scene import Lab as Scenery
 from connectors.emulators.ur_controller import Ports, UrController
-from connectors.ur import rtde_link
+from connectors.ur import rtde_client
 from connectors.ur.rtde import Version
-from connectors.ur.ur_motion import Stamps
+from connectors.ur.ur_motion import PackageStamps
 from flows.graph import Flow
 from flows.graph.testing import TestSink, run_virtually
 from flows.run.clocks import LoopClock
@@ -34,7 +34,7 @@ POSE = np.array([0.4, 0.1, 0.2, 0.0, 0.0, 0.5])  # m, rad
 
 
 async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], EndpointError]:
-    """All that a connection gives, and why it ended."""
+    """Return all batches of a connection, and the error that ended it."""
     taken = list[Motion]()
     try:
         async for batch in source.batches(clock):
@@ -46,14 +46,14 @@ async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], End
 
 @dataclass
 class Lab:
-    """A controller on the event loop's time, and a source that reads it."""
+    """Controller on the event loop's time, and a source that reads it."""
 
     controller: UrController
     source: UrMotion
     clock: LoopClock
 
     async def take(self, rows: int) -> Motion:
-        """So many rows of a new connection."""
+        """Return so many rows of a new connection."""
         taken = list[Motion]()
         async with aclosing(cast("Any", self.source.batches(self.clock))) as batches:
             async for batch in batches:
@@ -63,7 +63,7 @@ class Lab:
         return concat(Motion, taken)
 
     async def fail(self, after: float, fault: Callable[[], None]) -> tuple[list[Motion], str]:
-        """All that a connection gives if there is a fault `after` so many seconds, and why it ended."""
+        """Return all batches of a connection with a fault `after` (s), and the reason for its end."""
         asyncio.get_running_loop().call_later(after, fault)
         taken, error = await exhaust(self.source, self.clock)
         assert error.endpoint == f"rtde://{HOST}:{self.controller.ports.rtde}"
@@ -80,11 +80,11 @@ async def lab(version: Version = E_SERIES, rate: float = 125.0, drift: float = 0
         yield Lab(controller, UrMotion(HOST, rate, controller.ports.rtde), clock)
 
 
-# --- what comes ------------------------------------------------------------------------------------------
+# --- received packages ---
 
 
 @pytest.mark.parametrize(("version", "rate"), [(CB3, 125.0), (E_SERIES, 125.0), (E_SERIES, 500.0)])
-def test_every_package_comes_once_in_order_as_the_controller_sent_it(version: Version, rate: float) -> None:
+def test_every_package_is_received_once_in_order(version: Version, rate: float) -> None:
     async def main() -> tuple[Motion, UrMotion]:
         async with lab(version, rate) as here:
             return await here.take(1000), here.source
@@ -92,7 +92,7 @@ def test_every_package_comes_once_in_order_as_the_controller_sent_it(version: Ve
     motion, source = run_virtually(main())
     period = round(s / rate)
     assert (np.diff(motion.device_time) == period).all()
-    assert (motion.time - motion.device_time == 1_700_000_000 * s).all()  # no way is shorter than ours
+    assert (motion.time - motion.device_time == 1_700_000_000 * s).all()  # no network delay
     travelled = motion.device_time[:, None] / s * FORWARD  # (n, 6)
     np.testing.assert_allclose(motion.pose, POSE + travelled, atol=1e-9)
     np.testing.assert_allclose(motion.velocity, np.tile(FORWARD, (len(motion), 1)))
@@ -117,7 +117,7 @@ def test_a_burst_is_one_batch_of_one_arrival_and_nothing_is_missing() -> None:
     assert about["missed"] == 0
 
 
-def test_packages_that_never_came_are_counted_and_told_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_packages_are_counted_and_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     async def main() -> tuple[Motion, Any]:
         async with lab() as here:
             loop = asyncio.get_running_loop()
@@ -133,8 +133,8 @@ def test_packages_that_never_came_are_counted_and_told_once(caplog: pytest.LogCa
     assert [record.message.split(": ")[1][:25] for record in caplog.records] == ["packages are missing befo"]
 
 
-def test_a_flow_that_is_slow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rtde_link, "BACKLOG", 20)
+def test_a_slow_flow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rtde_client, "BACKLOG", 20)
 
     async def main() -> list[Motion]:
         async with lab() as here:
@@ -151,13 +151,11 @@ def test_a_flow_that_is_slow_loses_nothing(monkeypatch: pytest.MonkeyPatch) -> N
     motion = concat(Motion, taken)
     assert (np.diff(motion.device_time) == 8 * ms).all()
     assert len(motion) > 4 * 250
-    assert [len(batch) for batch in taken].count(
-        20
-    ) == 5  # what waited was no more, the rest was not read yet
+    assert [len(batch) for batch in taken].count(20) == 5  # at most 20 unread
 
 
-def test_the_arm_of_the_lab_goes_where_its_controller_drives_it_and_says_so() -> None:
-    target = [0.03, -0.01, 0.0, np.pi * np.cos(0.1), np.pi * np.sin(0.1), 0.0]  # it looks down, turned by 0.2
+def test_the_virtual_arm_moves_to_its_target_and_reports_it() -> None:
+    target = [0.03, -0.01, 0.0, np.pi * np.cos(0.1), np.pi * np.sin(0.1), 0.0]
     doubles = {f"input_double_register_{i}": value for i, value in enumerate([*target, 0.1, 1.0])}
 
     async def main() -> tuple[Motion, Scenery]:
@@ -177,10 +175,10 @@ def test_the_arm_of_the_lab_goes_where_its_controller_drives_it_and_says_so() ->
     assert motion.pose[-1].tolist() == pose.tolist()
 
 
-# --- what fails ------------------------------------------------------------------------------------------
+# --- failures ---
 
 
-def test_a_stall_fails_when_the_patience_is_over_and_what_came_before_counts() -> None:
+def test_a_stall_fails_after_the_timeout_and_keeps_earlier_packages() -> None:
     async def main() -> tuple[Motion, str, float]:
         async with lab() as here:
             taken, reason = await here.fail(1.0, here.controller.stall)
@@ -192,7 +190,7 @@ def test_a_stall_fails_when_the_patience_is_over_and_what_came_before_counts() -
     assert waited == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_peer_that_is_gone_without_a_farewell_is_noticed_and_a_new_connection_works() -> None:
+def test_a_silently_lost_peer_is_noticed_and_a_new_connection_works() -> None:
     async def main() -> tuple[str, Motion]:
         async with lab() as here:
             _, reason = await here.fail(1.0, here.controller.leave)
@@ -225,7 +223,7 @@ def test_a_reset_fails_at_once() -> None:
     assert "reset" in reason
 
 
-def test_a_clock_that_goes_back_ends_the_connection_before_any_of_its_rows() -> None:
+def test_a_clock_that_goes_back_ends_the_connection() -> None:
     async def main() -> tuple[Motion, str, Motion, Any]:
         async with lab() as here:
             taken, reason = await here.fail(1.0, lambda: here.controller.restart(drop=False))
@@ -240,7 +238,7 @@ def test_a_clock_that_goes_back_ends_the_connection_before_any_of_its_rows() -> 
     assert about["missed"] == 0
 
 
-def test_an_old_controller_is_not_asked_for_more_than_it_has() -> None:
+def test_a_cb3_controller_refuses_500_hz() -> None:
     async def main() -> str:
         async with lab(CB3, rate=500.0) as here:
             _, reason = await here.fail(0.0, lambda: None)
@@ -249,7 +247,7 @@ def test_an_old_controller_is_not_asked_for_more_than_it_has() -> None:
     assert "timestamp" in run_virtually(main())  # the emulated one refuses such a rate itself
 
 
-# --- in a flow -------------------------------------------------------------------------------------------
+# --- in a flow ---
 
 
 def live(body: Callable[[Lab], None], seconds: int) -> tuple[Any, TestSink, Lab]:
@@ -288,7 +286,7 @@ def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
         stop = again if first == 0 else len(motion)
         began = motion.time[first] - motion.device_time[first]
         shown = motion.time[first:stop] - began - motion.device_time[first:stop] / (1 + 50e-6)
-        assert np.abs(shown).max() < 0.3 * ms  # until five seconds have told the drift
+        assert np.abs(shown).max() < 0.3 * ms  # until the drift is known, after 5 s
     assert clocks.drift[3] == pytest.approx(-50e-6, abs=1e-6)
     assert clocks.offset[-1] - clocks.offset[0] == pytest.approx(20 * s, abs=0.1 * s)
     assert here.source.describe()["restarts"] == 1
@@ -313,15 +311,13 @@ def test_every_kind_of_fault_is_a_gap_and_the_source_comes_back() -> None:
     assert here.source.describe()["connections"] == 4
 
 
-# --- parameters and stamps -------------------------------------------------------------------------------
+# --- parameters and stamps ---
 
 
-@pytest.mark.parametrize(
-    ("rate", "patience"), [(0, 1), (501, 1), (60, 1), (nan, 1), (125, 0.008), (125, nan)]
-)
-def test_values_that_cannot_be_are_refused(rate: float, patience: float) -> None:
+@pytest.mark.parametrize(("rate", "timeout"), [(0, 1), (501, 1), (60, 1), (nan, 1), (125, 0.008), (125, nan)])
+def test_invalid_parameters_are_refused(rate: float, timeout: float) -> None:
     with pytest.raises(ParameterError):
-        UrMotion(HOST, rate, patience=patience)
+        UrMotion(HOST, rate, timeout=timeout)
 
 
 def test_an_address_is_needed() -> None:
@@ -333,9 +329,9 @@ def test_an_address_is_needed() -> None:
     steps=st.lists(st.sampled_from([0, 8 * ms, 8 * ms, 8 * ms, 16 * ms, 40 * ms]), min_size=1, max_size=60),
     cuts=st.lists(st.integers(0, 60), max_size=10),
 )
-def test_what_is_missing_is_counted_alike_however_packages_arrive(steps: list[int], cuts: list[int]) -> None:
+def test_missing_packages_are_counted_alike_for_any_cut(steps: list[int], cuts: list[int]) -> None:
     stamps: Times = 5 * s + np.cumsum(steps)
-    whole, parts = Stamps(125.0), Stamps(125.0)
+    whole, parts = PackageStamps(125.0), PackageStamps(125.0)
     new = whole.new(stamps).tolist()
     places = [0, *sorted(cut for cut in cuts if 0 < cut < len(stamps)), len(stamps)]
     found = [parts.new(stamps[start:stop]).tolist() for start, stop in pairwise(places) if stop > start]

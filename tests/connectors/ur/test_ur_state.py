@@ -3,7 +3,7 @@ from math import nan
 
 import pytest
 
-from connectors.ur.ur_state import Bounds, State
+from connectors.ur.ur_state import ArmState, Bounds
 from operators import ParameterError
 
 BOUNDS = Bounds((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), force=20.0)
@@ -11,38 +11,38 @@ POSE = (0.5, 0.5, 0.5, math.pi, 0.0, 0.0)
 REST = (0.0,) * 6
 
 
-def test_an_arm_within_its_bounds_need_not_be_stopped() -> None:
-    assert not BOUNDS.breach(State(POSE, REST, force=(19.0, 0.0, 5.0)))
-    assert not BOUNDS.breach(State(POSE, REST, force=(nan, nan, nan)))  # unknown
-    assert not BOUNDS.breach(State(POSE, REST, safety_mode=2))  # reduced mode
+def test_an_arm_within_its_bounds_is_not_stopped() -> None:
+    assert not BOUNDS.violation(ArmState(POSE, REST, force=(19.0, 0.0, 5.0)))
+    assert not BOUNDS.violation(ArmState(POSE, REST, force=(nan, nan, nan)))  # unknown
+    assert not BOUNDS.violation(ArmState(POSE, REST, safety_mode=2))  # reduced mode
 
 
 @pytest.mark.parametrize(
     ("state", "why"),
     [
-        (State((1.001, 0.5, 0.5, 0, 0, 0), REST), "at x 1.0010 m it is outside its workspace"),
-        (State((0.5, -0.001, 0.5, 0, 0, 0), REST), "at y -0.0010 m it is outside its workspace"),
-        (State((0.5, 0.5, nan, 0, 0, 0), REST), "at z nan m it is outside its workspace"),
-        (State(POSE, REST, force=(0.0, 12.0, -16.1)), "a force of 20.1 N, more than 20 N"),
-        (State(POSE, REST, safety_mode=3), "protective stop"),
-        (State(POSE, REST, safety_mode=7), "emergency stop"),
-        (State(POSE, REST, safety_mode=99), "unknown safety mode"),
-        (State(POSE, REST, robot_mode=5), "the arm is not running (robot mode 5)"),
+        (ArmState((1.001, 0.5, 0.5, 0, 0, 0), REST), "at x 1.0010 m it is outside its workspace"),
+        (ArmState((0.5, -0.001, 0.5, 0, 0, 0), REST), "at y -0.0010 m it is outside its workspace"),
+        (ArmState((0.5, 0.5, nan, 0, 0, 0), REST), "at z nan m it is outside its workspace"),
+        (ArmState(POSE, REST, force=(0.0, 12.0, -16.1)), "a force of 20.1 N, more than 20 N"),
+        (ArmState(POSE, REST, safety_mode=3), "protective stop"),
+        (ArmState(POSE, REST, safety_mode=7), "emergency stop"),
+        (ArmState(POSE, REST, safety_mode=99), "unknown safety mode"),
+        (ArmState(POSE, REST, robot_mode=5), "the arm is not running (robot mode 5)"),
     ],
 )
-def test_an_arm_is_stopped_for_a_reason(state: State, why: str) -> None:
-    assert BOUNDS.breach(state) == why
+def test_each_violation_has_a_reason(state: ArmState, why: str) -> None:
+    assert BOUNDS.violation(state) == why
 
 
-def test_an_arm_is_at_a_pose_when_it_stands_there() -> None:
-    assert State(POSE, REST).at((0.5004, 0.5, 0.5, math.pi, 0.0, 0.0))
-    assert not State(POSE, REST).at((0.5006, 0.5, 0.5, math.pi, 0.0, 0.0))
-    assert not State(POSE, REST).at((0.5, 0.5, 0.5, math.pi, 0.02, 0.0))
-    assert not State(POSE, (0.002, 0, 0, 0, 0, 0)).at(POSE)
-    assert State(POSE, REST).at((0.5, 0.5, 0.5, -math.pi, 0.0, 0.0))  # the same rotation
+def test_an_arm_stands_at_a_pose_within_tolerances() -> None:
+    assert ArmState(POSE, REST).stands_at((0.5004, 0.5, 0.5, math.pi, 0.0, 0.0))
+    assert not ArmState(POSE, REST).stands_at((0.5006, 0.5, 0.5, math.pi, 0.0, 0.0))
+    assert not ArmState(POSE, REST).stands_at((0.5, 0.5, 0.5, math.pi, 0.02, 0.0))
+    assert not ArmState(POSE, (0.002, 0, 0, 0, 0, 0)).stands_at(POSE)
+    assert ArmState(POSE, REST).stands_at((0.5, 0.5, 0.5, -math.pi, 0.0, 0.0))  # the same rotation
 
 
-def test_bounds_without_room_are_refused() -> None:
+def test_an_empty_workspace_or_no_force_is_refused() -> None:
     with pytest.raises(ParameterError):
         Bounds((0, 0, 0), (1, 0, 1))
     with pytest.raises(ParameterError):

@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from connectors.ur.ur_state import State
+from connectors.ur.ur_state import ArmState
 from flows.graph.testing import run_virtually
 from flows.lab.collection.arm_path import Extent, Place, Pose, Slide, Trace
 from flows.lab.collection.contact_monitor import Felt
@@ -27,7 +27,7 @@ class TestArm:
     """Is where it is sent as soon as the time for it has passed."""
 
     __test__ = False
-    state: State = field(default_factory=lambda: State(PLACE, REST))
+    state: ArmState = field(default_factory=lambda: ArmState(PLACE, REST))
     ways: list[Pose] = field(default_factory=list[Pose])
     stops: int = 0
     fault: str = ""
@@ -36,19 +36,19 @@ class TestArm:
 
     async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
         await self.wait(seconds)
-        self.state = State(pose, REST)
+        self.state = ArmState(pose, REST)
         self.ways.append(pose)
 
     async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
         slide = Slide(velocity, seconds, acceleration)
         here = cast("Pose", self.state.pose)
         await self.wait(slide.seconds(here))
-        self.state = State(slide.end(here), REST)
+        self.state = ArmState(slide.end(here), REST)
         self.ways.append(slide.end(here))
 
     async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
         await self.wait(seconds)
-        self.state = State((*places[-1], *self.state.pose[3:]), REST)
+        self.state = ArmState((*places[-1], *self.state.pose[3:]), REST)
         self.ways += [cast("Pose", (*place, *self.state.pose[3:])) for place in places]
 
     async def tare(self, seconds: float) -> None:
@@ -59,7 +59,7 @@ class TestArm:
         part = self.surface / math.hypot(*way)  # of the way, until it is felt
         await self.wait(part * math.hypot(*way) / speed)
         x, y, z, *turned = self.state.pose
-        self.state = State((x + part * way[0], y + part * way[1], z + part * way[2], *turned), REST)
+        self.state = ArmState((x + part * way[0], y + part * way[1], z + part * way[2], *turned), REST)
         return 1.1 * force
 
     async def wait(self, seconds: float) -> None:

@@ -1,0 +1,89 @@
+"""Search for a surface: distance that an arm has moved towards it, and the force that pushes back. No I/O."""
+
+from collections import deque
+from collections.abc import Sequence
+from math import hypot, isnan
+from typing import Final
+
+from connectors.ur.path_follower import Point
+from connectors.ur.ur_state import ArmState
+from operators.checks import check_above
+
+AVERAGED: Final = 4  # states, over which the force is averaged: 32 ms at 125 Hz
+OVERRUN: Final = 0.001  # m, allowed beyond the longest distance for coming to rest
+
+
+def mean_force(states: Sequence[ArmState]) -> Point | None:
+    """Return the mean reported force (N), which is not 0 in the air; None if the controller reports none.
+
+    >>> mean_force([ArmState((0,) * 6, (0,) * 6, (1, 2, 3)), ArmState((0,) * 6, (0,) * 6, (3, 2, 1))])
+    (2.0, 2.0, 2.0)
+    """
+    x, y, z = (sum(each) / len(states) for each in zip(*(state.force for state in states), strict=True))
+    return None if isnan(x + y + z) else (x, y, z)
+
+
+class ContactSearch:
+    """Contact detection from the states of an arm that moves in a straight line.
+
+    Args:
+        start: State in which the arm starts.
+        path: Longest displacement, m.
+        force: Force against the direction of motion that counts as contact, N.
+        offset: Force reported in the air, N.
+
+    Attributes:
+        longest: Longest distance, m.
+        direction: Unit vector of the motion.
+
+    Raises:
+        ParameterError: if the distance or the force is not above 0.
+
+    >>> search = ContactSearch(ArmState((0,) * 6, (0,) * 6, (0, 0, 0)), (0, 0, -0.003), 2.0, (0, 0, 0.5))
+    >>> search.update(ArmState((0, 0, -0.001, 0, 0, 0), (0,) * 6, (0, 0, 1.5)))
+    False
+    >>> search.mean
+    1.0
+    """
+
+    def __init__(self, start: ArmState, path: Point, force: float, offset: Point) -> None:
+        self.longest = hypot(*path)
+        check_above("ContactSearch", "path", self.longest, 0, "m")
+        check_above("ContactSearch", "force", force, 0, "N")
+        x, y, z = (each / self.longest for each in path)
+        self.direction: Point = x, y, z
+        self._start, self._force, self._offset = start, force, offset
+        self._newest = deque[float](maxlen=AVERAGED)  # N
+
+    @property
+    def mean(self) -> float:
+        """Mean force (N) of the newest states."""
+        return sum(self._newest) / max(1, len(self._newest))
+
+    @property
+    def found(self) -> bool:
+        """True once the mean force reaches the contact force."""
+        return len(self._newest) == AVERAGED and self.mean >= self._force
+
+    def update(self, state: ArmState) -> bool:
+        """Take a state; return whether the arm has to come to rest: contact, or the end of the path."""
+        self._newest.append(self.force(state))
+        return self.found or self._distance(state) >= self.longest
+
+    def force(self, state: ArmState) -> float:
+        """Return the force (N) against the direction of motion, without the offset."""
+        axes = zip(self.direction, state.force, self._offset, strict=True)
+        return -sum(part * (force - offset) for part, force, offset in axes)
+
+    def overrun(self, state: ArmState) -> str:
+        """Return why the arm must be stopped: it moved past the end of the path; empty if it did not."""
+        over = self._distance(state) - self.longest
+        if over <= OVERRUN:
+            return ""
+        return (
+            f"it moved {1000 * over:.1f} mm past the end of its {1000 * self.longest:.1f} mm contact search"
+        )
+
+    def _distance(self, state: ArmState) -> float:
+        axes = zip(self.direction, state.pose, self._start.pose, strict=False)
+        return sum(part * (now - start) for part, now, start in axes)  # m

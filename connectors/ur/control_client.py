@@ -1,0 +1,109 @@
+"""Handle on the process that commands a UR arm."""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
+from typing import Final
+
+from connectors.ur.control_process import Command, End, KeepAlive, Reply, serve
+
+START_TIMEOUT: Final = 30.0  # s; the process imports ur-rtde and uploads a program
+HUNG: Final = 2.0  # s without a reply from the process
+_KEEP_ALIVE: Final = 0.1  # s, from message to message
+
+
+class ControlClient:
+    """A process that is started, sent commands, checked for signs of life, and ended.
+
+    Args:
+        host: Address of the controller.
+        watchdog: Lowest rate of writes that the controller accepts, Hz.
+        changed: Called when the process is ready.
+        failed: Called with a reason when the process fails, dies or hangs.
+
+    Attributes:
+        process: The process; None before `start` and after `close`.
+        ready: True once the controller accepts commands.
+        ended: Set once the process can receive no more commands.
+    """
+
+    def __init__(
+        self, host: str, watchdog: float, changed: Callable[[], None], failed: Callable[[str], None]
+    ) -> None:
+        self.process: SpawnProcess | None = None
+        self.ready, self.ended = False, asyncio.Event()
+        self._host, self._watchdog, self._changed, self._failed = host, watchdog, changed, failed
+        self._pipe: Connection | None = None
+        self._closing = False
+        self._replied = 0.0  # s of the loop, time of the newest reply
+
+    def start(self) -> None:
+        """Start the process."""
+        context = get_context("spawn")  # a fork would inherit the event loop and threads
+        self._pipe, theirs = context.Pipe()
+        self.process = context.Process(
+            target=serve, args=(theirs, self._host, self._watchdog), name=f"arm {self._host}", daemon=True
+        )
+        self.process.start()
+        theirs.close()
+        loop = asyncio.get_running_loop()
+        self._replied = loop.time() + START_TIMEOUT
+        loop.add_reader(self._pipe.fileno(), self._read_replies)
+
+    def send(self, command: Command) -> None:
+        """Send a command, if the process is there."""
+        if self._pipe:
+            with suppress(OSError):  # the process is gone, which `_read_replies` notices
+                self._pipe.send(command)
+
+    async def keep_alive(self) -> None:
+        """Send signs of life to the process, and check those from it, until it ends."""
+        loop = asyncio.get_running_loop()
+        while not self.ended.is_set():
+            self.send(KeepAlive())
+            if loop.time() - self._replied > HUNG:
+                self._failed(f"the process that commands it has not replied for {HUNG} s")
+            await asyncio.sleep(_KEEP_ALIVE)
+
+    async def close(self) -> None:
+        """End the process; kill it if it does not end by itself."""
+        if not (process := self.process):
+            return
+        self._closing = True
+        self.send(End())
+        with suppress(TimeoutError):
+            async with asyncio.timeout(HUNG):
+                await self.ended.wait()
+        self.process = None
+        if not self.ended.is_set():
+            process.kill()
+        await asyncio.to_thread(process.join, HUNG)
+        self._close_pipe()
+
+    def _read_replies(self) -> None:
+        assert self._pipe
+        try:
+            while self._pipe.poll():
+                reply: Reply = self._pipe.recv()
+                self._replied = asyncio.get_running_loop().time()
+                if reply.kind == "ready":
+                    self.ready = True
+                    self._changed()
+                elif reply.kind == "failed":
+                    self._failed(reply.text)
+        except (EOFError, OSError):
+            self._close_pipe()
+            if not self._closing:
+                self._failed(
+                    "the process that commands it died; the controller's watchdog also stops the arm"
+                )
+
+    def _close_pipe(self) -> None:
+        self.ended.set()
+        if self._pipe:
+            asyncio.get_running_loop().remove_reader(self._pipe.fileno())
+            self._pipe.close()
+            self._pipe = None

@@ -1,0 +1,190 @@
+"""RTDE client: subscribes to a controller's outputs and timestamps each package as it arrives."""
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Awaitable, Mapping
+from typing import Final, TypeVar, cast
+
+import numpy as np
+
+from connectors.ur.rtde import PROTOCOL, Kind, Packages, Recipe, RtdeError, Version, ask_outputs, pack, text
+from operators.batch import Times
+from operators.errors import EndpointError, os_error_reason
+from operators.ports import Clock
+
+T = TypeVar("T")
+
+BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
+
+NO_ANSWER: Final = "does not answer for {} s: is this its address, and is it on?"
+_NO_DATA: Final = "sends nothing for {} s: does it run, and is the cable in?"
+_REFUSED: Final = (
+    "refuses the connection: is this its address, is it on, is RTDE enabled there"
+    " (e-Series: Settings, Security, Services)?"
+)
+
+log = logging.getLogger("slipflow")
+
+
+class RtdeClient(asyncio.Protocol):
+    """One connection to a controller.
+
+    A package is timestamped when the event loop reads it, not when `receive` returns it.
+
+    Args:
+        clock: Clock of the arrival times.
+        host: Address of the controller.
+        port: RTDE port.
+        outputs: RTDE types of the requested variables, by name.
+        rate: Packages per second, Hz.
+        timeout: Longest wait for the connection and from package to package, s.
+
+    Attributes:
+        place: Address in error messages.
+        controller: Software version; None before the controller has sent it.
+    """
+
+    def __init__(
+        self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], *, rate: float, timeout: float
+    ) -> None:
+        self.place = f"rtde://{host}:{port}"
+        self.controller: Version | None = None
+        self._address, self._clock, self._timeout = (host, port), clock, timeout
+        self._outputs, self._rate = outputs, rate
+        self._packages, self._recipe = Packages(), Recipe(0, (), ())
+        self._expected = Kind.PROTOCOL  # kind of the next answer; DATA once the controller sends
+        self._received = deque[tuple[int, bytes]]()  # arrival (ns) and payload
+        self._transport: asyncio.Transport | None = None
+        self._error: Exception | None = None
+        self._changed, self._closed = asyncio.Event(), asyncio.Event()
+
+    async def connect(self) -> None:
+        """Connect and request the outputs.
+
+        Raises:
+            EndpointError: if the controller does not accept the connection in time.
+        """
+        loop = asyncio.get_running_loop()
+        await self._in_time(loop.create_connection(lambda: self, *self._address), NO_ANSWER)
+
+    async def receive(self) -> tuple[Times, bytes]:
+        """Wait for data; return all unread packages: arrival times (n,), n >= 1, and joined payloads.
+
+        Raises:
+            EndpointError: if the connection fails, the controller violates the protocol, or no package
+                arrives in time.
+        """
+        await self._in_time(self._unread(), _NO_DATA)
+        arrivals, payloads = zip(*self._received, strict=True)
+        self._received.clear()
+        if self._transport:
+            self._transport.resume_reading()
+        return np.array(arrivals, np.int64), b"".join(payloads)
+
+    async def close(self) -> None:
+        """Close the connection."""
+        if self._transport:
+            self._transport.abort()
+            await self._closed.wait()
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Start the handshake. asyncio has set TCP_NODELAY."""
+        self._transport = cast("asyncio.Transport", transport)
+        self._request(Kind.PROTOCOL, PROTOCOL.to_bytes(2, "big"))
+
+    def data_received(self, data: bytes) -> None:
+        """Timestamp and store the packages that `data` completes."""
+        arrival = self._clock.now()
+        try:
+            for kind, payload in self._packages.feed(data):
+                self._take(kind, payload, arrival)
+        except RtdeError as error:
+            unknown = self.controller is None
+            self._fail(RtdeError(f"it does not speak RTDE: {error}") if unknown else error)
+        if self._received:
+            self._changed.set()
+        if len(self._received) >= BACKLOG and self._transport:
+            self._transport.pause_reading()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Note the error; packages received before it can still be read."""
+        self._fail(exc or ConnectionError("the controller closed the connection"))
+        self._closed.set()
+
+    def _take(self, kind: int, payload: bytes, arrival: int) -> None:
+        """Handle one package."""
+        if kind == Kind.TEXT:
+            log.warning("controller: %s", text(payload))
+        elif kind != self._expected:
+            raise RtdeError(f"a package {chr(kind)!r} where {chr(self._expected)!r} was due")
+        elif kind == Kind.DATA:
+            self._recipe.check(payload)
+            self._received.append((arrival, payload))
+        else:
+            self._answer(payload)
+
+    def _answer(self, payload: bytes) -> None:
+        """Handle the answer to the newest request, and send the next request."""
+        match self._expected:
+            case Kind.PROTOCOL:
+                if payload != b"\1":
+                    reason = f"the controller does not speak version {PROTOCOL} of RTDE: update its software"
+                    raise RtdeError(reason)
+                self._request(Kind.CONTROLLER)
+            case Kind.CONTROLLER:
+                self.controller = Version.read(payload)
+                self._request(Kind.OUTPUTS, ask_outputs(self._rate, [*self._outputs]))
+            case Kind.OUTPUTS:
+                self._recipe = Recipe.granted([*self._outputs], payload)
+                self._check_types(self._recipe.types)
+                self._request(Kind.START)
+            case _:
+                if payload != b"\1":
+                    raise RtdeError("the controller refused to start to send")
+                self._expected = Kind.DATA
+
+    def _check_types(self, types: tuple[str, ...]) -> None:
+        wrong = ", ".join(
+            f"{name} as {found}, must be {expected}"
+            for (name, expected), found in zip(self._outputs.items(), types, strict=True)
+            if found != expected
+        )
+        if wrong:
+            raise RtdeError(f"the controller sends {wrong}: slipflow does not support its software version")
+
+    def _request(self, kind: Kind, payload: bytes = b"") -> None:
+        self._expected = kind
+        if self._transport:
+            self._transport.write(pack(kind, payload))
+
+    def _fail(self, error: Exception) -> None:
+        self._error = self._error or error
+        self._changed.set()
+
+    async def _unread(self) -> None:
+        """Wait until a package can be read.
+
+        Raises:
+            OSError: if the connection is lost.
+            RtdeError: if the controller violates the protocol.
+        """
+        while not self._received:
+            if self._error:
+                raise self._error
+            self._changed.clear()
+            await self._changed.wait()
+
+    async def _in_time(self, awaited: Awaitable[T], late: str) -> T:
+        """Wait at most `timeout`; every failure becomes an EndpointError."""
+        try:
+            async with asyncio.timeout(self._timeout):
+                return await awaited
+        except TimeoutError as error:
+            raise EndpointError(self.place, late.format(self._timeout)) from error
+        except ConnectionRefusedError as error:
+            raise EndpointError(self.place, _REFUSED) from error
+        except OSError as error:
+            raise EndpointError(self.place, os_error_reason(error)) from error
+        except RtdeError as error:
+            raise EndpointError(self.place, str(error)) from error

@@ -1,0 +1,292 @@
+"""Connections to test peers, which also violate the protocol."""
+
+import asyncio
+import logging
+import socket
+from collections.abc import Callable
+from itertools import pairwise
+from math import inf, nan
+from typing import NamedTuple
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from connectors import UrMotion
+from connectors.ur import rtde_client
+from connectors.ur.rtde import Kind, Packages, Recipe, Version, ask_outputs, pack
+from connectors.ur.rtde_client import RtdeClient
+from connectors.ur.ur_motion import OUTPUTS
+from flows.graph.testing import run_virtually
+from flows.run.clocks import LoopClock
+from operators import EndpointError, Motion, ms, s
+
+Answer = Callable[[int], bytes]  # to a package, by its kind
+
+HOST = "127.0.0.1"
+NAMES, TYPES = tuple(OUTPUTS), tuple(OUTPUTS.values())
+CB3, E_SERIES = Version(3, 15, 8, 1), Version(5, 11, 0, 1)
+
+
+async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], EndpointError]:
+    """Return all batches of a connection, and the error that ended it."""
+    taken = list[Motion]()
+    try:
+        async for batch in source.batches(clock):
+            taken.append(batch)
+    except EndpointError as error:
+        return taken, error
+    raise AssertionError
+
+
+async def serve(answer: Answer) -> asyncio.Server:
+    """Start a peer that answers each package by a function."""
+
+    async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        packages = Packages()
+        while data := await reader.read(1000):
+            for kind, _ in packages.feed(data):
+                writer.write(answer(kind))
+        writer.close()
+
+    return await asyncio.start_server(talk, HOST, 0)
+
+
+class Outcome(NamedTuple):
+    taken: list[Motion]
+    reason: str
+    source: UrMotion
+
+
+def against(answer: Answer, rate: float = 125.0) -> Outcome:
+    """Return what a source receives from a peer, and why it fails."""
+
+    async def main() -> Outcome:
+        async with await serve(answer) as server:
+            source = UrMotion(HOST, rate, server.sockets[0].getsockname()[1])
+            taken, error = await exhaust(source, LoopClock())
+            await asyncio.sleep(0.1)  # virtual; the server's side ends as well
+            return Outcome(taken, error.reason, source)
+
+    return run_virtually(main())
+
+
+def controller(*stamps: float, version: Version = E_SERIES, types: tuple[str, ...] = TYPES) -> Answer:
+    """Return the answers of a controller that sends packages with these stamps once started."""
+    recipe = Recipe(3, NAMES, types)
+    zeros = [(0.0,) * 6 if kind == "VECTOR6D" else (0.0,) * 3 for kind in types[1:]]
+
+    def answer(kind: int) -> bytes:
+        if kind == Kind.CONTROLLER:
+            return pack(kind, version.payload)
+        if kind == Kind.OUTPUTS:
+            return pack(kind, recipe.answer)
+        data = [pack(Kind.DATA, recipe.pack((stamp, *zeros))) for stamp in stamps]
+        return pack(kind, b"\1") + (b"".join(data) if kind == Kind.START else b"")
+
+    return answer
+
+
+def test_repeated_packages_are_dropped_and_counted() -> None:
+    taken, reason, source = against(controller(0.008, 0.016, 0.016, 0.016, 0.024))
+    assert [batch.device_time.tolist() for batch in taken] == [[8 * ms, 16 * ms, 24 * ms]]
+    assert source.describe()["repeated"] == 2
+    assert reason == "sends nothing for 1.0 s: does it run, and is the cable in?"
+
+
+def test_rows_before_the_clock_went_back_are_kept() -> None:
+    taken, reason, _ = against(controller(7.0, 7.008, 0.008, 7.016))
+    assert [batch.device_time.tolist() for batch in taken] == [[7 * s, 7 * s + 8 * ms]]
+    assert "went back" in reason
+
+
+@pytest.mark.parametrize("stamp", [nan, inf, -1.0, 1e300])
+def test_invalid_stamps_are_refused(stamp: float) -> None:
+    taken, reason, _ = against(controller(0.008, stamp))
+    assert not taken
+    assert "stamps" in reason
+
+
+def test_variables_of_another_type_are_refused() -> None:
+    taken, reason, _ = against(controller(0.008, types=("DOUBLE", "VECTOR6D", "VECTOR3D")))
+    assert not taken
+    assert "VECTOR3D" in reason
+
+
+def test_invalid_bytes_end_the_connection_after_the_packages_before_them() -> None:
+    sound = controller(0.008, 0.016)
+
+    def then_rubbish(kind: int) -> bytes:
+        return sound(kind) + (b"\0\0\0" if kind == Kind.START else b"")
+
+    taken, reason, _ = against(then_rubbish)
+    assert [len(batch) for batch in taken] == [2]
+    assert reason == "a package of 0 bytes, must be 3 to 8192"
+    taken, reason, _ = against(lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n")
+    assert (taken, reason) == ([], "it does not speak RTDE: a package of 18516 bytes, must be 3 to 8192")
+
+
+def test_a_cb3_controller_that_grants_500_hz_is_refused() -> None:
+    taken, reason, _ = against(controller(0.008, version=CB3), rate=500.0)
+    assert not taken
+    assert "125.0 Hz at most" in reason
+
+
+def test_a_closed_port_is_an_error() -> None:
+    with socket.socket() as free:
+        free.bind((HOST, 0))
+        source = UrMotion(HOST, port=free.getsockname()[1])
+
+        async def main() -> tuple[list[Motion], EndpointError]:
+            return await exhaust(source, LoopClock())
+
+        taken, error = run_virtually(main())
+    assert not taken
+    assert "refuses the connection: is this its address" in error.reason
+
+
+class TestTransport(asyncio.Transport):
+    """Transport that records what is written to it, and whether it reads."""
+
+    __test__ = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.reads, self.written = True, list[bytes]()
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        self.written.append(bytes(data))
+
+    def pause_reading(self) -> None:
+        self.reads = False
+
+    def resume_reading(self) -> None:
+        self.reads = True
+
+
+VERSION = Version(3, 15, 8, 1)
+RECIPE = Recipe(7, NAMES, TYPES)
+ANSWERS = [
+    pack(Kind.PROTOCOL, b"\1"),
+    pack(Kind.CONTROLLER, VERSION.payload),
+    pack(Kind.OUTPUTS, RECIPE.answer),
+    pack(Kind.START, b"\1"),
+]
+DATA = [RECIPE.pack((k / 125, (k, 0, 0, 0, 0, 0), (0.0,) * 6)) for k in range(3)]
+
+
+def client(transport: TestTransport) -> RtdeClient:
+    """Return a client that is connected to a transport."""
+    connected = RtdeClient(LoopClock(), HOST, 1, OUTPUTS, rate=125.0, timeout=1.0)
+    connected.connection_made(transport)
+    return connected
+
+
+def fed(pieces: list[bytes]) -> tuple[bytes, str]:
+    """Return the payloads that a client receives from pieces of a byte stream, and why it fails."""
+
+    async def main() -> tuple[bytes, str]:
+        reader, received = client(TestTransport()), b""
+        for piece in pieces:
+            reader.data_received(piece)
+        reader.connection_lost(ConnectionError("end of the test"))
+        try:
+            while True:
+                received += (await reader.receive())[1]
+        except EndpointError as error:
+            return received, error.reason
+
+    return run_virtually(main())
+
+
+def test_each_answer_is_followed_by_the_next_request() -> None:
+    async def main() -> list[bytes]:
+        transport = TestTransport()
+        reader = client(transport)
+        for number, answer in enumerate(ANSWERS, 1):
+            assert len(transport.written) == number
+            reader.data_received(answer)
+        assert reader.controller == VERSION
+        return transport.written
+
+    assert run_virtually(main()) == [
+        pack(Kind.PROTOCOL, b"\0\2"),
+        pack(Kind.CONTROLLER),
+        pack(Kind.OUTPUTS, ask_outputs(125.0, NAMES)),
+        pack(Kind.START),
+    ]
+
+
+@given(st.lists(st.integers(0, 700), max_size=20))
+def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
+    stream = b"".join([*ANSWERS, *(pack(Kind.DATA, payload) for payload in DATA)])
+    places = [0, *sorted(min(cut, len(stream)) for cut in cuts), len(stream)]
+    received, reason = fed([stream[start:stop] for start, stop in pairwise(places)])
+    assert (received, reason) == (b"".join(DATA), "end of the test")
+
+
+@pytest.mark.parametrize(
+    ("answers", "wrong", "reason"),
+    [
+        (0, pack(Kind.PROTOCOL, b"\0"), "does not speak version 2"),
+        (0, pack(Kind.CONTROLLER, VERSION.payload), "'v' where 'V'"),
+        (0, pack(Kind.DATA, DATA[0]), "'U' where 'V'"),
+        (1, pack(Kind.CONTROLLER, b"\1"), "version has 1 bytes"),
+        (2, pack(Kind.OUTPUTS, b"\0DOUBLE,NOT_FOUND"), "actual_TCP_pose NOT_FOUND"),
+        (3, pack(Kind.START, b"\0"), "refused to start"),
+        (3, pack(Kind.DATA, DATA[0]), "'U' where 'S'"),
+        (4, pack(Kind.DATA, DATA[0][:-1]), "data of 104 bytes"),
+        (4, pack(Kind.DATA, b"\1" + DATA[0][1:]), "recipe 01, not 105 for 07"),
+        (4, pack(Kind.PAUSE, b"\1"), "'P' where 'U'"),
+        (4, b"HTTP/1.1 400 Bad Request", "package of 18516 bytes"),
+    ],
+)
+def test_an_unexpected_package_is_an_error_after_the_data_before_it(
+    answers: int, wrong: bytes, reason: str
+) -> None:
+    before = [*ANSWERS[:answers], *([pack(Kind.DATA, DATA[0])] if answers == 4 else [])]
+    received, error = fed([b"".join([*before, wrong])])
+    assert reason in error
+    assert received == (DATA[0] if answers == 4 else b"")
+
+
+def test_messages_of_the_controller_are_logged(caplog: pytest.LogCaptureFixture) -> None:
+    message = pack(Kind.TEXT, b"\x05hel\nx\x04RTDE\1")
+    with caplog.at_level(logging.WARNING):
+        assert fed([b"".join([*ANSWERS, message, pack(Kind.DATA, DATA[0])])])[0] == DATA[0]
+    assert [record.message for record in caplog.records] == ["controller: hel x (RTDE)"]
+
+
+def test_a_full_backlog_pauses_reading(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rtde_client, "BACKLOG", 20)
+
+    async def main() -> None:
+        transport = TestTransport()
+        reader = client(transport)
+        reader.data_received(b"".join(ANSWERS))
+        for _ in range(20):
+            assert transport.reads
+            reader.data_received(pack(Kind.DATA, DATA[0]))
+        assert not transport.reads
+        arrivals, packages = await reader.receive()
+        assert len(arrivals) == 20
+        assert len(packages) == 20 * RECIPE.size
+        assert transport.reads
+
+    run_virtually(main())
+
+
+def test_nagles_algorithm_is_off() -> None:
+    async def main() -> int:
+        async with await serve(controller(0.008)) as server:
+            port = server.sockets[0].getsockname()[1]
+            reader = RtdeClient(LoopClock(), HOST, port, OUTPUTS, rate=125.0, timeout=1.0)
+            await reader.connect()
+            await reader.receive()
+            assert reader._transport
+            connection = reader._transport.get_extra_info("socket")
+            option: int = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            await reader.close()
+            return option
+
+    assert run_virtually(main())
