@@ -54,7 +54,7 @@ def test_every_block_of_the_page_runs_in_order_and_prints_what_the_page_says(
             printed, ran = run(["bash", "-euc", block.body], tmp_path), ran + 1
         elif block.language == "json":
             json.loads(block.body)
-        elif block.language == "text" and printed:
+        elif block.language in {"text", "mermaid"} and printed:
             lines = {same_but_for_numbers(line) for line in printed.splitlines()}
             assert {same_but_for_numbers(line) for line in block.body.splitlines()} <= lines, printed
     assert ran or name == "reference/mqtt.md"  # whose files are run by tests/test_docs_mqtt.py
