@@ -3,7 +3,7 @@
     python -m flows.run.cluster.flink_job http://localhost:8081 FOLDER 2        prints the job's id
 
 Translation is little: the claims' files are the source, the flow's operators are one keyed process function,
-a second one writes the sessions. See `docs/decisions/0013-claims-on-flink.md`.
+a second one writes the sessions. See `docs/decisions/0013-work-units-on-flink.md`.
 """
 
 import sys
