@@ -11,6 +11,7 @@ from threading import Event, Thread
 from time import monotonic_ns
 from typing import Final
 
+from connectors.takktile.i2c_access import I2cBus
 from connectors.takktile.takktile_protocol import Coefficients
 from connectors.takktile.takktile_scan import Scan, Scanner, reason
 from operators.batch import ms, s
@@ -28,7 +29,7 @@ class Schedule:
     """What to scan, and when.
 
     Attributes:
-        path: The bus.
+        bus: The bus.
         rows: Of the fingertips.
         conversion: Wait for a conversion, ns.
         period: From scan to scan, ns.
@@ -36,7 +37,7 @@ class Schedule:
             more than a tenth of the period after they were due (late); and those that were missed.
     """
 
-    path: str
+    bus: I2cBus
     rows: Sequence[int]
     conversion: int
     period: int
@@ -64,7 +65,7 @@ class ScanThread:
         self._error: EndpointError | None = None
         self._news, self._ended = asyncio.Event(), asyncio.Event()
         self._ending, self._blocked = Event(), False
-        self._thread = Thread(target=self._run, name=f"takktile {schedule.path}", daemon=True)
+        self._thread = Thread(target=self._run, name=f"takktile {schedule.bus.path}", daemon=True)
         self._thread.start()
 
     @property
@@ -94,7 +95,7 @@ class ScanThread:
                 if not self._scans:
                     self._blocked = True
                     raise EndpointError(
-                        self._schedule.path, f"is blocked for {patience:.0f} s: reset its adapter"
+                        self._schedule.bus.path, f"is blocked for {patience:.0f} s: reset its adapter"
                     ) from None
 
     async def end(self) -> None:
@@ -105,17 +106,17 @@ class ScanThread:
                 await self._ended.wait()
             self._thread.join()  # saying so was the last thing it had to do
         except TimeoutError:
-            log.warning("%s: left a thread behind that is blocked", self._schedule.path)
+            log.warning("%s: left a thread behind that is blocked", self._schedule.bus.path)
 
     def _run(self) -> None:
         schedule, scanner = self._schedule, None
         try:
-            scanner = Scanner(schedule.path, schedule.rows, schedule.conversion, self._now, self._learn)
+            scanner = Scanner(schedule.bus, schedule.rows, schedule.conversion, self._now, self._learn)
             self._scan(scanner)
         except OSError as error:
-            self._error = EndpointError(schedule.path, reason(error))
+            self._error = EndpointError(schedule.bus.path, reason(error))
         except Exception as error:  # noqa: BLE001 - a thread that fails says so, whatever it is
-            self._error = EndpointError(schedule.path, f"{type(error).__name__}: {error}")
+            self._error = EndpointError(schedule.bus.path, f"{type(error).__name__}: {error}")
             self._error.__cause__ = error
         finally:
             self._tell(self._news)

@@ -1,15 +1,15 @@
 """Scanning TakkTile fingertips over I2C: what blocks while it talks to the bus, for a thread of its own."""
 
 import errno
-import fcntl
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from time import monotonic_ns, sleep
 from typing import Final, NamedTuple
 
 import numpy as np
-from smbus2 import I2cFunc, SMBus
+from smbus2 import I2cFunc
 
+from connectors.takktile.i2c_access import I2cBus
 from connectors.takktile.takktile_protocol import (
     ALL,
     BAROMETER,
@@ -66,7 +66,7 @@ class Scanner:
     together, and the sum looks like data. After every error all cells are disconnected.
 
     Args:
-        path: The bus, as /dev/i2c-1.
+        bus: The bus, which is opened here.
         rows: Of the fingertips, 0 to 7.
         conversion: How long a conversion may take, ns.
         now: The clock to stamp with, ns.
@@ -78,7 +78,7 @@ class Scanner:
 
     def __init__(
         self,
-        path: str,
+        bus: I2cBus,
         rows: Sequence[int],
         conversion: int,
         now: Callable[[], int],
@@ -87,11 +87,8 @@ class Scanner:
         self._rows, self._conversion, self._now, self._learn = rows, conversion, now, learn
         self._converters = [[Converter() for _ in range(BAROMETERS)] for _ in rows]
         self._unknown = set[tuple[int, int]]()  # cells that have yet to say who they are
-        self._bus = SMBus()
+        self._bus = bus.open()
         try:
-            self._bus.open(path)
-            assert self._bus.fd is not None
-            fcntl.flock(self._bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
             self._quick = bool(self._bus.funcs & I2cFunc.SMBUS_QUICK)
             self._disconnect()
             for fingertip in range(len(rows)):

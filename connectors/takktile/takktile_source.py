@@ -8,6 +8,7 @@ from typing import Final, cast
 
 import numpy as np
 
+from connectors.takktile.i2c_access import I2cBus, LinuxI2cBus
 from connectors.takktile.scan_thread import ScanThread, Schedule
 from connectors.takktile.takktile_protocol import ROWS, Coefficients, compensate
 from connectors.takktile.takktile_scan import Scan
@@ -32,7 +33,7 @@ class TakkTile(Source[Touch]):
     that scan it.
 
     Args:
-        bus: Number of the I2C bus, 1 for /dev/i2c-1, or its path.
+        bus: Number of the I2C bus (1 for /dev/i2c-1), its path, or a bus object such as a virtual lab's.
         rows: Of the fingertips, as their ATtinys are programmed: 0 to 7.
         fingers: What the fingertips are called in the flow; by default 0, 1 and so on.
         rate: Scans per second.
@@ -52,7 +53,7 @@ class TakkTile(Source[Touch]):
 
     def __init__(
         self,
-        bus: int | str = 1,
+        bus: int | str | I2cBus = 1,
         rows: tuple[int, ...] = (0,),
         *,
         fingers: tuple[int, ...] | None = None,
@@ -73,12 +74,14 @@ class TakkTile(Source[Touch]):
         if not FASTEST <= conversion < s / rate:
             must_be = f"from {FASTEST} ns to less than {s / rate:.0f} ns, such as 3 * ms"
             raise ParameterError("TakkTile", "conversion", conversion, must_be)
-        self.path = f"/dev/i2c-{bus}" if isinstance(bus, int) else bus
+        if isinstance(bus, int | str):
+            bus = LinuxI2cBus(f"/dev/i2c-{bus}" if isinstance(bus, int) else bus)
+        self.path = bus.path
         self.rate = rate
         self.coefficients = {finger: list[Coefficients | None]([None] * BAROMETERS) for finger in fingers}
         self._fingers = fingers
         self._counted: dict[str, int] = {"made": 0, "silent": 0, "late": 0, "missed": 0}  # scans
-        self._schedule = Schedule(self.path, rows, conversion, round(s / rate), self._counted)
+        self._schedule = Schedule(bus, rows, conversion, round(s / rate), self._counted)
         self._learnt = {str(finger): list[Json]([None] * BAROMETERS) for finger in fingers}  # as plain data
         self._thread: ScanThread | None = None  # the newest
         self._told: Clock | None = None  # of the run that knows that the sensor is lost

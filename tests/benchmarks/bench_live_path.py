@@ -29,8 +29,6 @@ import smbus2.smbus2
 
 from connectors import SimulatedRig, TakkTile, UrMotion
 from connectors.emulators.free_arm import FreeArm
-from connectors.emulators.i2c_bus import I2cBus
-from connectors.emulators.i2c_device import served
 from connectors.emulators.ur_controller import E_SERIES, Ports, UrController
 from flows.graph import Flow
 from flows.run.clocks import LoopClock
@@ -54,6 +52,8 @@ from operators import (
 from operators.batch import Counts
 from storage import Dataset, load_debounce, load_detector
 from tests.benchmarks.machine import commit, machine
+from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
+from tests.connectors.emulators.i2c_device import served
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -215,7 +215,9 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
     """One run; `apart`: what it is made of is timed."""
     spent, touch, told = Spent(), Noting(), Told()
     motion = UrMotion(HOST, 500.0, port=port)
-    bus = I2cBus(Table(await felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS})
+    bus = FaultyI2cBus(
+        Table(await felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS}
+    )
     with tempfile.TemporaryDirectory() as out, served(bus, BUS):
         runner = LiveRunner(declared(touch, motion, told, out), "path")
         if apart:

@@ -16,8 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from connectors.emulators.i2c_bus import I2cBus
-from connectors.emulators.i2c_device import served
 from flows.graph.loading import load
 from flows.run.live_runner import LiveRunner
 from operators.batch import Counts, ms, s
@@ -51,9 +49,13 @@ def resident(field: str = "VmRSS") -> float:
 
 async def work(flow_file: str, table: Table, settings: dict[str, str], seconds: float) -> dict[str, object]:
     """Run for so long; gives what was used and done."""
+    sys.path.append(str(Path(__file__).parents[2]))  # for `tests` alone: the installed slipflow comes first
+    from tests.connectors.emulators.faulty_i2c import FaultyI2cBus  # noqa: PLC0415
+    from tests.connectors.emulators.i2c_device import served  # noqa: PLC0415
+
     flow = load(flow_file).flow(settings)
     runner = LiveRunner(flow, "edge", duration=round(seconds * s))
-    with served(I2cBus(table), f"/dev/i2c-{BUS}"):
+    with served(FaultyI2cBus(table), f"/dev/i2c-{BUS}"):
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(seconds / 2)
         wall, cpu, first = time.monotonic(), time.process_time(), resident()

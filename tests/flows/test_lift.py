@@ -7,7 +7,6 @@ import pytest
 
 from connectors import Gripper, TakkTile
 from connectors.emulators.gripper_server import GripperServer
-from connectors.emulators.i2c_bus import I2cBus
 from connectors.gripper.grip_force import ForceScale
 from connectors.sim.grasp import Held
 from connectors.sim.grasp_source import Handling, opened
@@ -23,6 +22,7 @@ from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Commands, Grip, InputError, ParameterError, Run, s
 from storage import load_detector
+from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
 from tests.connectors.sim.grasp_lab import GraspLab
 
 DETECTOR = "tcn_grasp"
@@ -78,14 +78,14 @@ def test_what_is_gripped_too_weakly_is_held_by_the_flow_and_lost_without(*, rule
 
 async def _lifted(number: int, name: str) -> GraspLab:
     """One lift in real time: I2C bytes in, Modbus requests out."""
-    from connectors.emulators.i2c_device import served  # noqa: PLC0415 - needs smbus2
+    from tests.connectors.emulators.i2c_device import served  # noqa: PLC0415 - needs smbus2
 
     thing = named(name)
     lab = await asyncio.to_thread(lambda: GraspLab(opened(thing, number, UP)))
     path = f"/dev/i2c-{70 + number}"
     server = GripperServer(lab, port=0, now=lab.now, activation=0.2, scale=SMALL)
     rule = controller(DETECTOR, 0.6 * least_force(thing), settle=round(1.5 * s))
-    with served(I2cBus(lab, now=lab.now), path):
+    with served(FaultyI2cBus(lab, now=lab.now), path):
         async with server:
             flow = Flow("lift")
             hand = Gripper(server.host, server.port, limits=(0.05, 10.0), scale=SMALL)

@@ -12,11 +12,10 @@ import pytest
 import smbus2.smbus2
 from smbus2 import I2cFunc, SMBus, i2c_msg
 
-from connectors.emulators.i2c_barometer import Defect
-from connectors.emulators.i2c_bus import DESIGNWARE, RASPBERRY_PI, Adapter, I2cBus
-from connectors.emulators.i2c_device import served
 from operators.batch import Counts, ms
 from operators.errors import ParameterError
+from tests.connectors.emulators.faulty_i2c import DESIGNWARE, RASPBERRY_PI, Adapter, Defect, FaultyI2cBus
+from tests.connectors.emulators.i2c_device import served
 
 PATH = "/dev/i2c-7"
 CELL = 0x60
@@ -43,7 +42,7 @@ class Rig:
     def __init__(self, rows: dict[int, int], adapter: Adapter) -> None:
         self.time = 1000
         self.skin = Skin()
-        self.bus = I2cBus(self.skin, rows, adapter=adapter, now=lambda: self.time)
+        self.bus = FaultyI2cBus(self.skin, rows, adapter=adapter, now=lambda: self.time)
         self.client = SMBus()
 
     def convert(self) -> None:
@@ -194,7 +193,7 @@ def test_a_scan_costs_what_it_costs_on_the_wire(rig: Rig) -> None:
 
 def test_defective_cells_are_dead_stuck_or_zero(rig: Rig) -> None:
     rig.convert()
-    cells = rig.bus.fingertips[0].cells
+    cells = rig.bus.tip(0).barometers
     cells[0].defect, cells[1].defect, cells[2].defect = Defect.DEAD, Defect.STUCK, Defect.ZERO
     rig.skin.pressure[0] = [222] * 6
     rig.convert()
@@ -205,7 +204,7 @@ def test_defective_cells_are_dead_stuck_or_zero(rig: Rig) -> None:
 
 
 def test_an_overloaded_cell_wraps(rig: Rig) -> None:
-    rig.bus.fingertips[0].cells[0].overload = 410
+    rig.bus.cell(0, 0).overload = 410
     rig.convert()
     assert rig.read(0)[0] == 1014
 
@@ -272,7 +271,7 @@ def test_a_wedged_bus_blocks_until_it_is_released(rig: Rig) -> None:
 
 
 def test_two_buses_are_served_at_once_and_files_stay_files(rig: Rig) -> None:
-    other = I2cBus(Skin(), {1: 0})
+    other = FaultyI2cBus(Skin(), {1: 0})
     with served(other, "/dev/i2c-8"), SMBus("/dev/i2c-8") as client:
         client.write_quick(1 << 3)
         refused(121, client.write_quick, 0)
@@ -292,7 +291,7 @@ def test_a_descriptor_can_be_locked_against_others_who_open_the_same_bus(rig: Ri
 
 
 def test_smbus2_is_as_it_was_when_the_block_ends() -> None:
-    with served(I2cBus(Skin()), PATH):
+    with served(FaultyI2cBus(Skin()), PATH):
         assert smbus2.smbus2.__dict__["os"] is not os
     assert smbus2.smbus2.__dict__["os"] is os
     assert smbus2.smbus2.__dict__["ioctl"] is fcntl.ioctl
@@ -306,4 +305,4 @@ def test_what_no_adapter_does_is_refused(rig: Rig) -> None:
 
 def test_there_are_rows_0_to_7() -> None:
     with pytest.raises(ParameterError, match="rows"):
-        I2cBus(Skin(), {8: 0})
+        FaultyI2cBus(Skin(), {8: 0})

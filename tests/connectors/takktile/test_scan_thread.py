@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.emulators.i2c_bus import I2cBus
-from connectors.emulators.i2c_device import served
+from connectors.takktile.i2c_access import LinuxI2cBus
 from connectors.takktile.scan_thread import ScanThread, Schedule, following
 from connectors.takktile.takktile_protocol import Coefficients
 from connectors.takktile.takktile_scan import Scan, Scanner
 from operators import EndpointError, ms, us
 from operators.batch import Counts
+from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
+from tests.connectors.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 
@@ -43,8 +44,8 @@ class Counted(dict[str, int]):
 
 
 @pytest.fixture(autouse=True)
-def bus() -> Iterator[I2cBus]:
-    with served(I2cBus(Skin(), conversion=50 * us), PATH) as bus:
+def bus() -> Iterator[FaultyI2cBus]:
+    with served(FaultyI2cBus(Skin(), conversion=50 * us), PATH) as bus:
         yield bus
 
 
@@ -54,7 +55,7 @@ def begin(counted: Counted) -> ScanThread:
     def learn(fingertip: int, cell: int, coefficients: Coefficients | None) -> None:
         """Nothing."""
 
-    return ScanThread(Schedule(PATH, (0,), 100 * us, 2 * ms, counted), time_ns, learn)
+    return ScanThread(Schedule(LinuxI2cBus(PATH), (0,), 100 * us, 2 * ms, counted), time_ns, learn)
 
 
 @given(st.integers(0, 10**12), st.integers(0, 10**10), st.integers(1, 10**9))

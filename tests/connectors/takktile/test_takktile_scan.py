@@ -10,12 +10,19 @@ import numpy as np
 import pytest
 from smbus2 import SMBus
 
-from connectors.emulators.i2c_barometer import Barometer, Defect, Fingertip
-from connectors.emulators.i2c_bus import DESIGNWARE, RASPBERRY_PI, I2cBus
-from connectors.emulators.i2c_device import served
+from connectors.emulators.i2c_barometer import Barometer
+from connectors.takktile.i2c_access import LinuxI2cBus
 from connectors.takktile.takktile_protocol import Coefficients
 from connectors.takktile.takktile_scan import Scan, Scanner, reason
 from operators.batch import Counts, us
+from tests.connectors.emulators.faulty_i2c import (
+    DESIGNWARE,
+    RASPBERRY_PI,
+    Defect,
+    FaultyFingertip,
+    FaultyI2cBus,
+)
+from tests.connectors.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 CELL, ALL = 0x60, 0x06
@@ -49,14 +56,16 @@ class Rig:
 
     def __init__(self) -> None:
         self.skin = Skin()
-        self.bus = I2cBus(self.skin, dict(zip(self.rows, self.fingers, strict=True)), conversion=50 * us)
+        self.bus = FaultyI2cBus(
+            self.skin, dict(zip(self.rows, self.fingers, strict=True)), conversion=50 * us
+        )
         self.learnt: dict[tuple[int, int], Coefficients | None] = {}
 
     def open(self) -> Scanner:
         def learn(fingertip: int, cell: int, coefficients: Coefficients | None) -> None:
             self.learnt[fingertip, cell] = coefficients
 
-        return Scanner(PATH, self.rows, 100 * us, time_ns, learn)
+        return Scanner(LinuxI2cBus(PATH), self.rows, 100 * us, time_ns, learn)
 
     def right(self, scan: Scan) -> None:
         """What is valid is what was converted last, and what is not reads so."""
@@ -138,7 +147,7 @@ def test_an_error_of_the_bus_spoils_the_scan_and_a_silent_cell_only_itself(rig: 
 
 def test_a_dead_cell_is_invalid_and_reads_0(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        rig.bus.fingertips[3].cells[2].defect = Defect.DEAD
+        rig.bus.cell(3, 2).defect = Defect.DEAD
         for _ in range(3):
             scan = scanner.scan()
             assert invalid(scan) == [(1, 2)]
@@ -148,12 +157,12 @@ def test_a_dead_cell_is_invalid_and_reads_0(rig: Rig) -> None:
 
 def test_a_cell_that_converts_to_0_is_invalid(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        rig.bus.fingertips[0].cells[5].defect = Defect.ZERO
+        rig.bus.cell(0, 5).defect = Defect.ZERO
         assert invalid(scanner.scan()) == [(0, 5)]
 
 
 def test_what_was_not_converted_yet_is_invalid(rig: Rig) -> None:
-    rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
+    rig.bus.cell(3, 0).defect = Defect.STUCK
     with closing(rig.open()) as scanner:
         assert invalid(scanner.scan()) == [(1, 0)]
 
@@ -161,7 +170,7 @@ def test_what_was_not_converted_yet_is_invalid(rig: Rig) -> None:
 def test_a_stuck_cell_repeats_its_last_count_for_all_to_see(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         scanner.scan()
-        rig.bus.fingertips[3].cells[0].defect = Defect.STUCK
+        rig.bus.cell(3, 0).defect = Defect.STUCK
         counts = [scanner.scan().counts[1, :2].tolist() for _ in range(3)]
         assert len({stuck for stuck, _ in counts}) == 1
         assert len({sound for _, sound in counts}) == 3
@@ -169,7 +178,7 @@ def test_a_stuck_cell_repeats_its_last_count_for_all_to_see(rig: Rig) -> None:
 
 def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        cell = rig.bus.fingertips[0].cells[3]
+        cell = rig.bus.cell(0, 3)
         seen = list[bool]()
         for overload in (0, 200, 380, 480, 600, 470, 200, 0):
             cell.overload = overload
@@ -182,11 +191,11 @@ def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> N
 
 def test_a_fingertip_that_is_unplugged_is_invalid_and_the_other_stays_right(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
-        rig.bus.fingertips[3].unplug()
+        rig.bus.tip(3).unplug()
         scan = scanner.scan()
         assert invalid(scan) == [(1, cell) for cell in range(6)]
         rig.right(scan)
-        rig.bus.fingertips[3].plug()
+        rig.bus.tip(3).plug()
         rig.sound(scanner.scan())
 
 
@@ -211,11 +220,11 @@ def test_cells_that_somebody_left_connected_are_disconnected_at_the_start(rig: R
 def test_a_cell_that_cannot_be_disconnected_spoils_every_scan(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def connected(fingertip: Fingertip) -> list[Barometer]:
+    def connected(fingertip: FaultyFingertip) -> list[Barometer]:
         return fingertip.cells[:1]
 
     with closing(rig.open()) as scanner:
-        monkeypatch.setattr(Fingertip, "connected", property(connected))
+        monkeypatch.setattr(FaultyFingertip, "connected", property(connected))
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
@@ -237,7 +246,7 @@ def test_an_adapter_without_quick_is_served_by_a_byte_that_is_refused(
     rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if claims == "quick":
-        monkeypatch.setattr("connectors.emulators.i2c_device._EMULATED_QUICK", 0)
+        monkeypatch.setattr("tests.connectors.emulators.i2c_device._EMULATED_QUICK", 0)
     rig.bus.adapter = DESIGNWARE
     with closing(rig.open()) as scanner:
         for _ in range(2):
@@ -264,7 +273,7 @@ def test_each_cell_says_once_who_it_is(rig: Rig) -> None:
 
 
 def test_a_cell_that_was_silent_at_the_start_says_later_who_it_is(rig: Rig) -> None:
-    cells = rig.bus.fingertips[3].cells
+    cells = rig.bus.tip(3).barometers
     for cell in (1, 4):
         cells[cell].defect = Defect.DEAD
     with closing(rig.open()) as scanner:

@@ -13,9 +13,6 @@ import numpy as np
 import pytest
 
 from connectors import TakkTile
-from connectors.emulators.i2c_barometer import Defect
-from connectors.emulators.i2c_bus import I2cBus
-from connectors.emulators.i2c_device import served
 from connectors.emulators.shared_scene import Lab
 from connectors.sim.scene import Scene
 from flows.graph import Flow
@@ -25,6 +22,8 @@ from flows.run.live_runner import LiveRunner
 from operators import Clock, EndpointError, ParameterError, Score, Scores, Touch, Zero, Zeroed, ms, us
 from operators.batch import Batch, Counts, concat
 from operators.detectors.psd import Psd
+from tests.connectors.emulators.faulty_i2c import Defect, FaultyI2cBus
+from tests.connectors.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
 SILENT = f"{PATH}: no fingertip answers: is the power on, are the rows right? (errno 121)"
@@ -55,7 +54,7 @@ class Rig:
 
     def __init__(self) -> None:
         self.skin = Skin()
-        self.bus = I2cBus(self.skin, {0: 0, 1: 1, 5: 2}, conversion=200 * us)
+        self.bus = FaultyI2cBus(self.skin, {0: 0, 1: 1, 5: 2}, conversion=200 * us)
 
     def source(
         self,
@@ -182,7 +181,7 @@ async def test_a_sensor_that_is_not_there_at_the_start_fails_in_every_run_anew(r
 
 
 async def test_fingertips_without_a_working_cell_give_no_sample_at_all(rig: Rig) -> None:
-    for cell in rig.bus.fingertips[0].cells:
+    for cell in rig.bus.tip(0).barometers:
         cell.defect = Defect.DEAD
     taken, why = await lost(stream(rig.source()))
     assert not taken
@@ -219,7 +218,7 @@ async def test_a_wedged_bus_fails_the_source_in_time_and_ties_up_one_thread_only
 
 
 async def test_pressure_is_compensated_by_what_each_cell_says_of_itself(rig: Rig) -> None:
-    rig.bus.fingertips[5].cells[3].defect = Defect.DEAD
+    rig.bus.cell(5, 3).defect = Defect.DEAD
     source = rig.source(rows=(1, 5), fingers=(3, 4))
     async with aclosing(stream(source)) as batches:
         one, other = await take(batches, 2)
@@ -330,7 +329,7 @@ async def test_a_run_records_the_gap_and_says_once_what_happened(
 
 async def test_a_flow_feels_slip_on_the_virtual_lab_as_it_would_on_a_real_one() -> None:
     lab = Lab(Scene(), seed=1, fingers=(0, 3))
-    with served(I2cBus(lab, {0: 0, 2: 3}, now=lab.now), PATH):
+    with served(FaultyI2cBus(lab, {0: 0, 2: 3}, now=lab.now), PATH):
         flow, scores, raw = Flow("feel"), TestSink(), TestSink()
         touch = flow.source(TakkTile(rows=(0, 2), fingers=(0, 3)))
         touch.to(raw)

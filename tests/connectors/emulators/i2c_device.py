@@ -15,7 +15,8 @@ from typing import ClassVar, Final, Protocol, TypeAlias
 
 import smbus2.smbus2
 
-from connectors.emulators.i2c_bus import I2cBus, Message, fault
+from connectors.emulators.i2c_bus import Message, os_error
+from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
 
 _RETRIES, _TIMEOUT, _SLAVE, _FUNCTIONS = 0x0701, 0x0702, 0x0703, 0x0705
 _SLAVE_FORCE, _TRANSFER, _CHECKSUM, _SMBUS = 0x0706, 0x0707, 0x0708, 0x0720
@@ -67,7 +68,7 @@ class _Transfer(Structure):
 
 
 @contextmanager
-def served(bus: I2cBus, path: str = "/dev/i2c-1") -> Generator[I2cBus]:
+def served(bus: FaultyI2cBus, path: str) -> Generator[FaultyI2cBus]:
     """Let smbus2 find a bus at a path, in all threads of this process, for as long as the block lasts.
 
     Several may be served at paths of their own. When the block ends whoever is blocked by a wedged bus is
@@ -91,7 +92,9 @@ class _Device:
 
     O_RDWR = os.O_RDWR
 
-    def __init__(self, bus: I2cBus, path: str, backing: int, system: _System, control: _Control) -> None:
+    def __init__(
+        self, bus: FaultyI2cBus, path: str, backing: int, system: _System, control: _Control
+    ) -> None:
         self._bus, self._path, self._backing = bus, path, backing
         self._system, self._control = system, control  # that smbus2 had before
         self._handles: dict[int, _Handle] = {}
@@ -122,13 +125,13 @@ class _Device:
 class _Handle:
     """The bus as one who has opened it sees it."""
 
-    def __init__(self, bus: I2cBus) -> None:
+    def __init__(self, bus: FaultyI2cBus) -> None:
         self._bus, self._generation, self._address = bus, bus.generation, 0
 
     def ioctl(self, request: int, argument: _Argument) -> None:
         """One request of ``i2c-dev.h``."""
         if self._generation != self._bus.generation:
-            raise fault(self._bus.lost)
+            raise os_error(self._bus.lost)
         if isinstance(argument, int):
             self._set(request, argument)
         elif request == _FUNCTIONS:
@@ -139,27 +142,27 @@ class _Handle:
         elif request == _TRANSFER:
             self._transfer(_Transfer.from_buffer(argument))
         else:
-            raise fault(errno.ENOTTY)
+            raise os_error(errno.ENOTTY)
 
     def _set(self, request: int, value: int) -> None:
         """The address to talk to, or how; time limits and the like change nothing here."""
         if request in (_SLAVE, _SLAVE_FORCE):
             if not 0 <= value <= _HIGHEST:
-                raise fault(errno.EINVAL)
+                raise os_error(errno.EINVAL)
             if request == _SLAVE and value in self._bus.busy:
-                raise fault(errno.EBUSY)
+                raise os_error(errno.EBUSY)
             self._address = value
         elif request not in (_RETRIES, _TIMEOUT, _CHECKSUM):
-            raise fault(errno.ENOTTY)
+            raise os_error(errno.ENOTTY)
 
     def _transact(self, asked: _Transaction) -> None:
         """An SMBus transaction, as messages."""
         address, reads, size = self._address, asked.read_write == _READ, asked.size
         command, data = bytes([asked.command]), string_at(asked.data, _LONGEST + 2)
         if size not in (_QUICK, _BYTE, _BYTE_DATA, _WORD_DATA, _CALL, _BLOCK):
-            raise fault(errno.EOPNOTSUPP)
+            raise os_error(errno.EOPNOTSUPP)
         if size == _BLOCK and data[0] > _LONGEST:
-            raise fault(errno.EINVAL)
+            raise os_error(errno.EINVAL)
         length = {_QUICK: 0, _BYTE: 1, _BYTE_DATA: 1, _WORD_DATA: 2, _CALL: 2, _BLOCK: data[0]}[size]
         start = 1 if size == _BLOCK else 0  # a block begins with its length
         if size == _QUICK or (size == _BYTE and reads):
@@ -178,7 +181,7 @@ class _Handle:
     def _transfer(self, asked: _Transfer) -> None:
         """Messages in one go."""
         if not 0 < asked.nmsgs <= _MOST:
-            raise fault(errno.EINVAL)
+            raise os_error(errno.EINVAL)
         wanted = asked.msgs[: asked.nmsgs]
         messages = [
             Message(each.addr, length=each.len)

@@ -1,0 +1,80 @@
+"""Access to an I2C bus: the interface that scanning needs, and Linux's buses through smbus2."""
+
+import fcntl
+from collections.abc import Sequence
+from typing import Protocol
+
+from smbus2 import SMBus
+
+
+class I2cConnection(Protocol):
+    """An open bus: the methods of `smbus2.SMBus` that scanning uses. They raise OSError as Linux does."""
+
+    @property
+    def funcs(self) -> int:
+        """Bits of `smbus2.I2cFunc` that the adapter supports."""
+        ...
+
+    def write_quick(self, i2c_addr: int, /) -> None:
+        """Send an address with the write bit and no data."""
+        ...
+
+    def read_byte(self, i2c_addr: int, /) -> int:
+        """Read one byte."""
+        ...
+
+    def write_byte(self, i2c_addr: int, value: int, /) -> None:
+        """Write one byte."""
+        ...
+
+    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
+        """Read bytes from a register on."""
+        ...
+
+    def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None:
+        """Write bytes from a register on."""
+        ...
+
+    def close(self) -> None:
+        """Close the bus."""
+        ...
+
+
+class I2cBus(Protocol):
+    """A bus that can be opened: `LinuxI2cBus`, or the emulated bus of `connectors.emulators.i2c_bus`."""
+
+    @property
+    def path(self) -> str:
+        """Name of the bus in messages and recordings."""
+        ...
+
+    def open(self) -> I2cConnection:
+        """Open the bus for one program.
+
+        Raises:
+            OSError: if it does not exist, may not be opened or is in use.
+        """
+        ...
+
+
+class LinuxI2cBus:
+    """A bus of the Linux kernel, such as /dev/i2c-1."""
+
+    def __init__(self, path: str) -> None:
+        self.path = path
+
+    def open(self) -> SMBus:
+        """Open the bus and lock it against other programs that scan it.
+
+        Raises:
+            OSError: if it does not exist, may not be opened or is locked.
+        """
+        bus = SMBus()
+        try:
+            bus.open(self.path)
+            assert bus.fd is not None
+            fcntl.flock(bus.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BaseException:
+            bus.close()
+            raise
+        return bus
