@@ -14,8 +14,7 @@ import numpy as np
 
 from connectors.sim.arm_motion import Arm, in_base
 from connectors.sim.hand import Orders
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Commanded, Scene
+from connectors.sim.scene import Scene, commanded_scene
 from connectors.sim.truth import Memory, Truth
 from operators.batch import Commands, Counts, Reals, Touch, s
 from operators.errors import ParameterError
@@ -23,7 +22,7 @@ from operators.errors import ParameterError
 STRETCH: Final = s // 2  # ns of the scene at a time, when nobody has asked for long
 
 
-class Lab:
+class SharedScene:
     """A scene that begins when the lab is built, and goes on as fast as the host's clock.
 
     It may be asked from any thread. Its first fingertip in a process takes seconds to build, while the
@@ -51,11 +50,11 @@ class Lab:
         remember: float = 600.0,
     ) -> None:
         if not fingers:
-            raise ParameterError("Lab", "fingers", fingers, "at least one fingertip")
+            raise ParameterError("SharedScene", "fingers", fingers, "at least one fingertip")
         from connectors.sim.finger import Finger, compile_physics  # noqa: PLC0415 - loads numba: only to run
 
         compile_physics()
-        self.scene = scene if scene is not None else Scene(Commanded(), parameters=Parameters(noise=0.6))
+        self.scene = scene if scene is not None else commanded_scene()
         self.seed, self.fingers, self.now = seed, fingers, now
         self._lock, self.orders = Lock(), Orders()
         self._skin = {finger: Finger(self.scene, seed, finger, orders=self.orders) for finger in fingers}

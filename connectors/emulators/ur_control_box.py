@@ -36,7 +36,7 @@ class Arm(Protocol):
 
 @runtime_checkable
 class Pressed(Protocol):
-    """An arm that knows what pushes it: a `connectors.emulators.pressing.PressingArm`."""
+    """An arm that knows what pushes it: a `connectors.emulators.pressing_arm.PressingArm`."""
 
     @property
     def wrench(self) -> Reals:

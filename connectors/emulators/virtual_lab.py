@@ -1,8 +1,7 @@
-"""The virtual lab: one scene, served as devices over their own protocols.
+"""A virtual lab: one simulated scene, served as a UR controller, a TakkTile bus and a gripper.
 
-A UR controller, a TakkTile bus and a gripper share one `Lab`: the arm that is commanded drags, and presses,
-the fingertip whose counts come back; the gripper's force presses it, too, and the newest one counts. The
-surface's middle, its highest point, is the origin of the arm's base frame; its axes are the frame's.
+The commanded arm drags and presses the fingertip whose counts come back. The gripper presses it, too: the
+latest force applies. The highest point of the surface, its middle, is the origin of the arm's base frame.
 """
 
 import asyncio
@@ -12,49 +11,40 @@ from dataclasses import dataclass
 from typing import Final
 
 from connectors.emulators.gripper_server import GripperServer
-from connectors.emulators.i2c_bus import I2cBus
-from connectors.emulators.pressing import PressingArm
-from connectors.emulators.shared_scene import Lab
+from connectors.emulators.i2c_bus import EmulatedI2cBus
+from connectors.emulators.pressing_arm import PressingArm
+from connectors.emulators.shared_scene import SharedScene
 from connectors.emulators.ur_controller import PORTS, Ports, UrController
-from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Commanded, Curvature, Scene
+from connectors.sim.scene import Scene
 from connectors.ur.rtde import Version
 from operators.batch import s
 
-RADIUS: Final = Scene().radius  # m, of a curved surface
-HEIGHT: Final = 0.02  # m above the surface, where the fingertip is at first
+HEIGHT: Final = 0.02  # m, of the fingertip above the surface at first
 LOOPBACK: Final = "127.0.0.1"
-I2C: Final = "/dev/i2c-1"
-UR10: Final = Version(3, 15, 8, 0)  # the paper's arm; 125 Hz
-_BEHIND: Final = 2 * s  # ns that the scene may be behind when nobody asks
+UR10_CB3: Final = Version(3, 15, 8, 0)  # the arm of the paper; 125 Hz
+LARGEST_LAG: Final = 2 * s  # ns by which an idle scene lags the clock
 
 
 @dataclass(frozen=True)
 class VirtualLab:
-    """What is served, and where."""
+    """A virtual lab that runs; `bus` goes to `TakkTile`."""
 
-    lab: Lab
-    bus: I2cBus
+    scene: SharedScene
+    bus: EmulatedI2cBus
     controller: UrController
-    path: str  # of the bus, for smbus2 in this process
     gripper: GripperServer | None
 
     @property
-    def places(self) -> dict[str, str]:
-        """Where each device is."""
+    def addresses(self) -> dict[str, str]:
+        """Address of each device."""
         host, ports, gripper = self.controller.host, self.controller.ports, self.gripper
         return {
-            "takktile": f"{self.path}, in this process only",
+            "takktile": "in this process only",
             "rtde": f"{host}:{ports.rtde}",
             "script": f"{host}:{ports.script}",
             "dashboard": f"{host}:{ports.dashboard}",
             **({"gripper": f"modbus://{gripper.host}:{gripper.port}/{gripper.unit}"} if gripper else {}),
         }
-
-
-def scene(curvature: Curvature = "plane", radius: float = RADIUS) -> Scene:
-    """A surface (radius in m), a fingertip above it, noisy as a real one, and an arm that awaits commands."""
-    return Scene(Commanded(), curvature, radius, parameters=Parameters(noise=0.6))
 
 
 @asynccontextmanager
@@ -66,48 +56,41 @@ async def virtual_lab(
     host: str = LOOPBACK,
     ports: Ports = PORTS,
     gripper: int | None = None,
-    path: str = I2C,
-    version: Version = UR10,
 ) -> AsyncGenerator[VirtualLab]:
-    """Serve a scene for as long as the block lasts.
+    """Serve a scene while the block runs.
 
     Args:
-        scene: What happens; the default is a plane above which the arm waits for commands.
-        seed: Of all noise.
-        fingers: Fingertips; each sits on the bus in the row of its number.
-        host: The address that the servers listen on.
-        ports: Of the controller.
-        gripper: Port of the gripper, 0 for any; None: there is none. Needs the extra `gripper`.
-        path: Of the I2C bus, which only this process has: no kernel serves it.
-        version: Of the controller's software: 3.x runs at 125 Hz, 5.x at 500.
+        scene: Scene to serve; default `connectors.sim.scene.commanded_scene` on a plane.
+        seed: Random seed; the same seed and the same requests give the same counts.
+        fingers: Fingertips; each is on the bus in the row of its number.
+        host: Address on which the servers listen (default loopback).
+        ports: Ports of the UR controller.
+        gripper: Port of the gripper, 0 for any free one; None for no gripper. Needs the extra `gripper`.
 
     Raises:
-        EndpointError: if a port is taken.
-        InputError: if a gripper is asked for and pymodbus is not installed.
-        ParameterError: if there is no such fingertip.
+        EndpointError: if a port is in use.
+        InputError: if a gripper is wanted and pymodbus is not installed.
+        ParameterError: if a finger is not from 0 to 7.
     """
-    from connectors.emulators.i2c_device import served  # noqa: PLC0415 - loads smbus2: only to serve it
-
-    lab = await asyncio.to_thread(lambda: Lab(scene, seed, fingers=fingers))
-    bus = I2cBus(lab, {finger: finger for finger in fingers}, now=lab.now)
-    arm = PressingArm(lab, HEIGHT, curvatures=lab.scene.curvatures)
-    controller = UrController(arm, host=host, ports=ports, version=version, now=lab.now)
-    server = None if gripper is None else GripperServer(lab, host=host, port=gripper, now=lab.now)
+    shared = await asyncio.to_thread(lambda: SharedScene(scene, seed, fingers=fingers))
+    bus = EmulatedI2cBus(shared, {finger: finger for finger in fingers}, now=shared.now)
+    arm = PressingArm(shared, HEIGHT, curvatures=shared.scene.curvatures)
+    controller = UrController(arm, host=host, ports=ports, version=UR10_CB3, now=shared.now)
+    server = None if gripper is None else GripperServer(shared, host=host, port=gripper, now=shared.now)
     async with AsyncExitStack() as running:
-        running.enter_context(served(bus, path))
         await running.enter_async_context(controller)
         if server:
             await running.enter_async_context(server)
-        ageing = asyncio.create_task(_age(lab))
+        advancing = asyncio.create_task(_advance(shared))
         try:
-            yield VirtualLab(lab, bus, controller, path, server)
+            yield VirtualLab(shared, bus, controller, server)
         finally:
-            ageing.cancel()
-            await asyncio.gather(ageing, return_exceptions=True)
+            advancing.cancel()
+            await asyncio.gather(advancing, return_exceptions=True)
 
 
-async def _age(lab: Lab) -> None:
-    """Let time go by though nobody asks, so that who asks later need not wait for all of it."""
+async def _advance(scene: SharedScene) -> None:
+    """Simulate an idle scene now and then, so that the next request need not wait for all of it."""
     while True:
-        await asyncio.sleep(_BEHIND / s / 2)
-        await asyncio.to_thread(lab.advance, lab.now() - _BEHIND)
+        await asyncio.sleep(LARGEST_LAG / s / 2)
+        await asyncio.to_thread(scene.advance, scene.now() - LARGEST_LAG)

@@ -7,7 +7,6 @@ on the normal force follows what is commanded, at a limited rate. `connectors.si
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
@@ -20,11 +19,9 @@ from connectors.sim.lift_motion import Lift
 from connectors.sim.mallet import Tap
 from connectors.sim.objects import Object
 from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Faults, Vibration
+from connectors.sim.scene import NOISE, Faults, Vibration
 from operators.batch import Reals, Touch, s
 from operators.errors import ParameterError
-
-NOISE: Final = 0.6  # counts; the middle of what unloaded real cells have
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ A scene costs what it names: terms that are zero or absent are not computed.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import repeat
-from typing import Literal, Protocol, TypeAlias
+from typing import Final, Literal, Protocol, TypeAlias
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from connectors.sim.physics_parameters import Parameters
 from operators.errors import ParameterError
 
 Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
+RADIUS: Final = 0.06  # m, of curved surfaces unless a scene says otherwise
+NOISE: Final = 0.6  # counts, standard deviation; unloaded cells of real fingertips have 0.43 to 0.7
+
 MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"]
 
 
@@ -157,7 +160,7 @@ class Scene:
 
     plan: Plan = field(default_factory=Strokes)
     curvature: Curvature = "plane"
-    radius: float = 0.06  # m, of a curved surface
+    radius: float = RADIUS  # m, of a curved surface
     apex: tuple[float, float] = (0.0, 0.0)  # m, where on the pad a curved surface is highest
     tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope along x and y at which the pad is held
     offset: tuple[float, float] = (0.0, 0.0)  # m, from the TCP (rotations turn about it) to the pad's centre
@@ -177,3 +180,13 @@ class Scene:
         return {"plane": (0.0, 0.0), "sphere": (k, k), "cylinder_x": (0.0, k), "cylinder_y": (k, 0.0)}[
             self.curvature
         ]
+
+
+def commanded_scene(curvature: Curvature = "plane", radius: float = RADIUS) -> Scene:
+    """Return a scene whose arm waits in the air for commands and whose cells have the noise of real ones.
+
+    Args:
+        curvature: Shape of the surface (default "plane").
+        radius: Radius of a curved surface (default 0.06 m).
+    """
+    return Scene(Commanded(), curvature, radius, parameters=Parameters(noise=NOISE))

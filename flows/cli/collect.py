@@ -197,17 +197,18 @@ async def _collect(
     *,
     virtual: bool,
 ) -> "Collected":
-    from connectors.emulators.virtual_lab import scene, virtual_lab
+    from connectors.emulators.virtual_lab import virtual_lab
+    from connectors.sim.scene import commanded_scene
     from flows.lab.collection import collection_run as live
 
-    async with AsyncExitStack() as lab:
+    async with AsyncExitStack() as running:
         if virtual:
             told("starting the virtual lab; the first time, its physics is compiled for some seconds")
-            path = f"/dev/i2c-{rigging.bus}" if isinstance(rigging.bus, int) else rigging.bus
-            surface = scene(surfaces[0].curvature, surfaces[0].radius)
-            await lab.enter_async_context(
-                virtual_lab(surface, seed, fingers=rigging.rows, host=rigging.robot, path=path)
+            scene = commanded_scene(surfaces[0].curvature, surfaces[0].radius)
+            lab = await running.enter_async_context(
+                virtual_lab(scene, seed, fingers=rigging.rows, host=rigging.robot)
             )
+            rigging = replace(rigging, bus=lab.bus)
             surfaces = [each._replace(place=each.place or _middle()) for each in surfaces]
         return await live.collect(plan, surfaces, rigging, name=name, seed=seed, told=told)
 

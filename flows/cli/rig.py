@@ -71,13 +71,14 @@ async def _serve(
     seed: int,
     seconds: float | None,
 ) -> None:
-    from connectors.emulators.virtual_lab import scene, virtual_lab
+    from connectors.emulators.virtual_lab import virtual_lab
+    from connectors.sim.scene import commanded_scene
 
     told("starting; the first time, the simulated physics is compiled for some seconds")
-    serving = virtual_lab(scene(surface), seed, host=listen, ports=ports, gripper=gripper)
+    serving = virtual_lab(commanded_scene(surface), seed, host=listen, ports=ports, gripper=gripper)
     async with serving as lab:
-        for device, place in lab.places.items():
-            typer.echo(f"{device:10} {place}")
+        for device, address in lab.addresses.items():
+            typer.echo(f"{device:10} {address}")
         sys.stdout.flush()
         try:
             async with asyncio.timeout(seconds):

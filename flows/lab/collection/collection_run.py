@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, cast
 
 from connectors import TakkTile, UrMotion
+from connectors.takktile.i2c_access import I2cBus
 from connectors.ur.control_process import WATCHDOG
 from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmStateReader, Bounds
@@ -55,7 +56,7 @@ class Rigging:
 
     robot: str
     out: Path
-    bus: int | str = 1
+    bus: int | str | I2cBus = 1
     rows: tuple[int, ...] = (0,)
     workspace: Box | None = None
     margin: float = MARGIN

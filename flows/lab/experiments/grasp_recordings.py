@@ -12,14 +12,14 @@ from typing import Final, cast
 
 import numpy as np
 
-from connectors.sim.grasp import NOISE, Grasp
+from connectors.sim.grasp import Grasp
 from connectors.sim.holding import least_force
 from connectors.sim.lift_motion import Lift
 from connectors.sim.mallet import Tap
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import Collection
 from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Curvature, Scene, Vibration
+from connectors.sim.scene import NOISE, Curvature, Scene, Vibration
 from connectors.sim.truth import SLIDING
 from connectors.sim.variety import varied
 from flows.learn.evaluation.event_metrics import filled

@@ -11,7 +11,7 @@ import pytest
 
 from connectors import Gripper
 from connectors.emulators.gripper_server import GripperServer
-from connectors.emulators.shared_scene import Lab
+from connectors.emulators.shared_scene import SharedScene
 from connectors.gripper.robotiq import Fingers, Mode, Phase, Request, Status, octets, registers
 from flows.run.clocks import LoopClock
 from operators import EndpointError, ParameterError, s
@@ -211,7 +211,7 @@ def test_a_unit_that_cannot_be_is_refused() -> None:
 
 def test_the_grip_reaches_the_scene_and_its_fingertip_feels_it() -> None:
     async def test() -> None:
-        lab, gripped = await asyncio.to_thread(Lab), asyncio.Event()
+        lab, gripped = await asyncio.to_thread(SharedScene), asyncio.Event()
 
         class Scene:
             def command(self, commands: Commands) -> None:

@@ -4,7 +4,7 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from connectors.emulators.shared_scene import Lab
+from connectors.emulators.shared_scene import SharedScene
 from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
 from connectors.sim.scene import Faults, Move, Moves, Scene, Timing
@@ -16,8 +16,8 @@ LEAVE = [nan] * 6
 STROKE = Moves((Move("hold", 0.5, force=2.0), Move("translation", 1.0, 0.2, 45.0, 0.1)))
 
 
-def lab(scene: Scene | None = None, fingers: tuple[int, ...] = (0,)) -> Lab:
-    return Lab(scene, 3, fingers=fingers, now=lambda: START)
+def lab(scene: Scene | None = None, fingers: tuple[int, ...] = (0,)) -> SharedScene:
+    return SharedScene(scene, 3, fingers=fingers, now=lambda: START)
 
 
 def command(time: int, force: float, velocity: list[float]) -> Commands:

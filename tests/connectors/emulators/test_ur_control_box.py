@@ -6,7 +6,7 @@ import pytest
 
 from connectors.emulators.dashboard_server import answer
 from connectors.emulators.free_arm import FreeArm
-from connectors.emulators.pressing import PressingArm
+from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.ur_control_box import ControlBox, RuntimeState, SafetyMode
 from connectors.emulators.ur_program import Command
 from connectors.ur.rtde import Value, Version

@@ -1,5 +1,4 @@
 import asyncio
-import os
 import socket
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
@@ -10,20 +9,20 @@ from pymodbus.client import AsyncModbusTcpClient
 
 from connectors import TakkTile, UrMotion
 from connectors.emulators.ur_controller import Ports
-from connectors.emulators.virtual_lab import HEIGHT, scene, virtual_lab
+from connectors.emulators.virtual_lab import HEIGHT, virtual_lab
+from connectors.sim.scene import commanded_scene
 from flows.run.clocks import LoopClock
 from operators import Touch
 from operators.batch import Counts
 
 ANYWHERE = Ports(0, 0, 0)
-BUS = f"/dev/i2c-{os.getpid()}"
 
 
 def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip() -> None:
     async def main() -> None:
         clock = LoopClock()
-        async with virtual_lab(ports=ANYWHERE, path=BUS) as lab:
-            touch, motion = TakkTile(BUS), UrMotion("127.0.0.1", port=lab.controller.ports.rtde)
+        async with virtual_lab(ports=ANYWHERE) as lab:
+            touch, motion = TakkTile(lab.bus), UrMotion("127.0.0.1", port=lab.controller.ports.rtde)
 
             async def felt() -> Counts:
                 async with aclosing(cast("AsyncGenerator[Touch]", touch.batches(clock))) as batches:
@@ -42,7 +41,7 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip() -> None:
             assert (in_air - pressed).max() > 20
             pushed = cast("tuple[float, ...]", lab.controller.box.values(["actual_TCP_force"])[0])
             assert 1.8 < pushed[2] < 2.1
-            truth = lab.lab.truth()
+            truth = lab.scene.truth()
             assert truth.force[0] == 0.0
             assert 1.8 < truth.force[-1] < 2.1
 
@@ -53,7 +52,7 @@ def test_a_sphere_is_touched_lower_at_its_side() -> None:
     pushed = list[float]()
 
     async def main() -> None:
-        async with virtual_lab(scene("sphere", 0.03), ports=ANYWHERE, path=BUS) as lab:
+        async with virtual_lab(commanded_scene("sphere", 0.03), ports=ANYWHERE) as lab:
             box = cast("Any", lab.controller.box)
             async with asyncio.timeout(10):
                 for place in ([0.015, 0.0, 0.0], [0.015, 0.0, -0.006]):  # its surface is at -0.004 there
@@ -69,8 +68,8 @@ def test_a_sphere_is_touched_lower_at_its_side() -> None:
 
 def test_every_device_is_where_it_says_and_gone_afterwards() -> None:
     async def main() -> dict[str, str]:
-        async with virtual_lab(ports=ANYWHERE, path=BUS, gripper=0) as lab:
-            places = lab.places
+        async with virtual_lab(ports=ANYWHERE, gripper=0) as lab:
+            places = lab.addresses
             for device in ("rtde", "script", "dashboard"):
                 host, port = places[device].split(":")
                 _, writer = await asyncio.open_connection(host, int(port))
@@ -85,14 +84,14 @@ def test_every_device_is_where_it_says_and_gone_afterwards() -> None:
         return places
 
     places = asyncio.run(main())
-    assert places["takktile"] == f"{BUS}, in this process only"
+    assert places["takktile"] == "in this process only"
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", int(places["rtde"].split(":")[1])))
 
 
 def test_the_arm_begins_above_the_surface_and_stands() -> None:
     async def main() -> None:
-        async with virtual_lab(ports=ANYWHERE, path=BUS) as lab:
+        async with virtual_lab(ports=ANYWHERE) as lab:
             async for moved in UrMotion("127.0.0.1", port=lab.controller.ports.rtde).batches(LoopClock()):
                 np.testing.assert_allclose(moved.pose[-1], [0, 0, HEIGHT, np.pi, 0, 0], atol=1e-9)
                 assert not moved.velocity[-1].any()

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from connectors import TakkTile
-from connectors.emulators.shared_scene import Lab
+from connectors.emulators.shared_scene import SharedScene
 from connectors.sim.scene import Scene
 from flows.graph import Flow
 from flows.graph.testing import TestSink
@@ -328,7 +328,7 @@ async def test_a_run_records_the_gap_and_says_once_what_happened(
 
 
 async def test_a_flow_feels_slip_on_the_virtual_lab_as_it_would_on_a_real_one() -> None:
-    lab = Lab(Scene(), seed=1, fingers=(0, 3))
+    lab = SharedScene(Scene(), seed=1, fingers=(0, 3))
     with served(FaultyI2cBus(lab, {0: 0, 2: 3}, now=lab.now), PATH):
         flow, scores, raw = Flow("feel"), TestSink(), TestSink()
         touch = flow.source(TakkTile(rows=(0, 2), fingers=(0, 3)))

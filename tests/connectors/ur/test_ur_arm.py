@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from connectors.emulators.free_arm import FreeArm
-from connectors.emulators.pressing import PressingArm
+from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.ur_control_box import Arm, RuntimeState
 from connectors.emulators.ur_controller import UrController
 from connectors.emulators.ur_program import Program

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from connectors import UrMotion
 from connectors.emulators.free_arm import FreeArm
-from connectors.emulators.shared_scene import Lab as Scenery
+from connectors.emulators.shared_scene import SharedScene
 from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur import rtde_client
 from connectors.ur.rtde import Version
@@ -158,9 +158,9 @@ def test_the_virtual_arm_moves_to_its_target_and_reports_it() -> None:
     target = [0.03, -0.01, 0.0, np.pi * np.cos(0.1), np.pi * np.sin(0.1), 0.0]
     doubles = {f"input_double_register_{i}": value for i, value in enumerate([*target, 0.1, 1.0])}
 
-    async def main() -> tuple[Motion, Scenery]:
+    async def main() -> tuple[Motion, SharedScene]:
         clock = LoopClock(1_700_000_000 * s)
-        scenery = Scenery(now=clock.now)
+        scenery = SharedScene(now=clock.now)
         async with UrController(scenery, host=HOST, ports=ANYWHERE, version=CB3, now=clock.now) as controller:
             controller.box.run_script("def program():\n  x = read_input_integer_reg(0)")
             controller.box.write({"input_int_register_0": 3} | doubles)

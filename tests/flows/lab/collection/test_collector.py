@@ -14,9 +14,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import pytest
 
-from connectors.emulators.pressing import STIFFNESS
-from connectors.emulators.virtual_lab import VirtualLab, scene, virtual_lab
-from connectors.sim.scene import Curvature
+from connectors.emulators.i2c_bus import VIRTUAL
+from connectors.emulators.pressing_arm import STIFFNESS
+from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
+from connectors.sim.scene import Curvature, commanded_scene
 from connectors.sim.truth import Truth
 from flows.lab.collection.arm_path import Pose
 from flows.lab.collection.collection_run import Collected, Rigging, collect, room
@@ -43,7 +44,6 @@ pytestmark = pytest.mark.skipif(
 )
 
 HOST = f"127.0.{os.getpid() % 250 + 1}.3"  # of this process: ur-rtde knows one port only
-BUS = f"/dev/i2c-{os.getpid()}"
 PLACE: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
 QUICK = StrokePlan(
     speeds=(0.1,),
@@ -105,7 +105,6 @@ def made(
     limit: float = 50.0,
 ) -> Made:
     """What was collected on a virtual lab to which something is done, once it has `pressed` for a while."""
-    rigging = Rigging(HOST, out, BUS, margin=0.05, force=limit, patience=1.0, watchdog=1.0)  # a busy host
 
     async def do(lab: VirtualLab) -> None:
         while pressed and not cast("Any", lab.controller.box.values(["actual_TCP_pose"])[0])[2] < 0:  # noqa: ASYNC110
@@ -114,15 +113,21 @@ def made(
             asyncio.get_running_loop().call_later(pressed * 0.8, act, lab)
 
     async def main() -> Made:
-        async with virtual_lab(scene(surface), host=HOST, path=BUS) as lab:
+        async with virtual_lab(commanded_scene(surface), host=HOST) as lab:
+            rigging = Rigging(HOST, out, lab.bus, margin=0.05, force=limit, patience=1.0, watchdog=1.0)
             acting = asyncio.create_task(do(lab))
             async with asyncio.timeout(120):
                 collected = await collect(plan, [Spot(surface, place)], rigging, name="quick", seed=1)
             acting.cancel()
-            lab.lab.advance(lab.lab.now())  # to see that the arm stands
-            return Made(collected, lab.lab.truth(), out)
+            lab.scene.advance(lab.scene.now())  # to see that the arm stands
+            return Made(collected, lab.scene.truth(), out)
 
     return asyncio.run(main())
+
+
+def unplug(lab: VirtualLab) -> None:
+    """Take the fingertips off the bus."""
+    lab.bus.fingertips = {}
 
 
 @pytest.fixture(scope="module")
@@ -285,7 +290,7 @@ def test_an_emergency_stop_ends_the_collection(tmp_path: Path) -> None:
 
 
 def test_a_sensor_that_is_lost_stops_the_arm(tmp_path: Path) -> None:
-    interrupted(made(tmp_path / "data", act=lambda lab: lab.bus.unplug()), "has given no reading for 1 s")
+    interrupted(made(tmp_path / "data", act=unplug), "has given no reading for 1 s")
 
 
 def test_ctrl_c_stops_the_arm_and_commits_even_while_it_is_paused(tmp_path: Path) -> None:
@@ -313,8 +318,8 @@ def test_pressed_too_deep_the_arm_is_stopped_and_what_there_is_committed(tmp_pat
 
 def test_without_a_sensor_there_are_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("flows.lab.collection.collection_run.APPEAR", 0.5)
-    with pytest.raises(EndpointError, match=BUS):
-        made(tmp_path / "data", act=lambda lab: lab.bus.unplug(), pressed=False)
+    with pytest.raises(EndpointError, match=VIRTUAL):
+        made(tmp_path / "data", act=unplug, pressed=False)
     assert not list(tmp_path.iterdir())
 
 

@@ -3,7 +3,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from connectors.emulators.free_arm import FreeArm
-from connectors.emulators.pressing import PressingArm
+from connectors.emulators.pressing_arm import PressingArm
 from operators import Commands, ms, s
 from operators.batch import Reals
 
