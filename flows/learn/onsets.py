@@ -1,22 +1,23 @@
-"""Matching the onsets that were raised with the slips that there were."""
+"""Runs of slip samples, and the match of onsets with true slips."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from operators.batch import Times, ms
+from operators.batch import Flags, Times, ms
 
-BEFORE: Final = 50 * ms  # ns, how much too early an onset may be: labels are that uncertain (paper, Fig. 6)
-AFTER: Final = 150 * ms  # ns, how long after its end a slip may still ring
+BEFORE: Final = 50 * ms  # ns that an onset may precede its slip: uncertainty of the labels (paper, Fig. 6)
+AFTER: Final = 150 * ms  # ns after the end of a slip in which an onset still belongs to it
 
 
 @dataclass(frozen=True)
 class Onsets:
-    """Onsets, held against true slips."""
+    """Onsets matched with true slips."""
 
-    delays: Times  # (caught,) ns from the start of each slip that was caught to its first onset
+    delays: Times  # (caught,) ns from the start of each detected slip to its first onset
     missed: int  # slips without an onset
     false: int  # onsets without a slip
 
@@ -27,10 +28,10 @@ def match_onsets(
     """Match each slip with the first onset from `before` its start to `after` its end.
 
     Args:
-        onsets: (n,) times of raised onsets, ns, increasing.
+        onsets: (n,) times of onsets, ns, increasing.
         slips: start and end of each true slip, ns, increasing.
-        before: how much too early an onset may be, ns.
-        after: how long after its end a slip may still ring, ns.
+        before: time that an onset may precede its slip, ns.
+        after: time after the end of a slip in which an onset still belongs to it, ns.
 
     >>> match_onsets(np.array([30 * ms, 900 * ms]), [(0, 200 * ms), (400 * ms, 500 * ms)])
     Onsets(delays=array([30000000]), missed=1, false=1)
@@ -43,3 +44,13 @@ def match_onsets(
             delays.append(int(onsets[within][0]) - start)
         explained |= within
     return Onsets(np.array(delays, np.int64), len(slips) - len(delays), int((~explained).sum()))
+
+
+def runs(flags: Flags) -> NDArray[np.intp]:
+    """Return the first sample of each run of True in flags (n,), and the first one after it; (k, 2).
+
+    >>> runs(np.array([True, False, True, True])).tolist()
+    [[0, 1], [2, 4]]
+    """
+    edges = np.diff(np.concatenate(([0], flags, [0])).astype(np.int8))
+    return np.flatnonzero(edges).reshape(-1, 2)

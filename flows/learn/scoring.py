@@ -1,51 +1,51 @@
-"""What a detector sees of a recording, and what it says of it sample by sample."""
+"""Scores of a detector on a labelled recording, sample by sample, and windows to fit detectors to."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording
-from operators.batch import BAROMETERS, Counts, Flags, Reals
-from operators.detectors.detector import Detector, Streaming
-from operators.score import MISSING
-
-_BLOCK: Final = 512  # windows scored at once
+from flows.graph.flow import Flow
+from flows.learn.in_memory import BatchSink, BatchSource, run_in_memory
+from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
+from operators import Score
+from operators.batch import Counts, Flags, Reals, Scores, Zeroed
+from operators.detectors.detector import Detector
 
 
 def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
-    """The probability of slip at each sample of a recording.
-
-    A streaming detector streams; any other is given overlapping windows, which are not copied.
+    """Return the probability of slip at each sample, as `Score` gives it in a live run.
 
     Returns:
-        (n,) NaN before sample `JUDGED` or the first full window, and where more than three cells did not
-        answer
+        (n,) NaN before sample `WARM_UP` or the first full window, and where `Score` gives NaN.
     """
     found = np.full(len(recording), np.nan)
-    first = max(JUDGED, detector.length - 1)
-    if len(recording) <= first:
+    if not len(recording):
         return found
-    if isinstance(detector, Streaming):
-        found[first:] = detector.stream().push(recording.counts[:, None])[first:, 0]
-    else:
-        windows = sliding_window_view(recording.counts, detector.length, axis=0).transpose(0, 2, 1)
-        for at in range(first, len(recording), _BLOCK):
-            begin = at + 1 - detector.length
-            found[at : at + _BLOCK] = detector.score(windows[begin : begin + _BLOCK])
-    if recording.valid is not None:
-        found[BAROMETERS - recording.valid.sum(axis=1) > MISSING] = np.nan
+    flow, sink = Flow("evaluation"), BatchSink()
+    (flow.source(BatchSource(_zeroed(recording))) | Score(detector)).to(sink)
+    run_in_memory(flow, sink)
+    scores = sink.rows(Scores)
+    found[len(found) - len(scores) :] = scores.probability
+    found[:WARM_UP] = np.nan
     return found
 
 
 def windows(recording: LabelledRecording, length: int, hop: int) -> Counts:
-    """The windows (k, length, 6) behind the judged samples of a recording."""
+    """Return the windows (k, length, 6) that end at the judged samples of a recording."""
     view = sliding_window_view(recording.counts, length, axis=0)  # (n - length + 1, 6, length)
-    picked: Counts = view[recording.judged(hop) + 1 - length].transpose(0, 2, 1)
+    picked: Counts = view[recording.evaluated(hop) + 1 - length].transpose(0, 2, 1)
     return picked
 
 
 def labels(recordings: Sequence[LabelledRecording], hop: int) -> Flags:
-    """Whether each judged sample of the recordings is slip; (k,)."""
-    return np.concatenate([recording.slip[recording.judged(hop)] for recording in recordings])
+    """Return True for each judged sample of the recordings that is labelled slip; (k,)."""
+    return np.concatenate([recording.slip[recording.evaluated(hop)] for recording in recordings])
+
+
+def _zeroed(recording: LabelledRecording) -> Zeroed:
+    counts, valid = recording.counts, recording.valid
+    time = np.arange(len(counts)) * PERIOD
+    return Zeroed(
+        time, counts, np.zeros_like(counts), np.ones(counts.shape, np.bool_) if valid is None else valid
+    )

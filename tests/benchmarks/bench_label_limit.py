@@ -9,7 +9,7 @@ from argparse import ArgumentParser
 import numpy as np
 
 from flows.lab.simulation import recordings
-from flows.learn.labelled_recordings import JUDGED, simulated_recording
+from flows.learn.labelled_recordings import WARM_UP, simulated_recording
 from flows.learn.splits import SPLITS
 from operators.batch import SLIP
 from tests.benchmarks.machine import commit
@@ -29,7 +29,7 @@ def main() -> None:
         slip = simulated_recording(each.scene, each.seed).label == SLIP
         for latency in LATENCIES:
             shift = round((latency - each.scene.motion.latency) * RATE)
-            same = (np.roll(slip, shift) == slip)[JUDGED:-EDGE]
+            same = (np.roll(slip, shift) == slip)[WARM_UP:-EDGE]
             right.setdefault((each.split, latency), []).append(same)
     print(f"paper plan, seed {given.seed}, commit {commit()}; % of samples")
     print("| split | " + " | ".join(f"{1000 * latency:.0f} ms" for latency in LATENCIES) + " |")

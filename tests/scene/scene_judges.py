@@ -1,7 +1,6 @@
 """Detectors that judge the scene, and their answers."""
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -9,21 +8,14 @@ from flows.learn.evaluation.logistic import Logistic
 from flows.learn.evaluation.motion_metrics import Cells
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.scoring import labels, windows
+from flows.learn.scoring import labels, probabilities, windows
 from operators.batch import SLIP, STATIC, Flags
 from operators.detectors import Detector, Psd
-
-_BLOCK: Final = 512  # windows scored at once
 
 
 def answers(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> list[Flags]:
     """Whether the detector calls each judged sample of each trial slip."""
-    result: list[Flags] = []
-    for trial in trials:
-        seen = windows(trial, detector.length, hop)
-        blocks = [detector.score(seen[at : at + _BLOCK]) for at in range(0, len(seen), _BLOCK)]
-        result.append(np.concatenate([np.empty(0), *blocks]) > 1 / 2)
-    return result
+    return [probabilities(detector, trial)[trial.evaluated(hop)] > 1 / 2 for trial in trials]
 
 
 def confusion(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> Confusion:
@@ -33,7 +25,7 @@ def confusion(detector: Detector, trials: Sequence[LabelledRecording], hop: int)
 
 def cells(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> Cells:
     """The same by kind of motion."""
-    return Cells.of(trials, [trial.judged(hop) for trial in trials], answers(detector, trials, hop))
+    return Cells.of(trials, [trial.evaluated(hop) for trial in trials], answers(detector, trials, hop))
 
 
 def fitted(trials: Sequence[LabelledRecording], hop: int) -> tuple[Psd, Logistic]:

@@ -6,12 +6,14 @@ from pathlib import Path
 from time import process_time
 from typing import Final, Self
 
+from connectors import CsvTrace
 from connectors.sim.paper_plan import Collection
 from flows.lab.simulation import PLANS
 from flows.learn.evaluation.motion_metrics import Cells
-from flows.learn.labelled_recordings import read_trace, simulated_recordings
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
+from operators.batch import UNKNOWN
 from operators.detectors import TRAINED, Detector
-from operators.errors import ParameterError
+from operators.errors import InputError, ParameterError
 from storage import load_detector
 from tests.scene.scene_ablation import GRIDS, TERMS
 from tests.scene.scene_judges import cells, fitted
@@ -81,3 +83,15 @@ class Measured:
         for name, detector in self.judges.items():
             told(f"judging by the {name}")
             self.cells[name] = cells(detector, self.trials, size.hop)
+
+
+def read_trace(path: Path) -> LabelledRecording:
+    """Read a real trace with labels.
+
+    Raises:
+        InputError: if a row has no label, or the file is no trace.
+    """
+    trace = CsvTrace(path, zeroed=True)
+    if (trace.labels == UNKNOWN).any():
+        raise InputError(str(path), "has rows without a label; label each row")
+    return LabelledRecording(trace.touch.counts, trace.labels, path.stem, name=path.stem)

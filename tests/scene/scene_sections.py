@@ -158,7 +158,7 @@ def _by_trace(of: Measured) -> tuple[str, str, list[Mark]]:
     text = (
         f"Two simple detectors fitted to {of.fitted_to}, and the networks that ship, trained on simulated "
         "recordings only (their cards, `storage/trained/*.json`, say which), on the "
-        f"{len(of.trace.judged(1))} windows of the real trace `{of.trace.surface}` (balanced accuracy). "
+        f"{len(of.trace.evaluated(1))} windows of the real trace `{of.trace.surface}` (balanced accuracy). "
         "Neighbouring windows are alike and the trace holds few strokes, so this is weak evidence: networks "
         "that differ in nothing but their seed differ here by ten points.\n\n"
     )

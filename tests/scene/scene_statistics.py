@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.spans import runs
+from flows.learn.onsets import runs
 from operators.batch import BAROMETERS, Flags, Reals
 
 RATE: Final = 100.0  # Hz

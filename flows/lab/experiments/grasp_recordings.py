@@ -23,7 +23,7 @@ from connectors.sim.scene import NOISE, Curvature, Scene, Vibration
 from connectors.sim.truth import SLIDING
 from connectors.sim.variety import varied
 from flows.learn.evaluation.event_metrics import filled
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from operators import Zero
 from operators.batch import SLIP, STATIC, UNKNOWN, Codes, Flags, Touch, Zeroed, concat, ms
 
@@ -98,7 +98,7 @@ def _recorded(random: np.random.Generator, name: str, split: str) -> LabelledRec
     label[(label == STATIC) & (moves > CREEPS * SLIDING)] = UNKNOWN
     return LabelledRecording(
         zeroed.counts, label, thing.curvature, valid=zeroed.valid, sliding=moves > SLIDING,
-        zeroing=JUDGED + 1, name=name, split=split,
+        zeroing=WARM_UP + 1, name=name, split=split,
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from connectors.sim.truth import STICK
 from connectors.sim.variety import varied
 from flows.lab.experiments.grasp_recordings import by_sliding, handled
 from flows.learn.labelled_recordings import LabelledRecording, by_split, simulated_recordings
-from flows.learn.spans import runs
+from flows.learn.onsets import runs
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Model, label_scores, write_model

@@ -7,7 +7,7 @@ from flows.lab.experiments import lifting, tapping
 from flows.lab.experiments.experiment import Found, one
 from flows.lab.experiments.trial import BASELINE, Trace
 from flows.lab.experiments.trial_setting import SLIDES, Setting
-from flows.learn.spans import runs
+from flows.learn.onsets import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Figure, grid, styled
 from storage import load_detector
 

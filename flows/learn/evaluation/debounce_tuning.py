@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from flows.learn.evaluation.event_metrics import PERIOD, Slips
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import JUDGED
+from flows.learn.labelled_recordings import WARM_UP
 from flows.learn.onsets import AFTER, BEFORE
 from operators import Debounce, s
 from operators.batch import Flags, Reals
@@ -93,7 +93,7 @@ class Joined:
         windows, starts = list[tuple[int, int]](), list[int]()
         answer, excused = np.zeros((2, len(values)), np.bool_)
         for at, probability, true in zip(first[:-1].tolist(), probabilities, slips, strict=True):
-            values[at + JUDGED : at + len(probability)] = probability[JUDGED:]
+            values[at + WARM_UP : at + len(probability)] = probability[WARM_UP:]
             for begin, end in (*true.found, *true.excused):
                 low = at + max(-(-(begin - BEFORE) // PERIOD), 0)
                 high = at + min((end + AFTER) // PERIOD, len(probability) - 1)

@@ -210,7 +210,7 @@ class _Judge:
 
 
 def _known(recording: LabelledRecording) -> NDArray[np.intp]:
-    at = recording.judged(1)
+    at = recording.evaluated(1)
     known: NDArray[np.intp] = at[recording.label[at] != UNKNOWN]
     return known
 

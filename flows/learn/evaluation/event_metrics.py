@@ -8,9 +8,8 @@ import numpy as np
 
 from connectors.sim.truth import STICK
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording
-from flows.learn.onsets import match_onsets
-from flows.learn.spans import runs
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from flows.learn.onsets import match_onsets, runs
 from operators import Debounce, ms, s
 from operators.batch import SLIP, STATIC, Flags, Reals, Scores, Times
 
@@ -51,11 +50,11 @@ class Slips:
         True
         """
         starts, ends = bridged(slip, pause)
-        found = (ends - starts >= BRIEF // PERIOD - 1) & (starts >= JUDGED)  # (k,)
+        found = (ends - starts >= BRIEF // PERIOD - 1) & (starts >= WARM_UP)  # (k,)
         if unknown is None:
             unknown = np.zeros(len(slip), np.bool_)
         excused = [*_stretches(starts[~found], ends[~found]), *_stretches(*bridged(unknown, 0))]
-        static = int((~filled(slip, pause) & ~unknown)[JUDGED:].sum()) * PERIOD
+        static = int((~filled(slip, pause) & ~unknown)[WARM_UP:].sum()) * PERIOD
         return cls(_stretches(starts[found], ends[found]), tuple(sorted(excused)), static)
 
 
@@ -147,6 +146,10 @@ class EventMetrics:
 def onsets(probability: Reals, debounce: Debounce) -> Times:
     """When the operator says that a slip begins; (k,) ns from the first of the probabilities (n,)."""
     scores = Scores(np.arange(len(probability)) * PERIOD, probability)
+<<<<<<< HEAD
     slips = debounce.reset_copy().push(scores[JUDGED:])
+=======
+    slips = debounce.fresh().push(scores[WARM_UP:])
+>>>>>>> 87deaa4 (One scoring path: training and evaluation run Zero, Align, Label and Score in a compiled flow)
     raised: Times = slips.time[slips.state == SLIP]
     return raised

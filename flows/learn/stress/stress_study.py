@@ -22,7 +22,7 @@ from flows.learn.evaluation.event_metrics import Slips
 from flows.learn.evaluation.judgement import TRUTHS, Judgement, Truth
 from flows.learn.evaluation.methods import methods
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording, simulated_recordings
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import GRIDS, plan_of
 from flows.learn.stress.stress_result import Condition, Outcome, Stress
@@ -142,10 +142,10 @@ class _Judge:
         unscored, judged = dict[str, float](), dict[tuple[str, Truth], Judgement]()
         for name, (detector, debounce) in self.subjects.items():
             found = [probabilities(detector, recording) for recording in recordings]
-            unscored[name] = _share([np.isnan(each)[JUDGED:] for each in found])
+            unscored[name] = _share([np.isnan(each)[WARM_UP:] for each in found])
             for truth in TRUTHS:
                 judged[name, truth] = Judgement.of(recordings, found, debounce, truth)
-        return Outcome(_share([_degraded(recording)[JUDGED:] for recording in recordings]), unscored, judged)
+        return Outcome(_share([_degraded(recording)[WARM_UP:] for recording in recordings]), unscored, judged)
 
 
 def _distinct(condition: Condition) -> Condition:

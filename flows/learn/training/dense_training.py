@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional, utils
 
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from flows.learn.training.augmentation import augmented
 from flows.learn.training.checkpoint import Checkpoint
 from flows.learn.training.learning_curve import Check, best
@@ -102,7 +102,7 @@ def _step(
     _seed(own)  # dropout
     counts, weight, slip = corpus.crops(generator)
     network.train()
-    logit = network(augmented(counts, recipe.augmentation, generator))[:, JUDGED:]
+    logit = network(augmented(counts, recipe.augmentation, generator))[:, WARM_UP:]
     each = functional.binary_cross_entropy_with_logits(logit, slip, reduction="none")
     loss = (each * weight).sum() / weight.sum().clamp(min=1)
     for group in optimiser.param_groups:
@@ -158,7 +158,7 @@ class _Corpus:
         """Counts (b, 6, crop), and of those that are judged: weight (b, m), slip (b, m)."""
         chosen = torch.randint(len(self._starts), (self._batch,), generator=generator, device=self.device)
         rows = self._starts[chosen][:, None] + self._offsets  # (b, crop)
-        judged = rows[:, JUDGED:]
+        judged = rows[:, WARM_UP:]
         counts = self._counts[rows].to(torch.float32).transpose(1, 2)
         return counts, self._weight[judged], self._slip[judged]
 
@@ -168,19 +168,19 @@ class _Judged:
     """A recording that the network is judged by."""
 
     counts: Tensor  # (1, 6, n)
-    label: NDArray[np.int8]  # (n - JUDGED,)
+    label: NDArray[np.int8]  # (n - WARM_UP,)
 
     @classmethod
     def of(cls, recording: LabelledRecording, device: torch.device) -> "_Judged":
         counts = torch.as_tensor(recording.counts).to(device, torch.float32).T[None]
-        return cls(counts, recording.label[JUDGED:])
+        return cls(counts, recording.label[WARM_UP:])
 
 
 def _judge(network: DenseTcn, recordings: Sequence[_Judged]) -> tuple[float, float]:
     """Accuracy and balanced accuracy, %."""
     network.eval()
     with torch.no_grad():
-        called = [network(recording.counts)[0, JUDGED:].cpu().numpy() > 0 for recording in recordings]
+        called = [network(recording.counts)[0, WARM_UP:].cpu().numpy() > 0 for recording in recordings]
     slip, label = np.concatenate(called), np.concatenate([recording.label for recording in recordings])
     hits, rests = slip[label == SLIP], ~slip[label == STATIC]
     balanced = 50 * (float(hits.mean()) + float(rests.mean()))

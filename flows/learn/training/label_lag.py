@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from operators.batch import SLIP, UNKNOWN, Reals
 
 RATE: Final = 100.0  # Hz
@@ -57,7 +57,7 @@ def _peak(recording: LabelledRecording) -> tuple[float, float]:
     moving = np.convolve(moving, np.full(_SMOOTH, 1 / _SMOOTH), "same")
     slip = (recording.label == SLIP).astype(np.float64)
     shifts = np.arange(round(_EARLIEST * RATE), round(LATEST * RATE) + 1)
-    inner = np.arange(max(JUDGED, -int(shifts[0])), len(slip) - int(shifts[-1]))  # judged at every shift
+    inner = np.arange(max(WARM_UP, -int(shifts[0])), len(slip) - int(shifts[-1]))  # judged at every shift
     if len(inner) < 2 or slip[inner].std() == 0 or moving[inner].std() == 0:  # noqa: PLR2004 no correlation
         return 0.0, 0.0
     felt = moving[inner] - moving[inner].mean()

@@ -42,7 +42,7 @@ class Windows:
         newest: list[NDArray[np.intp]] = []
         start = 0
         for recording in recordings:
-            judged = recording.judged(1)
+            judged = recording.evaluated(1)
             newest.append(start + judged[recording.label[judged] != UNKNOWN])
             start += len(recording)
         ends = np.concatenate([np.empty(0, np.intp), *newest])

@@ -4,7 +4,7 @@ from typing import Self
 import numpy as np
 import pytest
 
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from flows.learn.scoring import labels, probabilities, windows
 from operators import Score, Zeroed
 from operators.batch import Counts, Reals
@@ -44,18 +44,18 @@ def recording(
 def test_windows_end_with_the_sample_that_is_scored() -> None:
     one = recording(1500)
     found = probabilities(Mean(), one)
-    assert np.isnan(found[:JUDGED]).all()
-    expected = [one.counts[end - 19 : end + 1].mean() / 1000 for end in range(JUDGED, 1500)]
-    np.testing.assert_allclose(found[JUDGED:], expected)
+    assert np.isnan(found[:WARM_UP]).all()
+    expected = [one.counts[end - 19 : end + 1].mean() / 1000 for end in range(WARM_UP, 1500)]
+    np.testing.assert_allclose(found[WARM_UP:], expected)
 
 
 def test_a_streaming_detector_streams() -> None:
     one = recording(300)
     one.counts[150, 5] = 5
     found = probabilities(Streamed(), one)
-    assert np.isnan(found[:JUDGED]).all()
+    assert np.isnan(found[:WARM_UP]).all()
     assert found[150] == 1
-    np.testing.assert_array_equal(found[JUDGED:], one.counts[JUDGED:, 5] == 5)
+    np.testing.assert_array_equal(found[WARM_UP:], one.counts[WARM_UP:, 5] == 5)
 
 
 def test_a_longer_window_begins_later() -> None:
@@ -63,7 +63,7 @@ def test_a_longer_window_begins_later() -> None:
     assert np.flatnonzero(np.isfinite(found)).tolist() == list(range(129, 140))
 
 
-@pytest.mark.parametrize("samples", [0, 1, JUDGED])
+@pytest.mark.parametrize("samples", [0, 1, WARM_UP])
 def test_a_recording_that_is_too_short_has_no_score(samples: int) -> None:
     assert np.isnan(probabilities(Mean(), recording(samples))).all()
 
@@ -72,15 +72,20 @@ def test_the_operator_says_the_same() -> None:
     valid = np.random.default_rng(1).random((700, 6)) > 0.4
     one = recording(700, valid)
     scores = Score(Psd()).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
+<<<<<<< HEAD
     found = probabilities(Psd(), replace(one, counts=forward_fill(one.counts, valid, np.zeros(6, np.int16))))
     later = scores.probability[JUDGED - 24 :]
+=======
+    found = probabilities(Psd(), replace(one, counts=hold(one.counts, valid, np.zeros(6, np.int16))))
+    later = scores.probability[WARM_UP - 24 :]
+>>>>>>> 87deaa4 (One scoring path: training and evaluation run Zero, Align, Label and Score in a compiled flow)
     assert np.isnan(later).any()
-    np.testing.assert_array_equal(found[JUDGED:], later)
+    np.testing.assert_array_equal(found[WARM_UP:], later)
 
 
 def test_a_window_ends_with_the_sample_that_is_judged() -> None:
     counts = np.arange(150 * 6, dtype=np.int16).reshape(150, 6)
     one = LabelledRecording(counts, np.zeros(150, np.int8), "plane")
-    assert windows(one, 25, 10)[:, -1, 0].tolist() == counts[one.judged(10), 0].tolist()
+    assert windows(one, 25, 10)[:, -1, 0].tolist() == counts[one.evaluated(10), 0].tolist()
     assert windows(one, 100, 10)[0].tolist() == counts[:100].tolist()
     assert len(labels([one, one], 10)) == 2 * len(windows(one, 25, 10))

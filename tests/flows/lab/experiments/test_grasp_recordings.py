@@ -2,7 +2,7 @@ import numpy as np
 
 from connectors.sim.objects import OBJECTS
 from flows.lab.experiments.grasp_recordings import CREEPS, by_sliding, handled, things
-from flows.learn.labelled_recordings import JUDGED
+from flows.learn.labelled_recordings import WARM_UP
 from operators.batch import SLIP, STATIC, UNKNOWN, ms
 
 COUNT = 20
@@ -24,7 +24,7 @@ def test_labels_are_what_truly_slides_and_both_occur() -> None:
     for trial in trials:
         assert trial.sliding is not None
         assert (trial.label[trial.sliding] == SLIP).all()
-        assert (trial.label[:JUDGED] != SLIP).all()  # the hand is open
+        assert (trial.label[:WARM_UP] != SLIP).all()  # the hand is open
     label = np.concatenate([trial.label for trial in trials])
     assert 0.02 < (label == SLIP).mean() < 0.3
     assert (label == UNKNOWN).mean() < 0.05

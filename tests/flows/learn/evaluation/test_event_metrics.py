@@ -11,7 +11,7 @@ from flows.learn.evaluation.event_metrics import (
     filled,
     onsets,
 )
-from flows.learn.labelled_recordings import JUDGED, LabelledRecording
+from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from operators import Debounce, ms
 from operators.batch import Codes, Reals
 
@@ -43,7 +43,7 @@ def test_a_slip_is_a_run_of_the_label() -> None:
     found = slips(label(400, (150, 200), (300, 340)))
     assert found.found == seconds((150, 199), (300, 339))
     assert found.excused == ()
-    assert found.static == (400 - JUDGED - 90) * PERIOD
+    assert found.static == (400 - WARM_UP - 90) * PERIOD
 
 
 def test_a_slip_goes_on_over_a_short_pause() -> None:
@@ -64,7 +64,7 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
     codes[300:] = -1
     found = slips(codes)
     assert found.excused == seconds((300, 399))
-    assert found.static == (300 - JUDGED - 50) * PERIOD
+    assert found.static == (300 - WARM_UP - 50) * PERIOD
     felt = EventMetrics.of([sure(400, (150, 200), (330, 340))], [found], TWICE)
     assert felt.false_alarms == 0
 
@@ -89,7 +89,7 @@ def test_pauses_are_bridged_from_end_to_start() -> None:
 
 def test_onsets_come_from_the_operator_after_the_judged_part_begins() -> None:
     probability = sure(400, (50, 120), (200, 201), (300, 310))
-    assert (onsets(probability, TWICE) // PERIOD).tolist() == [JUDGED + 1, 301]
+    assert (onsets(probability, TWICE) // PERIOD).tolist() == [WARM_UP + 1, 301]
 
 
 def test_what_is_felt_is_counted_and_timed() -> None:
@@ -100,7 +100,7 @@ def test_what_is_felt_is_counted_and_timed() -> None:
     assert (felt.missed_slips, felt.false_alarms, felt.repeats, felt.slips) == (1, 1, 1, 3)
     assert felt.missed == pytest.approx(100 / 3)
     assert felt.repeated == pytest.approx(100 / 3)
-    assert felt.minutes == pytest.approx((1200 - JUDGED - 150) / 6000)
+    assert felt.minutes == pytest.approx((1200 - WARM_UP - 150) / 6000)
     assert felt.false_alarms_per_min == pytest.approx(1 / felt.minutes)
     assert (felt.onset_ms, felt.quantile(1)) == (25, 60)
 

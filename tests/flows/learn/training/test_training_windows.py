@@ -24,7 +24,7 @@ def test_a_window_ends_at_its_label_and_stays_within_its_recording() -> None:
     expected = [
         (recording.counts[end - 99 : end + 1], recording.slip[end])
         for recording in recordings
-        for end in recording.judged(1)
+        for end in recording.evaluated(1)
     ]
     assert len(windows) == 51 + 131
     np.testing.assert_array_equal(windows.take(np.arange(len(windows))), [counts for counts, _ in expected])
