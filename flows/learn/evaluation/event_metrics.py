@@ -146,10 +146,6 @@ class EventMetrics:
 def onsets(probability: Reals, debounce: Debounce) -> Times:
     """When the operator says that a slip begins; (k,) ns from the first of the probabilities (n,)."""
     scores = Scores(np.arange(len(probability)) * PERIOD, probability)
-<<<<<<< HEAD
-    slips = debounce.reset_copy().push(scores[JUDGED:])
-=======
-    slips = debounce.fresh().push(scores[WARM_UP:])
->>>>>>> 87deaa4 (One scoring path: training and evaluation run Zero, Align, Label and Score in a compiled flow)
+    slips = debounce.reset_copy().push(scores[WARM_UP:])
     raised: Times = slips.time[slips.state == SLIP]
     return raised

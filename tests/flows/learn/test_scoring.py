@@ -72,13 +72,8 @@ def test_the_operator_says_the_same() -> None:
     valid = np.random.default_rng(1).random((700, 6)) > 0.4
     one = recording(700, valid)
     scores = Score(Psd()).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
-<<<<<<< HEAD
     found = probabilities(Psd(), replace(one, counts=forward_fill(one.counts, valid, np.zeros(6, np.int16))))
-    later = scores.probability[JUDGED - 24 :]
-=======
-    found = probabilities(Psd(), replace(one, counts=hold(one.counts, valid, np.zeros(6, np.int16))))
     later = scores.probability[WARM_UP - 24 :]
->>>>>>> 87deaa4 (One scoring path: training and evaluation run Zero, Align, Label and Score in a compiled flow)
     assert np.isnan(later).any()
     np.testing.assert_array_equal(found[WARM_UP:], later)
 
