@@ -1,4 +1,4 @@
-"""The operator of docs/how-to/extend.md owes what every operator owes; the other parts are what they say."""
+"""Tests of the code on docs/how-to/extend.md; its operator passes the conformance suite."""
 
 import asyncio
 import inspect
@@ -55,7 +55,7 @@ def test_the_operator_passes_the_conformance_suite(
     name: str, made: Callable[..., dict[str, Any]], same: Callable[[Batch, Batch], None]
 ) -> None:
     check = getattr(test_conformance, name)
-    given = {"case": case_of(made("stirring.py")), "same": same, "rows": 3_000}
+    given = {"case": case_of(made("active_rows.py")), "same": same, "rows": 3_000}
     check(**{key: given[key] for key in inspect.signature(check).parameters})
 
 
@@ -63,19 +63,19 @@ def test_the_operator_passes_the_conformance_suite(
 def test_the_suite_notices_if_the_operator_forgets(
     kept: str, made: Callable[..., dict[str, Any]], same: Callable[[Batch, Batch], None]
 ) -> None:
-    forgets = made("stirring.py", kept, "None" if "copy" in kept else "-1")
+    forgets = made("active_rows.py", kept, "None" if "copy" in kept else "-1")
     with pytest.raises(AssertionError):
         test_conformance.test_cutting_the_input_anywhere_changes_nothing(case=case_of(forgets), same=same)
 
 
 def test_source_sink_and_detector_are_what_they_say(made: Callable[..., dict[str, Any]]) -> None:
     assert issubclass(made("lines.py")["LineTouch"], Source)
-    assert issubclass(made("notes.py")["Notes"], Sink)
-    detector: Detector = made("jerk.py")["Jerk"]()
-    assert (detector.name, detector.length) == ("jerk", 20)
+    assert issubclass(made("event_file.py")["EventFile"], Sink)
+    detector: Detector = made("roughness.py")["Roughness"]()
+    assert (detector.name, detector.length) == ("roughness", 20)
 
 
-async def felt(source: Source[Touch], sent: bytes, *, reset: bool = False) -> list[list[int]]:
+async def received(source: Source[Touch], sent: bytes, *, reset: bool = False) -> list[list[int]]:
     """What it makes of these bytes of a peer that then goes away, or has the connection reset."""
 
     async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -97,7 +97,7 @@ async def felt(source: Source[Touch], sent: bytes, *, reset: bool = False) -> li
 
 def test_the_source_gives_whole_lines(made: Callable[..., dict[str, Any]]) -> None:
     source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
-    assert asyncio.run(felt(source, b"1 2 3 4 5 6\n0 0 0 0 0 1023\n")) == [
+    assert asyncio.run(received(source, b"1 2 3 4 5 6\n0 0 0 0 0 1023\n")) == [
         [1, 2, 3, 4, 5, 6],
         [0] * 5 + [1023],
     ]
@@ -119,33 +119,33 @@ def test_the_source_refuses_what_is_no_line_of_counts(
 ) -> None:
     source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
     with pytest.raises(EndpointError, match=said):
-        asyncio.run(felt(source, sent))
+        asyncio.run(received(source, sent))
 
 
 def test_the_source_says_that_a_connection_was_lost(made: Callable[..., dict[str, Any]]) -> None:
     source = made("lines.py")["LineTouch"]("127.0.0.1", 0)
     with pytest.raises(EndpointError, match="was lost: Connection reset by peer"):
-        asyncio.run(felt(source, b"", reset=True))
+        asyncio.run(received(source, b"", reset=True))
 
 
 def test_the_sink_takes_back_what_the_disk_had_no_room_for(
     tmp_path: Path, made: Callable[..., dict[str, Any]]
 ) -> None:
-    notes = made("notes.py")["Notes"](tmp_path / "notes.txt")
+    sink = made("event_file.py")["EventFile"](tmp_path / "events.txt")
     time = np.array([5, 9])
     batch = Slips(time, np.array([1, 0], np.int8), time, np.full(2, 0.9), finger=0)
     full = len("# one\n" + "5 0 onset\n")  # bytes
     _, most = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     async def main() -> None:
-        await notes.open(Run("one", "felt", LoopClock(), 0))
+        await sink.open(Run("one", "own", LoopClock(), 0))
         resource.setrlimit(resource.RLIMIT_FSIZE, (full, most))
         try:
             with pytest.raises(EndpointError, match="cannot be written: No space left on device"):
-                await notes.write(batch)
+                await sink.write(batch)
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
-        await notes.write(batch)
+        await sink.write(batch)
 
     asyncio.run(main())
-    assert notes.path.read_text() == "# one\n5 0 onset\n9 0 end\n"
+    assert sink.path.read_text() == "# one\n5 0 onset\n9 0 end\n"
