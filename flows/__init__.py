@@ -1,1 +1,1 @@
-"""The graph, its runners, the ready-made flows and the command line."""
+"""Ready-made flows, the graph, its runners and the command line."""

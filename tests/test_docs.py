@@ -12,7 +12,7 @@ import pytest
 import typer.main
 
 from flows.cli.main import app
-from flows.graph.diagram import svg
+from flows.graph.drawing import mermaid
 from flows.graph.loading import load
 from tests.pages import PAGES, ROOT, blocks, commands, spoken
 
@@ -125,7 +125,13 @@ def test_the_index_names_every_page() -> None:
         assert f"({page.relative_to(ROOT / 'docs')})" in index, page.name
 
 
-@pytest.mark.parametrize(("name", "settings"), [("live", {}), ("record", {"out": "/data/recordings"})])
-def test_the_figures_of_flows_are_what_graph_draws(name: str, settings: dict[str, str]) -> None:
-    figure = (ROOT / "docs" / "figures" / f"flow-{name}.svg").read_text()
-    assert figure == svg(load(name).flow(settings)) + "\n"
+@pytest.mark.parametrize(
+    ("name", "settings", "page"),
+    [
+        ("live", {}, "tutorial/own-detector.md"),
+        ("record", {"out": "/data/recordings"}, "reference/dataset.md"),
+    ],
+)
+def test_the_flowcharts_are_what_graph_prints(name: str, settings: dict[str, str], page: str) -> None:
+    flowchart = mermaid(load(name).flow(settings).nodes)
+    assert f"```mermaid\n{flowchart}\n```\n" in (ROOT / "docs" / page).read_text()

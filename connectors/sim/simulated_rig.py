@@ -133,6 +133,10 @@ class RigTouch(Source[Touch]):
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
+    def truth(self) -> Truth:
+        """Return the true state of the first fingertip, as `SimulatedRig.truth` does."""
+        return self._rig.truth()
+
     @property
     def kind(self) -> type[Touch]:
         """Raw counts."""

@@ -47,15 +47,12 @@ def graph(
     *,
     settings: Settings = None,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="As a Mermaid flowchart.")] = False,
-    svg: Annotated[bool, typer.Option("--svg", help="As an SVG picture.")] = False,
 ) -> None:
-    """Draw a flow: as text, --mermaid or --svg."""
-    from flows.graph import diagram, drawing
+    """Print a flow as text or, with --mermaid, as a flowchart."""
+    from flows.graph import drawing
 
-    if svg and mermaid:
-        raise typer.BadParameter("--svg and --mermaid: give one of them")
     flow = declared(target, settings)
-    typer.echo(diagram.svg(flow) if svg else drawing.mermaid(flow.nodes) if mermaid else flow)
+    typer.echo(drawing.mermaid(flow.nodes) if mermaid else flow)
 
 
 def _names(nodes: "list[Node]") -> str:

@@ -45,29 +45,29 @@ def demo(
     It feels slip, records a labelled dataset, shows both on a page, and publishes events where a broker is.
     Exits 1 if a source was down at the end or rows were lost.
     """
-    from flows import demo as demonstration
+    from flows import demo as ready_made
+    from flows.cli import demo_summary
     from flows.graph.quantity import time
     from flows.run.run_summary import Summary
 
     limit = None if duration is None else time("demo", "--for", duration)  # ns
-    broker = mqtt or demonstration.local_broker()
-    flow = demonstration.Demo(
-        out, broker=broker, connect_required=bool(mqtt), rig=rig, outbox=outbox, seed=seed
-    )
+    broker = mqtt or demo_summary.local_broker()
+    flow = ready_made.demo(str(out), broker, rig, outbox, seed, connect_required=bool(mqtt))
     if log is Format.JSON:
-        flow.flow = in_json(flow.flow)
+        flow = in_json(flow)
     if page:
-        add_page(flow.flow, listen, browse=not no_browser)
+        add_page(flow, listen, browse=not no_browser)
     if metrics:
-        add_metrics(flow.flow, metrics)
-    typer.echo(flow.flow, err=True)
+        add_metrics(flow, metrics)
+    typer.echo(flow, err=True)
     typer.echo("starting; the first time, the simulated physics is compiled for some seconds", err=True)
     with apart_from(result=as_json, log=log):
-        done = asyncio.run(execute(flow.flow, log=log, limit=limit))
+        done = asyncio.run(execute(flow, log=log, limit=limit))
     summary = Summary.of(done)
     if as_json:
-        typer.echo(json.dumps({**summary.as_dict(), **flow.summary(done)}))
+        found = demo_summary.summarize(flow, done, out, broker)
+        typer.echo(json.dumps({**summary.as_dict(), **found}))
     elif log is Format.TEXT:
-        typer.echo(flow.report(done))
+        typer.echo(demo_summary.report(demo_summary.summarize(flow, done, out, broker), done))
     if summary.lost:
         raise typer.Exit(1)

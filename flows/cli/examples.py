@@ -14,7 +14,7 @@ EXAMPLES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
             "slipflow run felt.py:gentle --replay trace.csv --pace 1",
         ),
         "check": ("slipflow check record --set delay=70ms", "slipflow check felt.py:gentle"),
-        "graph": ("slipflow graph record", "slipflow graph felt.py --svg > felt.svg"),
+        "graph": ("slipflow graph record", "slipflow graph felt.py --mermaid > felt.mmd"),
         "demo": ("slipflow demo --for 1min", "slipflow demo --mqtt mqtt://localhost --rig left --no-page"),
         "train": (
             "slipflow train recordings -o mine.safetensors",

@@ -1,4 +1,4 @@
-"""What a runner carries out: a flow compiled into one fresh operator per fingertip, in order of flow."""
+"""Compilation of a flow: one new operator per node and fingertip, in topological order."""
 
 import pickle
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -13,13 +13,13 @@ from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, Operator
 from operators.ports import Sink
 
-Entry: TypeAlias = tuple[Node, int]  # a source's node and the fingertip of a batch
-Delivery: TypeAlias = tuple[Node, Batch]  # a sink's node and what it is to take
+Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
+Delivery: TypeAlias = tuple[Node, Batch]  # a sink's node and a batch for it
 
 
 @dataclass(eq=False)
 class _Stage:
-    """One node for one fingertip: where it reads and writes among the values of a push."""
+    """One node for one fingertip; `index` is the position of its output among the values of a push."""
 
     index: int
     node: Node
@@ -30,7 +30,7 @@ class _Stage:
     gives: type[Batch]
     sinks: list[Node] = field(default_factory=list[Node])
     _push: Callable[..., Batch] = field(init=False)
-    _nothing: tuple[Batch, ...] = field(init=False)
+    _empty: tuple[Batch, ...] = field(init=False)
     _first: int = field(init=False)
     _second: int | None = field(init=False)  # None: an operator, not a join
 
@@ -39,10 +39,10 @@ class _Stage:
             self._push = self.operator.push
             self._first, *second = self.inputs
             self._second = second[0] if second else None
-        self._nothing = tuple(kind.empty() for kind in self.takes)
+        self._empty = tuple(kind.empty() for kind in self.takes)
 
     def push(self, values: Sequence[Batch | None]) -> Batch | None:
-        """The output for what the inputs have, or None if they have nothing or nothing came of it."""
+        """Run the operator on its inputs; return None if there is no input or no output."""
         left = values[self._first]
         if self._second is None:
             if left is None:
@@ -52,49 +52,50 @@ class _Stage:
             right = values[self._second]
             if left is None and right is None:
                 return None
-            nothing = self._nothing
-            out = self._push(nothing[0] if left is None else left, nothing[1] if right is None else right)
+            empty = self._empty
+            out = self._push(empty[0] if left is None else left, empty[1] if right is None else right)
         if type(out) is self.gives and out.finger == self.finger and out.time.size:
             return out
         return self.checked(out)
 
     def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
-        """Go on with an operator in this state."""
+        """Replace the operator by one with another state."""
         self.operator, self._push = operator, operator.push
 
     def checked(self, out: Batch) -> Batch | None:
-        """What the operator gave, if it is what it declares to give; None if it is nothing."""
+        """Return the output, or None if it is empty; raise if type or fingertip are not as declared."""
         if type(out) is not self.gives and not isinstance(out, self.gives):
-            raise TypeError(f"gave {type(out).__name__}, and declares to give {self.gives.__name__}")
+            raise TypeError(f"returned {type(out).__name__}, but declares {self.gives.__name__}")
         if not out.time.size:
             return None
         if out.finger != self.finger:
             raise ValueError(
-                f"gave rows of fingertip {out.finger}, not {self.finger}: pass finger=batch.finger on"
+                f"returned rows of fingertip {out.finger}, not {self.finger}: pass on finger=batch.finger"
             )
         return out
 
 
 class CompiledFlow:
-    """The state of one run of a flow: push batches in at its sources, get what its sinks are to take.
+    """Operators and their state for one run of a flow.
 
     >>> import numpy as np
     >>> from flows.graph.testing import TestSink, TestSource
     >>> from operators import Debounce, Scores
-    >>> flow = Flow("felt")
+    >>> flow = Flow("events")
     >>> (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
-    >>> plan = CompiledFlow(flow)
+    >>> compiled = CompiledFlow(flow)
     >>> scores = Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))
-    >>> [(sink, slips)] = plan.push({plan.entries[0]: scores})
+    >>> [(sink, slips)] = compiled.push({compiled.entries[0]: scores})
     >>> sink.name, slips.time, slips.start
     ('testsink', array([2]), array([1]))
 
     Args:
-        flow: what is to be carried out.
-        only: the fingertips to do it for, with all that belongs to every one; None: for all of them.
+        flow: Declaration to compile.
+        only: Fingertips to compile for, besides the streams that belong to all; None: all fingertips.
 
     Attributes:
-        sink_types: By the place of each sink, the types of the batches that it may be given.
+        entries: Source nodes with their fingertips.
+        sink_types: Batch types that each sink can receive, by its destination.
 
     Raises:
         FlowError: if the flow is wired wrongly.
@@ -109,54 +110,52 @@ class CompiledFlow:
             node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
             for node in flow.nodes
         }
-        for node in _in_order(flow):
+        for node in _topological_order(flow):
             if isinstance(node.part, Sink):
                 for parent in node.inputs:
                     for finger in fingers[parent]:
                         self._stages[self._stage_of[parent, finger]].sinks.append(node)
             else:
                 for finger in fingers[node]:
-                    self._compile(node, finger)
+                    self._add_stage(node, finger)
         self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
         self.sink_types = {
             node.part.destination: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
             for node in flow.nodes
             if isinstance(node.part, Sink)
         }
-        self._all = [stage for stage in self._stages if stage.operator is not None]
-        places = {entry: self._stage_of[entry] for entry in self.entries}
+        self._operator_stages = [stage for stage in self._stages if stage.operator is not None]
+        indices = {entry: self._stage_of[entry] for entry in self.entries}
         self._entered = {
-            entry: (self._stages[place], self._reached_from(place)) for entry, place in places.items()
+            entry: (self._stages[index], self._downstream(index)) for entry, index in indices.items()
         }
 
     def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
-        """Carry batches that arrived together through the flow.
+        """Run the operators on batches that arrived together, and return the batches for the sinks, in order.
 
         Args:
-            batches: by source and fingertip; more than one only if all are slices of one span of time.
-
-        Returns:
-            What the sinks are to take, in order.
+            batches: By source and fingertip; more than one only if all are slices of one time span.
 
         Raises:
-            BatchError: if an operator gives something else than it declares.
+            BatchError: if a source yields a fingertip that it does not declare.
+            OperatorError: if an operator fails or returns another type than it declares.
         """
         values: list[Batch | None] = [None] * len(self._stages)
         deliveries: list[Delivery] = []
-        behind = self._all
+        stages = self._operator_stages
         for entry, batch in batches.items():
             try:
                 stage, downstream = self._entered[entry]
             except KeyError:
                 node, finger = entry
-                reason = f"source {node.name!r} gave fingertip {finger}, and declares {node.fingers}"
+                reason = f"source {node.name!r} yielded fingertip {finger}, but declares {node.fingers}"
                 raise BatchError(type(batch).__name__, "finger", reason) from None
             if batch.time.size:
                 values[stage.index] = batch
                 deliveries += [(sink, batch) for sink in stage.sinks]
             if len(batches) == 1:
-                behind = downstream
-        for stage in behind:
+                stages = downstream
+        for stage in stages:
             try:
                 out = stage.push(values)
             except Exception as error:
@@ -168,10 +167,10 @@ class CompiledFlow:
         return deliveries
 
     def flush(self) -> list[Delivery]:
-        """What the end of all streams completes, in order."""
+        """End all streams, and return the last batches for the sinks, in order."""
         values: list[Batch | None] = [None] * len(self._stages)
         deliveries: list[Delivery] = []
-        for stage in self._all:
+        for stage in self._operator_stages:
             try:
                 pushed = stage.push(values)
                 last = stage.checked(cast("Operator[Any, Any]", stage.operator).flush())
@@ -184,13 +183,13 @@ class CompiledFlow:
         return deliveries
 
     def snapshot(self) -> bytes:
-        """What all operators remember: `restore` goes on from it, in another process too.
+        """Pickle the state of all operators, for `restore` in this or another process.
 
         Raises:
             OperatorError: if an operator's state does not pickle.
         """
         states = list[bytes]()
-        for stage in self._all:
+        for stage in self._operator_stages:
             try:
                 states.append(pickle.dumps(stage.operator, pickle.HIGHEST_PROTOCOL))
             except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -198,15 +197,15 @@ class CompiledFlow:
         return pickle.dumps(states, pickle.HIGHEST_PROTOCOL)
 
     def restore(self, snapshot: bytes) -> None:
-        """Go on from a snapshot of a plan of the same flow; it is a pickle: restore only what is your own."""
-        for stage, state in zip(self._all, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
+        """Resume from a snapshot of the same flow; it is a pickle, so restore only your own."""
+        for stage, state in zip(self._operator_stages, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
             stage.resume(pickle.loads(state))  # noqa: S301 - the same
 
     def _failure(self, stage: _Stage, error: Exception) -> OperatorError:
         reason = str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"
         return OperatorError(self._flow, stage.node.name, reason)
 
-    def _compile(self, node: Node, finger: int) -> None:
+    def _add_stage(self, node: Node, finger: int) -> None:
         inputs = tuple(
             self._stage_of[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
         )
@@ -215,16 +214,16 @@ class CompiledFlow:
         self._stage_of[node, finger] = len(self._stages)
         self._stages.append(_Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind))
 
-    def _reached_from(self, index: int) -> list[_Stage]:
+    def _downstream(self, index: int) -> list[_Stage]:
         reached, stages = {index}, list[_Stage]()
-        for stage in self._all:
+        for stage in self._operator_stages:
             if reached.intersection(stage.inputs):
                 reached.add(stage.index)
                 stages.append(stage)
         return stages
 
 
-def _in_order(flow: Flow) -> list[Node]:
+def _topological_order(flow: Flow) -> list[Node]:
     ordered: dict[Node, None] = {}
 
     def visit(node: Node) -> None:

@@ -1,4 +1,4 @@
-"""Drawing a flow: as text that reads like its declaration, and as Mermaid."""
+"""Drawings of a flow: text that reads like the declaration, and Mermaid."""
 
 from collections.abc import Sequence
 from dataclasses import MISSING, fields, is_dataclass
@@ -11,7 +11,7 @@ from operators.ports import Sink, Source
 
 
 def describe(part: object) -> str:
-    """A part with those of its parameters that differ from their defaults.
+    """Return a source, operator or sink as text, with the parameters that differ from their defaults.
 
     >>> from operators import Align, ms
     >>> describe(Align(within=15 * ms))
@@ -43,7 +43,7 @@ def _value(value: object) -> str:
 
 
 def text(name: str, nodes: Sequence[Node]) -> str:
-    """A flow as its declaration would read; a stream is named by what flows in it."""
+    """Return a flow as text that reads like its declaration; streams are named after their batch type."""
     names = _names(nodes)
     lines = [f"flow {name}", *(f"  {line}" for line in streams(nodes))]
     for node in nodes:
@@ -54,7 +54,7 @@ def text(name: str, nodes: Sequence[Node]) -> str:
 
 
 def streams(nodes: Sequence[Node]) -> list[str]:
-    """How each named stream of a flow comes about, sinks left out."""
+    """Return the definition of each named stream, one line each, without the sinks."""
     names = _names(nodes)
     width = max(map(len, names.values()), default=0)
 
@@ -69,7 +69,7 @@ def streams(nodes: Sequence[Node]) -> list[str]:
 
 
 def _names(nodes: Sequence[Node]) -> dict[Node, str]:
-    """Names of the streams that are more than a step on the way to one operator."""
+    """Return the names of the streams worth naming: all but those that feed exactly one operator."""
     fed, names = consumers(nodes), dict[Node, str]()
     for node in nodes:
         takers = fed[node]
@@ -85,7 +85,7 @@ def _names(nodes: Sequence[Node]) -> dict[Node, str]:
 
 
 def mermaid(nodes: Sequence[Node]) -> str:
-    """A flow as a Mermaid flowchart, each edge named by what flows along it."""
+    """Return a flow as a Mermaid flowchart; each edge is labelled with its batch type."""
     number = {node: f"n{i}" for i, node in enumerate(nodes)}
     lines = ["flowchart LR"]
     for node in nodes:

@@ -1,6 +1,6 @@
-"""Declaring a flow: sources, operators joined by ``|`` and ``&``, and sinks.
+"""Declaration of a flow: sources, operators connected by ``|`` and ``&``, and sinks.
 
-Building a flow runs nothing; a runner carries it out, as often as wanted, with fresh operators each time.
+Building a flow runs nothing. Runners execute it any number of times, each time with new operators.
 """
 
 from collections.abc import Callable
@@ -23,12 +23,12 @@ class Flow:
 
     >>> from flows.graph.testing import TestSink, TestSource
     >>> from operators import Debounce, Scores
-    >>> flow = Flow("felt")
+    >>> flow = Flow("events")
     >>> scores = flow.source(TestSource(Scores))
     >>> slips = scores | Debounce(consecutive=3)
     >>> slips.to(TestSink())
     >>> print(flow)
-    flow felt
+    flow events
       scores = TestSource(Scores)
       slips  = scores | Debounce(consecutive=3)
       slips -> TestSink()
@@ -39,22 +39,22 @@ class Flow:
         self.nodes: list[Node] = []
 
     def source(self, source: Source[Out], name: str = "") -> "Stream[Out]":
-        """The stream that a source gives; its name is that of its batch type if not given."""
+        """Add a source and return its stream; `name` defaults to the batch type in lower case."""
         return Stream(self, self.add(name or source.kind.__name__.lower(), source))
 
     def sources(self) -> list[Node]:
-        """The nodes that feed the flow."""
+        """Return the nodes of the sources."""
         return [node for node in self.nodes if isinstance(node.part, Source)]
 
     def sinks(self) -> list[Node]:
-        """The nodes that take what the flow gives."""
+        """Return the nodes of the sinks."""
         return [node for node in self.nodes if isinstance(node.part, Sink)]
 
     def __str__(self) -> str:
         return text(self.name, self.nodes)
 
     def replaced(self, choose: Callable[[Node], Part]) -> "Flow":
-        """The same flow with the parts that `choose` gives for its nodes; this one stays as it is."""
+        """Return a copy of the flow in which `choose` selects the part of each node."""
         copies = {node: Node(node.name, choose(node)) for node in self.nodes}
         for node, copy in copies.items():
             copy.inputs += [copies.get(parent, parent) for parent in node.inputs]
@@ -63,7 +63,7 @@ class Flow:
         return flow
 
     def add(self, name: str, part: Part, *inputs: Node) -> Node:
-        """Add a part behind others; what ``|`` and `source` do."""
+        """Add a part that reads from `inputs`; ``|`` and `source` call this."""
         if isinstance(part, Source | Sink):
             taken = {node.name for node in self.nodes}
             name = next(
@@ -73,7 +73,7 @@ class Flow:
         return node
 
     def add_sink(self, sink: Sink[Any], stream: Node) -> None:
-        """Send a stream to a sink, a new one or one that takes others already; what `Stream.to` does."""
+        """Connect a stream to a new or an existing sink; `Stream.to` calls this."""
         for node in self.sinks():
             if node.part is sink:
                 node.inputs.append(stream)
@@ -83,13 +83,13 @@ class Flow:
 
 @dataclass(frozen=True, eq=False)
 class Stream(Generic[B]):
-    """What a node of a flow gives: batches of one type."""
+    """Output of a node: batches of one type."""
 
     flow: Flow
     node: Node
 
     def __or__(self, operator: Operator[B, Out]) -> "Stream[Out]":
-        """Pass this stream through an operator."""
+        """Apply an operator to this stream."""
         return Stream(self.flow, self.flow.add(type(operator).__name__, operator, self.node))
 
     def __and__(self, other: "Stream[C]") -> "Pair[B, C]":
@@ -97,13 +97,13 @@ class Stream(Generic[B]):
         return Pair(self, other)
 
     def to(self, sink: Sink[B]) -> None:
-        """Send this stream to a sink, named after its class; one sink may take several streams."""
+        """Send this stream to a sink; one sink may receive several streams."""
         self.flow.add_sink(sink, self.node)
 
 
 @dataclass(frozen=True, eq=False)
 class Pair(Generic[B, C]):
-    """Two streams on their way into a join."""
+    """Two streams to be joined."""
 
     left: Stream[B]
     right: Stream[C]

@@ -1,8 +1,8 @@
-"""Finding the flow in a Python file, and building it.
+"""Loading of a flow from a Python file.
 
-A flow file holds functions that return a `Flow`; their arguments, which all have defaults, are the flow's
-parameters. A file may also hold a finished `Flow`, which then has none. A flow file is code: loading it
-runs it, so load only files that you trust.
+A flow file holds functions that return a `Flow`. Their arguments, which all need defaults, are the flow's
+parameters. A file may also hold a `Flow` object, which has no parameters. Loading a flow file executes it, so
+load only files that you trust.
 """
 
 import importlib.util
@@ -22,12 +22,12 @@ from flows.graph.flow import Flow
 from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
 
-SHIPPED = Path(__file__).parents[1]
+SHIPPED = Path(__file__).parents[1]  # folder of the ready-made flows
 
 
 @dataclass(frozen=True)
 class Declaration:
-    """A flow that a file declares, not built yet."""
+    """Flow that a file declares, not built yet."""
 
     name: str
     file: Path
@@ -35,21 +35,21 @@ class Declaration:
     parameters: Mapping[str, Parameter]  # by name
 
     def flow(self, settings: Mapping[str, str] | None = None) -> Flow:
-        """Build the flow, its parameters set from text.
+        """Build the flow with parameters from text.
 
         Raises:
-            ParameterError: if the value of a setting is of another kind.
-            InputError: if a setting names no parameter, or the file's own code fails.
+            ParameterError: if a setting does not have the type of its parameter.
+            InputError: if a setting names no parameter, or the code of the file fails.
         """
         values: dict[str, object] = {}
         for name, text in (settings or {}).items():
             if name not in self.parameters:
-                raise InputError(self.name, f"has no parameter {name!r}; {self._instead_of(name)}")
+                raise InputError(self.name, f"has no parameter {name!r}; {self._suggestion(name)}")
             values[name] = self.parameters[name].value(self.name, text)
         with _errors_of(self.file):
             return self.build(**values)
 
-    def _instead_of(self, name: str) -> str:
+    def _suggestion(self, name: str) -> str:
         if not self.parameters:
             return "it has none"
         if close := get_close_matches(name, self.parameters, 1, cutoff=0.7):
@@ -58,36 +58,36 @@ class Declaration:
 
 
 def shipped_flows() -> list[str]:
-    """Names of the flows that ship with slipflow.
+    """Return the names of the ready-made flows.
 
     >>> shipped_flows()
-    ['lift', 'live', 'record', 'relabel']
+    ['demo', 'lift', 'live', 'record', 'relabel']
     """
-    return sorted(file.stem for file in SHIPPED.glob("[!_]*.py") if file.stem != "demo")
+    return sorted(file.stem for file in SHIPPED.glob("[!_]*.py"))
 
 
 def load(target: str) -> Declaration:
-    """The flow that ``FILE[:NAME]`` names; FILE may be the bare name of a ready-made flow, as ``live``.
+    """Load the flow ``FILE[:NAME]``; FILE may be the name of a ready-made flow, such as ``live``.
 
     Raises:
-        InputError: if the file is missing, is no Python, or does not hold that flow.
+        InputError: if the file is missing, is not Python, or does not hold that flow.
     """
     path, _, name = target.partition(":")
     file = Path(path)
     if not file.suffix and not file.is_file() and (SHIPPED / f"{path}.py").exists():
         file = SHIPPED / f"{path}.py"
     if file.is_dir():
-        raise InputError(path, "is a folder: give the flow file in it, as FILE.py or FILE.py:FLOW")
+        raise InputError(path, "is a folder: name the flow file in it, as FILE.py or FILE.py:FLOW")
     if not file.is_file():
         known = ", ".join(shipped_flows())
-        raise InputError(path, f"no such flow file, and no ready-made flow: those are {known}")
+        raise InputError(path, f"is neither a flow file nor a ready-made flow ({known})")
     found = _declared_in(_imported(file), file)
     if name and name not in found:
-        raise InputError(path, f"holds no flow {name!r}; it holds {', '.join(found) or 'none'}")
+        raise InputError(path, f"has no flow {name!r}; it has {', '.join(found) or 'none'}")
     if not name and len(found) != 1:
         if not found:
-            raise InputError(path, "holds no flow: a Flow, or a function annotated to return one")
-        raise InputError(path, f"holds several flows, choose one: {', '.join(f'{path}:{n}' for n in found)}")
+            raise InputError(path, "has no flow: add a Flow, or a function annotated to return one")
+        raise InputError(path, f"has several flows, choose one: {', '.join(f'{path}:{n}' for n in found)}")
     return found[name or next(iter(found))]
 
 
@@ -96,7 +96,7 @@ def _imported(file: Path) -> types.ModuleType:
     if spec is None or spec.loader is None:
         raise InputError(str(file), "is not a Python file: its name must end in .py")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses and get_type_hints look their module up
+    sys.modules[spec.name] = module  # dataclasses and get_type_hints look up their module
     with _errors_of(file):
         spec.loader.exec_module(module)
     return module
@@ -106,7 +106,7 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
     found: dict[str, Declaration] = {}
     for name, value in vars(module).items():
         if isinstance(value, Flow):
-            found[name] = Declaration(name, file, partial(_same, value), {})
+            found[name] = Declaration(name, file, partial(_identity, value), {})
         elif inspect.isfunction(value) and value.__module__ == module.__name__:
             with _errors_of(file):
                 hints = get_type_hints(value, include_extras=True)
@@ -120,13 +120,13 @@ def _declared_in(module: types.ModuleType, file: Path) -> dict[str, Declaration]
     return found
 
 
-def _same(flow: Flow) -> Flow:
+def _identity(flow: Flow) -> Flow:
     return flow
 
 
 @contextmanager
 def _errors_of(file: Path) -> Generator[None]:
-    """Tell an error of a flow file in one line that names the place in it."""
+    """Convert an error of a flow file to one line with file and line number."""
     try:
         yield
     except SlipflowError:

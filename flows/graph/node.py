@@ -1,4 +1,4 @@
-"""One part of a flow, and what feeds it."""
+"""Nodes of the graph."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,41 +14,41 @@ Part: TypeAlias = Source[Any] | Operator[Any, Any] | Join[Any, Any, Any] | Sink[
 
 @dataclass(eq=False)
 class Node:
-    """One part of a flow and what feeds it."""
+    """Source, operator, join or sink, with the nodes that it reads from."""
 
-    name: str  # of a source or sink: unique in the flow; of an operator: its class
+    name: str  # unique in the flow for sources and sinks; the class name for operators
     part: Part
     inputs: list["Node"] = field(default_factory=list["Node"])
 
     @property
     def takes(self) -> tuple[type[Batch], ...]:
-        """The batch types that it takes: one for each input of an operator, the choice that a sink has.
+        """Accepted batch types: one per input of an operator or join, the alternatives of a sink.
 
         Raises:
-            ParameterError: if it does not declare them.
+            ParameterError: if the annotations of the part do not declare them.
         """
         if isinstance(self.part, Operator | Join):
             return input_types(type(self.part))
         if isinstance(self.part, Sink):
             hints: dict[str, Any] = get_type_hints(type(self.part).write)
-            hint = hints.get(next(iter(hints), ""))  # of the first parameter, whatever its name
+            hint = hints.get(next(iter(hints), ""))  # of the first parameter
             kinds: tuple[Any, ...] = get_args(hint) or (hint,)
             if not all(isinstance(kind, type) and issubclass(kind, Batch) for kind in kinds):
-                like = "a batch type, as in async def write(self, batch: Slips) -> None"
-                raise ParameterError(type(self.part).__name__, "the annotation of write", hint, like)
+                must_be = "a batch type, as in async def write(self, batch: Slips) -> None"
+                raise ParameterError(type(self.part).__name__, "the annotation of write", hint, must_be)
             return kinds
         return ()
 
     @property
     def gives(self) -> type[Batch] | None:
-        """The batch type that it gives; None for a sink."""
+        """Batch type of the output; None for a sink."""
         if isinstance(self.part, Source):
             return cast("type[Batch]", self.part.kind)
         return None if isinstance(self.part, Sink) else output_type(type(self.part))
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The fingertips that its batches belong to; what belongs to every one joins each of them."""
+        """Fingertips of the output; streams that belong to all fingertips join each of them."""
         if isinstance(self.part, Source):
             return self.part.fingers
         found = {finger for parent in self.inputs for finger in parent.fingers}
@@ -56,7 +56,7 @@ class Node:
 
 
 def consumers(nodes: Iterable[Node]) -> Mapping[Node, list[Node]]:
-    """For each node, those that it feeds."""
+    """Return the nodes that read from each node."""
     nodes = list(nodes)
     fed: dict[Node, list[Node]] = {node: [] for node in nodes}
     for node in nodes:

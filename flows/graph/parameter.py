@@ -1,4 +1,4 @@
-"""A parameter of a flow: what it takes, and how that is written on the command line."""
+"""Parameters of a flow, and their text form on the command line."""
 
 import types
 from dataclasses import dataclass
@@ -6,17 +6,17 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Final, Union, get_args, get_origin
 
-from flows.graph.quantity import KINDS, quantity, written
+from flows.graph.quantity import KINDS, format_quantity, quantity
 from operators.errors import ParameterError
 from operators.ports import Json
 
-_TRUTH: Final = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+_BOOLEANS: Final = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 _NAMES: Final = {bool: "yes or no", int: "a whole number", float: "a number", str: "text", Path: "a path"}
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """An argument of the function that declares a flow.
+    """Argument of a function that declares a flow.
 
     >>> from flows.graph.quantity import Duration
     >>> delay = Parameter("delay", Duration, 70_000_000)
@@ -31,16 +31,17 @@ class Parameter:
     default: object
 
     def value(self, owner: str, text: str) -> object:
-        """What a person wrote, as the type that is declared.
+        """Parse text as the annotated type.
 
-        A bare number is one of the SI unit; a time is never bare. Text is empty only where its default is.
+        Numbers without a unit are in SI units; times always need a unit. Empty text is valid only if it is
+        the default.
 
         Args:
-            owner: The flow, for the error.
-            text: As it was written.
+            owner: Flow, for the error.
+            text: Text to parse.
 
         Raises:
-            ParameterError: if it is of another kind.
+            ParameterError: if the text does not have the annotated type.
         """
         choices = self._choices()
         if type(None) in choices and text in ("", "none", "None"):
@@ -48,10 +49,10 @@ class Parameter:
         for choice in choices:
             if (unit := _unit(choice)) is not None:
                 return _measured(owner, self.name, text, unit)
-            if choice is bool and text.lower() in _TRUTH:
-                return _TRUTH[text.lower()]
+            if choice is bool and text.lower() in _BOOLEANS:
+                return _BOOLEANS[text.lower()]
             if choice in (str, Path) and not text and self.default != "":
-                break  # as of a variable that is not set: a path would be this folder
+                break  # probably an unset shell variable; an empty path would be the current folder
             if choice in (int, float, str, Path):
                 try:
                     return choice(text)
@@ -61,23 +62,23 @@ class Parameter:
 
     @property
     def unit(self) -> str | None:
-        """The unit of its values, as ns; None: they have none."""
+        """Unit of the values, such as ns; None: no unit."""
         return next((unit for choice in self._choices() if (unit := _unit(choice)) is not None), None)
 
     @property
     def takes(self) -> str:
-        """What it takes, for a person."""
+        """Description of the accepted text."""
         return " or ".join(map(_named, self._choices()))
 
     def __str__(self) -> str:
-        """What to write to set it to its default."""
+        """Return the setting that sets the default."""
         default = self.default
         if self.unit and isinstance(default, int | float) and isfinite(default):
-            default = written(default, self.unit)
+            default = format_quantity(default, self.unit)
         return f"{self.name}={default}  ({self.takes})"
 
     def as_dict(self) -> dict[str, Json]:
-        """The same for a program."""
+        """Return default, unit and accepted text, for JSON."""
         default = self.default
         if default is not None and not isinstance(default, bool | int | float | str):
             default = str(default)
@@ -86,12 +87,14 @@ class Parameter:
     def _choices(self) -> tuple[Any, ...]:
         union = get_origin(self.type) in (Union, types.UnionType)
         choices = get_args(self.type) if union else (self.type,)
-        bare = get_origin(choices[0]) is Annotated and _unit(choices[0]) is None  # says nothing to us
+        bare = (
+            get_origin(choices[0]) is Annotated and _unit(choices[0]) is None
+        )  # no unit: the annotation has another meaning
         return (get_args(choices[0])[0], *choices[1:]) if bare else choices
 
 
 def _unit(choice: Any) -> str | None:  # noqa: ANN401 - annotations are any type
-    """The unit that an annotation names."""
+    """Return the unit in an annotation, or None."""
     named = get_args(choice)[1:] if get_origin(choice) is Annotated else ()
     return next((each for each in named if isinstance(each, str) and each in KINDS), None)
 
@@ -105,13 +108,15 @@ def _named(choice: Any) -> str:  # noqa: ANN401 - the same
 
 
 def _measured(owner: str, name: str, text: str, unit: str) -> float:
-    if unit != "ns" and isfinite(bare := _number(text)):  # a bare 70 would be 70 ns, and nobody means that
+    if unit != "ns" and isfinite(
+        bare := _number(text)
+    ):  # a bare 70 would mean 70 ns, which is never intended
         return bare
     return quantity(owner, name, text, unit, signed=True)
 
 
 def _number(text: str) -> float:
-    """What a bare number is; infinite where there is none."""
+    """Return a number without a unit; infinity if the text is none."""
     try:
         return float(text)
     except ValueError:

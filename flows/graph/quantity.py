@@ -1,6 +1,6 @@
-"""Quantities with units, as people write them: ``70ms``, ``3mm/s``, ``2N``.
+"""Quantities written with their units: ``70ms``, ``3mm/s``, ``2N``.
 
-A parameter of a flow that is annotated as one of the types below takes such text; so do options of commands.
+Flow parameters annotated with one of the types below accept such text, as do options of commands.
 """
 
 import re
@@ -17,10 +17,10 @@ Force: TypeAlias = Annotated[float, "N"]
 
 
 class Kind(NamedTuple):
-    """A kind of quantity."""
+    """Kind of quantity, such as a length."""
 
     name: str
-    units: Mapping[str, str]  # each in the base unit, as a fraction; smallest first
+    units: Mapping[str, str]  # value of each in the base unit, as a fraction; smallest first
     examples: str
 
 
@@ -39,11 +39,11 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     }
 )
 
-_LONGEST: Final = 40  # characters: a number has fewer
+_LONGEST: Final = 40  # characters; longer text is no number
 
 
 def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = False) -> float:
-    """What a quantity is in its base unit, rounded once; whole ns for a time.
+    """Parse a quantity and return it in its base unit; times are whole ns.
 
     >>> quantity("record", "delay", "70 ms", "ns"), quantity("collect", "--depth", "1.5mm", "m")
     (70000000, 0.0015)
@@ -52,14 +52,14 @@ def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = Fals
     operators.errors.ParameterError: run: --for is '5', must be a time with its unit: 500ms, 30s, 5min or 1h
 
     Args:
-        owner: Whose it is, for the error.
-        name: What it is called there.
-        text: As it was written.
-        unit: The base unit: one of `KINDS`.
-        signed: Whether it may be below 0.
+        owner: Command or flow, for the error.
+        name: Option or parameter, for the error.
+        text: Text to parse.
+        unit: Base unit, a key of `KINDS`.
+        signed: Accept negative values.
 
     Raises:
-        ParameterError: if it is no such quantity.
+        ParameterError: if the text is no quantity of this unit.
     """
     from fractions import Fraction  # noqa: PLC0415 - `slipflow --help` must not wait for it
 
@@ -72,22 +72,22 @@ def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = Fals
 
 
 def time(owner: str, name: str, text: str) -> int:
-    """A time, in ns, as `quantity` reads it.
+    """Parse a time and return it in ns.
 
     >>> time("run", "--for", "1.5s")
     1500000000
 
     Raises:
-        ParameterError: if it is none.
+        ParameterError: if the text is no time.
     """
     return int(quantity(owner, name, text, "ns"))
 
 
-def written(value: float, unit: str) -> str:
-    """A quantity as a person writes it, as short as may be; `quantity` reads it.
+def format_quantity(value: float, unit: str) -> str:
+    """Return the shortest text that `quantity` parses to this value.
 
-    >>> written(70_000_000, "ns"), written(100e9, "ns"), written(0.003, "m/s"), written(0.0, "N")
-    ('70ms', '100s', '3mm/s', '0N')
+    >>> format_quantity(70_000_000, "ns"), format_quantity(0.003, "m/s"), format_quantity(0.0, "N")
+    ('70ms', '3mm/s', '0N')
     """
     from fractions import Fraction  # noqa: PLC0415 - `slipflow --help` must not wait for it
 

@@ -1,4 +1,4 @@
-"""Aids for testing flows, operators and connectors: a source, a sink and an event loop in virtual time."""
+"""Test doubles for flows, operators and connectors: a source, a sink and an event loop in virtual time."""
 
 import asyncio
 import selectors
@@ -13,10 +13,16 @@ B = TypeVar("B", bound=Batch)
 
 
 class TestSource(Source[B], Generic[B]):
-    """Gives the batches it was made with, each at its own time.
+    """Source of given batches, each at its own time.
 
-    An exception among them is raised where it stands, as a failing device would; what follows it is given
-    when the runner connects again.
+    An exception among the batches is raised at its position, as by a failing device; the batches after it
+    follow when the runner reconnects.
+
+    Args:
+        kind: Type of the batches.
+        batches: Batches and exceptions, in order; the first row is at the start of the run.
+        fingers: Fingertips of the batches.
+        delay: Time from a batch's newest row to its arrival, ns.
     """
 
     __test__ = False
@@ -29,23 +35,22 @@ class TestSource(Source[B], Generic[B]):
         fingers: tuple[int, ...] = (EVERY,),
         delay: int = 0,
     ) -> None:
-        """Let each batch arrive `delay` ns after its newest row; the first row is at the start of the run."""
         self._kind, self._fingers, self._delay = kind, fingers, delay
         self._rest = list(batches)
         self._origin: tuple[int, int] | None = None  # first stamp and the clock's time then, ns
 
     @property
     def kind(self) -> type[B]:
-        """The type of its batches."""
+        """Type of the batches."""
         return self._kind
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The fingertips that its batches belong to."""
+        """Fingertips that the batches belong to."""
         return self._fingers
 
     async def batches(self, clock: Clock) -> AsyncIterator[B]:
-        """Give the rest, up to the next exception."""
+        """Yield the remaining batches, up to the next exception."""
         while self._rest:
             item = self._rest.pop(0)
             if isinstance(item, Exception):
@@ -62,14 +67,14 @@ class TestSource(Source[B], Generic[B]):
 
 
 class TestSink(Sink[Batch]):
-    """Keeps what it is given; can be made to fail, or to wait.
+    """Sink that keeps the batches, and can fail or wait on purpose.
 
     Args:
-        destination: what it claims to write to; of its own by default.
-        lossless: whether the runner may drop when it falls behind.
-        capacity: batches that may wait for it.
-        failures: exceptions for its first writes, None for a write that works.
-        hold: awaited before each write.
+        destination: Declared destination; unique by default.
+        lossless: Whether the runner must not drop batches when the sink is slow.
+        capacity: Batches in the queue.
+        failures: Exceptions for the first writes; None for a write that works.
+        before_write: Awaited before each write.
     """
 
     __test__ = False
@@ -81,38 +86,38 @@ class TestSink(Sink[Batch]):
         lossless: bool = True,
         capacity: int = 4096,
         failures: Sequence[Exception | None] = (),
-        hold: Callable[[], Coroutine[Any, Any, None]] | None = None,
+        before_write: Callable[[], Coroutine[Any, Any, None]] | None = None,
     ) -> None:
         self._destination = destination or f"test sink {id(self)}"
         self.lossless, self.capacity = lossless, capacity
-        self._failures, self._hold = list(failures), hold
+        self._failures, self._before_write = list(failures), before_write
         self.written: list[Batch] = []
         self.opened = self.closed = 0
 
     @property
     def destination(self) -> str:
-        """What it claims to write to."""
+        """Declared destination."""
         return self._destination
 
     async def open(self, run: Run) -> None:
-        """Count it."""
+        """Count the call."""
         self.run = run
         self.opened += 1
 
     async def write(self, batch: Batch) -> None:
-        """Keep the batch, or fail as told."""
-        if self._hold:
-            await self._hold()
+        """Keep the batch, or raise the next failure."""
+        if self._before_write:
+            await self._before_write()
         if self._failures and (failure := self._failures.pop(0)):
             raise failure
         self.written.append(batch)
 
     async def close(self) -> None:
-        """Count it."""
+        """Count the call."""
         self.closed += 1
 
     def rows(self, kind: type[B], finger: int = EVERY) -> B:
-        """All rows of one type that were written for one fingertip."""
+        """Return all written rows of one type and fingertip."""
         return concat(kind, [b for b in self.written if isinstance(b, kind) and b.finger == finger])
 
     def __str__(self) -> str:
@@ -120,7 +125,7 @@ class TestSink(Sink[Batch]):
 
 
 class _InstantSelector(selectors.DefaultSelector):
-    """Instead of waiting it moves the loop's time on, unless something is ready."""
+    """Selector that advances the loop's time instead of waiting."""
 
     time = 0.0  # s
 
@@ -132,18 +137,18 @@ class _InstantSelector(selectors.DefaultSelector):
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """An event loop in which sleeping takes no time: `time` jumps to when the next task is due."""
+    """Event loop in virtual time: sleeping jumps to the time of the next task."""
 
     def __init__(self) -> None:
         self._virtual = _InstantSelector()
         super().__init__(self._virtual)
 
     def time(self) -> float:
-        """Virtual seconds since the loop was made."""
+        """Return the virtual time since the loop was created, s."""
         return self._virtual.time
 
     def stall(self, seconds: float) -> None:
-        """Let time pass in which nothing runs, as a busy host does."""
+        """Advance time without running anything, as on a busy host."""
         self._virtual.time += seconds
 
 

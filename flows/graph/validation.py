@@ -1,39 +1,45 @@
-"""Finding what is wrong with a flow before it runs."""
+"""Checks of a flow before it runs."""
 
 from collections.abc import Iterator
 from dataclasses import fields
+from typing import Any, Final
 
 import numpy as np
 
 from flows.graph.flow import Flow
 from flows.graph.node import Node, consumers
 from operators.batch import Batch
+from operators.debounce import Debounce
 from operators.errors import FlowError
-from operators.operator import Join, Operator
+from operators.operator import Join, Operator, input_types, output_type
 from operators.ports import Sink, Source
+from operators.score import Score
+from operators.zero import Zero
+
+_CHAIN: Final[tuple[type[Operator[Any, Any]], ...]] = (Zero, Score, Debounce)
 
 
 def validate(flow: Flow) -> None:
-    """Raise the first problem of a flow, if it has one.
+    """Raise the first problem of a flow, if there is one.
 
     Raises:
-        FlowError: naming the edge and what is wrong with it.
+        FlowError: naming the edge, the mistake and the fix.
     """
     for problem in problems(flow):
         raise problem
 
 
 def problems(flow: Flow) -> list[FlowError]:
-    """All that is wrong with a flow; types and places are looked at only where its shape is sound."""
-    shape = [
+    """Return all problems of a flow; types and destinations are checked only if the structure is valid."""
+    structure = [
         *_no_source(flow),
-        *_foreign(flow),
+        *_foreign_nodes(flow),
         *_unconnected(flow),
         *_cycles(flow),
         *_shared_parts(flow),
         *_shared_state(flow),
     ]
-    return shape or [*_wrong_types(flow), *_shared_places(flow), *_same_streams(flow)]
+    return structure or [*_wrong_types(flow), *_shared_destinations(flow), *_duplicate_streams(flow)]
 
 
 def _edge(parent: Node, node: Node) -> str:
@@ -45,12 +51,16 @@ def _no_source(flow: Flow) -> Iterator[FlowError]:
         yield FlowError(flow.name, "no source", "add one with flow.source(...)")
 
 
-def _foreign(flow: Flow) -> Iterator[FlowError]:
+def _foreign_nodes(flow: Flow) -> Iterator[FlowError]:
     own = set(flow.nodes)
     for node in flow.nodes:
         for parent in node.inputs:
             if parent not in own:
-                yield FlowError(flow.name, _edge(parent, node), f"{parent.name} belongs to another flow")
+                yield FlowError(
+                    flow.name,
+                    _edge(parent, node),
+                    f"{parent.name} belongs to another flow: declare it in this one",
+                )
 
 
 def _unconnected(flow: Flow) -> Iterator[FlowError]:
@@ -69,9 +79,9 @@ def _cycles(flow: Flow) -> Iterator[FlowError]:
 
     def visit(node: Node, path: list[Node]) -> Iterator[FlowError]:
         if node in path:
-            circle = [*path[path.index(node) :], node]
-            names = " -> ".join(n.name for n in reversed(circle))
-            yield FlowError(flow.name, names, "is a cycle: a stream cannot feed itself")
+            cycle = [*path[path.index(node) :], node]
+            names = " -> ".join(n.name for n in reversed(cycle))
+            yield FlowError(flow.name, names, "is a cycle: remove one of these edges")
         elif node not in done:
             for parent in node.inputs:
                 yield from visit(parent, [*path, node])
@@ -91,7 +101,7 @@ def _shared_parts(flow: Flow) -> Iterator[FlowError]:
             yield FlowError(
                 flow.name,
                 where,
-                f"the same {kind} object stands in two places: share its stream, or make two",
+                f"the same {kind} object is used twice: share its stream, or create a second one",
             )
 
 
@@ -100,9 +110,7 @@ def _shared_state(flow: Flow) -> Iterator[FlowError]:
         if isinstance(node.part, Operator | Join):
             for f in fields(node.part):
                 if f.init and isinstance(getattr(node.part, f.name), list | dict | set | np.ndarray):
-                    reason = (
-                        f"{f.name} would be shared by all runs: a parameter is a tuple, state has init=False"
-                    )
+                    reason = f"{f.name} would be shared by all runs: use a tuple, or init=False for state"
                     yield FlowError(flow.name, node.name, reason)
 
 
@@ -115,26 +123,33 @@ def _wrong_types(flow: Flow) -> Iterator[FlowError]:
             choice = wanted[i : i + 1] if isinstance(node.part, Operator | Join) else wanted
             if not issubclass(given, choice):
                 names = " or ".join(kind.__name__ for kind in choice)
-                yield FlowError(
-                    flow.name, _edge(parent, node), f"{node.name} takes {names}, not {given.__name__}"
-                )
+                reason = f"{node.name} takes {names}, not {given.__name__}{_missing(given, choice)}"
+                yield FlowError(flow.name, _edge(parent, node), reason)
 
 
-def _shared_places(flow: Flow) -> Iterator[FlowError]:
-    places: dict[str, Node] = {}
+def _missing(given: type[Batch], wanted: tuple[type[Batch], ...]) -> str:
+    """Suggest the operators that lead from one type to another, if a part of the usual chain does."""
+    starts = [i for i, operator in enumerate(_CHAIN) if issubclass(given, input_types(operator))]
+    ends = [i for i, operator in enumerate(_CHAIN) if issubclass(output_type(operator), wanted)]
+    names = [operator.__name__ for operator in _CHAIN[starts[-1] : ends[0] + 1]] if starts and ends else []
+    return f": insert {' and '.join(names)}" if names else ""
+
+
+def _shared_destinations(flow: Flow) -> Iterator[FlowError]:
+    users: dict[str, Node] = {}
     for node in flow.sinks():
         if not isinstance(node.part, Sink):
             continue
-        first = places.setdefault(node.part.destination, node)
+        first = users.setdefault(node.part.destination, node)
         if first is not node:
             where, other = (
                 _edge(each.inputs[0], each) if each.inputs else each.name for each in (node, first)
             )
-            reason = f"writes to {node.part.destination}, and so does {other}: use one sink for both"
+            reason = f"writes to {node.part.destination}, as does {other}: use one sink for both"
             yield FlowError(flow.name, where, reason)
 
 
-def _same_streams(flow: Flow) -> Iterator[FlowError]:
+def _duplicate_streams(flow: Flow) -> Iterator[FlowError]:
     for node in flow.sinks():
         seen: dict[tuple[type[Batch] | None, int], Node] = {}
         for parent in node.inputs:
@@ -144,5 +159,5 @@ def _same_streams(flow: Flow) -> Iterator[FlowError]:
                     yield FlowError(
                         flow.name,
                         _edge(parent, node),
-                        f"{node.name} already takes {parent.gives.__name__} from {first.name}",
+                        f"already receives {parent.gives.__name__} (from {first.name}): use another sink",
                     )

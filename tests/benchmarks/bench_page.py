@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
 
+from flows import demo as ready_made
 from flows.cli.live_page import add_page
 from flows.cli.options import told
-from flows.demo import Demo
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from tests.benchmarks.machine import commit
@@ -78,7 +78,7 @@ def chromium() -> Generator["Browser"]:
 async def serve(*, page: bool) -> None:
     """Run the demo until it is stopped."""
     with tempfile.TemporaryDirectory() as out:
-        flow = Demo(Path(out), broker=None).flow
+        flow = ready_made.demo(out)
         if page:
             add_page(flow, "127.0.0.1:0")
         else:

@@ -8,7 +8,8 @@ import pytest
 
 from connectors import CsvTrace, SimulatedRig
 from connectors.sim.scene import Move, Moves, Scene
-from flows.demo import Demo
+from flows.cli.demo_summary import report, summarize
+from flows.demo import demo
 from flows.graph import Flow
 from flows.graph.loading import load
 from flows.graph.testing import TestSink, TestSource, run_virtually
@@ -32,7 +33,7 @@ def run_for(flow: Flow, seconds: int, start: int = 1_700_000_000 * s) -> Run:
     return run_virtually(main())
 
 
-@pytest.mark.parametrize("name", ["live", "record"])
+@pytest.mark.parametrize("name", ["demo", "lift", "live", "record", "relabel"])
 def test_a_ready_made_flow_is_sound(name: str) -> None:
     assert problems(load(name).flow()) == []
 
@@ -64,13 +65,13 @@ def test_live_prints_what_it_feels(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_demo_says_what_came_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    demo = Demo(tmp_path, broker=None)
-    run = run_for(demo.flow, 20)
-    found = demo.summary(run)
+    flow = demo(str(tmp_path))
+    run = run_for(flow, 20)
+    found = summarize(flow, run, tmp_path, None)
     assert found["true_slips"] > 3
     assert found["slips"] == capsys.readouterr().out.count("slip onset") > 0
     assert found["missed"] < found["true_slips"]
-    text = demo.report(run)
+    text = report(found, run)
     assert "onset delay: median" in text
     assert f"{tmp_path}/sessions/test/samples/*.parquet" in text
     assert set(Session.open(tmp_path).tables) == {"touch", "motion", "samples", "episodes", "slips"}

@@ -1,14 +1,14 @@
 from pathlib import Path
 
 from connectors import Mqtt
-from flows.demo import Demo
+from flows.demo import demo
 from flows.graph.validation import problems
 
 
 def test_two_demos_beside_each_other_publish_as_two_rigs_from_two_outboxes(tmp_path: Path) -> None:
     outbox = tmp_path / "left.outbox"
-    demo = Demo(tmp_path, broker="mqtt://localhost", rig="left", outbox=outbox)
-    [mqtt] = [node.part for node in demo.flow.nodes if isinstance(node.part, Mqtt)]
+    flow = demo(str(tmp_path), "mqtt://localhost", rig="left", outbox=outbox)
+    [mqtt] = [node.part for node in flow.nodes if isinstance(node.part, Mqtt)]
     assert (mqtt.rig, mqtt.outbox) == ("left", outbox)
     assert mqtt.destination == "mqtt://localhost:1883/slip/v1/lab/left"
-    assert problems(demo.flow) == []
+    assert problems(flow) == []

@@ -87,7 +87,7 @@ class Assembled(CompiledFlow):
         for share in self._staged:
             given |= share.take(number)
         deliveries = list[Delivery]()
-        for stage in self._all:
+        for stage in self._operator_stages:
             batch = given.get((self._nodes[stage.node], stage.finger))
             if batch is not None:
                 deliveries += [(sink, batch) for sink in stage.sinks]

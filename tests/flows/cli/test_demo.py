@@ -21,7 +21,7 @@ SCHEMA = json.loads((Path(__file__).parents[3] / "connectors" / "slip-event.sche
 
 def demo_beside(broker: str | None) -> list[str]:
     """The command on a machine where this broker, or none, is found."""
-    found = f"from flows import demo; demo.local_broker = lambda: {broker!r}"
+    found = f"from flows.cli import demo_summary; demo_summary.local_broker = lambda: {broker!r}"
     return [sys.executable, "-c", f"{found}; {SLIPFLOW[-1]}", "demo"]
 
 

@@ -81,7 +81,7 @@ def test_a_live_run_tells_its_numbers_to_who_asks() -> None:
                 again.set()
 
         scores = flow.source(source, "touch")
-        scores.to(TestSink(hold=hold))
+        scores.to(TestSink(before_write=hold))
         (scores | Debounce(consecutive=1)).to(TestSink())
         add_metrics(flow, "0", urls.append)
         running = asyncio.create_task(LiveRunner(flow, "run1").execute())

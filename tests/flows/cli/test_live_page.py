@@ -12,11 +12,11 @@ from typing import get_type_hints
 import pytest
 
 from connectors import Page
+from flows import demo as ready_made
 from flows.cli.demo import demo
 from flows.cli.live_page import NoBrowser, add_page, invite, shown
 from flows.cli.run import run
 from flows.cli.show import show
-from flows.demo import Demo
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
@@ -35,7 +35,7 @@ def page_of(flow: Flow) -> Page:
 
 
 def test_the_page_takes_what_it_can_show_of_the_demo(tmp_path: Path) -> None:
-    flow = Demo(tmp_path, broker=None).flow
+    flow = ready_made.demo(str(tmp_path))
     assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips"]
     add_page(flow)
     assert problems(flow) == []

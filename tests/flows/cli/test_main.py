@@ -50,7 +50,6 @@ def test_debug_shows_the_traceback() -> None:
         ("rum live", "no such command 'rum'. Did you mean 'run'? See slipflow --help"),
         ("experiment lit", "no such command 'lit'. Did you mean 'lift'? See slipflow experiment --help"),
         ("demo --seed x", "invalid value for '--seed': must be a valid integer. See slipflow demo --help"),
-        ("graph live --svg --mermaid", "--svg and --mermaid: give one of them"),
         ("simulate", "give OUT, the dataset's folder, or --report DIR"),
     ],
 )

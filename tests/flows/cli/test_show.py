@@ -11,7 +11,7 @@ import pytest
 
 from connectors.web.access import TOKEN, TOKEN_FILE
 from flows.cli.show import load, show
-from flows.demo import Demo
+from flows.demo import demo
 from flows.graph.testing import run_virtually
 from flows.record import record
 from flows.run.clocks import LoopClock
@@ -28,7 +28,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
 
     async def main() -> None:
         await LiveRunner(
-            Demo(out, broker=None).flow, "test", clock=LoopClock(1_700_000_000 * s), duration=12 * s
+            demo(str(out)), "test", clock=LoopClock(1_700_000_000 * s), duration=12 * s
         ).execute()
 
     run_virtually(main())

@@ -56,24 +56,24 @@ class Keep(Operator[Scores, Scores]):
         return self._held[-1]
 
 
-def test_a_plan_leaves_the_declared_operators_as_they_were() -> None:
+def test_a_compiled_leaves_the_declared_operators_as_they_were() -> None:
     flow, declared = Flow("f"), Debounce(consecutive=2)
     (flow.source(TestSource(Scores)) | declared).to(TestSink())
     for _ in range(2):  # the second run must not remember the first
-        plan = CompiledFlow(flow)
-        assert plan.push({plan.entries[0]: scores(0.9)}) == []
-        [(_, slips)] = plan.push({plan.entries[0]: scores(0.9, start=10 * ms)})
+        compiled = CompiledFlow(flow)
+        assert compiled.push({compiled.entries[0]: scores(0.9)}) == []
+        [(_, slips)] = compiled.push({compiled.entries[0]: scores(0.9, start=10 * ms)})
         assert len(slips) == 1
 
 
 def test_every_fingertip_has_operators_of_its_own() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores, fingers=(0, 1))) | Debounce(consecutive=2)).to(TestSink())
-    plan = CompiledFlow(flow)
-    first, second = plan.entries
-    assert plan.push({first: scores(0.9, finger=0)}) == []
-    assert plan.push({second: scores(0.9, finger=1)}) == []
-    [(_, slips)] = plan.push({first: scores(0.9, start=10 * ms, finger=0)})
+    compiled = CompiledFlow(flow)
+    first, second = compiled.entries
+    assert compiled.push({first: scores(0.9, finger=0)}) == []
+    assert compiled.push({second: scores(0.9, finger=1)}) == []
+    [(_, slips)] = compiled.push({first: scores(0.9, start=10 * ms, finger=0)})
     assert slips.finger == 0
 
 
@@ -81,11 +81,11 @@ def test_the_arm_motion_reaches_every_fingertip() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch, fingers=(0, 1))) | Zero(baseline=400)
     (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
-    plan = CompiledFlow(flow)
-    left, right, arm = plan.entries
-    plan.push({left: touch(0, finger=0)})
-    plan.push({right: touch(0, finger=1)})
-    joined = [batch for _, batch in plan.push({arm: motion(0, 8 * ms)})]
+    compiled = CompiledFlow(flow)
+    left, right, arm = compiled.entries
+    compiled.push({left: touch(0, finger=0)})
+    compiled.push({right: touch(0, finger=1)})
+    joined = [batch for _, batch in compiled.push({arm: motion(0, 8 * ms)})]
     assert [batch.finger for batch in joined] == [0, 1]
     assert all(isinstance(batch, Sample) and batch.matched.all() for batch in joined)
 
@@ -96,14 +96,14 @@ def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
     stream.to(one)
     stream.to(other)
     batch = scores(0.1)
-    plan = CompiledFlow(flow)
-    assert [(node.part, given) for node, given in plan.push({plan.entries[0]: batch})] == [
+    compiled = CompiledFlow(flow)
+    assert [(node.part, given) for node, given in compiled.push({compiled.entries[0]: batch})] == [
         (one, batch),
         (other, batch),
     ]
 
 
-def test_a_plan_says_what_each_sink_may_be_given() -> None:
+def test_a_compiled_says_what_each_sink_may_be_given() -> None:
     flow, one, other = Flow("felt"), TestSink("one"), TestSink("other")
     probabilities = flow.source(TestSource(Scores))
     slips = probabilities | Debounce()
@@ -117,10 +117,10 @@ def test_streams_given_together_reach_their_join_together() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
     (zeroed & flow.source(TestSource(Motion)) | Align()).to(TestSink())
-    plan = CompiledFlow(flow)
-    left, right = plan.entries
+    compiled = CompiledFlow(flow)
+    left, right = compiled.entries
     hour = [k * 10 * ms for k in range(1000)]
-    [(_, joined)] = plan.push({left: touch(*hour), right: motion(*hour)})
+    [(_, joined)] = compiled.push({left: touch(*hour), right: motion(*hour)})
     assert isinstance(joined, Sample)
     assert joined.matched.all()
 
@@ -128,9 +128,9 @@ def test_streams_given_together_reach_their_join_together() -> None:
 def test_flush_passes_what_operators_held_on_to_those_behind_them() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Keep() | Debounce(consecutive=2)).to(TestSink())
-    plan = CompiledFlow(flow)
-    assert plan.push({plan.entries[0]: scores(0.9, 0.9)}) == []
-    [(_, slips)] = plan.flush()
+    compiled = CompiledFlow(flow)
+    assert compiled.push({compiled.entries[0]: scores(0.9, 0.9)}) == []
+    [(_, slips)] = compiled.flush()
     assert isinstance(slips, Slips)
     assert slips.state.tolist() == [1]
 
@@ -138,17 +138,17 @@ def test_flush_passes_what_operators_held_on_to_those_behind_them() -> None:
 def test_a_fingertip_that_the_source_does_not_declare_is_an_error() -> None:
     flow = Flow("f")
     flow.source(TestSource(Scores, fingers=(0,))).to(TestSink())
-    plan = CompiledFlow(flow)
-    with pytest.raises(BatchError, match=r"source 'scores' gave fingertip 3, and declares \(0,\)"):
-        plan.push({(plan.entries[0][0], 3): scores(0.9, finger=3)})
+    compiled = CompiledFlow(flow)
+    with pytest.raises(BatchError, match=r"source 'scores' yielded fingertip 3, but declares \(0,\)"):
+        compiled.push({(compiled.entries[0][0], 3): scores(0.9, finger=3)})
 
 
 def test_nothing_in_gives_nothing_out() -> None:
     flow = Flow("f")
     flow.source(TestSource(Scores)).to(TestSink())
-    plan = CompiledFlow(flow)
-    assert plan.push({plan.entries[0]: Scores.empty()}) == []
-    assert plan.flush() == list[tuple[object, Batch]]()
+    compiled = CompiledFlow(flow)
+    assert compiled.push({compiled.entries[0]: Scores.empty()}) == []
+    assert compiled.flush() == list[tuple[object, Batch]]()
 
 
 class Forgetful(Operator[Scores, Scores]):
@@ -164,8 +164,11 @@ class Wrong(Operator[Scores, Scores]):
 @pytest.mark.parametrize(
     ("operator", "message"),
     [
-        (Forgetful(), "flow 'f': Forgetful: ValueError: gave rows of fingertip -1, not 2: pass finger="),
-        (Wrong(), "flow 'f': Wrong: TypeError: gave NoneType, and declares to give Scores"),
+        (
+            Forgetful(),
+            "flow 'f': Forgetful: ValueError: returned rows of fingertip -1, not 2: pass on finger=",
+        ),
+        (Wrong(), "flow 'f': Wrong: TypeError: returned NoneType, but declares Scores"),
     ],
     ids=["finger", "type"],
 )
@@ -174,12 +177,12 @@ def test_an_operator_that_breaks_its_contract_is_named(
 ) -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores, fingers=(2,))) | operator).to(TestSink())
-    plan = CompiledFlow(flow)
+    compiled = CompiledFlow(flow)
     with pytest.raises(OperatorError, match=re.escape(message)):
-        plan.push({plan.entries[0]: scores(0.1, finger=2)})
+        compiled.push({compiled.entries[0]: scores(0.1, finger=2)})
 
 
-def test_a_plan_goes_on_from_a_snapshot() -> None:
+def test_a_compiled_goes_on_from_a_snapshot() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())
     whole, first, second = CompiledFlow(flow), CompiledFlow(flow), CompiledFlow(flow)
@@ -204,13 +207,13 @@ def test_a_state_that_does_not_pickle_names_its_operator() -> None:
         CompiledFlow(flow).snapshot()
 
 
-def test_a_plan_of_one_fingertip_leaves_the_others_out() -> None:
+def test_a_compiled_of_one_fingertip_leaves_the_others_out() -> None:
     flow = Flow("f")
     zeroed = flow.source(TestSource(Touch, fingers=(0, 1, 2))) | Zero(baseline=400)
     (zeroed & flow.source(TestSource(Motion)) | Align(wait=20 * ms)).to(TestSink())
-    plan = CompiledFlow(flow, only=(1,))
-    assert [(node.name, finger) for node, finger in plan.entries] == [("touch", 1), ("motion", EVERY)]
-    pushed = plan.push({plan.entries[0]: touch(0, finger=1), plan.entries[1]: motion(0, 10 * ms)})
+    compiled = CompiledFlow(flow, only=(1,))
+    assert [(node.name, finger) for node, finger in compiled.entries] == [("touch", 1), ("motion", EVERY)]
+    pushed = compiled.push({compiled.entries[0]: touch(0, finger=1), compiled.entries[1]: motion(0, 10 * ms)})
     assert [batch.finger for _, batch in pushed] == [1]
     with pytest.raises(BatchError, match="fingertip 2"):
-        plan.push({(plan.entries[0][0], 2): touch(0, finger=2)})
+        compiled.push({(compiled.entries[0][0], 2): touch(0, finger=2)})

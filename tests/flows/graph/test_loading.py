@@ -95,7 +95,7 @@ def test_a_ready_made_flow_needs_no_path(name: str) -> None:
         ("def broken(:\n", r"mine\.py:1: invalid syntax"),
         ("\n1 / 0\n", r"mine\.py:2: ZeroDivisionError: division by zero"),
         ("import no_such_module\n", r"mine\.py:1: ModuleNotFoundError"),
-        ("x = 1\n", "holds no flow"),
+        ("x = 1\n", "has no flow"),
         (
             "from flows.graph import Flow\ndef f(x: int) -> Flow: return Flow('f')\n",
             "flow 'f': parameter 'x' needs a default",
@@ -112,12 +112,13 @@ def test_what_is_wrong_with_a_file_is_one_line_with_its_place(
 
 def test_a_missing_file_and_a_missing_flow_are_told(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"nowhere\.py: no such flow file, .* those are lift, live, record, relabel"
+        InputError,
+        match=r"nowhere\.py: is neither a flow file nor a ready-made flow \(demo, lift",
     ):
         load("nowhere.py")
-    with pytest.raises(InputError, match="is a folder: give the flow file in it"):
+    with pytest.raises(InputError, match="is a folder: name the flow file in it"):
         load(str(tmp_path))
-    with pytest.raises(InputError, match="holds no flow 'other'; it holds felt"):
+    with pytest.raises(InputError, match="has no flow 'other'; it has felt"):
         load(_file(tmp_path, GOOD) + ":other")
 
 

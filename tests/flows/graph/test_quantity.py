@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.graph.quantity import KINDS, quantity, written
+from flows.graph.quantity import KINDS, format_quantity, quantity
 from operators.errors import ParameterError
 
 
@@ -59,8 +59,8 @@ def test_below_zero_is_for_those_who_ask_for_it() -> None:
 
 
 @given(st.integers(-(2**62), 2**62))
-def test_a_time_that_is_written_is_read_again(time: int) -> None:
-    text = written(time, "ns")
+def test_a_formatted_time_parses_to_the_same_value(time: int) -> None:
+    text = format_quantity(time, "ns")
     assert quantity("x", "y", text, "ns", signed=True) == pytest.approx(time, rel=1e-14)
 
 
@@ -82,5 +82,5 @@ def test_the_examples_are_such_quantities(unit: str) -> None:
         (10.0, "N", "10N"),
     ],
 )
-def test_a_quantity_is_written_as_short_as_may_be(value: float, unit: str, text: str) -> None:
-    assert written(value, unit) == text
+def test_a_quantity_is_formatted_as_short_as_may_be(value: float, unit: str, text: str) -> None:
+    assert format_quantity(value, unit) == text

@@ -46,18 +46,18 @@ def test_an_unconnected_stream_is_named() -> None:
     assert _one_problem(flow).startswith("Zero -> ?: its stream of Zeroed is unconnected")
 
 
-def test_a_wrong_type_names_the_edge_and_both_types() -> None:
+def test_a_wrong_type_names_the_edge_both_types_and_the_missing_operators() -> None:
     flow = Flow("f")
     touch: Stream[Any] = flow.source(TestSource(Touch))
     (touch | Debounce()).to(TestSink())
-    assert _one_problem(flow) == "touch -> Debounce: Debounce takes Scores, not Touch"
+    assert _one_problem(flow) == "touch -> Debounce: Debounce takes Scores, not Touch: insert Zero and Score"
 
 
 def test_forgetting_to_zero_is_a_wrong_type() -> None:
     flow = Flow("f")
     touch: Stream[Any] = flow.source(TestSource(Touch))
     (touch & flow.source(TestSource(Motion)) | Align() | Label()).to(TestSink())
-    assert _one_problem(flow) == "touch -> Align: Align takes Zeroed, not Touch"
+    assert _one_problem(flow) == "touch -> Align: Align takes Zeroed, not Touch: insert Zero"
 
 
 def test_a_swapped_pair_is_two_wrong_edges() -> None:
@@ -85,7 +85,7 @@ def test_two_streams_of_one_type_into_one_sink_are_told_apart_only_by_fingertip(
     flow.source(TestSource(Touch, fingers=(1,))).to(sink)
     assert problems(flow) == []
     flow.source(TestSource(Touch, fingers=(1,))).to(sink)
-    assert _one_problem(flow) == "touch3 -> testsink: testsink already takes Touch from touch2"
+    assert _one_problem(flow) == "touch3 -> testsink: already receives Touch (from touch2): use another sink"
 
 
 def test_a_cycle_is_named_in_the_order_of_flow() -> None:
@@ -105,7 +105,7 @@ def test_one_operator_object_in_two_places_is_told() -> None:
     scores = flow.source(TestSource(Scores))
     (scores | shared).to(TestSink())
     (scores | shared).to(TestSink())
-    assert "scores -> Debounce: the same operator object stands in two places" in _one_problem(flow)
+    assert "scores -> Debounce: the same operator object is used twice" in _one_problem(flow)
 
 
 def test_a_stream_of_another_flow_is_told() -> None:

@@ -170,7 +170,7 @@ def test_what_another_source_gives_just_as_a_full_sink_has_room_does_not_overtak
         await asyncio.sleep(1)
         go.set()  # the other source has its turn before the one that waits for room
 
-    slow = TestSink(capacity=1, hold=hold)
+    slow = TestSink(capacity=1, before_write=hold)
     one = flow.source(TestSource(Scores, scores(0, 1) * 3))  # one is written, one queued, one waits
     (one & flow.source(Following(go), name="other") | Numbered()).to(slow)
     execute(flow)
@@ -307,7 +307,7 @@ def test_what_was_taken_when_the_run_ends_is_delivered_whole() -> None:
     async def slowly() -> None:
         await asyncio.sleep(0.05)  # five times slower than the source, which waits most of the time
 
-    slow, other = TestSink(capacity=2, hold=slowly), TestSink(capacity=2, hold=slowly)
+    slow, other = TestSink(capacity=2, before_write=slowly), TestSink(capacity=2, before_write=slowly)
     stream = flow.source(TestSource(Scores, scores(0, 1000)))
     stream.to(slow)
     stream.to(other)
@@ -325,7 +325,7 @@ def test_an_operator_that_fails_while_the_run_drains_is_not_forgotten() -> None:
         await asyncio.sleep(3)
 
     flow = Flow("f")
-    flow.source(TestSource(Scores, scores(0, 500)), "busy").to(TestSink(capacity=1, hold=slowly))
+    flow.source(TestSource(Scores, scores(0, 500)), "busy").to(TestSink(capacity=1, before_write=slowly))
     late = TestSource(Scores, [*scores(0, 1), *scores(400, 1)])
     (flow.source(late, "late") | Broken()).to(TestSink())
     with pytest.raises(OperatorError, match="Broken"):

@@ -176,7 +176,7 @@ def test_a_replay_that_is_cancelled_is_not_complete() -> None:
     async def cancelled() -> None:
         raise asyncio.CancelledError
 
-    flow, sink = Flow("f"), TestSink(hold=cancelled)
+    flow, sink = Flow("f"), TestSink(before_write=cancelled)
     flow.source(TestSource(Touch)).to(sink)
     runner = ReplayRunner(flow, recording(), "x")
     with pytest.raises(asyncio.CancelledError):

@@ -45,7 +45,7 @@ def test_a_slow_lossless_sink_makes_the_source_wait_and_gets_everything() -> Non
     async def slowly() -> None:
         await asyncio.sleep(0.05)  # five times slower than the source
 
-    slow = TestSink(capacity=3, hold=slowly)
+    slow = TestSink(capacity=3, before_write=slowly)
     flow.source(TestSource(Scores, scores(0, 100))).to(slow)
     run = execute(flow)
     assert times(slow) == list(range(100))
@@ -54,7 +54,7 @@ def test_a_slow_lossless_sink_makes_the_source_wait_and_gets_everything() -> Non
 
 def test_a_lossless_sink_that_is_stuck_counts_as_failing_and_no_longer_holds_up_the_others() -> None:
     flow, other = Flow("f"), TestSink()
-    stuck = TestSink(capacity=10, hold=lambda: asyncio.sleep(60))
+    stuck = TestSink(capacity=10, before_write=lambda: asyncio.sleep(60))
     stream = flow.source(TestSource(Scores, scores(0, 3000)))
     stream.to(stuck)
     stream.to(other)
@@ -68,7 +68,7 @@ def test_a_lossless_sink_that_is_stuck_counts_as_failing_and_no_longer_holds_up_
 
 def test_a_stuck_sink_works_again_once_its_write_ends(caplog: pytest.LogCaptureFixture) -> None:
     flow, waits = Flow("f"), [60.0]
-    sink = TestSink(capacity=10, hold=lambda: asyncio.sleep(waits.pop() if waits else 0))
+    sink = TestSink(capacity=10, before_write=lambda: asyncio.sleep(waits.pop() if waits else 0))
     flow.source(TestSource(Scores, scores(0, 9000))).to(sink)
     with caplog.at_level(logging.WARNING):
         run = execute(flow)
@@ -90,7 +90,7 @@ def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
     async def slowly() -> None:
         await asyncio.sleep(0.05)
 
-    slow, other = TestSink(capacity=3, hold=slowly, lossless=False), TestSink()
+    slow, other = TestSink(capacity=3, before_write=slowly, lossless=False), TestSink()
     stream = flow.source(TestSource(Scores, scores(0, 100)))
     stream.to(slow)
     stream.to(other)
@@ -124,7 +124,7 @@ def test_a_third_stop_ends_a_run_whose_sink_hangs() -> None:
         await asyncio.Event().wait()
 
     flow = Flow("f")
-    flow.source(Endless()).to(TestSink(hold=for_ever))
+    flow.source(Endless()).to(TestSink(before_write=for_ever))
 
     async def main() -> Run:
         runner = LiveRunner(flow, "test")
