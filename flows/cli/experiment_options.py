@@ -1,4 +1,4 @@
-"""The options of the robot experiments, what they mean, and how they are written again."""
+"""Options that the experiment commands share."""
 
 import shlex
 from pathlib import Path
@@ -9,29 +9,29 @@ import typer
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from flows.lab.experiments.experiment import Method
-    from flows.lab.experiments.trial_setting import Conditions
+    from flows.lab.experiments.study import Method, Trials
+    from flows.lab.experiments.trial import Conditions
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Imports inside functions: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
 
-Trials = Annotated[int, typer.Option(min=1, help="How many, of each object.")]
-Seed = Annotated[int, typer.Option(min=0, help="Of the first trial; the next ones follow.")]
-Things = Annotated[
+Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object (default 20).")]
+Seed = Annotated[
+    int, typer.Option(min=0, help="Seed of the first trial; the others follow (default 900000).")
+]
+Objects = Annotated[
     list[str] | None,
     typer.Option(
         "--object",
         metavar="NAME",
-        help="Only this object: box, ball, cardboard_can, football_sleeve, foam_sleeve or metal_can; may be"
-        " given several times.",
+        help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve or metal_can; repeatable"
+        " (default all).",
     ),
 ]
 Detectors = Annotated[
     list[str] | None,
     typer.Option(
-        "--method",
-        metavar="NAME",
-        help="Only this detector, by name or as a file of weights; may be given several times.",
+        "--method", metavar="NAME", help="Detector, by name or model file; repeatable (default several)."
     ),
 ]
 Rules = Annotated[
@@ -39,84 +39,77 @@ Rules = Annotated[
     typer.Option(
         "--rule",
         metavar="NAME",
-        help="Only this rule of the force: ours, steps (the paper's) or none; may be given several times.",
+        help="Grip force rule: ours, steps (the paper's) or none; repeatable (default several).",
     ),
 ]
-Way = Annotated[str, typer.Option("--path", help="Of commands to the gripper: direct or mqtt.")]
+Route = Annotated[
+    str, typer.Option("--path", help="Route of commands to the gripper: direct (1ms, default) or mqtt (6ms).")
+]
 Delay = Annotated[
-    str, typer.Option(metavar="TIME", help="Added between a decision and its command, as 50ms.")
+    str, typer.Option(metavar="TIME", help="Delay added between a decision and its command (default 0s).")
 ]
-Rate = Annotated[float, typer.Option(min=10, max=500, metavar="HZ", help="Samples per second.")]
-Locks = Annotated[
-    bool, typer.Option("--locks", help="A hand that cannot grip less again, as a Robotiq 3-finger one.")
+Rate = Annotated[float, typer.Option(min=10, max=500, metavar="HZ", help="Samples per second (default 100).")]
+Locks = Annotated[bool, typer.Option("--locks", help="Gripper cannot loosen (like a Robotiq 3-Finger).")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default one per core).")]
+Out = Annotated[
+    Path, typer.Option(metavar="DIR", help="Folder for the report and its figure (default experiment).")
 ]
-Sweep = Annotated[
-    bool, typer.Option("--stress", help="Instead: success under friction, mass, dead cells, delay, rate.")
-]
-Break = Annotated[
-    bool,
-    typer.Option(
-        "--ablation", help="Instead: where it breaks, against delay and rate, and what breaks first."
-    ),
-]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")]
-Out = Annotated[Path, typer.Option(metavar="DIR", help="Where the page and its figure go.")]
+_OUTPUT = ("jobs", "out", "as_json")  # parameters that do not change the results
 
 
-def objects_of(things: list[str] | None) -> "Sequence[str]":
-    """The objects that are named; all of them where none is."""
+def command_line(context: typer.Context) -> str:
+    """Return the command that repeats this run: all options that change its results and are not defaults."""
+    words = ["slipflow", "experiment", str(context.info_name)]
+    for option in context.command.params:
+        value = context.params.get(str(option.name))
+        if option.name in _OUTPUT or not value or value == option.default:
+            continue
+        for each in value if isinstance(value, list) else [value]:
+            words.append(option.opts[0])
+            words += [] if each is True else [f"{each:g}" if isinstance(each, float) else str(each)]
+    return shlex.join(words)
+
+
+def trials_of(count: int, seed: int, objects: list[str] | None) -> "Trials":
+    """Return the trials of a study.
+
+    Raises:
+        ParameterError: on an unknown object.
+    """
     from connectors.sim.objects import OBJECTS
+    from flows.lab.experiments.study import Trials
 
-    return things or tuple(OBJECTS)
-
-
-def command(*arguments: str) -> str:
-    """What makes the same page again."""
-    return shlex.join(["slipflow", "experiment", *arguments])
+    return Trials(count, seed, tuple(objects or OBJECTS))
 
 
-def as_given(names: list[str] | None, rules: list[str] | None, things: list[str] | None) -> list[str]:
-    """The options that may be given several times, as they were."""
-    options = {"--method": names, "--rule": rules, "--object": things}
-    return [part for option, values in options.items() for value in values or [] for part in (option, value)]
+def methods_of(
+    usual: "Sequence[Method]", detectors: list[str] | None, rules: list[str] | None
+) -> "list[Method]":
+    """Return the named detectors with each rule; without names, the usual methods that follow the rules.
 
+    Raises:
+        ParameterError: on an unknown rule.
+    """
+    from flows.lab.experiments.study import OURS, Method
 
-def under(path: str = "direct", delay: str = "0s", rate: float = 100, *, locks: bool = False) -> list[str]:
-    """The conditions that are not nominal, as options."""
-    options = {"--path": (path, "direct"), "--delay": (delay, "0s"), "--rate": (f"{rate:g}", "100")}
-    other = [part for option, (value, usual) in options.items() if value != usual for part in (option, value)]
-    return [*other, "--locks"] if locks else other
-
-
-def of(trials: int, seed: int) -> list[str]:
-    """Trials and their seed, as options."""
-    return ["--trials", str(trials), "--seed", str(seed)]
-
-
-def methods_of(usual: "Sequence[Method]", names: list[str] | None, rules: list[str] | None) -> "list[Method]":
-    """Each detector that is named, with each rule; where none is, the usual ones that follow those rules."""
-    from flows.lab.experiments.experiment import OURS, RULES, Method
-
-    for rule in rules or ():
-        if rule not in RULES:
-            raise typer.BadParameter(f"--rule {rule}: give one of {', '.join(RULES)}")
-    if names:
-        return [Method(name, rule) for name in names for rule in rules or [OURS]]
+    if detectors:
+        return [Method(detector, rule) for detector in detectors for rule in rules or [OURS]]
+    for rule in rules or []:
+        Method("", rule)
     return [method for method in usual if not rules or method.rule in rules]
 
 
 def conditions_of(path: str, delay: str, rate: float, *, locks: bool = False) -> "Conditions":
-    """What all trials share.
+    """Return the conditions that all trials share.
 
     Raises:
-        ParameterError: if the delay is no time.
+        ParameterError: on an unknown path, or a delay that is not a time.
     """
     from flows.graph.quantity import time
-    from flows.lab.experiments.hand_model import PATHS, Hand
-    from flows.lab.experiments.trial_setting import Conditions
+    from flows.lab.experiments.gripper_model import PATHS, GripperModel
+    from flows.lab.experiments.trial import Conditions
+    from operators.checks import check_choice
 
-    if path not in PATHS:
-        raise typer.BadParameter(f"--path {path}: give {' or '.join(PATHS)}")
-    return Conditions(
-        Hand(path=PATHS[path], delay=time("lift", "--delay", delay) / 1e9, locks=locks), rate=rate
-    )
+    check_choice("lift", "--path", path, PATHS)
+    added = time("lift", "--delay", delay) / 1e9  # s
+    return Conditions(GripperModel(path=PATHS[path], delay=added, locks=locks), rate=rate)

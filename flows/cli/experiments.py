@@ -1,48 +1,39 @@
-"""The commands about the robot experiments."""
+"""The commands `slipflow experiment tap`, `lift` and `learn`."""
 
 import json
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from flows.cli.examples import examples
 from flows.cli.experiment_options import (
-    Break,
+    Count,
     Delay,
     Detectors,
     Jobs,
     Locks,
+    Objects,
     Out,
     Rate,
+    Route,
     Rules,
     Seed,
-    Sweep,
-    Things,
-    Trials,
-    Way,
-    as_given,
-    command,
+    command_line,
     conditions_of,
     methods_of,
-    objects_of,
-    of,
-    under,
+    trials_of,
 )
 from flows.cli.options import AsJson, check_output_file, progress_bar, told
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from flows.report.report_page import Report
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Imports inside functions: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
 
-Found = TypeVar("Found")
-Of = TypeVar("Of", contravariant=True)
-
 app = typer.Typer(
-    help="The paper's robot experiments, simulated, closed loop.",
+    help="Run the paper's robot experiments in simulation, closed loop.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -50,63 +41,64 @@ app = typer.Typer(
 
 @app.command(epilog=examples("tap"))
 def tap(
+    context: typer.Context,
     *,
-    trials: Trials = 20,
+    count: Count = 20,
     method: Detectors = None,
-    thing: Things = None,
+    objects: Objects = None,
     seed: Seed = 900_000,
     rate: Rate = 100.0,
     jobs: Jobs = None,
     out: Out = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Hit what is held with a mallet: is the slip registered?
+    """Hit held objects with a mallet: is the slip registered, and static afterwards?
 
-    And the rest after it? Prints success beside the paper's, how trials failed, and what is registered where
-    nothing slips. Writes tap.html, .md, .json and .svg.
+    Prints success next to the paper's, how trials failed, and false slips. Writes tap.html, .md, .json and
+    .svg.
     """
-    from flows.lab.experiments import experiment_page as page
-    from flows.lab.experiments.experiment import BESIDE, DEFAULT, Method, experiment
+    from flows.lab.experiments.study import DEFAULT, Method, run_study
+    from flows.lab.experiments.study_report import tap_report
+    from flows.lab.experiments.tap_trial import tap as run_tap
+    from flows.report.report_page import make_output_folder
 
-    methods, objects = methods_of([Method(DEFAULT), *BESIDE["tap"]], method, None), objects_of(thing)
-    conditions = conditions_of("direct", "0s", rate)
-    measure = partial(
-        experiment,
-        "tap",
-        methods,
-        trials=trials,
-        seed=seed,
-        objects=objects,
-        conditions=conditions,
-        jobs=jobs,
-    )
-    again = command("tap", *as_given(method, None, thing), *under(rate=rate), *of(trials, seed))
-    _carry_out("tap", measure, page, again, out, as_json=as_json)
+    usual = [Method(name) for name in (DEFAULT, "tcn", "paper_tcn", "frequency_cnn", "psd")]
+    methods, trials = methods_of(usual, method, None), trials_of(count, seed, objects)
+    conditions = {"": conditions_of("direct", "0s", rate)}
+    make_output_folder(out)
+    with progress_bar("tap") as update:
+        found = run_study(run_tap, methods, conditions, trials, jobs=jobs, progress=update)
+    _write(tap_report(found[""], command_line(context)), out, as_json=as_json)
 
 
 @app.command(epilog=examples("lift"))
 def lift(
+    context: typer.Context,
     *,
-    trials: Trials = 20,
+    count: Count = 20,
     method: Detectors = None,
     rule: Rules = None,
-    thing: Things = None,
+    objects: Objects = None,
     seed: Seed = 900_000,
-    path: Way = "direct",
+    path: Route = "direct",
     delay: Delay = "0s",
     rate: Rate = 100.0,
     locks: Locks = False,
-    stress: Sweep = False,
-    ablation: Break = False,
+    stress: Annotated[
+        bool, typer.Option("--stress", help="Vary friction, mass, delay, rate and a dead cell instead.")
+    ] = False,
+    ablation: Annotated[
+        bool, typer.Option("--ablation", help="Find the delay and rate at which the lift breaks instead.")
+    ] = False,
     jobs: Jobs = None,
     out: Out = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Lift what is gripped too weakly: is it caught by more force?
+    """Lift objects that are gripped too weakly: does more force catch them?
 
-    Prints success beside the paper's, how trials failed, how far objects slid and the force it took. Writes
-    lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation
-    lift-ablation.html, .md, .json and .svg, for which path, delay, rate and hand are the experiment's own.
+    Prints success next to the paper's, how trials failed, how far objects slid and the force that held them.
+    Writes lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation
+    lift-ablation.html, .md, .json and .svg. --ablation sets path, delay, rate and gripper itself.
     """
     if stress and ablation:
         raise typer.BadParameter("--stress and --ablation: give one of them")
@@ -114,42 +106,35 @@ def lift(
         raise typer.BadParameter("--stress takes one --method and one --rule")
     conditions = conditions_of(path, delay, rate, locks=locks)
     if ablation and conditions != conditions_of("direct", "0s", 100):
-        raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it tries its own")
-    from flows.lab.experiments import ablation_page
-    from flows.lab.experiments import experiment_page as page
-    from flows.lab.experiments import lift_stress_page as stress_page
-    from flows.lab.experiments.experiment import BESIDE, DEFAULT, Method, experiment
-    from flows.lab.experiments.lift_ablation import METHODS
-    from flows.lab.experiments.lift_ablation import ablation as ablate
-    from flows.lab.experiments.lift_stress import stress as strain
+        raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it sets its own")
+    from flows.lab.experiments.study import DEFAULT, NONE, OURS, STEPS, Method
+    from flows.report.report_page import make_output_folder
 
-    objects = objects_of(thing)
-    given = [*as_given(method, rule, thing), *under(path, delay, rate, locks=locks), *of(trials, seed)]
-    told_of = partial(_carry_out, out=out, as_json=as_json)
-    if ablation:
-        named = method or [usual.detector for usual in METHODS]
-        tried = methods_of([], named, rule) if method or rule else METHODS
-        broken = partial(ablate, tried, trials=trials, seed=seed, objects=objects, jobs=jobs)
-        told_of("ablation", broken, ablation_page, command("lift", "--ablation", *given))
-        return
-    methods = methods_of([Method(DEFAULT), *BESIDE["lift"]], method, rule)
-    if stress:
-        strained = partial(
-            strain, methods[0], trials=trials, seed=seed, objects=objects, conditions=conditions, jobs=jobs
-        )
-        told_of("stressing", strained, stress_page, command("lift", "--stress", *given), drawn=False)
-        return
-    measure = partial(
-        experiment,
-        "lift",
-        methods,
-        trials=trials,
-        seed=seed,
-        objects=objects,
-        conditions=conditions,
-        jobs=jobs,
-    )
-    told_of("lift", measure, page, command("lift", *given))
+    trials, again = trials_of(count, seed, objects), command_line(context)
+    usual = [Method(DEFAULT, each) for each in (OURS, STEPS, NONE)]
+    usual += [Method("tcn"), *(Method(name, STEPS) for name in ("tcn", "paper_tcn", "frequency_cnn", "psd"))]
+    methods = methods_of(usual, method, rule)
+    make_output_folder(out)
+    with progress_bar("lift") as update:
+        if ablation:
+            from flows.lab.experiments.ablation_report import ablation_report
+            from flows.lab.experiments.lift_ablation import METHODS, ablate
+
+            given = method or ([each.detector for each in METHODS] if rule else None)
+            found = ablate(methods_of(METHODS, given, rule), trials, jobs=jobs, progress=update)
+            report = ablation_report(found, again)
+        elif stress:
+            from flows.lab.experiments.lift_stress import stress as run_stress
+
+            report = run_stress(methods[0], conditions, trials, again, jobs=jobs, progress=update)
+        else:
+            from flows.lab.experiments.lift_trial import lift as run_lift
+            from flows.lab.experiments.study import run_study
+            from flows.lab.experiments.study_report import lift_report
+
+            results = run_study(run_lift, methods, {"": conditions}, trials, jobs=jobs, progress=update)
+            report = lift_report(results[""], again)
+    _write(report, out, as_json=as_json)
 
 
 @app.command(epilog=examples("learn"))
@@ -157,17 +142,24 @@ def learn(
     *,
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", metavar="FILE", help="The model, .safetensors; its card is the .json."),
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Model file, .safetensors; its card is the .json next to it (default tcn_grasp).",
+        ),
     ] = Path("tcn_grasp.safetensors"),
-    grasps: Annotated[int, typer.Option(min=20, help="Recordings of grasps to learn from.")] = 4000,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of the training.")] = 2600,
-    seed: Annotated[int, typer.Option(min=0, help="Of the recordings.")] = 7000,
+    grasps: Annotated[
+        int, typer.Option(min=20, help="Number of simulated grasps to train on (default 4000).")
+    ] = 4000,
+    steps: Annotated[int, typer.Option(min=1, help="Number of training steps (default 2600).")] = 2600,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the recordings (default 7000).")] = 7000,
     as_json: AsJson = False,
 ) -> None:
-    """Train the detector of grasps.
+    """Train the grasp detector, tcn_grasp.
 
-    It learns from simulated grasps and strokes, labelled by what truly slides. None has one of the six
-    objects. Stopped, it goes on where it was. Needs the train extra.
+    Trains on simulated grasps and strokes, labelled by true sliding; none has one of the six objects. Needs
+    the train extra.
     """
     from dataclasses import replace
 
@@ -178,47 +170,24 @@ def learn(
     check_output_file(out)
     with progress_bar("training tcn_grasp") as update:
 
-        def progress(done: int, of: int, check: Check | None) -> None:
-            update(done, of)
+        def progress(done: int, total: int, check: Check | None) -> None:
+            update(done, total)
             if check:
                 told(f"{check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
 
         model = train(
-            out, seed=seed, grasps=grasps, recipe=replace(RECIPE, steps=steps), told=told, progress=progress
+            out, seed=seed, grasps=grasps, recipe=replace(RECIPE, steps=steps), log=told, progress=progress
         )
     scores = ", ".join(f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items())
     summary = {"path": str(model.path), **model.card}
     typer.echo(json.dumps(summary) if as_json else f"{model.path}: balanced accuracy {scores}")
 
 
-class _Pages(Protocol[Of]):
-    """A module that tells what was found."""
-
-    def write(self, of: Of, folder: Path, command: str) -> list[Path]: ...
-
-    def summary(self, of: Of) -> dict[str, Any]: ...
-
-    def text(self, of: Of) -> str: ...
-
-
-def _carry_out(
-    what: str,
-    measure: "Callable[..., Found]",
-    pages: _Pages[Found],
-    command: str,
-    out: Path,
-    *,
-    drawn: bool = True,
-    as_json: bool,
-) -> None:
-    """Measure with a bar, write the page, say what was written and what it takes to have its figures."""
+def _write(report: "Report", out: Path, *, as_json: bool) -> None:
+    """Write the report and print it; log what was written and what figures need."""
     from flows.report.figures import lacking
-    from flows.report.report_files import make_output_folder
 
-    make_output_folder(out)
-    with progress_bar(what) as update:
-        found = measure(progress=update)
-    paths = pages.write(found, out, command)
-    lacks = f"; figures {reason}" if drawn and (reason := lacking()) else ""
-    told(f"written: {', '.join(map(str, paths))}{lacks}")
-    typer.echo(json.dumps(pages.summary(found), allow_nan=False) if as_json else pages.text(found))
+    paths = report.write(out, report.sections[0].name)
+    missing = any(section.draw and section.figure is None for section in report.sections)
+    told(f"wrote {', '.join(map(str, paths))}" + (f"; figures {lacking()}" if missing else ""))
+    typer.echo(json.dumps(report.json(), allow_nan=False) if as_json else report.terminal())

@@ -1,1 +1,1 @@
-"""The paper's closed-loop robot experiments in simulation."""
+"""The paper's robot experiments in the simulated scene, closed loop: tap, lift and grasp training."""

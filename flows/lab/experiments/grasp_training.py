@@ -45,7 +45,7 @@ def learn(
     grasps: int = GRASPS,
     strokes: Collection = STROKES,
     recipe: Recipe = RECIPE,
-    told: Callable[[str], object] = lambda _: None,
+    log: Callable[[str], object] = lambda _: None,
     progress: Callable[[int, int, Check | None], object] = lambda _done, _all, _check: None,
 ) -> Model:
     """Train our network on grasps and strokes, all labelled by what truly slides.
@@ -56,7 +56,7 @@ def learn(
         grasps: How many recordings of grasps.
         strokes: The plan of strokes; it is simulated once as it is, and once with varied scenes.
         recipe: Of the network.
-        told: Is told what is being done.
+        log: Called with each step of the work.
         progress: Told how far the training is.
 
     Raises:
@@ -66,7 +66,7 @@ def learn(
     """
     if out.suffix != ".safetensors":
         raise ParameterError("learn", "out", str(out), "a path that ends in .safetensors")
-    told(f"simulating {grasps} grasps and two plans of strokes")
+    log(f"simulating {grasps} grasps and two plans of strokes")
     kinds = {
         "grasps": list(handled(grasps, seed)),
         "strokes": _split(simulated_recordings(strokes, seed + 1)),

@@ -1,102 +1,207 @@
-"""One trial: a grasp in the scene and the declared flow, sample by sample in virtual time."""
+"""One trial of an experiment: a simulated grasp and the declared flow, sample by sample in virtual time."""
 
-from dataclasses import dataclass, replace
-from typing import Final, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, Self
 
 import numpy as np
 
 from connectors.sim.grasp import Grasp, Held
+from connectors.sim.holding import least_force
+from connectors.sim.lift_motion import Lift
+from connectors.sim.mallet import Tap
+from connectors.sim.objects import Object
+from connectors.sim.scene import Faults, Vibration
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
-from flows.lab.experiments.hand_model import Grasping
-from flows.lab.experiments.trial_setting import Conditions
+from flows.lab.experiments.gripper_model import Actuator, GripperModel
 from flows.lift import held_by
 from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, s
+from operators.checks import check_above
 from operators.detectors import Detector
 from operators.grip import GripController
 
-By: TypeAlias = tuple[Detector, GripController]
+BASELINE: Final = 1.0  # s with an open gripper before it closes
+SPREAD: Final = 0.1  # mass and friction vary by +-10 % from trial to trial; assumed
+OFFSET: Final = (0.004, 0.006)  # m, largest offset of the grip from the object's centre in x and y; assumed
+VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's recordings; amplitude assumed
 
-BASELINE: Final = 1.0  # s with an open hand, before everything
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Settings shared by all trials of an experiment; factors are relative to nominal.
+
+    Raises:
+        ParameterError: on a rate, factor or number of samples that is not above 0.
+    """
+
+    gripper: GripperModel = field(default_factory=GripperModel)
+    rate: float = 100.0  # Hz, of the samples
+    repeat: int = 1  # samples per reading; the reading is repeated until the next one
+    friction: float = 1.0  # factor
+    mass: float = 1.0  # factor
+    dead_cells: tuple[int, ...] = ()
+    grip: float = 1.0  # factor of the initial force of a lift
+    pace: float = 1.0  # factor of the speed and acceleration of a lift
+
+    def __post_init__(self) -> None:
+        for name in ("rate", "repeat", "friction", "mass", "grip", "pace"):
+            check_above("Conditions", name, getattr(self, name), 0)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """The random draw of one trial: friction, mass, grip position and vibration."""
+
+    held: Object
+    seed: int
+    friction: float  # factor
+    mass: float  # factor
+    position: tuple[float, float]  # m, of the grip relative to the object's centre
+    vibration: Vibration
+    conditions: Conditions
+
+    @classmethod
+    def draw(cls, held: Object, seed: int, conditions: Conditions) -> Self:
+        """Draw the trial of a seed; it is the same for every detector and rule."""
+        random = np.random.default_rng([seed, 7])
+        friction, mass = (
+            factor * float(random.uniform(1 - SPREAD, 1 + SPREAD))
+            for factor in (conditions.friction, conditions.mass)
+        )
+        x, y = (random.uniform(-1, 1, 2) * OFFSET).tolist()
+        vibration = Vibration(VIBRATION, float(random.choice([6.5, 12.0])), float(random.uniform(0, 360)))
+        return cls(held, seed, friction, mass, (x, y), vibration, conditions)
+
+    @property
+    def least_force(self) -> float:
+        """Least force that holds the object (N)."""
+        return least_force(self.held, friction=self.friction, mass=self.mass)
+
+    @property
+    def expected_force(self) -> float:
+        """Least force under nominal friction and mass (N), which is what a robot would assume."""
+        return self.least_force * self.conditions.friction / self.conditions.mass
+
+    def grasp(self, lift: Lift, taps: Sequence[Tap] = ()) -> Grasp:
+        """Return the simulated grasp: an open gripper around the object, which is then lifted and tapped."""
+        return Grasp(
+            self.held,
+            seed=self.seed,
+            force=0.0,
+            closing=0.0,
+            lift=lift,
+            taps=taps,
+            friction=self.friction,
+            mass=self.mass,
+            grip=self.position,
+            vibration=self.vibration,
+            faults=Faults(dead=self.conditions.dead_cells),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """What happened in a trial, sample by sample, and what the flow made of it."""
+    """Samples of a trial: the simulated truth, the detector's scores and the commands."""
 
     t: Reals  # (n,) s
-    counts: Counts  # (n, 6) relative to the open hand
-    probability: Reals  # (n,) NaN where there was no score
-    asked: Reals  # (n,) N, by the newest command
+    counts: Counts  # (n, 6) relative to the open gripper
+    probability: Reals  # (n,) of slip; NaN: no score
+    commanded: Reals  # (n,) N, by the newest command
     force: Reals  # (n,) N, normal
-    slide: Reals  # (n,) m, how far the object is from where it was gripped
+    slide: Reals  # (n,) m, distance of the object from where it was gripped
     speed: Reals  # (n,) m/s, of sliding
     height: Reals  # (n,) m, of the object
-    hand: Reals  # (n,) m, height of the hand
+    gripper_height: Reals  # (n,) m
     on_table: Flags  # (n,)
     dropped: Flags  # (n,)
 
     def __len__(self) -> int:
         return len(self.t)
 
-    def between(self, since: float, until: float) -> slice:
-        """The samples of a span of time (s)."""
-        first, last = np.searchsorted(self.t, [since, until]).tolist()
+    def between(self, start: float, end: float) -> slice:
+        """Return the samples from `start` to `end` (s)."""
+        first, last = np.searchsorted(self.t, [start, end]).tolist()
         return slice(first, last)
 
+    def registered(self, rule: GripController) -> Flags:
+        """Return where a slip is registered: the last `rule.consecutive` scores reach its threshold; (n,)."""
+        slip = (self.probability >= rule.threshold).astype(np.intp)
+        count = np.convolve(slip, np.ones(rule.consecutive, np.intp))[: len(slip)]
+        registered: Flags = count >= rule.consecutive
+        return registered
 
-def run(grasp: Grasp, by: By, conditions: Conditions, seconds: float) -> Trace:
-    """Carry a trial out.
+    def onsets(self, rule: GripController) -> Reals:
+        """Return the times (s) at which a slip becomes registered; (k,)."""
+        now = self.registered(rule)
+        return self.t[now & ~np.concatenate(([False], now[:-1]))]
 
-    The open hand is scanned as often as the detector needs for its first score, however slow the rate is.
+
+class NullDetector:
+    """A detector that never reports slip."""
+
+    name, length = "null", 1
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        """Return 0 for each window (n, 1, 6); (n,)."""
+        return np.zeros(len(windows))
+
+
+def run_trial(
+    grasp: Grasp, detector: Detector, rule: GripController, conditions: Conditions, seconds: float
+) -> Trace:
+    """Simulate one trial in closed loop.
+
+    The open gripper is sampled at least as often as the detector needs for its first score.
 
     Args:
-        grasp: From its beginning on, with an open hand that waits for the first command.
-        by: What feels slip, and what rules the force.
-        conditions: The hand that obeys, and how often it is felt.
-        seconds: How long.
+        grasp: At its start, with an open gripper.
+        detector: Scores the fingertip.
+        rule: Commands the grip force.
+        conditions: Gripper and sample rate.
+        seconds: Duration.
     """
-    rate, every = conditions.rate, conditions.every
-    flow, notes, told = Flow("trial"), TestSink(), TestSink()
-    waits = round(rate * BASELINE)
-    scans = max(waits, by[0].length)
-    scores, commands = held_by(flow, TestSource(Touch, fingers=(0,)), *by, scans)
-    scores.to(notes)
-    commands.to(told)
+    flow, scored, commanded = Flow("trial"), TestSink(), TestSink()
+    waiting = round(conditions.rate * BASELINE)
+    scans = max(waiting, detector.length)
+    scores, commands = held_by(flow, TestSource(Touch, fingers=(0,)), detector, rule, scans)
+    scores.to(scored)
+    commands.to(commanded)
     plan = CompiledFlow(flow)
     [entry] = plan.entries
-    mechanics = Grasping(conditions.hand, grasp)
-    instants = np.concatenate((np.arange(scans) / scans * BASELINE, np.arange(waits, seconds * rate) / rate))
+    actuator = Actuator(conditions.gripper, grasp)
+    closed = np.arange(waiting, seconds * conditions.rate) / conditions.rate
+    instants = np.concatenate((np.arange(scans) / scans * BASELINE, closed))  # (n,) s
     n, stamps = len(instants), np.rint(instants * s).astype(np.int64)
-    happened: list[Held] = []
+    truth: list[Held] = []
     counts = np.zeros((n, BAROMETERS), np.int16)
-    probability, asked = np.full(n, np.nan), np.zeros(n)
+    probability, commanded_force = np.full(n, np.nan), np.zeros(n)
     reading = Touch.empty()
     for k, instant in enumerate(instants.tolist()):
         touch, held = grasp.sense(instant)
-        if k < scans or (k - scans) % every == 0:
+        if k < scans or (k - scans) % conditions.repeat == 0:
             reading = touch
         touch = replace(reading, time=touch.time)
-        happened.append(held)
+        truth.append(held)
         counts[k] = touch.counts[0]
         for _, batch in plan.push({entry: touch}):
             if isinstance(batch, Scores):
                 probability[np.searchsorted(stamps, batch.time)] = batch.probability
             elif isinstance(batch, Commands):
-                mechanics.take(batch)
-        asked[k] = mechanics.asked
+                actuator.execute(batch)
+        commanded_force[k] = actuator.commanded
     base = np.rint(np.median(counts[:scans], axis=0)).astype(np.int16)
     return Trace(
-        np.array([held.instant for held in happened]),
-        counts - base,
-        probability,
-        asked,
-        np.array([held.force for held in happened]),
-        np.array([np.hypot(held.slide_x, held.slide_y) for held in happened]),
-        np.array([held.speed for held in happened]),
-        np.array([held.height for held in happened]),
-        np.array([held.hand for held in happened]),
-        np.array([held.on_table for held in happened]),
-        np.array([held.dropped for held in happened]),
+        t=np.array([held.instant for held in truth]),
+        counts=counts - base,
+        probability=probability,
+        commanded=commanded_force,
+        force=np.array([held.force for held in truth]),
+        slide=np.array([np.hypot(held.slide_x, held.slide_y) for held in truth]),
+        speed=np.array([held.speed for held in truth]),
+        height=np.array([held.height for held in truth]),
+        gripper_height=np.array([held.hand for held in truth]),
+        on_table=np.array([held.on_table for held in truth]),
+        dropped=np.array([held.dropped for held in truth]),
     )

@@ -1,4 +1,4 @@
-"""Traces and findings that are made up, to be judged."""
+"""Made-up traces and results."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,29 +7,25 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.lab.experiments.experiment import Found, Kind, Method
-from flows.lab.experiments.lift_ablation import Ablation
-from flows.lab.experiments.lifting import Ending, Lifting
-from flows.lab.experiments.slide_budget import Budget
-from flows.lab.experiments.tapping import Tapping
-from flows.lab.experiments.trial import Trace
-from flows.lab.experiments.trial_setting import Conditions
+from flows.lab.experiments.lift_ablation import Ablation, Budget
+from flows.lab.experiments.lift_trial import LiftEnding, LiftOutcome
+from flows.lab.experiments.study import Method, Result, Results, Trials
+from flows.lab.experiments.tap_trial import TapOutcome
+from flows.lab.experiments.trial import Conditions, Trace
 from operators.batch import Reals
 
 _T = np.arange(600) / 100  # s
 
 
 @pytest.fixture
-def made() -> Callable[..., Trace]:
-    """A trace of 6 s in which nothing happens but what is said, column by column."""
-    nothing, never = np.zeros(600), np.zeros(600, np.bool_)
+def make_trace() -> Callable[..., Trace]:
+    """A trace of 6 s in which nothing happens except in the given columns."""
+    zero, never = np.zeros(600), np.zeros(600, np.bool_)
     counts = np.zeros((600, 6), np.int16)
-    calm = Trace(
-        _T, counts, nothing, nothing + 1, nothing + 1, nothing, nothing, nothing, nothing, never, never
-    )
+    calm = Trace(_T, counts, zero, zero + 1, zero + 1, zero, zero, zero, zero, never, never)
 
-    def trace(**changed: Any) -> Trace:  # noqa: ANN401 - columns of several types
-        return replace(calm, **changed)
+    def trace(**columns: Any) -> Trace:  # noqa: ANN401 - columns of several types
+        return replace(calm, **columns)
 
     return trace
 
@@ -40,72 +36,68 @@ def during() -> Callable[..., Reals]:
 
     def column(*spans: tuple[float, float], value: float = 1.0) -> Reals:
         inside = np.zeros(600, np.bool_)
-        for since, until in spans:
-            inside |= (since - 1e-9 <= _T) & (until - 1e-9 > _T)
+        for start, end in spans:
+            inside |= (start - 1e-9 <= _T) & (end - 1e-9 > _T)
         return np.where(inside, value, 0.0)
 
     return column
 
 
 @pytest.fixture
-def ablated() -> Callable[..., Ablation]:
-    """An ablation of one method, by default with ten trials of a ball, made up; objects fare alike."""
+def make_ablation() -> Callable[..., Ablation]:
+    """An ablation of one method, by default of ten trials with a ball; all trials are equal."""
 
-    def made(
+    def make(
         *,
         firm: float,
-        ending: Ending = "held",
+        ending: LiftEnding = "held",
         lost: bool = False,
-        late: Ending = "held",
+        late: LiftEnding = "held",
         late_lost: bool = False,
         give: float = 0.0,
         objects: tuple[str, ...] = ("ball",),
         trials: int = 10,
     ) -> Ablation:
-        def found(how: Ending, *, gone: bool) -> Found:
-            trial = Lifting(how, 3.0, 20.0, 1.5, 1.75, 0, firm, gone, give)
-            outcomes = {("psd, none", thing): [trial] * trials for thing in objects}
-            method = Method("psd", "none")
-            return Found("lift", trials, 7, Conditions(), outcomes, (method.name,), objects, method)
+        method = Method("psd", "none")
 
-        now, then = found(ending, gone=lost), found(late, gone=late_lost)
-        left = Budget(0.024, 0.02, 0.6, 0.45, 0.46, 0.1, 0.1)
-        return Ablation(
-            ("psd, none",),
-            {0: now, 100: then},
-            {"50 Hz": now},
-            {"lift x2": then},
-            {thing: [left] * trials for thing in objects},
-        )
+        def results(ending: LiftEnding, *, lost: bool) -> Results[LiftOutcome]:
+            outcome = LiftOutcome(ending, 3.0, 20.0, 1.5, 1.75, 0, firm, lost, give)
+            outcomes = {(method, name): [outcome] * trials for name in objects}
+            return Results(Trials(trials, 7, objects), (method,), Conditions(), outcomes)
 
-    return made
+        now, then = results(ending, lost=lost), results(late, lost=late_lost)
+        budget = Budget(0.024, 0.02, 0.6, 0.45, 0.46, 0.1, 0.1)
+        budgets = {name: [budget] * trials for name in objects}
+        return Ablation({0: now, 100: then}, {"50 Hz": now}, {"lift x2": then}, budgets)
+
+    return make
+
+
+def _results(good: Result, bad: Result) -> Results[Result]:
+    """Two trials with a ball and a box: our rule fails once, with the ball, the other rule always."""
+    ours, none = Method("psd"), Method("psd", "none")
+    outcomes = {
+        (ours, "ball"): [good, bad],
+        (ours, "box"): [good, good],
+        (none, "ball"): [bad, bad],
+        (none, "box"): [bad, bad],
+    }
+    return Results(Trials(2, 7, ("ball", "box")), (ours, none), Conditions(), outcomes)
 
 
 @pytest.fixture
-def found() -> Callable[[Kind], Found]:
-    """Two trials with a ball and with a box: our rule fails once, with the ball, the other rule always."""
+def lifts() -> Results[LiftOutcome]:
+    """Results of a lift."""
+    nan = float("nan")
+    return _results(
+        LiftOutcome("held", 3.0, 20.0, 1.5, 1.75, 0), LiftOutcome("missed", 30.0, nan, nan, 0.5, 1)
+    )
 
-    def make(kind: Kind) -> Found:
-        held = Lifting("held", 3.0, 20.0, 1.5, 1.75, 0)
-        missed = Lifting("missed", 30.0, float("nan"), float("nan"), 0.5, 1)
-        felt = Tapping("felt", "top", 2.0, 30.0, 1, 0, 0, 0)
-        late = Tapping("too late", "side", 4.0, 300.0, 3, 1, 1, 0)
-        good, bad = (held, missed) if kind == "lift" else (felt, late)
-        outcomes = {
-            ("psd, ours", "ball"): [good, bad],
-            ("psd, ours", "box"): [good, good],
-            ("psd, none", "ball"): [bad, bad],
-            ("psd, none", "box"): [bad, bad],
-        }
-        return Found(
-            kind,
-            2,
-            7,
-            Conditions(),
-            outcomes,
-            ("psd, ours", "psd, none"),
-            ("ball", "box"),
-            Method("psd", "ours"),
-        )
 
-    return make
+@pytest.fixture
+def taps() -> Results[TapOutcome]:
+    """Results of a tap."""
+    return _results(
+        TapOutcome("registered", "top", 2.0, 30.0, 1, 0, 0, 0),
+        TapOutcome("too late", "side", 4.0, 300.0, 3, 1, 1, 0),
+    )

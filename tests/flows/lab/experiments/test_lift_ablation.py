@@ -1,91 +1,126 @@
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from flows.lab.experiments.experiment import Method
+from connectors.sim.lift_motion import Lift
 from flows.lab.experiments.lift_ablation import (
     HARD,
-    HELD,
     RATES,
+    REPEATS,
     Ablation,
-    ablation,
+    ablate,
+    climb_time,
     crossing,
     delayed,
-    rates,
+    fall_time,
+    rate_conditions,
+    slide_budget,
+    slide_budgets,
 )
-from flows.lab.experiments.trial_setting import Conditions
+from flows.lab.experiments.lift_trial import LIFT, ROOM
+from flows.lab.experiments.study import Method, Trials
+from flows.lab.experiments.trial import Conditions
 
-NONE = "psd, none"
+NONE = Method("psd", "none")
+Make = Callable[..., Ablation]
 
 
-def test_success_falls_below_a_level_between_two_places() -> None:
+def test_success_crosses_a_level_between_two_delays() -> None:
     assert crossing([0, 100, 200], [100, 95, 85]) == 150
     assert crossing([0, 100], [80, 100]) == 0
     assert crossing([0, 100], [100, 90]) == math.inf
 
 
-def test_each_rate_differs_from_nominal_in_its_rate_only() -> None:
+def test_conditions_change_the_rate_or_the_delay_only() -> None:
     nominal = Conditions()
-    tried = rates(nominal)
-    assert len(tried) == len(RATES) + len(HELD)
+    tried = rate_conditions(nominal)
+    assert len(tried) == len(RATES) + len(REPEATS)
     assert tried["50 Hz"] == replace(nominal, rate=50.0)
-    assert tried["50 Hz, held"] == replace(nominal, every=2)
+    assert tried["50 Hz, repeated"] == replace(nominal, repeat=2)
+    late = delayed(delayed(nominal, 50), 100)
+    assert late.gripper.delay == pytest.approx(0.15)
+    assert replace(late, gripper=nominal.gripper) == nominal
 
 
-def test_a_delay_is_added_to_what_there_is() -> None:
-    late = delayed(delayed(Conditions(), 50), 100)
-    assert late.hand.delay == pytest.approx(0.15)
-    assert replace(late, hand=Conditions().hand) == Conditions()
-
-
-def test_an_object_breaks_where_the_hand_has_climbed_its_room_before_it_grips_firmly(
-    ablated: Callable[..., Ablation],
+def test_an_object_breaks_when_the_gripper_climbs_its_room_before_a_firm_grip(
+    make_ablation: Make,
 ) -> None:
-    of = ablated(firm=0.15)
-    assert of.predicted(NONE, "ball") == pytest.approx(300, abs=1)  # 20 mm after 450 ms
-    assert of.predicted(NONE, "ball", lost=True) == pytest.approx(380, abs=1)  # 24 mm after 530 ms
+    found = make_ablation(firm=0.15)
+    assert found.predicted(NONE, "ball") == pytest.approx(300, abs=1)  # 20 mm after 450 ms
+    assert found.predicted(NONE, "ball", lost=True) == pytest.approx(380, abs=1)  # 24 mm after 530 ms
 
 
-def test_what_fingers_and_rubber_give_is_way_that_an_object_cannot_slide(
-    ablated: Callable[..., Ablation],
+def test_compliance_of_the_fingers_reduces_the_room(make_ablation: Make) -> None:
+    found = make_ablation(firm=0.15, give=2.0)
+    assert found.predicted(NONE, "ball") == pytest.approx(260, abs=1)  # 18 mm after 410 ms
+    assert found.predicted(NONE, "ball", lost=True) == pytest.approx(380, abs=1)
+
+
+def test_a_trial_that_fails_without_delay_tolerates_none_and_one_that_needs_no_control_any(
+    make_ablation: Make,
 ) -> None:
-    of = ablated(firm=0.15, give=2.0)
-    assert of.predicted(NONE, "ball") == pytest.approx(260, abs=1)  # 18 mm after 410 ms
-    assert of.predicted(NONE, "ball", lost=True) == pytest.approx(380, abs=1)
-
-
-def test_a_trial_that_fails_without_delay_has_nothing_to_spare_and_one_that_holds_all_along_everything(
-    ablated: Callable[..., Ablation],
-) -> None:
-    failed = ablated(firm=0.15, ending="too late", lost=True)
+    failed = make_ablation(firm=0.15, ending="too late", lost=True)
     assert failed.predicted(NONE, "ball") == failed.predicted(NONE, "ball", lost=True) == 0
-    assert ablated(firm=0.0).predicted(NONE, "ball") == math.inf
-    assert ablated(firm=math.nan).predicted(NONE, "ball") == math.inf
+    assert make_ablation(firm=0.0).predicted(NONE, "ball") == math.inf
+    assert make_ablation(firm=math.nan).predicted(NONE, "ball") == math.inf
 
 
-def test_it_breaks_where_it_is_measured_to(ablated: Callable[..., Ablation]) -> None:
-    of = ablated(firm=0.15, late="left behind")
-    assert of.breaks(NONE, "ball") == pytest.approx(10)  # from 100 % to 0 within 100 ms
-    assert of.loses(NONE, "ball") == math.inf
-    assert ablated(firm=0.15, late="too late", late_lost=True).loses(NONE, "ball") == pytest.approx(10)
-    assert of.first(NONE) == "ball"
+def test_measured_limits_are_interpolated(make_ablation: Make) -> None:
+    found = make_ablation(firm=0.15, late="not lifted")
+    assert found.breaks(NONE, "ball") == pytest.approx(10)  # from 100 % to 0 within 100 ms
+    assert found.loses(NONE, "ball") == math.inf
+    assert make_ablation(firm=0.15, late="too late", late_lost=True).loses(NONE, "ball") == pytest.approx(10)
+    assert found.first(NONE) == "ball"
 
 
 def test_every_condition_is_tried_with_the_same_trials() -> None:
     seen: list[tuple[int, int, str]] = []
-    of = ablation(
-        [Method("psd", "none")],
-        trials=1,
-        objects=["ball"],
-        delays=(0, 600),
-        jobs=1,
-        progress=lambda done, all_, part: seen.append((done, all_, part)),
-    )
-    groups: Sequence[Mapping[int, object] | Mapping[str, object]] = (of.delays, of.rates, of.hard)
-    assert [len(each) for each in groups] == [2, len(RATES) + len(HELD), len(HARD)]
-    assert {each.seed for each in (*of.delays.values(), *of.rates.values(), *of.hard.values())} == {900_000}
-    assert seen[0][:2] == (0, sum(len(each) for each in groups))
-    assert of.nominal.success(NONE, "ball") == 0
-    assert of.lost(of.nominal, NONE, "ball") == 100
+    trials = Trials(1, objects=("ball",))
+    found = ablate([NONE], trials, delays=(0, 600), jobs=1, progress=lambda *each: seen.append(each))
+    groups = [list(group.values()) for group in (found.delays, found.rates, found.hard)]
+    assert [len(group) for group in groups] == [2, len(RATES) + len(REPEATS), len(HARD)]
+    assert {results.trials for group in groups for results in group} == {trials}
+    assert seen[0][:2] == (0, sum(map(len, groups)))
+    assert found.nominal.success(NONE, "ball") == 0
+    assert all(outcome.lost for outcome in found.nominal.of(NONE))
+
+
+@pytest.mark.parametrize("distance", [0.001, 0.01, 0.02, 0.049])
+def test_climb_time_inverts_the_motion(distance: float) -> None:
+    time = climb_time(LIFT, distance)
+    assert LIFT.climbed(np.array([LIFT.instant + time]))[0] == pytest.approx(distance, abs=1e-6)
+
+
+def test_a_gripper_never_climbs_beyond_its_height() -> None:
+    assert climb_time(Lift(2.0, height=0.05), 0.05) == math.inf
+    assert climb_time(Lift(2.0, height=0.05), 0.06) == math.inf
+
+
+def test_a_firmer_grip_falls_later_and_one_that_holds_never() -> None:
+    assert fall_time(0.02, 0.2) < fall_time(0.02, 0.8) < fall_time(0.02, 0.99)
+    assert fall_time(0.02, 1.0) == math.inf
+
+
+@pytest.mark.parametrize("name", ["box", "ball"])
+def test_without_control_an_object_slides_and_falls_as_computed(name: str) -> None:
+    budget = slide_budget(name, 900_000, Conditions())
+    assert budget.table_measured == pytest.approx(budget.table, abs=0.03)
+    assert budget.air_measured == pytest.approx(budget.air, rel=0.1)
+    assert budget.air_measured < budget.table_measured / 3
+
+
+def test_a_ball_has_a_shorter_reach_than_a_box_and_neither_more_room_than_may_hang() -> None:
+    ball, box = (slide_budget(name, 900_005, Conditions()) for name in ("ball", "box"))
+    assert ball.reach < box.reach / 3
+    assert max(ball.room, box.room) <= ROOM
+
+
+def test_processes_change_no_budget() -> None:
+    trials = Trials(2, 3, ("ball", "box"))
+    alone, shared = (slide_budgets(trials, Conditions(), jobs=jobs) for jobs in (1, 2))
+    assert repr(alone) == repr(shared)
+    assert list(alone) == ["ball", "box"]
+    assert len(alone["ball"]) == 2

@@ -1,44 +1,34 @@
-from pathlib import Path
+from dataclasses import fields
 
-from flows.lab.experiments import lift_stress_page as stress_page
-from flows.lab.experiments.experiment import Method
-from flows.lab.experiments.lift_stress import NOMINAL, grid, stress
-from flows.lab.experiments.trial_setting import Conditions
+from flows.lab.experiments.lift_stress import NOMINAL, stress, stress_conditions
+from flows.lab.experiments.study import Method, Trials
+from flows.lab.experiments.trial import Conditions
 
 
 def test_each_condition_differs_from_nominal_in_one_thing() -> None:
     nominal = Conditions()
-    tried = grid(nominal)
-    assert tried[NOMINAL] == nominal
+    tried = stress_conditions(nominal)
     for name, each in tried.items():
-        parts = (each.hand != nominal.hand, each.nature != nominal.nature, each.rate != nominal.rate)
-        assert sum(parts) == (name != NOMINAL)
+        changed = [f.name for f in fields(each) if getattr(each, f.name) != getattr(nominal, f.name)]
+        assert len(changed) == (name != NOMINAL)
     assert len(set(map(repr, tried.values()))) == len(tried)
 
 
-def test_what_is_named_is_what_is_done() -> None:
-    tried = grid(Conditions())
-    assert tried["delay +50 ms"].hand.delay == 0.05
-    assert tried["friction x0.5"].nature.friction == 0.5
-    assert tried["mass x2"].nature.mass == 2.0
+def test_conditions_are_as_named() -> None:
+    tried = stress_conditions(Conditions())
+    assert tried["delay +50 ms"].gripper.delay == 0.05
+    assert tried["friction x0.5"].friction == 0.5
+    assert tried["mass x2"].mass == 2.0
     assert tried["50 Hz"].rate == 50.0
-    assert tried["cell 1 dead"].nature.dead == (1,)
+    assert tried["cell 1 dead"].dead_cells == (1,)
 
 
-def test_the_table_has_a_row_for_each_condition(tmp_path: Path) -> None:
+def test_the_report_has_a_row_for_each_condition() -> None:
     seen: list[tuple[int, int, str]] = []
-    found = stress(
-        Method("psd", "none"),
-        trials=1,
-        objects=["ball"],
-        jobs=1,
-        progress=lambda done, of, part: seen.append((done, of, part)),
-    )
-    names = list(grid(Conditions()))
-    assert list(found.found) == names
+    trials, method = Trials(1, objects=("ball",)), Method("psd", "none")
+    report = stress(method, Conditions(), trials, "command", jobs=1, progress=lambda *each: seen.append(each))
+    names = list(stress_conditions(Conditions()))
+    [table] = report.json()["sections"]["lift-stress"]["tables"]
+    assert [row["condition"] for row in table["rows"]] == names
     assert seen[-1] == (len(names), len(names), names[-1])
-    assert set(found.json()["conditions"]) == set(names)
-    text = stress_page.text(found)
-    assert all(f"| {name} " in text for name in names)
-    paths = stress_page.write(found, tmp_path, "slipflow experiment lift --stress")
-    assert [path.name for path in paths] == ["lift-stress.html", "lift-stress.md", "lift-stress.json"]
+    assert report.json()["mean_success"] == 0

@@ -1,45 +1,56 @@
-from dataclasses import replace
+from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from connectors.sim.holding import least_force
 from connectors.sim.objects import named
-from flows.lab.experiments.lifting import LIFT, lift, raised, weak
-from flows.lab.experiments.tapping import Nothing
-from flows.lab.experiments.trial import BASELINE
-from flows.lab.experiments.trial_setting import Conditions, Nature, Setting
+from flows.lab.experiments.trial import SPREAD, Conditions, Trace, Trial
 from operators import Grip, ParameterError
-from storage import load_detector
+from operators.batch import Reals
 
 BALL = named("ball")
 
 
-def test_however_slow_the_rate_is_the_hand_has_closed_before_it_goes_up() -> None:
-    detector = load_detector("tcn_grasp")
-    for rate in (10.0, 25.0):
-        trace, _ = lift(BALL, 1, (detector, Grip()), Conditions(rate=rate))
-        assert trace.force[trace.between(BASELINE + 0.3, LIFT.instant)].min() > 0
-        assert np.diff(trace.t[trace.between(BASELINE, 6)]) == pytest.approx(1 / rate)
-
-
-def test_a_reading_that_is_held_is_repeated_until_the_next() -> None:
-    trace, _ = lift(BALL, 1, (Nothing(), Grip()), Conditions(every=4))
-    counts = trace.counts[trace.between(BASELINE, 6)]
-    groups = counts.reshape(-1, 4, 6)
-    assert (groups == groups[:, :1]).all()
-    assert (np.diff(groups[:, 0], axis=0) != 0).any()
-
-
-def test_a_lift_is_as_weak_and_as_quick_as_its_conditions_say() -> None:
-    setting = Setting.drawn(BALL, 1, Nature())
-    assert weak(setting, Conditions(weak=0.5)) == pytest.approx(weak(setting, Conditions()) / 2)
-    quick = raised(Conditions(pace=2.0))
-    assert (quick.speed, quick.height) == (2 * LIFT.speed, LIFT.height)
-    assert quick.end < LIFT.end
-
-
-@pytest.mark.parametrize("name", ["rate", "every", "weak", "pace"])
-def test_a_condition_that_cannot_be_is_refused(name: str) -> None:
+@pytest.mark.parametrize("name", ["rate", "repeat", "friction", "mass", "grip", "pace"])
+def test_a_condition_that_is_not_positive_is_refused(name: str) -> None:
     with pytest.raises(ParameterError, match=name):
-        replace(Conditions(), **cast("Any", {name: 0}))
+        Conditions(**cast("Any", {name: 0}))
+
+
+def test_a_seed_draws_the_same_trial_and_the_next_seed_another() -> None:
+    first, again, other = (Trial.draw(BALL, seed, Conditions()) for seed in (5, 5, 6))
+    assert first == again
+    assert first.position != other.position
+
+
+def test_mass_and_friction_vary_by_ten_percent() -> None:
+    drawn = [Trial.draw(BALL, seed, Conditions()) for seed in range(200)]
+    for values in ([trial.mass for trial in drawn], [trial.friction for trial in drawn]):
+        assert 1 - SPREAD <= min(values) < 1 - 0.8 * SPREAD
+        assert 1 + 0.8 * SPREAD < max(values) <= 1 + SPREAD
+
+
+def test_the_expected_force_assumes_nominal_friction_and_mass() -> None:
+    nominal = Trial.draw(BALL, 3, Conditions())
+    heavy = Trial.draw(BALL, 3, Conditions(friction=0.5, mass=2.0))
+    assert heavy.least_force == pytest.approx(4 * nominal.least_force)
+    assert heavy.expected_force == pytest.approx(nominal.expected_force)
+    assert nominal.expected_force == pytest.approx(nominal.least_force)
+    assert nominal.least_force == pytest.approx(
+        least_force(BALL, friction=nominal.friction, mass=nominal.mass), rel=1e-12
+    )
+
+
+def test_a_slip_is_registered_after_enough_consecutive_scores(make_trace: Callable[..., Trace]) -> None:
+    probability = np.zeros(600)
+    probability[:8] = [0.9, 0.9, 0.9, 0.1, 0.9, np.nan, 0.9, 0.9]
+    trace = make_trace(probability=probability)
+    assert np.flatnonzero(trace.registered(Grip(threshold=0.5, consecutive=2))).tolist() == [1, 2, 7]
+    assert np.flatnonzero(trace.registered(Grip(threshold=0.5, consecutive=1))).tolist() == [0, 1, 2, 4, 6, 7]
+
+
+def test_each_slip_has_one_onset(make_trace: Callable[..., Trace], during: Callable[..., Reals]) -> None:
+    trace = make_trace(probability=during((2.0, 2.5), (3.0, 3.01), (4.0, 4.02)))
+    assert trace.onsets(Grip(threshold=0.5, consecutive=2)).tolist() == [2.01, 4.01]
