@@ -140,8 +140,8 @@ def _budgets(found: Ablation) -> Section:
         "On the table all objects slide as fast as the gripper climbs; in the air they fall",
         "Without control, medians. Reach: from the object's centre to where it falls out of the gripper. "
         "Room: slide up to which it counts as held. Grip: over the least that holds. Table: time to slide "
-        "by the room, from the motion of the arm. Air: the same by sqrt(2 room / (g (1 - grip / least))), if the "
-        "force drops in the air; until lost: for the reach.",
+        "by the room, from the motion of the arm. Air: the same by sqrt(2 room / (g (1 - grip / least))), if "
+        "the force drops in the air; until lost: for the reach.",
         [Table(head, rows, decimals={**_whole(whole), "grip": 2})],
     )
 

@@ -82,7 +82,9 @@ def tap(
     return trace, judge_tap(trace, soft_trace, rule, side, drawn)
 
 
-def _draw_blow(trial: Trial, side: Side, rule: GripController, random: np.random.Generator) -> tuple[Tap, int]:
+def _draw_blow(
+    trial: Trial, side: Side, rule: GripController, random: np.random.Generator
+) -> tuple[Tap, int]:
     """Draw blows until one moves the object, but not too far; return it and the number drawn."""
     mass, excess = trial.held.mass * trial.mass, rule.force / trial.least_force - (side == "top")
     heading = -1 if side == "side" and random.random() < _HALF else 1
