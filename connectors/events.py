@@ -13,7 +13,6 @@ import numpy as np
 
 from connectors.fields import INT64, Fields
 from operators.batch import BAROMETERS, EVERY, Faults
-from operators.errors import ParameterError
 from operators.health import FaultKind
 from operators.ports import Json
 
@@ -177,21 +176,6 @@ def faults(batch: Faults) -> Iterator[tuple[int, Fault, bool]]:
     rows = (batch.time.tolist(), batch.barometer.tolist(), batch.kind.tolist(), batch.active.tolist())
     for time, barometer, kind, active in zip(*rows, strict=True):
         yield time, Fault(barometer, FaultKind(kind).name.lower()), active
-
-
-def topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -> str:
-    """The MQTT topic below which a rig publishes.
-
-    >>> topic("Mqtt", "lab", "ur10")
-    'slip/v1/lab/ur10'
-
-    Raises:
-        ParameterError: naming `owner`, if one of them is not a level of a topic, or `wildcard`.
-    """
-    for name, part in ("site", site), ("rig", rig):
-        if part != wildcard and (not part or not part.isprintable() or set(part) & set("/+#")):
-            raise ParameterError(owner, name, part, "printable text without '/', '+' and '#'")
-    return f"slip/v1/{site}/{rig}"
 
 
 def _source(event: Fields) -> tuple[str, str, str]:

@@ -17,7 +17,7 @@ from jsonschema import Draft202012Validator
 
 from connectors import Consumer, Event, Mqtt
 from connectors.events import encode
-from connectors.mqtt.gap_request import GapAnswer, GapRequest
+from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from operators.batch import Slips, ms
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener, until

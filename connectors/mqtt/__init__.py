@@ -1,1 +1,1 @@
-"""Slip events over MQTT 5: an outbox that loses none, a consumer that asks for what it missed."""
+"""Slip events over MQTT 5: a sink with a durable outbox, and a consumer that fetches the events it missed."""

@@ -1,4 +1,4 @@
-"""Where an MQTT broker is and how to get in."""
+"""Address, credentials and messages of an MQTT broker."""
 
 import os
 import re
@@ -16,13 +16,23 @@ _PORTS = {"mqtt": 1883, "mqtts": 8883}
 _URL = re.compile(r"(mqtts?)://(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+))(?::([0-9]{1,5}))?")
 
 
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A message to publish."""
+
+    topic: str
+    payload: bytes
+    qos: int = 1
+    retain: bool = True
+
+
 @dataclass(frozen=True)
 class Broker:
     """Address of an MQTT broker.
 
     User and password come from the environment variables SLIPFLOW_MQTT_USER and SLIPFLOW_MQTT_PASSWORD, or
-    the file that SLIPFLOW_MQTT_PASSWORD_FILE names. ``mqtts`` trusts the system's certificate authorities (or
-    those in the file that SSL_CERT_FILE names), or only those in the file that SLIPFLOW_MQTT_CA names.
+    from the file named by SLIPFLOW_MQTT_PASSWORD_FILE. ``mqtts`` trusts the certificate authorities of the
+    system (or of the file named by SSL_CERT_FILE), or only those in the file named by SLIPFLOW_MQTT_CA.
     """
 
     scheme: str  # mqtt or mqtts (TLS)
@@ -31,13 +41,13 @@ class Broker:
 
     @classmethod
     def parse(cls, url: str, owner: str = "Mqtt") -> "Broker":
-        """Read ``mqtt://host[:port]`` or ``mqtts://host[:port]``.
+        """Parse ``mqtt://host[:port]`` or ``mqtts://host[:port]``.
 
         >>> print(Broker.parse("mqtts://broker.example"))
         mqtts://broker.example:8883
 
         Raises:
-            ParameterError: on anything else, naming `owner`; on a password too, which has no place in a URL.
+            ParameterError: naming `owner`, if `url` has another form or contains credentials.
         """
         _, credentials, rest = url.rpartition("@")
         if credentials:
@@ -46,12 +56,8 @@ class Broker:
         match = _URL.fullmatch(url)
         port = int(match[4] or _PORTS[match[1]]) if match else 0
         if not (match and 0 < port < 2**16):
-            raise ParameterError(
-                owner,
-                "url",
-                url,
-                "like mqtt://host, mqtt://host:1883 or mqtts://host, the port from 1 to 65535",
-            )
+            must_be = "like mqtt://host, mqtt://host:1883 or mqtts://host, with a port from 1 to 65535"
+            raise ParameterError(owner, "url", url, must_be)
         return cls(match[1], match[2] or match[3], port)
 
     def __str__(self) -> str:
@@ -59,7 +65,7 @@ class Broker:
         return f"{self.scheme}://{host}:{self.port}"
 
     def login(self) -> tuple[str | None, str | None]:
-        """User and password, each None where none is set.
+        """Return user and password, each None if not set.
 
         Raises:
             InputError: if the password file cannot be read.
@@ -76,18 +82,16 @@ class Broker:
         return os.environ.get(USER), password
 
     def tls(self) -> ssl.SSLContext:
-        """Whom to trust.
+        """Return the TLS settings with the trusted certificate authorities.
 
         Raises:
-            InputError: if the file of authorities cannot be read.
+            InputError: if the file of certificate authorities cannot be read.
         """
         path = os.environ.get(CA) or None
         try:
             return ssl.create_default_context(cafile=path)
         except ssl.SSLError:
-            reason = f"holds no certificates of authorities ({CA}): these are text, PEM"
+            reason = f"contains no CA certificate in PEM format ({CA})"
             raise InputError(str(path), reason) from None
         except OSError as error:
-            raise InputError(
-                str(path), f"cannot read the authorities ({CA}): {os_error_reason(error)}"
-            ) from None
+            raise InputError(str(path), f"cannot read the CA certificates ({CA}): {because(error)}") from None

@@ -1,4 +1,4 @@
-"""One connection to an MQTT 5 broker: aiomqtt with its traps closed."""
+"""One connection to an MQTT 5 broker, based on aiomqtt."""
 
 import asyncio
 import logging
@@ -20,42 +20,41 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from connectors.mqtt.broker import CA, PASSWORD, USER, Broker
-from connectors.mqtt.message import Message
+from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
 from operators.errors import EndpointError
 
 T = TypeVar("T")
 
-TIMEOUT = 3.0  # s, for each answer of the broker
+TIMEOUT = 3.0  # s, for each response of the broker
 KEEPALIVE = 5  # s
-WILL_DELAY = 2  # s; a connection that is back by then was never away
-SESSION_EXPIRY = 10  # s; the broker sends the will no later than this
-PACKET = 128 * 1024  # bytes; the broker delivers no larger one
-NOT_AUTHORIZED = 0x87  # a reason of MQTT 5
-INCOMING = 1000  # messages that may wait to be read; then the oldest are dropped
+WILL_DELAY = 2  # s; a client that reconnects within it does not trigger its will
+SESSION_EXPIRY = 10  # s; the broker publishes the will at the latest then
+PACKET_MAX = 128 * 1024  # bytes
+NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
+INCOMING_MAX = 1000  # unread messages; then the oldest are dropped
 
 _CLOSED = "the broker closed the connection"
-_AWAY = "is this its address, and is the network up?"
-_HINTS = {  # by what the system says
-    "Connection refused": "is the broker running, and is this its port?",
-    "Name or service not known": "is the name right, and does the network know it?",
-    "name resolution": "is the name right, and is the network up?",
-    "timed out": _AWAY,
-    "No route to host": _AWAY,
-    "Network is unreachable": _AWAY,
+_UNREACHABLE = "check the address and the network"
+_HINTS = {  # by text of the system error
+    "Connection refused": "check that the broker runs and that this is its port",
+    "Name or service not known": "check the host name",
+    "name resolution": "check the host name and the network",
+    "timed out": _UNREACHABLE,
+    "No route to host": _UNREACHABLE,
+    "Network is unreachable": _UNREACHABLE,
 }
-_paho_log = logging.getLogger("slipflow.paho")  # it repeats what our errors say
+_paho_log = logging.getLogger("slipflow.paho")  # repeats our errors
 _paho_log.setLevel(logging.CRITICAL)
 
 
-class Newest(asyncio.Queue[aiomqtt.Message]):
-    """A queue that drops its oldest message when it is full, and counts."""
+class NewestQueue(asyncio.Queue[aiomqtt.Message]):
+    """A queue that drops its oldest message when it is full, and counts the dropped ones."""
 
     dropped = 0
-    on_news: Callable[[], object] = staticmethod(lambda: None)  # called when there is a message
+    on_news: Callable[[], object] = staticmethod(lambda: None)  # called for each message
 
     def put_nowait(self, item: aiomqtt.Message) -> None:
-        """Add a message."""
+        """Add a message; drop the oldest if the queue is full."""
         if self.full():
             self.get_nowait()
             self.dropped += 1
@@ -64,21 +63,21 @@ class Newest(asyncio.Queue[aiomqtt.Message]):
 
 
 class Link(aiomqtt.Client):
-    """A connection for one use: once it is lost, make another.
+    """A connection that is used once: after it is lost, create another.
 
-    Beyond aiomqtt it raises what the broker refuses, notices a lost connection while it waits for an answer,
-    and leaves no callback behind on a closed socket or event loop.
+    In addition to aiomqtt it raises errors for messages that the broker refuses, notices a lost connection
+    while it waits for a response, and leaves no callback on a closed socket or event loop.
     """
 
     def __init__(self, broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> None:
-        """Get ready to connect as `identifier`, by which the broker knows us again when we are back.
+        """Prepare to connect as client `identifier`, whose session the broker resumes.
 
         Raises:
             InputError: if the file with the password or the trusted authorities cannot be read.
         """
         session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         session.SessionExpiryInterval = SESSION_EXPIRY
-        session.MaximumPacketSize = PACKET
+        session.MaximumPacketSize = PACKET_MAX
         delay = Properties(PacketTypes.WILLMESSAGE)  # type: ignore[no-untyped-call]
         delay.WillDelayInterval = WILL_DELAY
         user, password = broker.login()
@@ -90,39 +89,39 @@ class Link(aiomqtt.Client):
             password=password,
             protocol=aiomqtt.ProtocolVersion.V5,
             will=aiomqtt.Will(*will, qos=1, retain=True, properties=delay) if will else None,
-            clean_start=False,  # a clean start would set off the will of the connection before
+            clean_start=False,  # a clean start would trigger the will of the previous connection
             properties=session,
             tls_context=_tls(broker) if broker.scheme == "mqtts" else None,
             timeout=TIMEOUT,
             keepalive=KEEPALIVE,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
-            queue_type=Newest,
-            max_queued_incoming_messages=INCOMING,
+            queue_type=NewestQueue,
+            max_queued_incoming_messages=INCOMING_MAX,
             logger=_paho_log,
         )
         self._client.connect_timeout = TIMEOUT
-        self._place = str(broker)
-        self._answers: dict[int, asyncio.Future[ReasonCode]] = {}  # to what was published, by number
-        self._deadline = 0.0  # of the loop's clock, for connecting
-        self._stirred = asyncio.Event()  # a message came, or the connection was lost
-        if isinstance(self._queue, Newest):
-            self._queue.on_news = self._stirred.set
+        self._url = str(broker)
+        self._answers: dict[int, asyncio.Future[ReasonCode]] = {}  # PUBACKs, by packet identifier
+        self._deadline = 0.0  # s, of the loop's clock, for connecting
+        self._changed = asyncio.Event()  # a message arrived, or the connection was lost
+        if isinstance(self._queue, NewestQueue):
+            self._queue.on_news = self._changed.set
 
     @property
     def alive(self) -> bool:
-        """False once the connection is lost."""
+        """False after the connection was lost."""
         return not self._disconnected.done()
 
     @property
     def dropped(self) -> int:
-        """Messages that came in faster than they were read."""
-        return self._queue.dropped if isinstance(self._queue, Newest) else 0
+        """Number of messages dropped because they were not read in time."""
+        return self._queue.dropped if isinstance(self._queue, NewestQueue) else 0
 
     async def connect(self) -> None:
         """Connect.
 
         Raises:
-            EndpointError: if the broker is unreachable, silent or refuses us.
+            EndpointError: if the broker is unreachable, does not respond or refuses the client.
         """
         self._deadline = asyncio.get_running_loop().time() + TIMEOUT
         entering = asyncio.ensure_future(self.__aenter__())
@@ -130,42 +129,43 @@ class Link(aiomqtt.Client):
             await asyncio.shield(entering)
         except asyncio.CancelledError:
             with suppress(aiomqtt.MqttError, ValueError):
-                await entering  # in a thread that cannot be stopped, and may call back
+                await entering  # its thread cannot be stopped and may still call back
             self.drop()
             raise
         except (aiomqtt.MqttError, ValueError) as error:
             self.drop()
-            raise EndpointError(self._place, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
-        self.on_lost(self._stirred.set)
+            raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
+        self.on_lost(self._changed.set)
 
     def on_lost(self, call: Callable[[], object]) -> None:
-        """Have `call` called when the connection is lost."""
+        """Call `call` when the connection is lost."""
         self._disconnected.add_done_callback(lambda _: call())
 
     async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
-        """Publish; with `qos` 1 the broker has it once this returns.
+        """Publish a message; with `qos` 1 the broker has it when this returns.
 
         Raises:
             EndpointError: if the connection is lost, or the broker refuses the message.
         """
         [refusal] = await self.send_all([Message(topic, payload, qos, retain)])
         if refusal:
-            raise EndpointError(self._place, refusal)
+            raise EndpointError(self._url, refusal)
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
-        """Publish messages in order, and wait for the answers only then.
+        """Publish messages in order, then wait for all acknowledgements.
 
-        Gives for each why the broker refuses it, empty where it does not.
+        Returns:
+            For each message the reason why the broker refused it; empty if it accepted it.
 
         Raises:
-            EndpointError: if the connection is lost; then nobody knows what the broker has.
+            EndpointError: if the connection is lost; the broker may have any of the messages.
         """
         answers = [self._publish(message) for message in messages]
         try:
             await self._wait_for(asyncio.gather(*answers), None)
         except aiomqtt.MqttError as error:
             self.drop()
-            raise EndpointError(self._place, f"connection lost ({_reason(error)})") from None
+            raise EndpointError(self._url, f"connection lost ({_reason(error)})") from None
         finally:
             for answer in answers:
                 answer.cancel()
@@ -176,67 +176,63 @@ class Link(aiomqtt.Client):
         ]
 
     async def listen(self, *topics: str) -> None:
-        """Subscribe to topic filters, with QoS 1; see `incoming`.
+        """Subscribe to topic filters with QoS 1; `receive` returns their messages.
 
         Raises:
-            EndpointError: if the connection is lost, or the broker refuses.
+            EndpointError: if the connection is lost, or the broker refuses a filter.
         """
         try:
             answers = await self.subscribe([(topic, SubscribeOptions(qos=1)) for topic in topics])
         except aiomqtt.MqttError as error:
-            raise EndpointError(self._place, f"connection lost ({_reason(error)})") from None
+            raise EndpointError(self._url, f"connection lost ({_reason(error)})") from None
         for topic, answer in zip(topics, answers, strict=True):
             if isinstance(answer, ReasonCode) and answer.is_failure:
-                raise EndpointError(self._place, f"refuses to subscribe to {topic}: {_refusal(answer)}")
+                raise EndpointError(self._url, f"refuses to subscribe to {topic}: {_refusal(answer)}")
 
     async def receive(self) -> tuple[str, bytes]:
-        """Topic and payload of the next message; being cancelled loses none.
+        """Return topic and payload of the next message; cancellation loses none.
 
         Raises:
-            EndpointError: once the connection is lost, and all that came before was given.
+            EndpointError: if the connection is lost and all messages received before were returned.
         """
         while self._queue.empty():
             if not self.alive:
                 reason = _reason(self._disconnected.exception())
-                raise EndpointError(self._place, f"connection lost ({reason})")
-            self._stirred.clear()
-            await self._stirred.wait()
+                raise EndpointError(self._url, f"connection lost ({reason})")
+            self._changed.clear()
+            await self._changed.wait()
         message = self._queue.get_nowait()
         return message.topic.value, message.payload
 
     async def leave(self) -> None:
-        """Say farewell and close: the broker forgets the will."""
+        """Disconnect: the broker discards the will."""
         with suppress(aiomqtt.MqttError):
             await self.__aexit__(None, None, None)
         self.drop()
 
     def drop(self) -> None:
-        """Close without a word: the broker sends the will."""
+        """Close the socket without DISCONNECT: the broker publishes the will."""
         while isinstance(sock := self._client.socket(), socket.socket):
             with suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
             self._client.loop_read()
 
     def _hint(self, error: Exception) -> str:
-        """What to do about a connection that was not made; empty where nobody knows."""
+        """Return the likely remedy for a failed connection, empty if unknown."""
         text = str(error)
         if isinstance(error, MqttConnectError):
             return f"; check {USER} and {PASSWORD}"
         if "CERTIFICATE_VERIFY_FAILED" in text:
-            return f"; name the file of the authority that signed it in {CA}"
+            return f"; set {CA} to the file of the CA that signed its certificate"
         if text == _CLOSED or "SSL" in text or "reset by peer" in text:
-            tls = self._place.startswith("mqtts:")
-            return (
-                "; if it speaks no TLS, say mqtt:// and its port"
-                if tls
-                else "; if it speaks TLS, say mqtts://"
-            )
+            tls = self._url.startswith("mqtts:")
+            return f"; if it uses {'no TLS, write mqtt:// and its port' if tls else 'TLS, write mqtts://'}"
         return next((f"; {hint}" for part, hint in _HINTS.items() if part in text), "")
 
     async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - as the base has it
         try:
             limit = self.timeout if timeout is None else timeout
-            if fut is self._connected:  # what connecting has left of it
+            if fut is self._connected:  # the rest of the time for connecting
                 limit = max(0.0, self._deadline - asyncio.get_running_loop().time())
             async with asyncio.timeout(limit):
                 return await fut  # not asyncio.wait_for: before Python 3.12 that may lose a cancellation
@@ -248,7 +244,7 @@ class Link(aiomqtt.Client):
         info = self._client.publish(message.topic, message.payload, message.qos, message.retain)
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or not self.alive:
             answer.set_exception(aiomqtt.MqttCodeError(info.rc))
-        elif info.is_published():  # with QoS 0, handed to the system
+        elif info.is_published():  # QoS 0: written to the socket
             answer.set_result(ReasonCode(PacketTypes.PUBACK))
         else:
             self._answers[info.mid] = answer
@@ -275,15 +271,15 @@ class Link(aiomqtt.Client):
             self._connected.set_exception(aiomqtt.MqttError(_CLOSED))
         for future in (self._connected, self._disconnected):
             if future.done() and not future.cancelled():
-                future.exception()  # nobody may ever ask: asyncio need not complain
-        for answer in self._answers.values():  # none will come
+                future.exception()  # mark as retrieved, else asyncio logs it
+        for answer in self._answers.values():  # none will arrive
             if not answer.done():
                 answer.set_exception(aiomqtt.MqttCodeError(reason_code))
         self._answers.clear()
 
     def _on_socket_register_write(self, client: Paho, userdata: object, sock: PahoSocket) -> None:  # noqa: ARG002
         def register() -> None:
-            if sock.fileno() >= 0:  # by now it may be closed, and its number another socket's
+            if sock.fileno() >= 0:  # it may be closed by now, and its descriptor reused
                 self._loop.add_writer(sock, client.loop_write)
 
         self._loop.call_soon_threadsafe(register)
@@ -295,7 +291,7 @@ class _Socket(ssl.SSLSocket):
         try:
             super().do_handshake(block)
         except BaseException:
-            self.close()  # paho forgets it
+            self.close()  # paho leaves it open
             raise
 
 
@@ -306,24 +302,24 @@ def _tls(broker: Broker) -> ssl.SSLContext:
 
 
 def _reason(error: BaseException | None) -> str:
-    """What happened, in the broker's words, or the system's."""
+    """Return the reason given by the broker or the system."""
     text = str(error.rc if isinstance(error, aiomqtt.MqttCodeError) else error)
     if error is None or text in ("Unspecified error", str(MQTTErrorCode.MQTT_ERR_NO_CONN)):
         return "closed unexpectedly"
     if text == "timed out":
-        return f"no answer within {TIMEOUT:g} s"
+        return f"no response within {TIMEOUT:g} s"
     return re.sub(r"^\[(Errno -?\d+|SSL[^]]*)\] | \(_ssl\.c:\d+\)$", "", text)
 
 
 def _refusal(code: ReasonCode) -> str:
-    return f"{code}; its access list must allow it" if code.value == NOT_AUTHORIZED else str(code)
+    return f"{code}; allow it in the broker's access list" if code.value == NOT_AUTHORIZED else str(code)
 
 
 async def connect(broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> Link:
-    """Connect once; `will` is the topic and payload that the broker retains there if we vanish.
+    """Connect once; `will` is the topic and payload that the broker retains if the client disappears.
 
     Raises:
-        EndpointError: if the broker is unreachable, silent or refuses us.
+        EndpointError: if the broker is unreachable, does not respond or refuses the client.
         InputError: if the file with the password or the trusted authorities cannot be read.
     """
     link = Link(broker, identifier, will)

@@ -1,4 +1,4 @@
-"""Following the slip events of rigs over MQTT without missing one: for the services that act on them."""
+"""Consumer of slip events over MQTT that delivers each event once and fetches the ones it missed."""
 
 import asyncio
 import logging
@@ -11,44 +11,44 @@ from secrets import token_hex
 from types import TracebackType
 from typing import TYPE_CHECKING, Literal, Self
 
-from connectors.events import Event, topic
+from connectors.events import Event
 from connectors.fields import Fields
 from connectors.mqtt.broker import Broker
-from connectors.mqtt.gap_request import GapAnswer, GapRequest
-from connectors.mqtt.position import Place, Position, hold, load, read_heads, save
-from connectors.mqtt.replay_name import is_replay
-from operators.errors import EndpointError, InputError, ParameterError, SlipflowError
+from connectors.mqtt.gap_replay import GapAnswer, GapRequest
+from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads, save
+from connectors.mqtt.rig_names import is_replay, rig_topic
+from operators.back_off import BackOff
+from operators.checks import check_choice
+from operators.errors import EndpointError, InputError, SlipflowError
 
 if TYPE_CHECKING:
     from connectors.mqtt.broker_link import Link
 
 log = logging.getLogger("slipflow")
 
-ASK_EVERY = 3.0  # s, until there is an answer
-FIRST_RETRY = 0.1  # s
-LAST_RETRY = 5.0  # s, up to which the back-off doubles
+REQUEST_EVERY = 3.0  # s, until an answer arrives
 
 
 class Consumer(AsyncIterator[Event]):
-    """Gives each event of the rigs that `site` and `rig` name, ``+`` standing for any, once, for ever.
+    """Slip events of the rigs that match `site` and `rig`, each once; ``+`` matches any live rig.
 
-    Any rig is any live one: a replay, whose events are old, is followed by its name only.
+    A replay publishes old events, so it is followed only if `rig` is its full name.
 
-    An event is given as soon as the broker delivers it: one that was missed comes late, after newer ones.
-    What the rig no longer keeps is reported as lost. So is what is malformed, and a connection that is lost,
-    which is made again.
+    Events arrive as soon as the broker delivers them; a missed event is fetched from the rig and arrives
+    late, after newer ones. Events that the rig no longer keeps are reported as lost. Malformed messages and
+    lost connections are reported too; the consumer reconnects.
 
-    With `position_file` it resumes from where it stopped. The position is saved when the loop asks for the
-    next event: what was being worked on when the process died is given again. `Event.identifier`, kept beside
-    what was made of an event, tells. A file is one consumer's at a time. A rig that is heard of for the first
-    time begins ``now``, or at the ``start`` of what it keeps, as `since` says.
+    With `position_file` it resumes where it stopped. The position is saved when the loop asks for the next
+    event, so after a crash the event in progress is delivered again: deduplicate on `Event.identifier`. One
+    consumer at a time can use a file. A new rig starts with its next event (``since="now"``), or with the
+    oldest that it keeps (``since="start"``).
 
         async with Consumer("mqtt://localhost", site="lab", position_file="events.position") as events:
             async for event in events:
                 print(event.time, event.finger, event.state)
 
     Raises:
-        ParameterError: on a URL, a site or a rig that cannot be used.
+        ParameterError: if `url`, `site`, `rig` or `since` is invalid.
     """
 
     def __init__(
@@ -61,154 +61,153 @@ class Consumer(AsyncIterator[Event]):
         since: Literal["now", "start"] = "now",
         report: Callable[[str], object] = log.warning,
     ) -> None:
-        """Get ready to connect to the broker at `url`; see `connectors.mqtt.broker.Broker`."""
+        """Prepare a connection to the broker at `url`, see `connectors.mqtt.broker.Broker`."""
         self._broker = Broker.parse(url, "Consumer")
-        self._topic = topic("Consumer", site, rig, wildcard="+")
-        if since not in ("now", "start"):
-            raise ParameterError("Consumer", "since", since, "now or start")
+        self._topic = rig_topic("Consumer", site, rig, wildcard="+")
+        check_choice("Consumer", "since", since, ("now", "start"))
         self._everything, self._report = since == "start", report
-        self._replays = rig != "+"  # it was named: whether it is one is for the caller to know
+        self._with_replays = rig != "+"
         self._position_file = Path(position_file) if position_file else None
         self._position = Position(everything=self._everything)
-        self._held: int | None = None  # descriptor of its lock
-        self._reply = f"consumer-{token_hex(6)}"  # the last level of the topic for answers
+        self._lock: int | None = None  # descriptor
+        self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for answers
         self._link: Link | None = None
         self._dropped = 0
-        self._asked: dict[tuple[Place, str], tuple[int, float]] = {}  # first number, and the newest sign (s)
-        self._missed = asyncio.Event()  # it may be time to ask
-        self._asking: asyncio.Task[None] | None = None
+        self._requested: dict[
+            tuple[RigId, str], tuple[int, float]
+        ] = {}  # first number, time (s) of last progress
+        self._check_gaps = asyncio.Event()
+        self._requesting: asyncio.Task[None] | None = None
         self._saving: asyncio.Task[None] | None = None
         self._unsaved: bytes | None = None
         self._changed = False  # the position, since it was saved
 
     async def __aenter__(self) -> Self:
-        """Read the position, and connect.
+        """Load the position and connect.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses us, or the position cannot be read or
-                written, or another consumer goes on from it.
-            InputError: if the position is something else, or a file with the password cannot be read.
+            EndpointError: if the broker is unreachable or refuses the connection, or the position file cannot
+                be
+                read or written or is in use.
+            InputError: if the position file is something else, or a file with credentials cannot be read.
         """
         try:
-            if self._position_file:
-                self._held = await asyncio.to_thread(hold, self._position_file)
-                self._position = await asyncio.to_thread(
-                    load, self._position_file, everything=self._everything
-                )
+            if path := self._position_file:
+                self._lock = await asyncio.to_thread(lock_position, path)
+                self._position = await asyncio.to_thread(load, path, everything=self._everything)
             await self._connect()
         except BaseException:
-            self._let_go()
+            self._unlock()
             raise
-        self._asking = asyncio.create_task(self._keep_asking())
+        self._requesting = asyncio.create_task(self._keep_requesting())
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Leave; an event that was given last and not come back from is given again the next time."""
-        if self._asking:
-            self._asking.cancel()
-            await asyncio.wait([self._asking])
+        """Disconnect; an event still in progress is delivered again next time."""
+        if self._requesting:
+            self._requesting.cancel()
+            await asyncio.wait([self._requesting])
         if self._saving:
             await self._saving
-        self._let_go()
-        await self._leave()
+        self._unlock()
+        await self._disconnect()
 
     def __aiter__(self) -> Self:
         return self
 
     async def __anext__(self) -> Event:
-        """The next event, however long it takes."""
-        self._finish()
+        """Return the next event; wait as long as necessary."""
+        self._mark_done()
         while True:
-            link = await self._linked()
+            link = await self._connected()
             try:
-                place, payload = await link.receive()
+                topic, payload = await link.receive()
             except EndpointError as error:
-                self._report(f"{error}, trying again")
-                await self._leave()
+                self._report(f"{error}, reconnecting")
+                await self._disconnect()
                 continue
             if link.dropped > self._dropped:
-                self._report(f"{self._broker}: {link.dropped - self._dropped} messages came too fast")
+                self._report(
+                    f"{self._broker}: {link.dropped - self._dropped} messages dropped: too slow a reader"
+                )
                 self._dropped = link.dropped
-            if not self._replays and is_replay(place.split("/")[3]):
+            if not self._with_replays and is_replay(topic.split("/")[3]):
                 continue
             try:
-                event = self._read(place, payload)
+                event = self._process(topic, payload)
             except InputError as error:
-                self._report(f"left out: {error}")
+                self._report(f"ignoring malformed message: {error}")
                 continue
             self._changed = True
             if event:
                 return event
-            self._finish()
+            self._mark_done()
 
-    def _read(self, place: str, payload: bytes) -> Event | None:
-        """Take a message; gives the event that is new in it."""
-        _, _, site, rig, *rest = place.split("/")
-        fields, answer = Fields.parse(payload, place), ["replay", self._reply]
+    def _process(self, topic: str, payload: bytes) -> Event | None:
+        """Process a message; return its event if that is new."""
+        _, _, site, rig, *rest = topic.split("/")
+        fields, reply = Fields.parse(payload, topic), ["replay", self._reply_name]
         if rest == ["head"]:
-            self._tell(self._position.announce((site, rig), read_heads(fields)))
-        elif rest == answer and "specversion" not in fields.values:
+            self._report_lost(self._position.announce((site, rig), read_heads(fields)))
+        elif rest == reply and "specversion" not in fields.values:
             self._settle((site, rig), GapAnswer.read(fields))
         else:
             event = Event.read(fields)
-            if (event.site, event.rig) != (site, rig) or rest not in ([event.finger, "event"], answer):
-                raise InputError(place, f"has an event of {event.site}/{event.rig}/{event.finger}")
-            if rest == answer and (asked := self._asked.get(((site, rig), event.epoch))):
-                self._asked[(site, rig), event.epoch] = asked[0], asyncio.get_running_loop().time()
+            if (event.site, event.rig) != (site, rig) or rest not in ([event.finger, "event"], reply):
+                raise InputError(topic, f"has an event of {event.site}/{event.rig}/{event.finger}")
+            if rest == reply and (requested := self._requested.get(((site, rig), event.epoch))):
+                self._requested[(site, rig), event.epoch] = requested[0], asyncio.get_running_loop().time()
             if self._position.take(event):
-                self._tell(self._position.give_up())
+                self._report_lost(self._position.give_up())
                 return event
         return None
 
-    def _settle(self, place: Place, answer: GapAnswer) -> None:
-        asked, _ = self._asked.get((place, answer.epoch), (0, 0.0))
-        if asked != answer.first:  # not to what we asked last
+    def _settle(self, rig: RigId, answer: GapAnswer) -> None:
+        first, _ = self._requested.get((rig, answer.epoch), (0, 0.0))
+        if first != answer.first:  # the answer to an earlier request
             return
-        self._tell(self._position.settle(place, answer))
-        if (place, answer.epoch, asked) not in {gap[:3] for gap in self._position.gaps()}:
-            del self._asked[place, answer.epoch]  # so that what is left is asked for at once
+        self._report_lost(self._position.settle(rig, answer))
+        if (rig, answer.epoch, first) not in {gap[:3] for gap in self._position.gaps()}:
+            del self._requested[rig, answer.epoch]  # request the rest at once
 
-    def _tell(self, lost: list[str]) -> None:
-        for report in lost:
-            self._report(report)
-        self._missed.set()
+    def _report_lost(self, lost: list[str]) -> None:
+        for text in lost:
+            self._report(text)
+        self._check_gaps.set()
 
-    async def _keep_asking(self) -> None:
-        """Ask each rig for what is missed, again and again until it answers."""
+    async def _keep_requesting(self) -> None:
+        """Request missed events from each rig, and repeat the request until it answers."""
         loop = asyncio.get_running_loop()
         while True:
-            self._missed.clear()
-            for place, epoch, first, last in list(self._position.gaps()):
-                _, when = self._asked.get((place, epoch), (0, -ASK_EVERY))
-                if loop.time() >= when + ASK_EVERY:
-                    self._asked[place, epoch] = first, loop.time()
-                    await self._ask(place, epoch, first, last)
+            self._check_gaps.clear()
+            for rig, epoch, first, last in list(self._position.gaps()):
+                _, when = self._requested.get((rig, epoch), (0, -REQUEST_EVERY))
+                if loop.time() >= when + REQUEST_EVERY:
+                    self._requested[rig, epoch] = first, loop.time()
+                    await self._request(rig, epoch, first, last)
             with suppress(TimeoutError):
-                async with asyncio.timeout(ASK_EVERY):
-                    await self._missed.wait()
+                async with asyncio.timeout(REQUEST_EVERY):
+                    await self._check_gaps.wait()
 
-    async def _ask(self, place: Place, epoch: str, first: int, last: int) -> None:
-        rig = topic("Consumer", *place)
-        request = GapRequest(epoch, first, last, f"{rig}/replay/{self._reply}")
+    async def _request(self, rig: RigId, epoch: str, first: int, last: int) -> None:
+        topic = rig_topic("Consumer", *rig)
+        request = GapRequest(epoch, first, last, f"{topic}/replay/{self._reply_name}")
         if self._link and self._link.alive:
-            with suppress(EndpointError):  # reading notices too; it is asked again
-                await self._link.send(f"{rig}/replay/request", request.encode())
+            with suppress(EndpointError):  # `receive` reports it, and the request is repeated
+                await self._link.send(f"{topic}/replay/request", request.encode())
 
-    async def _linked(self) -> "Link":
-        """The connection, made again if need be."""
-        retry = FIRST_RETRY
+    async def _connected(self) -> "Link":
+        """Return the connection; reconnect if it was lost."""
+        retry, failures = BackOff(), 0
         while self._link is None:
-            await asyncio.sleep(retry * uniform(0.5, 1))  # noqa: S311 - so that many do not come back at once
-            retry = min(2 * retry, LAST_RETRY)
+            await asyncio.sleep(retry.delay() * uniform(0.5, 1))  # noqa: S311 - spreads clients that reconnect
             try:
                 await self._connect()
             except SlipflowError as error:
-                if retry > 2 * FIRST_RETRY:
-                    log.debug("%s", error)
-                else:
-                    self._report(f"{error}, trying again")
+                failures += 1
+                (self._report if failures == 1 else log.debug)(f"{error}, reconnecting")
             else:
                 self._report(f"{self._broker}: connected again")
         return self._link
@@ -216,30 +215,30 @@ class Consumer(AsyncIterator[Event]):
     async def _connect(self) -> None:
         from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
-        link = await connect(self._broker, f"slipflow-{self._reply}")
-        try:  # heads come last: an event before its head is no gap
+        link = await connect(self._broker, f"slipflow-{self._reply_name}")
+        try:  # heads come last, so that an event in flight is not taken for a gap
             await link.listen(
-                f"{self._topic}/+/event", f"{self._topic}/replay/{self._reply}", f"{self._topic}/head"
+                f"{self._topic}/+/event", f"{self._topic}/replay/{self._reply_name}", f"{self._topic}/head"
             )
         except BaseException:
             await link.leave()
             raise
         self._link, self._dropped = link, 0
-        self._asked.clear()
-        self._missed.set()
+        self._requested.clear()
+        self._check_gaps.set()
 
-    async def _leave(self) -> None:
+    async def _disconnect(self) -> None:
         if self._link:
             await self._link.leave()
         self._link = None
 
-    def _let_go(self) -> None:
-        if self._held is not None:
-            os.close(self._held)
-        self._held = None
+    def _unlock(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+        self._lock = None
 
-    def _finish(self) -> None:
-        """Have the position saved: what was given is done with."""
+    def _mark_done(self) -> None:
+        """Start saving the position: the last event was processed."""
         if not (self._position_file and self._changed):
             return
         self._changed, self._unsaved = False, self._position.encode()
@@ -247,7 +246,7 @@ class Consumer(AsyncIterator[Event]):
             self._saving = asyncio.create_task(self._save(self._position_file))
 
     async def _save(self, path: Path) -> None:
-        while self._unsaved is not None:  # what came meanwhile is saved at once
+        while self._unsaved is not None:  # save again what changed meanwhile
             payload, self._unsaved = self._unsaved, None
             try:
                 await asyncio.to_thread(save, path, payload)

@@ -1,4 +1,4 @@
-"""Publishing slip events, and how the rig is doing, over MQTT 5."""
+"""Publication of slip events and the state of the rig over MQTT 5."""
 
 import asyncio
 import logging
@@ -8,16 +8,15 @@ from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
-from connectors.events import Event, Fault, encode, faults, finger_name, timestamp, topic
+from connectors.events import Event, Fault, encode, faults, finger_name, timestamp
 from connectors.health_report import HealthReports, clock_report
-from connectors.mqtt.broker import Broker
-from connectors.mqtt.message import Message
+from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import Entry
-from connectors.mqtt.outbox_place import default_path, of_replays
-from connectors.mqtt.replay_name import name_in, replay_name
+from connectors.mqtt.rig_names import SUFFIX, name_in_run, outbox_path, replay_name, rig_topic
 from connectors.mqtt.sender import Sender
 from operators.batch import SLIP, Clocks, Faults, Slips, ms
+from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
 from operators.ports import Json, Run, Sink
 
@@ -28,59 +27,57 @@ HEALTH_EVERY = 5.0  # s
 
 @dataclass(eq=False)
 class Mqtt(Sink[Slips | Faults | Clocks]):
-    """Publishes each slip event once it is decided, losing none, and keeps the state of every fingertip.
+    """Slip events and the state of each fingertip over MQTT 5, without losing an event.
 
-    An event is numbered and in the outbox, a file that outlives the run, before it is sent, and it is sent
-    until the broker has it: in a later run, if need be. A power cut costs at most the events of the last
-    moments that are neither out nor on the disk yet. Whoever missed an event can ask for it, see
-    `connectors.mqtt.consumer.Consumer`.
+    Events are numbered and stored in the outbox, a file that is kept between runs, before they are sent. They
+    are sent until the broker acknowledges them, in a later run if necessary. A power cut loses at most the
+    newest events that are neither sent nor on disk. `connectors.mqtt.consumer.Consumer` fetches events that
+    it missed.
 
-    Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all but the events retained:
+    Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all retained except events:
 
     - ``<finger>/event``: one CloudEvent per onset and end, see `connectors.events.Event`
-    - ``<finger>/state``: whether it slips
-    - ``head``: the number of the newest event, in the present epoch and in those ``before``
-    - ``status``: online or offline, the latter as last will too
-    - ``info``: what runs; ``health``: how it does
+    - ``<finger>/state``: slipping or not
+    - ``head``: number of the newest event, in the present epoch and in earlier ones
+    - ``status``: online or offline, also the last will
+    - ``info``: flow, sources, detector; ``health``: state of sources, sinks, outbox and clocks every 5 s
 
-    An event that is published again has the same id. While the disk is full or fails, events are sent from
-    memory, in an epoch of their own, and written down when it works; killed meanwhile, they may be lost.
-    Faults mark the events that come after them, and show in the health; so do outbox and device clocks.
+    An event that is sent again has the same id. While the disk is full or fails, events are sent from memory,
+    in an epoch of their own, and stored once the disk works; they may be lost if the process is killed
+    before. Faults mark later events as degraded and appear in ``health``.
 
-    A replay publishes as another rig, ``<rig>-replay``, from an outbox of its own: whoever follows the rig
-    hears nothing of it, and both may run at once. No live rig may be so called.
+    A replay publishes as another rig, ``<rig>-replay``, with its own outbox, so that consumers of the live
+    rig do not receive old events. A live rig cannot have such a name.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is out of range.
     """
 
     url: str  # see `connectors.mqtt.broker.Broker`
     site: str = "lab"
-    rig: str = "rig"  # with the site: two runs may not publish as the same one
+    rig: str = "rig"  # unique within the site
     model: Mapping[str, str] = field(default_factory=dict[str, str])  # id and sha256 of the detector
-    threshold: float | None = None  # of the probability, for the events to tell
-    consecutive: int | None = None  # samples that decide an onset, for the events to tell
-    outbox: str | Path | None = None  # None: a file per site and rig below $XDG_STATE_HOME/slipflow
-    keep: int = 100_000  # events, for those who missed them
-    keep_for: float = 7 * 86400  # s
+    threshold: float | None = None  # of the probability, reported in events
+    consecutive: int | None = None  # samples that decide an onset, reported in events
+    outbox: str | Path | None = None  # None: one file per site and rig in $XDG_STATE_HOME/slipflow
+    keep: int = 100_000  # sent events, for consumers that missed them
+    keep_for: float = 7 * 86400  # s, for which they are kept
     connect_required: bool = True  # False: start without the broker; events wait in the outbox
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url)
-        self._place = f"{self._broker}/{topic('Mqtt', self.site, self.rig)}"
+        self._place = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
         self._model, self._sha256 = self.model.get("id", "unknown"), self.model.get("sha256")
         named = self._model and self._model.isprintable() and not set(self.model) - {"id", "sha256"}
         if not named or (self._sha256 is not None and not re.fullmatch("[0-9a-f]{64}", self._sha256)):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be)
-        if not 0 <= (self.threshold or 0) <= 1:
-            raise ParameterError("Mqtt", "threshold", self.threshold, "from 0 to 1")
-        if self.consecutive is not None and self.consecutive < 1:
-            raise ParameterError("Mqtt", "consecutive", self.consecutive, "at least 1")
-        if self.keep < 1:
-            raise ParameterError("Mqtt", "keep", self.keep, "at least 1")
-        if not self.keep_for > 0:
-            raise ParameterError("Mqtt", "keep_for", self.keep_for, "more than 0 s")
+        if self.threshold is not None:
+            check_between("Mqtt", "threshold", self.threshold, 0, 1)
+        if self.consecutive is not None:
+            check_at_least("Mqtt", "consecutive", self.consecutive, 1)
+        check_at_least("Mqtt", "keep", self.keep, 1)
+        check_above("Mqtt", "keep_for", self.keep_for, 0, "s")
 
     @property
     def destination(self) -> str:
@@ -90,28 +87,28 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     @property
     def replay_destination(self) -> str:
         """Broker and topic in a replay."""
-        return f"{self._broker}/{topic('Mqtt', self.site, replay_name(self.rig))}"
+        return f"{self._broker}/{rig_topic('Mqtt', self.site, replay_name(self.rig))}"
 
     async def open(self, run: Run) -> None:
-        """Open the outbox, connect, and say that we are online.
+        """Open the outbox, connect, and publish the retained documents.
 
         Raises:
-            EndpointError: if the broker is unreachable or refuses us, with `connect_required`, or another
-                run uses the outbox.
-            InputError: if the outbox is no outbox, or a file with the password cannot be read.
-            ParameterError: if the rig is live and called as a replay.
+            EndpointError: if another run uses the outbox, or with `connect_required` if the broker is
+                unreachable or refuses the client.
+            InputError: if the outbox is another kind of file, or a file with credentials cannot be read.
+            ParameterError: if a live rig has the name of a replay.
         """
-        self._run, self._name = run, name_in(run, "Mqtt", self.rig)
-        self._topic = topic("Mqtt", self.site, self._name)
+        self._run, self._name = run, name_in_run(run, "Mqtt", self.rig)
+        self._topic = rig_topic("Mqtt", self.site, self._name)
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._health = HealthReports(run)
-        self._clock: dict[str, Json] | None = None  # how a device's clock stood last
-        self._told: dict[str, int] = {}  # ids of the events whose state was published last, by finger
+        self._clock: dict[str, Json] | None = None  # newest state of the device clock
+        self._published: dict[str, int] = {}  # newest event id in the published state, by finger
         self._outbox = Outbox(self._outbox_path(), keep=self.keep, keep_for=self.keep_for)
         await self._outbox.open()
-        # The same in each run: a new one disarms an old will. That of a replay cuts off no live rig.
+        # The same in each run, so that a new connection cancels an old will; replays have their own.
         identifier = f"slipflow/{self.site}/{self._name}"
-        self._sender = Sender(self._broker, self._topic, self._outbox, self._follow)
+        self._sender = Sender(self._broker, self._topic, self._outbox, self._documents)
         online = self._status("online", run.clock.now())
         try:
             documents = online, self._info(), self._head(), self._report()
@@ -123,10 +120,10 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._reporting = asyncio.create_task(self._keep_reporting())
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
-        """Put the events of a batch into the outbox, from which they are sent as soon as may be.
+        """Store the events of a batch in the outbox, from which they are sent at once.
 
         Raises:
-            EndpointError: if neither the disk nor memory takes them.
+            EndpointError: if neither the disk nor memory can store them.
         """
         if isinstance(batch, Faults):
             known = self._faults.setdefault(finger_name(batch.finger), set())
@@ -138,25 +135,26 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             await self._outbox.append(list(self._events(batch)))
 
     async def close(self) -> None:
-        """Send what still can be, say that we are offline, and leave; the rest waits for the next run."""
+        """Send pending events within 3 s, publish the offline status, and disconnect."""
         self._reporting.cancel()
         await asyncio.wait([self._reporting])
         await self._sender.close(self._status("offline", self._run.clock.now()))
         if self._outbox.waiting:
-            text = "%s: %d events wait in %s for the next run"
+            text = "%s: %d unsent events remain in %s; the next run sends them"
             log.warning(text, self._broker, self._outbox.waiting, self._outbox.path)
         await self._outbox.close()
 
     def _outbox_path(self) -> Path:
         if self.outbox is None:
-            return default_path(self.site, self._name)
-        return Path(self.outbox) if self._run.recording is None else of_replays(Path(self.outbox))
+            return outbox_path(self.site, self._name)
+        path = Path(self.outbox)
+        return path if self._run.recording is None else path.with_stem(path.stem + SUFFIX)
 
     def _degraded(self, finger: str) -> tuple[Fault, ...]:
         return tuple(sorted(self._faults.get(finger, ()), key=lambda fault: (fault.barometer, fault.kind)))
 
     def _events(self, batch: Slips) -> Iterator[Event]:
-        """The events of a batch, whose epoch and number the outbox gives."""
+        """Yield the events of a batch; the outbox sets their epoch and number."""
         finger = finger_name(batch.finger)
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
@@ -179,12 +177,12 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
                 session=self._run.session,
             )
 
-    def _follow(self, sent: Iterable[Entry]) -> Iterator[Message]:
-        """What is to be retained once events were sent: the state of their fingertips, and the head."""
+    def _documents(self, sent: Iterable[Entry]) -> Iterator[Message]:
+        """Yield the retained documents after events were sent: state of their fingertips, and head."""
         newest = {entry.finger: entry for entry in sent}
         for finger, entry in newest.items():
-            if entry.id > self._told.get(finger, 0):  # it may have waited for long
-                self._told[finger] = entry.id
+            if entry.id > self._published.get(finger, 0):  # not an old one sent late
+                self._published[finger] = entry.id
                 yield self._state(Event.decode(entry.payload))
         yield self._head()
 
@@ -202,7 +200,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def _status(self, state: str, since: int | None) -> Message:
         document: dict[str, Json] = {
             "version": version("slipflow"),
-            "since": None if since is None else timestamp(since),  # a will cannot know
+            "since": None if since is None else timestamp(since),  # unknown for a will
         }
         return self._message("status", {"state": state, **self._identity(), **document})
 
@@ -211,7 +209,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             "flow": self._run.flow,
             "recording": self._run.recording,
             "sources": {
-                name: {key: value for key, value in description.items() if key != "episodes"}  # they go on
+                name: {key: value for key, value in description.items() if key != "episodes"}  # grows
                 for name, description in self._run.describe.items()
             },
             "model": {"id": self._model, "sha256": self._sha256},

@@ -1,4 +1,4 @@
-"""The outbox: slip events are numbered and written down before they are sent, and kept to be sent again."""
+"""Outbox of a rig: numbers slip events and stores them before they are sent."""
 
 import asyncio
 import logging
@@ -16,9 +16,10 @@ from sqlite3 import Error as SqliteError
 from typing import ParamSpec, TypeVar
 
 from connectors.events import Event
-from connectors.mqtt.numbers import Numbers
+from connectors.mqtt.lock import lock_beside
 from connectors.mqtt.outbox_file import Damaged, Entry, Epoch, OutboxFile, is_full, reason_of
-from connectors.mqtt.outbox_place import boot, lock
+from connectors.mqtt.range_set import RangeSet
+from operators.back_off import BackOff
 from operators.errors import EndpointError, SlipflowError
 
 P = ParamSpec("P")
@@ -26,62 +27,60 @@ T = TypeVar("T")
 
 log = logging.getLogger("slipflow")
 
-PATIENCE = 1.0  # s that an event waits for the disk before it is sent without
-MANY = 1000  # events for which it waits that long again
-SLOWEST = 10.0  # s that the disk may take to make events durable
-RECENT = 256  # events kept in memory, so that none is read back while it is new
-MEMORY = 10_000  # events that memory holds at most while the file cannot be written
-NOTE_EVERY = 0.2  # s, in which acknowledgements gather
+WRITE_TIMEOUT = 1.0  # s; then events are sent from memory
+EVENTS_PER_TIMEOUT = 1000  # a larger batch gets the timeout once more for each of these
+SYNC_TIMEOUT = 10.0  # s
+CACHED = 256  # newest events, kept in memory to save reading them back
+MEMORY_MAX = 10_000  # events in memory while the file cannot be written
+NOTE_EVERY = 0.2  # s; acknowledgements are written together
 PRUNE_EVERY = 10.0  # s
-FIRST_RETRY = 0.1  # s
-LAST_RETRY = 5.0  # s, up to which the back-off doubles
-ANNOUNCED = 12  # newest epochs that the head tells of
+EPOCHS_ANNOUNCED = 12  # newest epochs in the head document
 
 
 class Outbox:
-    """The numbered events of one rig, in a file that outlives the run, used by one process at a time.
+    """Numbered events of one rig in a file that is kept between runs and used by one process at a time.
 
-    An epoch is a series of numbers; it belongs to the file and goes on from run to run. What is in the file
-    survives the process, and goes out while another thread makes it durable: waiting for that would save no
-    event from a power cut, only number none twice. Instead, where numbers may have been lost, for the system
-    has been started anew since they were given, a new epoch begins.
+    An epoch is a series of numbers; it continues from run to run. Events in the file survive the process.
+    They are sent without waiting for fsync, which runs in another thread: waiting would not save them from a
+    power cut. Where a power cut may have lost numbers, because the system has rebooted since, a new epoch
+    starts, so no number is used twice.
 
     While the file cannot be written, events are numbered in memory, in an epoch of their own for the same
-    reason. They are written once that works; killed before, they may be lost.
+    reason, and written as soon as it can; if the process is killed before, they may be lost.
     """
 
     def __init__(self, path: Path, *, keep: int, keep_for: float) -> None:
-        """Get ready to use `path`: it keeps `keep` events for `keep_for` s, and all that were not sent."""
+        """Prepare to use `path`, which keeps `keep` sent events for `keep_for` s, and all unsent ones."""
         self.path, self._keep, self._keep_for = path, keep, keep_for
-        self.on_news: Callable[[], object] = lambda: None  # called when there is something to send
-        self.waiting = 0  # events to be sent
-        self.error = ""  # why the file cannot be written; empty while it can
+        self.on_news: Callable[[], object] = lambda: None  # called when there is an event to send
+        self.waiting = 0  # unsent events
+        self.error = ""  # the reason why the file cannot be written; empty if it can
         self._thread = ThreadPoolExecutor(1, "slipflow-outbox")
         self._syncer = ThreadPoolExecutor(1, "slipflow-outbox-sync")
-        self._boot = boot()
+        self._boot = boot_id()
         self._lock: int | None = None
         self._file: OutboxFile | None = None
-        self._opened = False  # ever
-        self._epochs: list[Epoch] = []  # oldest first; numbers are given in the last
-        self._memory = deque[Entry]()  # the newest
-        self._durable = self._written = self._last = 0  # ids: of the newest that is, in the file, given
-        self._read = 0  # id of the newest that `next` gave
-        self._doubtful = list[int]()  # ids that may be in the file and must not
-        self._acknowledged = Numbers()  # ids
-        self._unnoted = Numbers()  # those of them that the file does not know of
+        self._opened = False  # the file, at least once
+        self._epochs: list[Epoch] = []  # oldest first; the last is the present one
+        self._memory = deque[Entry]()  # the newest events
+        self._durable = self._written = self._last = 0  # newest ids: durable, in the file, used
+        self._read = 0  # newest id returned by `next`
+        self._doubtful = list[int]()  # ids to delete from the file if they are in it
+        self._acknowledged = RangeSet()  # ids
+        self._unnoted = RangeSet()  # those not yet noted in the file
         self._untidy, self._unsynced = asyncio.Event(), asyncio.Event()
         self._appending = asyncio.Lock()
         self._tasks = set[asyncio.Task[None]]()
 
     async def open(self) -> None:
-        """Open the file, or begin in memory where the disk is full.
+        """Open the file, or start in memory if the disk is full.
 
         Raises:
-            EndpointError: if another run uses it, or it cannot be written.
-            InputError: if it is something else.
+            EndpointError: if another run uses the file, or it cannot be written.
+            InputError: if the file is not an outbox.
         """
         try:
-            self._lock = await self._do(lock, self.path)
+            self._lock = await self._do(_lock, self.path)
             self._file = await self._do(OutboxFile, self.path)
         except EndpointError as error:
             if not is_full(error.__cause__):
@@ -96,37 +95,37 @@ class Outbox:
             self._epochs, self._written = self._file.epochs, self._file.highest
             self._durable = self._last = self._written
             self.waiting, self._opened = self._file.waiting, True
-            await self._go_on(self._file)
+            await self._continue_epoch(self._file)
         self._start(self._keep_tidy())
         self._start(self._keep_synced())
 
     @property
     def epoch(self) -> str:
-        """The series in which numbers are given."""
+        """The present epoch."""
         return self._epochs[-1].name
 
     def heads(self) -> list[tuple[str, int]]:
-        """The newest epochs, the present one last, with the newest number of each that the broker has."""
-        return [(epoch.name, epoch.sent) for epoch in self._epochs[-ANNOUNCED:]]
+        """Return the newest epochs, the present one last, each with its newest acknowledged number."""
+        return [(epoch.name, epoch.sent) for epoch in self._epochs[-EPOCHS_ANNOUNCED:]]
 
     async def append(self, drafts: Sequence[Event]) -> None:
-        """Give events their epoch and number, and keep them; what they say of these is ignored.
+        """Number and store events; their own epoch and number are ignored.
 
         Raises:
-            EndpointError: if the file cannot be written and memory is full; then none was taken.
+            EndpointError: if the file cannot be written and memory is full; then none is stored.
         """
         if drafts:
-            await asyncio.shield(self._start(self._append(drafts)))  # whole or not at all
+            await asyncio.shield(self._start(self._append(drafts)))  # all or none
 
     async def next(self, limit: int) -> list[Entry]:
-        """The next entries that wait to be sent, each once until `rewind`; [] when there is none."""
+        """Return the next unsent entries, each once until `rewind`; [] if there are none."""
         found = list[Entry]()
         if self._file and not self.error and not (self._memory and self._read >= self._memory[0].id - 1):
             try:
                 await self._note()
                 found = await self._do(self._file.waiting_after, self._read, limit)
             except EndpointError as error:
-                self._fail(error)  # alerts go on
+                self._fail(error)  # continue from memory
         found = [entry for entry in found if entry.id not in self._acknowledged] or [
             entry for entry in self._memory if entry.id > self._read and entry.id not in self._acknowledged
         ]
@@ -135,11 +134,11 @@ class Outbox:
         return found
 
     def rewind(self, before: int = 1) -> None:
-        """Let `next` begin again at an id, with what was not acknowledged."""
+        """Let `next` start again with the first unacknowledged entry from id `before` on."""
         self._read = min(self._read, before - 1)
 
     async def between(self, epoch: str, first: int, last: int, limit: int) -> tuple[list[Entry], int]:
-        """Entries `first` to `last` of an epoch, at most `limit`, and the number up to which these are all.
+        """Return at most `limit` entries `first` to `last` of an epoch, and the last number covered.
 
         Raises:
             EndpointError: if the file cannot be read.
@@ -158,7 +157,7 @@ class Outbox:
         return found, found[-1].seq if len(found) == limit else last
 
     def acknowledge(self, entries: Sequence[Entry]) -> None:
-        """The broker has them."""
+        """Mark entries as received by the broker."""
         epochs = {epoch.name: epoch for epoch in self._epochs}
         for entry in entries:
             if entry.id not in self._acknowledged:
@@ -169,34 +168,34 @@ class Outbox:
         self._untidy.set()
 
     async def close(self) -> None:
-        """Note what was acknowledged, and let go of the file."""
+        """Write the acknowledgements and close the file."""
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         with suppress(SlipflowError, TimeoutError):
-            async with asyncio.timeout(PATIENCE):
-                await (self._heal() if self.error else self._note())
-                await self._part()
+            async with asyncio.timeout(WRITE_TIMEOUT):
+                await (self._recover() if self.error else self._note())
+                await self._mark_complete()
         if lost := sum(entry.id > self._written for entry in self._memory):
-            log.error("%s: %s; %d events could not be kept", self.path, self.error, lost)
+            log.error("%s: %s; %d events are lost", self.path, self.error, lost)
         with suppress(EndpointError, TimeoutError):
-            async with asyncio.timeout(PATIENCE):
-                await self._do(self._let_go)
+            async with asyncio.timeout(WRITE_TIMEOUT):
+                await self._do(self._release)
         self._thread.shutdown(wait=False)
         self._syncer.shutdown(wait=False)
 
-    async def _go_on(self, file: OutboxFile) -> None:
-        """Go on in the newest epoch if none of its numbers can have been lost, and note that some now may."""
+    async def _continue_epoch(self, file: OutboxFile) -> None:
+        """Continue the newest epoch unless it may have lost numbers, and mark that it may from now on."""
         if file.renewed or not self._epochs or self._epochs[-1].boot not in ("", self._boot):
-            self._begin()
+            self._begin_epoch()
         self._epochs[-1].boot = self._boot
         try:
             await self._do(file.mark, self._snapshot())
         except EndpointError as error:
             self._fail(error)
 
-    async def _part(self) -> None:
-        """Make all durable, and note that no number can be lost any more."""
+    async def _mark_complete(self) -> None:
+        """Make everything durable, and mark that the epoch has lost no number."""
         if self._file and not self.error:
             self._epochs[-1].boot = ""
             await self._do(self._file.mark, self._snapshot())
@@ -208,13 +207,13 @@ class Outbox:
                 rows = [(entry, True) for entry in entries]
                 epochs = [*self._snapshot()[:-1], replace(epoch, last=entries[-1].seq)]
                 try:
-                    async with asyncio.timeout(PATIENCE * (1 + len(rows) // MANY)):
+                    async with asyncio.timeout(WRITE_TIMEOUT * (1 + len(rows) // EVENTS_PER_TIMEOUT)):
                         await self._do(self._file.append, rows, epochs)
                 except (EndpointError, TimeoutError) as error:
                     self._doubtful += [entry.id for entry in entries]
                     self._fail(error)
                 else:
-                    if self._epochs[-1] is not epoch:  # it failed meanwhile: they are written with the rest
+                    if self._epochs[-1] is not epoch:  # the file failed meanwhile: write them with the rest
                         self._doubtful += [entry.id for entry in entries]
                     else:
                         self._written = entries[-1].id
@@ -225,7 +224,7 @@ class Outbox:
             self._take(self._number(drafts), self._epochs[-1])
 
     def _number(self, drafts: Sequence[Event]) -> list[Entry]:
-        """Entries in the present epoch, which has them once they are taken."""
+        """Number the drafts in the present epoch, which counts them once they are taken."""
         epoch, now, entries = self._epochs[-1], int(time.time()), list[Entry]()
         for seq, draft in enumerate(drafts, epoch.last + 1):
             payload = replace(draft, epoch=epoch.name, seq=seq).encode()
@@ -241,45 +240,43 @@ class Outbox:
         self.on_news()
 
     def _trim(self) -> None:
-        while len(self._memory) > RECENT and self._memory[0].id <= self._durable:
+        while len(self._memory) > CACHED and self._memory[0].id <= self._durable:
             self._memory.popleft()
 
     def _make_room(self, count: int) -> None:
-        while len(self._memory) + count > MEMORY:
+        while len(self._memory) + count > MEMORY_MAX:
             oldest = self._memory[0] if self._memory else None
             if oldest is None or (oldest.id > self._written and oldest.id not in self._acknowledged):
-                reason = f"{self.error}, and memory takes no more than the {self.waiting} events that wait"
+                reason = f"{self.error}, and memory is full with {self.waiting} unsent events"
                 raise EndpointError(str(self.path), reason)
             self._memory.popleft()
 
     def _snapshot(self) -> list[Epoch]:
         return [replace(epoch) for epoch in self._epochs]
 
-    def _begin(self) -> None:
-        """Begin a new epoch."""
+    def _begin_epoch(self) -> None:
         self._epochs.append(Epoch(token_hex(6), self._last, boot=self._boot))
 
     def _fail(self, error: BaseException) -> None:
         if self.error:
             return
-        self.error = error.reason if isinstance(error, EndpointError) else "the disk does not answer"
-        log.error("%s: %s; events go on, kept in memory until it works", self.path, self.error)
-        self._begin()
-        self._start(self._keep_healing())
+        self.error = error.reason if isinstance(error, EndpointError) else "the disk does not respond"
+        log.error("%s: %s; events are kept in memory until it can be written", self.path, self.error)
+        self._begin_epoch()
+        self._start(self._keep_recovering())
 
-    async def _keep_healing(self) -> None:
-        delay = FIRST_RETRY
+    async def _keep_recovering(self) -> None:
+        retry = BackOff()
         while self.error:
-            await asyncio.sleep(delay)
-            delay = min(2 * delay, LAST_RETRY)
+            await asyncio.sleep(retry.delay())
             with suppress(SlipflowError):
-                await self._heal()
-        log.warning("%s: works again, and holds what was kept in memory", self.path)
+                await self._recover()
+        log.warning("%s: can be written again; the events kept in memory are in it", self.path)
 
-    async def _heal(self) -> None:
-        """Open the file again and write what gathered in memory."""
+    async def _recover(self) -> None:
+        """Open the file again and write the events kept in memory."""
         if self._lock is None:
-            self._lock = await self._do(lock, self.path)
+            self._lock = await self._do(_lock, self.path)
         file = await self._do(self._reopen)
         known = {epoch.name for epoch in self._epochs}
         self._epochs[:0] = [epoch for epoch in file.epochs if epoch.name not in known]
@@ -297,18 +294,18 @@ class Outbox:
                 break
         self.error = ""
         self._unsynced.set()
-        self.rewind()  # what the file holds could not be read meanwhile
+        self.rewind()  # to the entries of the file, which could not be read meanwhile
         self.on_news()
 
     async def _keep_tidy(self) -> None:
-        """Write down acknowledgements, many at a time; forget what is too old; in a pause empty the log."""
+        """Write acknowledgements in batches, prune old entries, and checkpoint the log when idle."""
         pruned = 0.0
         while True:
             await self._untidy.wait()
             last = self._last
             await asyncio.sleep(NOTE_EVERY)
             self._untidy.clear()
-            with suppress(EndpointError):  # they gather on; should it last, the next event will tell
+            with suppress(EndpointError):  # tried again with the next acknowledgement
                 await self._note()
                 if self._file and not self.error and time.monotonic() - pruned > PRUNE_EVERY:
                     pruned = time.monotonic()
@@ -317,15 +314,15 @@ class Outbox:
                     await self._do(self._file.checkpoint)
 
     async def _keep_synced(self) -> None:
-        """Have what was written made durable, as soon as the disk can."""
+        """Make what was written durable, continuously."""
         while True:
             await self._unsynced.wait()
             self._unsynced.clear()
             if (file := self._file) is None or self.error:
-                continue  # healing says when
+                continue  # `_recover` sets it again
             written = self._written
             try:
-                async with asyncio.timeout(SLOWEST):
+                async with asyncio.timeout(SYNC_TIMEOUT):
                     await self._run(self._syncer, file.sync)
             except (EndpointError, TimeoutError) as error:
                 if file is self._file and not self.error:
@@ -340,11 +337,11 @@ class Outbox:
 
     async def _note(self) -> None:
         if self._file and not self.error and len(self._unnoted):
-            noted, self._unnoted = self._unnoted, Numbers()
+            noted, self._unnoted = self._unnoted, RangeSet()
             try:
                 await self._do(self._file.acknowledge, list(noted), self._snapshot())
             except BaseException:
-                self._unnoted = Numbers([*noted, *self._unnoted])
+                self._unnoted = RangeSet([*noted, *self._unnoted])
                 raise
 
     def _reopen(self) -> OutboxFile:
@@ -354,7 +351,7 @@ class Outbox:
         self._file = OutboxFile(self.path)
         return self._file
 
-    def _let_go(self) -> None:
+    def _release(self) -> None:
         if self._file:
             self._file.close()
         if self._lock is not None:
@@ -368,7 +365,7 @@ class Outbox:
         return task
 
     async def _do(self, call: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Run it in the outbox's thread."""
+        """Run a call in the outbox's thread."""
         return await self._run(self._thread, partial(call, *args, **kwargs))
 
     async def _run(self, thread: ThreadPoolExecutor, call: Callable[[], T]) -> T:
@@ -376,3 +373,24 @@ class Outbox:
             return await asyncio.get_running_loop().run_in_executor(thread, call)
         except (SqliteError, OSError, Damaged) as error:
             raise EndpointError(str(self.path), f"cannot be used: {reason_of(error)}") from error
+
+
+def boot_id() -> str:
+    """Return the identifier of this boot of the system; a random one if the system has none.
+
+    >>> boot_id() == boot_id()
+    True
+    """
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    except OSError:
+        return token_hex(16)
+
+
+def _lock(path: Path) -> int:
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    try:
+        return lock_beside(path)
+    except BlockingIOError:
+        reason = "is in use: two runs may not publish as one rig; name another rig or outbox"
+        raise EndpointError(str(path), reason) from None

@@ -1,7 +1,8 @@
-"""Numbered slip events in a SQLite file: what `connectors.mqtt.outbox.Outbox` does in its thread.
+"""Numbered slip events in a SQLite file; `connectors.mqtt.outbox.Outbox` calls it in a thread.
 
-Every row carries a checksum, for SQLite finds no flipped bit. A damaged file is set aside. What was written
-survives the process; a power cut only once it is synced.
+Every row has a checksum, because SQLite does not detect flipped bits. A damaged file is renamed and its
+intact rows are copied to a new one. Written rows survive a crash of the process, and a power cut once they
+are synced.
 """
 
 import logging
@@ -15,15 +16,15 @@ from pathlib import Path
 from threading import Lock
 from zlib import crc32
 
-from connectors.mqtt.outbox_wal import committed_frames
-from operators.errors import InputError, os_error_reason
+from operators.errors import InputError, because
 
 log = logging.getLogger("slipflow")
 
 FORMAT = 1
-EPOCHS = 12  # that a file remembers though it has none of their events any more
-PRUNED = 1000  # rows at a time: a live event may wait behind
-LOG = 10_000  # pages of the write-ahead log, beyond which an event has to wait for a checkpoint
+EPOCHS_KEPT = 12  # newest epochs, kept even without events
+PRUNE_MAX = 1000  # rows at a time, so that live events wait little
+LOG_PAGES = 10_000  # of the write-ahead log, before a write has to wait for a checkpoint
+_LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes, https://www.sqlite.org/fileformat2.html section 4
 _TABLES = f"""
 BEGIN;
 CREATE TABLE epochs (name TEXT PRIMARY KEY, base INTEGER, last INTEGER, sent INTEGER, boot TEXT,
@@ -36,9 +37,9 @@ COMMIT;
 """
 _ENTRY = "id, epoch, seq, finger, payload, made, crc"
 _DAMAGE = {sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, sqlite3.SQLITE_FORMAT}
-_RIGHTS = "; give this user the right to write in its folder, or name another file"
+_RIGHTS = "; give this user write access to its folder, or name another file"
 _REMEDIES = {
-    sqlite3.SQLITE_FULL: "; make room there, or name another file",
+    sqlite3.SQLITE_FULL: "; free disk space, or name another file",
     sqlite3.SQLITE_CANTOPEN: _RIGHTS,
     sqlite3.SQLITE_READONLY: _RIGHTS,
 }
@@ -46,9 +47,9 @@ _REMEDIES = {
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """An event as the outbox holds it."""
+    """An event in the outbox."""
 
-    id: int  # counts over all epochs, in order of time
+    id: int  # unique over all epochs, in order of time
     epoch: str
     seq: int
     finger: str
@@ -56,7 +57,7 @@ class Entry:
     made: int  # s since 1970-01-01 UTC
 
     def row(self) -> tuple[object, ...]:
-        """The values of its row, with their checksum."""
+        """Return the values of the row and their checksum."""
         values = self.id, self.epoch, self.seq, self.finger, self.payload, self.made
         return *values, crc32(self.payload, crc32(repr((*values[:4], self.made)).encode()))
 
@@ -67,34 +68,34 @@ class Epoch:
 
     name: str
     base: int
-    last: int = 0  # the newest number
-    sent: int = 0  # the newest that the broker has
-    boot: str = ""  # of the system, since which numbers may have been lost; empty: none can have been
+    last: int = 0  # newest number
+    sent: int = 0  # newest number that the broker has
+    boot: str = ""  # boot in which numbers may have been lost by a power cut; empty: none
 
     def row(self) -> tuple[object, ...]:
-        """The values of its row, with their checksum."""
+        """Return the values of the row and their checksum."""
         values = astuple(self)
         return *values, crc32(repr(values).encode())
 
 
 class Damaged(Exception):  # noqa: N818 - it never leaves this module
-    """The file is not what was written."""
+    """The file does not contain what was written."""
 
 
 class OutboxFile:
-    """An open file; every call may raise sqlite3.Error or OSError, and blocks."""
+    """An open outbox file; every call blocks and may raise sqlite3.Error or OSError."""
 
     def __init__(self, path: Path) -> None:
-        """Open `path`, making it if it is not there; set it aside if it is damaged.
+        """Open or create `path`; rename a damaged file and start a new one with its intact rows.
 
         Raises:
-            InputError: if it is no outbox, or that of a later slipflow.
+            InputError: if the file is not an outbox, or one of another format.
         """
         self.path = path
         self.epochs: list[Epoch] = []  # as found, oldest first
-        self.renewed = False  # True: its numbers may not go on
+        self.renewed = False  # True: numbers may be missing, so start a new epoch
         self._log: int | None = None  # descriptor of the write-ahead log
-        self._syncing = Lock()  # held while that is used, or closed
+        self._syncing = Lock()  # held while it is used or closed
         try:
             self._open()
         except Damaged as damage:
@@ -106,7 +107,7 @@ class OutboxFile:
     def append(
         self, entries: Iterable[tuple[Entry, bool]], epochs: Sequence[Epoch], forget: Iterable[int] = ()
     ) -> None:
-        """Write entries, and whether they wait to be sent; forget ids whose fate was not known."""
+        """Write entries, each with a flag that it is unsent; first delete the ids in `forget`."""
         with self._transaction():
             self._db.executemany("DELETE FROM events WHERE id = ?", ((entry,) for entry in forget))
             rows = ((*entry.row(), int(waits)) for entry, waits in entries)
@@ -114,14 +115,14 @@ class OutboxFile:
             self._write_epochs(epochs)
 
     def acknowledge(self, ids: Iterable[tuple[int, int]], epochs: Sequence[Epoch]) -> None:
-        """Note which ranges of ids wait no longer; after a power cut some may wait again."""
+        """Mark ranges of ids as sent; a power cut may undo the newest marks."""
         with self._transaction():
             done = "UPDATE events SET waits = 0 WHERE waits = 1 AND id BETWEEN ? AND ?"
             self._db.executemany(done, ids)
             self._write_epochs(epochs)
 
     def mark(self, epochs: Sequence[Epoch]) -> None:
-        """Write how epochs stand; that, and all that was written before, is durable then."""
+        """Write the state of the epochs, and make it and everything before durable."""
         self._db.execute("PRAGMA synchronous = FULL")
         try:
             self.append((), epochs)
@@ -129,39 +130,39 @@ class OutboxFile:
             self._db.execute("PRAGMA synchronous = NORMAL")
 
     def sync(self) -> None:
-        """Make durable what was written; in a thread of its own, it holds up nothing."""
+        """Make what was written durable; call it in another thread than the rest."""
         with self._syncing:
             if self._log is None:
                 self._log = os.open(f"{self.path}-wal", os.O_RDONLY | os.O_CLOEXEC)
             os.fdatasync(self._log)
 
     def checkpoint(self) -> None:
-        """Empty the write-ahead log into the file."""
+        """Copy the write-ahead log into the file."""
         self._db.execute("PRAGMA wal_checkpoint(PASSIVE)").fetchall()
 
     def prune(self, count: int, oldest: float) -> None:
-        """Forget some of what need not be sent: beyond the newest `count`, or made before `oldest` (s)."""
+        """Delete sent entries beyond the newest `count` or older than `oldest` (s since 1970)."""
         expired = "SELECT id FROM events WHERE waits = 0 AND (id <= ? OR made < ?) ORDER BY id LIMIT ?"
         with self._transaction():
             [(newest,)] = self._db.execute("SELECT coalesce(max(id), 0) FROM events")
-            limits = newest - count, oldest, PRUNED
+            limits = newest - count, oldest, PRUNE_MAX
             self._db.execute(f"DELETE FROM events WHERE id IN ({expired})", limits)  # noqa: S608 - ours
             found = "SELECT name FROM epochs ORDER BY base DESC, rowid DESC LIMIT -1 OFFSET ?"
             used = "SELECT 1 FROM events WHERE id BETWEEN base + 1 AND base + last"
             unused = f"DELETE FROM epochs WHERE name IN ({found}) AND NOT EXISTS ({used})"  # noqa: S608 - ours
-            self._db.execute(unused, (EPOCHS,))
+            self._db.execute(unused, (EPOCHS_KEPT,))
 
     def waiting_after(self, after: int, limit: int) -> list[Entry]:
-        """The next entries beyond the id `after` that wait to be sent."""
+        """Return the next unsent entries after id `after`."""
         return self._entries("waits = 1 AND id > ?", (after,), limit)
 
     def between(self, epoch: Epoch, first: int, last: int, limit: int) -> list[Entry]:
-        """Entries of an epoch from number `first` to `last`, in order, at most `limit`."""
+        """Return up to `limit` entries of an epoch from number `first` to `last`, in order."""
         ids = epoch.base + first, epoch.base + last
         return self._entries("epoch = ? AND id BETWEEN ? AND ?", (epoch.name, *ids), limit)
 
     def close(self) -> None:
-        """Close."""
+        """Close the file."""
         with self._syncing:
             if self._log is not None:
                 os.close(self._log)
@@ -183,16 +184,16 @@ class OutboxFile:
             yield
             self._db.execute("COMMIT")
         except BaseException:
-            with suppress(sqlite3.Error):  # SQLite may have rolled back already
+            with suppress(sqlite3.Error):  # SQLite may have rolled back by itself
                 self._db.execute("ROLLBACK")
             raise
 
     def _open(self) -> None:
-        committed = committed_frames(Path(f"{self.path}-wal"))
+        log_size = _size(f"{self.path}-wal")
         self._db = sqlite3.connect(self.path, timeout=0, isolation_level=None, check_same_thread=False)
         try:
             self._prepare()
-            self._check(committed)
+            self._check(log_size)
         except sqlite3.Error as error:
             self._db.close()
             marked_read_only = _code(error) == sqlite3.SQLITE_READONLY and os.access(self.path, os.W_OK)
@@ -205,21 +206,27 @@ class OutboxFile:
 
     def _prepare(self) -> None:
         self._db.execute("PRAGMA locking_mode = EXCLUSIVE")
-        self._db.execute("PRAGMA synchronous = NORMAL")  # see `sync`: an event need not wait for the disk
-        self._db.execute(f"PRAGMA wal_autocheckpoint = {LOG}")
+        self._db.execute("PRAGMA synchronous = NORMAL")  # events do not wait for the disk, see `sync`
+        self._db.execute(f"PRAGMA wal_autocheckpoint = {LOG_PAGES}")
         [(version,)] = self._db.execute("PRAGMA user_version")
         [(things,)] = self._db.execute("SELECT count(*) FROM sqlite_schema")
         if version != FORMAT and (version or things):
-            found = f"has format {version}" if version else "is no outbox"
+            found = f"has outbox format {version}" if version else "is not an outbox"
             raise InputError(str(self.path), f"{found}: name another file, or move it away")
         self._db.execute("PRAGMA journal_mode = WAL")
+        self._db.execute(
+            "PRAGMA journal_size_limit = 0"
+        )  # the log has no frames left from before a checkpoint
         if not things:
             self._db.executescript(_TABLES)
 
-    def _check(self, committed: int) -> None:
+    def _check(self, log_size: int) -> None:
         [(_, frames, _)] = self._db.execute("PRAGMA wal_checkpoint(PASSIVE)")
-        if frames < committed:
-            raise Damaged("its newest events cannot be read")
+        [(page_size,)] = self._db.execute("PRAGMA page_size")
+        if frames < (log_size - _LOG_HEADER) // (page_size + _FRAME_HEADER):
+            # SQLite silently ends its recovery at a bad checksum: an unfinished write, or flipped bits
+            log.warning("%s: ignoring an incomplete or damaged write; starting a new epoch", self.path)
+            self.renewed = True
         [(verdict,)] = self._db.execute("PRAGMA integrity_check(1)").fetchmany(1)
         if verdict != "ok":
             raise Damaged(str(verdict))
@@ -227,13 +234,13 @@ class OutboxFile:
         for *row, waits in self._db.execute(f"SELECT {_ENTRY}, waits FROM events"):  # noqa: S608 - ours
             entry = _entry(row)
             if waits not in (0, 1) or entry.epoch not in epochs:
-                raise Damaged("a row has changed")
+                raise Damaged("a row has a wrong checksum")
             epoch = epochs[entry.epoch]
-            epoch.last = max(epoch.last, entry.seq)  # what the epoch's row says may be one write behind
+            epoch.last = max(epoch.last, entry.seq)  # the row of the epoch may be one write behind
         self.epochs = list(epochs.values())
 
     def _set_aside(self, damage: str) -> None:
-        """Move the file away and carry over to a new one what its rows' checksums vouch for."""
+        """Rename the file and copy its intact rows to a new one."""
         aside = Path(f"{self.path}.damaged-{time.strftime('%Y%m%dT%H%M%S')}-{time.time_ns() % 10**9:09}")
         for part in ("", "-wal", "-shm"):
             with suppress(FileNotFoundError):
@@ -246,12 +253,12 @@ class OutboxFile:
             epoch.sent = epoch.sent if waits else max(epoch.sent, entry.seq)
         self.epochs, self.renewed = sorted(epochs.values(), key=lambda epoch: epoch.base), True
         self.append(rows, self.epochs)
-        text = "%s: damaged (%s); set aside as %s; %d intact events carried over, %d of them to be sent"
+        text = "%s: damaged (%s); renamed to %s; copied %d intact events, %d of them unsent"
         log.error(text, self.path, damage, aside.name, len(rows), sum(waits for _, waits in rows))
 
 
 def is_full(error: BaseException | None) -> bool:
-    """Whether the disk has no room: then it may have some later."""
+    """Return True if the disk is full, which may change."""
     if isinstance(error, sqlite3.Error):
         return _code(error) == sqlite3.SQLITE_FULL
     import errno  # noqa: PLC0415 - for this alone
@@ -260,14 +267,21 @@ def is_full(error: BaseException | None) -> bool:
 
 
 def reason_of(error: Exception) -> str:
-    """What is wrong with the file, and what to do about it where that is known."""
+    """Describe what is wrong with the file, with a remedy if one is known."""
     if isinstance(error, sqlite3.Error):
         return f"{error}{_REMEDIES.get(_code(error), '')}"
     return os_error_reason(error) if isinstance(error, OSError) else str(error)
 
 
+def _size(path: str) -> int:
+    try:
+        return os.stat(path).st_size  # noqa: PTH116 - of a file that may be missing
+    except FileNotFoundError:
+        return 0
+
+
 def _code(error: sqlite3.Error) -> int:
-    # text that cannot be decoded has none
+    # an undecodable text has no code
     code: int = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
     return code & 0xFF
 
@@ -285,7 +299,7 @@ def _entry(row: Sequence[object]) -> Entry:
         entry = Entry(number, epoch, seq, finger, payload, made)
         if entry.row() == tuple(row):
             return entry
-    raise Damaged("a row has changed")
+    raise Damaged("a row has a wrong checksum")
 
 
 def _epochs(db: sqlite3.Connection) -> list[Epoch]:
@@ -293,13 +307,13 @@ def _epochs(db: sqlite3.Connection) -> list[Epoch]:
     for *values, crc in db.execute("SELECT * FROM epochs ORDER BY base, rowid"):
         epoch = Epoch(*values)
         if epoch.row() != (*values, crc):
-            raise Damaged("a row has changed")
+            raise Damaged("a row has a wrong checksum")
         found.append(epoch)
     return found
 
 
 def _salvage(path: Path) -> tuple[list[tuple[Entry, bool]], dict[str, Epoch]]:
-    """What a damaged file still gives, from both of its ends; all of it waits whose fate is not known."""
+    """Read the intact rows of a damaged file from both ends; unknown flags count as unsent."""
     found, epochs = dict[int, tuple[Entry, bool]](), dict[str, Epoch]()
     with suppress(sqlite3.Error):
         db = sqlite3.connect(path, timeout=0, isolation_level=None)

@@ -1,6 +1,6 @@
-"""Which slip events a service has had, and which it still misses: kept in mind, or in a file.
+"""Position of a consumer: the slip events it has received and those it still misses, in memory or in a file.
 
-Pure but for `hold`, `load` and `save`; nothing here talks to a broker.
+Only `lock_position`, `load` and `save` do I/O; nothing here talks to a broker.
 """
 
 import os
@@ -12,37 +12,37 @@ from typing import TypeAlias
 
 from connectors.events import Event, encode
 from connectors.fields import Fields
-from connectors.mqtt.gap_request import GapAnswer
+from connectors.mqtt.gap_replay import GapAnswer
 from connectors.mqtt.lock import lock_beside
-from connectors.mqtt.numbers import Numbers
-from operators.errors import EndpointError, InputError, os_error_reason
+from connectors.mqtt.range_set import RangeSet
+from operators.errors import EndpointError, InputError, because
 from operators.ports import Json
 
-Place: TypeAlias = tuple[str, str]  # site and rig
+RigId: TypeAlias = tuple[str, str]  # site and rig
 
 FORMAT = 1
-LARGEST = 16 * 2**20  # bytes of a file
-RIGS = 1000  # that are kept in mind; those heard of longest ago are forgotten
-EPOCHS = 16  # of a rig
-GAPS = 1000  # of an epoch; with more the first is given up
+FILE_MAX = 16 * 2**20  # bytes
+RIGS_MAX = 1000  # then the rig added first is forgotten
+EPOCHS_MAX = 16  # per rig
+GAPS_MAX = 1000  # per epoch; then the first gap is given up
 
 
 @dataclass
 class _Epoch:
-    """What is known of a series of numbers."""
+    """Numbers of one epoch."""
 
-    seen: Numbers = field(default_factory=Numbers)
-    head: int = 0  # the newest that there is
+    seen: RangeSet = field(default_factory=RangeSet)
+    head: int = 0  # the newest number announced by the rig
 
     def gaps(self) -> Iterator[tuple[int, int]]:
         return self.seen.gaps(1, max(self.head, self.seen.highest))
 
 
 class Position:
-    """The numbers of the events that were had, by rig and epoch.
+    """Numbers of the received events, by rig and epoch.
 
-    A rig that is heard of for the first time begins with its next event; if all is wanted, with its first.
-    What its methods give are reports of what is lost for good.
+    A new rig starts with its next event; with `everything`, with its first. Methods that return texts report
+    events that are lost.
 
     >>> position = Position()
     >>> position.announce(("lab", "ur10"), {"ab": 4})
@@ -50,19 +50,19 @@ class Position:
     >>> position.announce(("lab", "ur10"), {"ab": 6}), list(position.gaps())
     ([], [(('lab', 'ur10'), 'ab', 5, 6)])
     >>> position.settle(("lab", "ur10"), GapAnswer("ab", 5, 6, ((5, 5),)))
-    ['lab/ur10: event 5 of epoch ab is lost: it is no longer kept']
+    ['lab/ur10: event 5 of epoch ab is lost: no longer kept']
     """
 
     def __init__(self, *, everything: bool = False) -> None:
-        """Begin with nothing; `everything`: what there was before we first heard of a rig is missed too."""
+        """Start empty; with `everything`, events older than the first contact with a rig count as missed."""
         self._everything = everything
-        self._rigs: dict[Place, dict[str, _Epoch]] = {}
+        self._rigs: dict[RigId, dict[str, _Epoch]] = {}
 
     def take(self, event: Event) -> bool:
-        """Note an event as had; False if it was already."""
-        place, epochs = (event.site, event.rig), self._rigs.get((event.site, event.rig))
+        """Mark an event as received; return False if it already was."""
+        rig, epochs = (event.site, event.rig), self._rigs.get((event.site, event.rig))
         if epochs is None:
-            epochs = self._add(place)
+            epochs = self._add(rig)
             if not self._everything:
                 epochs.setdefault(event.epoch, _Epoch()).seen.add(1, event.seq - 1)
         epoch = self._epoch(epochs, event.epoch)
@@ -71,11 +71,11 @@ class Position:
         epoch.seen.add(event.seq)
         return True
 
-    def announce(self, place: Place, heads: dict[str, int]) -> list[str]:
-        """A rig says which is the newest number of each of its epochs, those that it knows of."""
-        epochs, lost = self._rigs.get(place), list[str]()
+    def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
+        """Note the newest number of each epoch that a rig keeps; report the gaps of other epochs as lost."""
+        epochs, lost = self._rigs.get(rig), list[str]()
         if epochs is None:
-            epochs = self._add(place)
+            epochs = self._add(rig)
             for name, head in heads.items():
                 self._epoch(epochs, name).seen.add(1, 0 if self._everything else head)
         for name, head in heads.items():
@@ -83,42 +83,44 @@ class Position:
             epoch.head = max(epoch.head, head)
         for name in [name for name in epochs if name not in heads]:
             gone = epochs.pop(name)
-            ranges = [_numbers(*gap) for gap in gone.gaps()]
-            which = ", ".join([*ranges, f"those after {max(gone.head, gone.seen.highest)}, if any,"])
-            lost.append(f"{_name(place)}: of epoch {name}, which is no longer kept, {which} are lost")
+            missed = [f"{first} to {last}" if first < last else str(first) for first, last in gone.gaps()]
+            which = ", ".join([*missed, f"any after {max(gone.head, gone.seen.highest)}"])
+            lost.append(f"{'/'.join(rig)}: epoch {name} is no longer kept; lost events: {which}")
         return lost
 
-    def settle(self, place: Place, answer: GapAnswer) -> list[str]:
-        """A rig says which of the events that were asked for are no longer kept."""
-        epoch = self._rigs.get(place, {}).get(answer.epoch)
+    def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
+        """Mark the events that an answer lists as missing as received, and report them as lost."""
+        epoch = self._rigs.get(rig, {}).get(answer.epoch)
         if epoch is None:
             return []
         missing = [gap for low, high in answer.missing for gap in epoch.seen.gaps(low, high)]
         for gap in missing:
             epoch.seen.add(*gap)
-        return [_lost(place, answer.epoch, *gap, "no longer kept") for gap in missing]
+        return [_lost(rig, answer.epoch, *gap, "no longer kept") for gap in missing]
 
-    def gaps(self) -> Iterator[tuple[Place, str, int, int]]:
-        """The first range of events that each epoch misses."""
-        for place, epochs in self._rigs.items():
+    def gaps(self) -> Iterator[tuple[RigId, str, int, int]]:
+        """Yield the first gap of each epoch: rig, epoch, first and last number."""
+        for rig, epochs in self._rigs.items():
             for name, epoch in epochs.items():
                 for first, last in epoch.gaps():
-                    yield place, name, first, last
+                    yield rig, name, first, last
                     break
 
     def give_up(self) -> list[str]:
-        """Give up what would take too much memory."""
+        """Give up the oldest gaps of an epoch that has too many, and report them as lost."""
         lost = list[str]()
-        for place, epochs in self._rigs.items():
+        for rig, epochs in self._rigs.items():
             for name, epoch in epochs.items():
-                while len(epoch.seen) > GAPS:
+                while len(epoch.seen) > GAPS_MAX:
                     first, last = next(epoch.gaps())
                     epoch.seen.add(first, last)
-                    lost.append(_lost(place, name, first, last, "given up: nobody answers"))
+                    lost.append(
+                        _lost(rig, name, first, last, "given up after too many gaps without an answer")
+                    )
         return lost
 
     def encode(self) -> bytes:
-        """As JSON."""
+        """Return the position as JSON."""
         rigs: list[Json] = [
             {
                 "site": site,
@@ -134,33 +136,32 @@ class Position:
 
     @classmethod
     def decode(cls, payload: bytes, where: str, *, everything: bool = False) -> "Position":
-        """Read what `encode` writes.
+        """Parse the output of `encode`.
 
         Raises:
-            InputError: naming `where`, and the field that is missing or wrong.
+            InputError: naming `where` and the field that is missing or wrong.
         """
-        position, fields = cls(everything=everything), Fields.parse(payload, where, largest=LARGEST)
+        position, fields = cls(everything=everything), Fields.parse(payload, where, largest=FILE_MAX)
         fields.whole("format", FORMAT, FORMAT)
         for rig in fields.objects("rigs"):
-            place = rig.text("site"), rig.text("rig")
-            epochs = position._rigs.setdefault(place, {})
-            epochs[rig.text("epoch")] = _Epoch(Numbers(rig.ranges("seen")), rig.whole("head", 0))
+            epochs = position._rigs.setdefault((rig.text("site"), rig.text("rig")), {})
+            epochs[rig.text("epoch")] = _Epoch(RangeSet(rig.ranges("seen")), rig.whole("head", 0))
         return position
 
-    def _add(self, place: Place) -> dict[str, _Epoch]:
-        while len(self._rigs) >= RIGS:
+    def _add(self, rig: RigId) -> dict[str, _Epoch]:
+        while len(self._rigs) >= RIGS_MAX:
             del self._rigs[next(iter(self._rigs))]
-        return self._rigs.setdefault(place, {})
+        return self._rigs.setdefault(rig, {})
 
     def _epoch(self, epochs: dict[str, _Epoch], name: str) -> _Epoch:
         if name not in epochs:
-            while len(epochs) >= EPOCHS:
+            while len(epochs) >= EPOCHS_MAX:
                 del epochs[next(iter(epochs))]
         return epochs.setdefault(name, _Epoch())
 
 
 def read_heads(fields: Fields) -> dict[str, int]:
-    """The newest number of each epoch, from a rig's ``head``.
+    """Read the newest number of each epoch from a rig's ``head`` document.
 
     >>> read_heads(Fields.parse(b'{"epoch":"b","last_seq":2,"before":[{"epoch":"a","last_seq":9}]}', "head"))
     {'a': 9, 'b': 2}
@@ -169,36 +170,35 @@ def read_heads(fields: Fields) -> dict[str, int]:
         InputError: naming the field that is missing or wrong.
     """
     before = fields.objects("before") if "before" in fields.values else []
-    if len(before) >= EPOCHS:
-        fields.fail("before", f"a list of less than {EPOCHS}")
+    if len(before) >= EPOCHS_MAX:
+        fields.fail("before", f"a list of fewer than {EPOCHS_MAX}")
     return {each.text("epoch"): each.whole("last_seq", 0) for each in (*before, fields)}
 
 
-def hold(path: Path) -> int:
-    """Make sure that nobody else goes on from a position; gives the descriptor to be closed.
+def lock_position(path: Path) -> int:
+    """Lock a position file for this process; return the descriptor that holds the lock until it is closed.
 
     Raises:
-        EndpointError: if somebody does, or its folder cannot be written.
+        EndpointError: if another consumer holds the lock, or the folder cannot be written.
     """
     try:
         return lock_beside(path)
     except BlockingIOError:
-        reason = "is in use: two consumers cannot go on from one position; name another file"
-        raise EndpointError(str(path), reason) from None
+        raise EndpointError(str(path), "is in use by another consumer; name another file") from None
     except OSError as error:
         raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
 
 
 def load(path: Path, *, everything: bool = False) -> Position:
-    """Read a position from a file; one that is not there yet is a new one.
+    """Read a position from a file; return an empty position if the file does not exist.
 
     Raises:
-        InputError: if the file is damaged, or something else.
+        InputError: if the file is damaged or is not a position.
         EndpointError: if it cannot be read.
     """
     try:
         with path.open("rb") as file:
-            payload = file.read(LARGEST + 1)
+            payload = file.read(FILE_MAX + 1)
     except FileNotFoundError:
         return Position(everything=everything)
     except OSError as error:
@@ -206,12 +206,12 @@ def load(path: Path, *, everything: bool = False) -> Position:
     try:
         return Position.decode(payload, str(path), everything=everything)
     except InputError as error:
-        hint = "is no position; name another file, or remove it to begin anew"
+        hint = "is not a position file; name another file, or delete it to start over"
         raise InputError(str(path), f"{error.reason}: {hint}") from None
 
 
 def save(path: Path, payload: bytes) -> None:
-    """Replace a file, so that whatever happens it holds the old position or the new one.
+    """Replace a file atomically and durably: after a crash it holds the old or the new position.
 
     Raises:
         EndpointError: if it cannot be written.
@@ -234,15 +234,10 @@ def save(path: Path, payload: bytes) -> None:
         raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
 
 
-def _name(place: Place) -> str:
-    return "/".join(place)
-
-
-def _numbers(first: int, last: int) -> str:
-    return f"{first}" if first == last else f"{first} to {last}"
-
-
-def _lost(place: Place, epoch: str, first: int, last: int, why: str) -> str:
-    if first == last:
-        return f"{_name(place)}: event {first} of epoch {epoch} is lost: it is {why}"
-    return f"{_name(place)}: events {first} to {last} of epoch {epoch} are lost: they are {why}"
+def _lost(rig: RigId, epoch: str, first: int, last: int, why: str) -> str:
+    which = (
+        f"event {first} of epoch {epoch} is"
+        if first == last
+        else f"events {first} to {last} of epoch {epoch} are"
+    )
+    return f"{'/'.join(rig)}: {which} lost: {why}"

@@ -10,9 +10,8 @@ import pytest
 from aiomqtt import Client
 
 from connectors.mqtt import broker_link as module
-from connectors.mqtt.broker import CA, PASSWORD, USER, Broker
+from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
 from connectors.mqtt.broker_link import Link, connect
-from connectors.mqtt.message import Message
 from operators.errors import EndpointError
 from tests.connectors.mqtt.broker_process import PATIENCE, TestBroker
 
@@ -272,7 +271,7 @@ def test_messages_sent_together_arrive_in_order_and_each_refusal_is_told(guarded
 async def test_a_message_larger_than_anything_of_ours_is_not_delivered(broker: TestBroker) -> None:
     link = await connect(Broker.parse(broker.url), "test")
     await link.listen("a/#")
-    await link.send("a/large", b"x" * (module.PACKET + 1))
+    await link.send("a/large", b"x" * (module.PACKET_MAX + 1))
     await link.send("a/small", b"x")
     assert (await link.receive())[0] == "a/small"
     await link.leave()

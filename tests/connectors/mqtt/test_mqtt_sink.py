@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from connectors.mqtt.gap_request import GapRequest
 from jsonschema import Draft202012Validator, validate
 
 from connectors import Event, Mqtt
@@ -19,7 +20,6 @@ from connectors.events import Fault
 from connectors.mqtt import broker_link as link
 from connectors.mqtt import mqtt_sink as mqtt
 from connectors.mqtt.broker_link import Link
-from connectors.mqtt.gap_request import GapRequest
 from connectors.mqtt.outbox_file import OutboxFile
 from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.errors import EndpointError, ParameterError
@@ -32,7 +32,7 @@ pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
 SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
 RIG = "slip/v1/lab/rig"
-REFUSED = r"cannot connect: Connection refused; is the broker running, and is this its port\?"
+REFUSED = "cannot connect: Connection refused; check that the broker runs and that this is its port"
 NOW = 100 * s  # what the clock of the run shows
 
 
@@ -224,7 +224,10 @@ async def test_what_the_broker_did_not_get_is_sent_by_the_next_run_and_the_numbe
         await sent(sink)
         broker.stop()
         await sink.write(slips(0, 1))
-    assert f"2 events wait in {inside(sink, '_outbox').path} for the next run" in caplog.messages[-1]
+    assert (
+        f"2 unsent events remain in {inside(sink, '_outbox').path}; the next run sends them"
+        in caplog.messages[-1]
+    )
     broker.start()
     listener = broker.listen(f"{RIG}/+/event", f"{RIG}/0/state")
     async with opened(sink, Run("run2", "live", run.clock, 0)):

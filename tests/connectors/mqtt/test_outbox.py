@@ -165,7 +165,7 @@ async def test_while_it_cannot_be_written_events_go_on_in_an_epoch_of_their_own_
 async def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_given_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(outbox, "PATIENCE", 0.05)
+    monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.05)
     stuck, append = threading.Event(), OutboxFile.append
 
     def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
@@ -177,7 +177,7 @@ async def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_gi
         monkeypatch.setattr(OutboxFile, "append", slow)
         before = box.epoch
         await box.append([DRAFT])
-        assert box.error == "the disk does not answer"
+        assert box.error == "the disk does not respond"
         [_, late] = [*await box.next(1), *await box.next(1)]
         assert (late.epoch, late.seq) == (box.epoch, 1)
         stuck.set()
@@ -189,11 +189,11 @@ async def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_gi
 async def test_memory_is_bounded_while_the_disk_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(outbox, "MEMORY", 10)
+    monkeypatch.setattr(outbox, "MEMORY_MAX", 10)
     async with opened(tmp_path / "o.sqlite") as box:
         failing = Failing(monkeypatch, FULL)
         await box.append([DRAFT] * 10)
-        with pytest.raises(EndpointError, match="memory takes no more than the 10 events that wait"):
+        with pytest.raises(EndpointError, match="memory is full with 10 unsent events"):
             await box.append([DRAFT])
         await send(box)
         await box.append([DRAFT])  # in place of one that the broker has
@@ -239,7 +239,7 @@ async def test_a_file_that_is_damaged_while_it_is_used_is_set_aside_and_events_g
         before = box.epoch
         inside(box, "_file", "_db").execute("UPDATE events SET payload = x'00' WHERE id = 17")
         sent = await send(box)
-        assert box.error == "cannot be used: a row has changed"
+        assert box.error == "cannot be used: a row has a wrong checksum"
         assert sent  # what was in memory
         await until(lambda: not box.error)
         sent += await send(box)
@@ -279,7 +279,7 @@ async def test_what_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> No
     other = sqlite3.connect(tmp_path / "other.sqlite")
     other.execute("CREATE TABLE precious (x)")
     other.close()
-    with pytest.raises(InputError, match="is no outbox"):
+    with pytest.raises(InputError, match="is not an outbox"):
         async with opened(tmp_path / "other.sqlite") as box:
             await box.append([])
 
@@ -315,7 +315,7 @@ async def test_after_a_power_cut_no_number_is_given_twice_and_what_was_lost_is_k
     async with opened(tmp_path / "killed.sqlite") as box:
         await go_on(box)
     assert sent[-1] == f"{epochs[0]}-9"
-    monkeypatch.setattr(outbox, "boot", lambda: "the next")
+    monkeypatch.setattr(outbox, "boot_id", lambda: "the next")
     async with opened(path) as box:
         await go_on(box)
     assert sent[-1] == f"{epochs[0]}-9"
@@ -340,12 +340,12 @@ async def test_the_mark_that_numbers_may_be_lost_is_there_before_there_is_one(
 
     async with opened(path) as box:
         await body(box)
-    monkeypatch.setattr(outbox, "boot", lambda: "the next")
+    monkeypatch.setattr(outbox, "boot_id", lambda: "the next")
     async with opened(path) as box:
         await body(box)
     async with opened(tmp_path / "0.sqlite") as box:
         await body(box)
-    monkeypatch.setattr(outbox, "boot", lambda: "the one after")
+    monkeypatch.setattr(outbox, "boot_id", lambda: "the one after")
     async with opened(tmp_path / "1.sqlite") as box:
         await body(box)
     assert epochs[0] == epochs[1]
@@ -471,3 +471,11 @@ async def test_the_log_is_emptied_in_a_pause(tmp_path: Path, monkeypatch: pytest
         await send(box)
         assert await asyncio.to_thread(emptied.wait, PATIENCE)
         assert path.stat().st_size > 600 * 200
+
+
+def test_without_a_boot_id_every_run_counts_as_a_new_boot(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(path: Path, **_: str) -> str:
+        raise FileNotFoundError(path)
+
+    monkeypatch.setattr(Path, "read_text", fail)
+    assert outbox.boot_id() != outbox.boot_id()

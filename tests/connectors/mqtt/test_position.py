@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from connectors import Event
 from connectors.fields import Fields
 from connectors.mqtt import position
-from connectors.mqtt.gap_request import GapAnswer
-from connectors.mqtt.position import Position, hold, load, read_heads, save
+from connectors.mqtt.gap_replay import GapAnswer
+from connectors.mqtt.position import Position, load, lock_position, read_heads, save
 from operators.errors import EndpointError, InputError
 
 UR10 = ("lab", "ur10")
@@ -64,8 +64,8 @@ def test_what_an_answer_says_is_no_longer_kept_is_reported_once_and_missed_no_mo
     position.take(event(3))
     answer = GapAnswer("ab", 1, 5, ((1, 4),))
     assert position.settle(UR10, answer) == [
-        "lab/ur10: events 1 to 2 of epoch ab are lost: they are no longer kept",
-        "lab/ur10: event 4 of epoch ab is lost: it is no longer kept",
+        "lab/ur10: events 1 to 2 of epoch ab are lost: no longer kept",
+        "lab/ur10: event 4 of epoch ab is lost: no longer kept",
     ]
     assert position.settle(UR10, answer) == []
     assert gaps(position) == [("ab", 5, 9)]
@@ -77,19 +77,19 @@ def test_an_epoch_that_the_rig_knows_no_more_is_reported_with_what_is_lost() -> 
     position.announce(UR10, {"ab": 5})
     position.take(event(8))
     [lost] = position.announce(UR10, {"cd": 0})
-    assert lost == ("lab/ur10: of epoch ab, which is no longer kept, 6 to 7, those after 8, if any, are lost")
+    assert lost == ("lab/ur10: epoch ab is no longer kept; lost events: 6 to 7, any after 8")
     assert position.announce(UR10, {"cd": 0}) == []
 
 
 def test_memory_is_bounded_and_what_is_given_up_for_it_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(position, "GAPS", 3)
-    monkeypatch.setattr(position, "RIGS", 2)
+    monkeypatch.setattr(position, "GAPS_MAX", 3)
+    monkeypatch.setattr(position, "RIGS_MAX", 2)
     here, lost = Position(everything=True), list[str]()
     for number in range(1, 11):
         assert here.take(event(2 * number))
         lost += here.give_up()
     assert len(lost) == 8
-    assert lost[0] == "lab/ur10: event 1 of epoch ab is lost: it is given up: nobody answers"
+    assert lost[0] == "lab/ur10: event 1 of epoch ab is lost: given up after too many gaps without an answer"
     for rig in "abc":
         here.announce(("lab", rig), {"ab": 5})
     assert here.encode().count(b'"site"') == 2
@@ -115,7 +115,7 @@ def test_it_is_read_back_from_its_file_as_it_was(tmp_path: Path) -> None:
 def test_a_file_that_is_none_is_refused_with_what_to_do(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "position"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=rf"^{path}: .*remove it to begin anew$"):
+    with pytest.raises(InputError, match=rf"^{path}: .*delete it to start over$"):
         load(path)
 
 
@@ -123,17 +123,17 @@ def test_a_folder_that_is_not_there_is_an_error_of_one_line(tmp_path: Path) -> N
     with pytest.raises(EndpointError, match=r"position: cannot be written: No such file or directory$"):
         save(tmp_path / "absent" / "position", b"")
     with pytest.raises(EndpointError, match=r"position: cannot be written: No such file or directory$"):
-        hold(tmp_path / "absent" / "position")
+        lock_position(tmp_path / "absent" / "position")
     with pytest.raises(EndpointError, match="cannot be read: Is a directory"):
         load(tmp_path)
 
 
 def test_only_one_may_go_on_from_it_and_the_second_is_told_what_to_do(tmp_path: Path) -> None:
-    held = hold(tmp_path / "position")
+    held = lock_position(tmp_path / "position")
     with pytest.raises(EndpointError, match=r"position: is in use: .*; name another file$"):
-        hold(tmp_path / "position")
+        lock_position(tmp_path / "position")
     os.close(held)
-    os.close(hold(tmp_path / "position"))
+    os.close(lock_position(tmp_path / "position"))
 
 
 @pytest.mark.parametrize(

@@ -6,17 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from connectors.mqtt.gap_answers import SLICE
+from connectors.mqtt.gap_request import GapRequest
 
 from connectors.events import Event
 from connectors.mqtt import broker_link as module
 from connectors.mqtt import sender
-from connectors.mqtt.broker import PASSWORD_FILE, Broker
-from connectors.mqtt.gap_answers import SLICE
-from connectors.mqtt.gap_request import GapRequest
-from connectors.mqtt.message import Message
+from connectors.mqtt.broker import PASSWORD_FILE, Broker, Message
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import Entry
 from connectors.mqtt.sender import Sender
+from operators.back_off import BackOff
 from operators.errors import EndpointError, InputError
 from tests.connectors.mqtt.broker_process import until
 
@@ -127,9 +127,8 @@ async def opened(tmp_path: Path) -> AsyncGenerator[tuple[Sender, Outbox]]:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sender, "FIRST_RETRY", 0.01)
-    monkeypatch.setattr(sender, "LAST_RETRY", 0.02)
-    monkeypatch.setattr(sender, "FAREWELL", 0.2)
+    monkeypatch.setattr(sender, "BackOff", lambda: BackOff(0.01, 0.02))
+    monkeypatch.setattr(sender, "CLOSE_TIMEOUT", 0.2)
 
 
 @pytest.fixture
@@ -199,7 +198,7 @@ async def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_
     assert peer.got[0] == ("status", "online")
     assert peer.events() == ["1", "2"]
     away, back = caplog.messages
-    assert "nobody there, trying again; events wait in" in away
+    assert "nobody there, reconnecting; events are kept in" in away
     assert "connected again, 2 events wait" in back
 
 
@@ -245,7 +244,7 @@ async def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_al
     assert sorted(caplog.messages) == [
         f"mqtt://localhost:1883: lets us publish {RIG}/1/event again",
         f"mqtt://localhost:1883: lets us publish {RIG}/info again",
-        *["mqtt://localhost:1883: refuses; trying again"] * 2,
+        *["mqtt://localhost:1883: refuses; retrying"] * 2,
     ]
 
 
@@ -330,5 +329,5 @@ async def test_a_broker_that_is_away_is_told_once_and_again_when_it_is_back(
         peer.away = False
         await until(lambda: not outbox.waiting)
     first, second = caplog.messages
-    assert first.endswith(f"trying again; events wait in {tmp_path}/o.sqlite")
+    assert first.endswith(f"reconnecting; events are kept in {tmp_path}/o.sqlite")
     assert second.endswith("connected again, 1 events wait")

@@ -73,7 +73,7 @@ def test_a_broker_that_was_merely_found_and_refuses_ends_nothing_and_events_wait
         mqtt = summary(done.stdout)["sinks"]["mqtt"]
         assert (mqtt["rows"], mqtt["dropped"], mqtt["failures"]) == (len(recorded), 0, 0)
         assert done.stderr.count("Not authorized") == 1
-        assert f"{broker.url}: {len(recorded)} events wait in " in done.stderr
+        assert f"{broker.url}: {len(recorded)} unsent events remain in " in done.stderr
 
 
 @pytest.mark.broker

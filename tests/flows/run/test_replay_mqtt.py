@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from connectors import Consumer, Event, Mqtt
-from connectors.mqtt.outbox_place import default_path
+from connectors.mqtt.rig_names import outbox_path
 from flows.graph import Flow
 from flows.graph.testing import TestSource
 from flows.run.clocks import LoopClock
@@ -159,10 +159,10 @@ def test_what_a_rig_has_retained_and_written_down_stays_through_a_replay(
 
     asyncio.run(live())
     before = broker.listen(f"{RIG}/#").rest()
-    outbox = default_path("lab", "rig").read_bytes()
+    outbox = outbox_path("lab", "rig").read_bytes()
     asyncio.run(replay(declared(broker.url, given())))
     assert broker.listen(f"{RIG}/#").rest() == before
-    assert default_path("lab", "rig").read_bytes() == outbox
+    assert outbox_path("lab", "rig").read_bytes() == outbox
     named = tmp_path / "named.sqlite"
     asyncio.run(replay(declared(broker.url, given(), "other", named)))
     assert not named.exists()

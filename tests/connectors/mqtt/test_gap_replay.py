@@ -5,35 +5,91 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from connectors.events import Event
-from connectors.mqtt import gap_answers
-from connectors.mqtt.gap_answers import GapAnswers
-from connectors.mqtt.gap_request import GapRequest
-from connectors.mqtt.message import Message
+from connectors.fields import Fields
+from connectors.mqtt import gap_replay
+from connectors.mqtt.broker import Message
+from connectors.mqtt.gap_replay import GapAnswer, GapReplies, GapRequest
 from connectors.mqtt.outbox import Outbox
-from operators.errors import EndpointError
+from operators.errors import EndpointError, InputError
 from tests.inside import inside
 
-RIG = "slip/v1/lab/rig"
+RIG = "slip/v1/lab/ur10"
+REQUEST = GapRequest("ab", 3, 9, f"{RIG}/replay/me")
 REPLY = f"{RIG}/replay/me"
-DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+DRAFT = Event("lab", "ur10", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
 
 
-def use(tmp_path: Path, count: int, body: Callable[[GapAnswers, Outbox], Awaitable[None]]) -> None:
+def altered(request: GapRequest | GapAnswer, **values: Any) -> bytes:  # noqa: ANN401 - JSON
+    document = {**json.loads(request.encode()), **values}
+    return json.dumps({key: value for key, value in document.items() if value is not ...}).encode()
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "",
+        "elsewhere",
+        f"{RIG}/0/event",
+        f"{RIG}/replay",
+        f"{RIG}/replay/",
+        f"{RIG}/replay/request",
+        f"{RIG}/replay/event",
+        f"{RIG}/replay/a/b",
+        f"{RIG}/replay/+",
+        f"{RIG}/replay/#",
+        f"{RIG}/replay/a\0b",
+        f"{RIG}/replay/{'a' * 256}",
+        "slip/v1/lab/other/replay/me",
+        f"x{RIG}/replay/me",
+        None,
+        7,
+    ],
+)
+def test_an_answer_goes_nowhere_but_below_the_rigs_own_replay(topic: object) -> None:
+    with pytest.raises(InputError, match=rf"^{RIG}/replay/request: reply_to is .*must be"):
+        GapRequest.decode(altered(REQUEST, reply_to=topic), RIG)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("epoch", 1), ("from", 0), ("to", 2), ("to", 2**63), ("from", True), ("epoch", ...), ("from", ...)],
+)
+def test_a_request_that_makes_no_sense_is_refused_by_name(name: str, value: object) -> None:
+    with pytest.raises(InputError, match=f"{name} is"):
+        GapRequest.decode(altered(REQUEST, **{name: value}), RIG)
+
+
+@given(st.binary())
+def test_no_payload_does_worse_than_be_refused(payload: bytes) -> None:
+    with pytest.raises(InputError):
+        GapRequest.decode(payload, RIG)
+
+
+@pytest.mark.parametrize("missing", [[[2, 4]], [[9, 10]], [[5, 4]], 7, ...])
+def test_an_answer_that_tells_of_more_than_it_covers_is_refused(missing: object) -> None:
+    payload = altered(GapAnswer("ab", 3, 9, ()), missing=missing)
+    with pytest.raises(InputError, match="missing"):
+        GapAnswer.read(Fields.parse(payload, "here"))
+
+
+def use(tmp_path: Path, count: int, body: Callable[[GapReplies, Outbox], Awaitable[None]]) -> None:
     async def main() -> None:
         outbox = Outbox(tmp_path / "o.sqlite", keep=1000, keep_for=1e9)
         await outbox.open()
         try:
             await outbox.append([DRAFT] * count)
-            await body(GapAnswers(outbox, RIG), outbox)
+            await body(GapReplies(outbox, RIG), outbox)
         finally:
             await outbox.close()
 
     asyncio.run(main())
 
 
-async def answers(given: GapAnswers) -> list[Message]:
+async def answers(given: GapReplies) -> list[Message]:
     found = list[Message]()
     while given:
         found += await given.next()
@@ -47,12 +103,12 @@ def read(messages: list[Message]) -> tuple[list[int], list[Any]]:
     return events, [document for document in documents if "data" not in document]
 
 
-def ask(given: GapAnswers, epoch: str, first: int, last: int, name: str = "me") -> None:
-    given.ask(GapRequest(epoch, first, last, f"{RIG}/replay/{name}").encode())
+def ask(given: GapReplies, epoch: str, first: int, last: int, name: str = "me") -> None:
+    given.request(GapRequest(epoch, first, last, f"{RIG}/replay/{name}").encode())
 
 
 def test_events_come_as_they_were_and_the_closing_document_last(tmp_path: Path) -> None:
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
+    async def body(given: GapReplies, outbox: Outbox) -> None:
         ask(given, outbox.epoch, 3, 40)
         messages = await answers(given)
         assert {(message.topic, message.retain, message.qos) for message in messages} == {(REPLY, False, 1)}
@@ -67,9 +123,9 @@ def test_events_come_as_they_were_and_the_closing_document_last(tmp_path: Path) 
 
 
 def test_a_turn_is_short_and_the_requests_take_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gap_answers, "SLICE", 4)
+    monkeypatch.setattr(gap_replay, "SLICE", 4)
 
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
+    async def body(given: GapReplies, outbox: Outbox) -> None:
         ask(given, outbox.epoch, 1, 9, "a")
         ask(given, outbox.epoch, 1, 2, "b")
         turns = [await given.next() for _ in range(4)]
@@ -83,9 +139,9 @@ def test_a_turn_is_short_and_the_requests_take_turns(tmp_path: Path, monkeypatch
 def test_an_answer_is_a_page_and_says_how_far_it_reaches(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gap_answers, "PAGE", 20)
+    monkeypatch.setattr(gap_replay, "ANSWER_MAX", 20)
 
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
+    async def body(given: GapReplies, outbox: Outbox) -> None:
         ask(given, outbox.epoch, 11, 50)
         events, [closing] = read(await answers(given))
         assert events == list(range(11, 31))
@@ -95,7 +151,7 @@ def test_an_answer_is_a_page_and_says_how_far_it_reaches(
 
 
 def test_what_is_no_longer_kept_is_said_to_be_missing_however_much_it_is(tmp_path: Path) -> None:
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
+    async def body(given: GapReplies, outbox: Outbox) -> None:
         outbox.acknowledge(await outbox.next(500))
         outbox.acknowledge(await outbox.next(500))
         await vars(Outbox)["_note"](outbox)
@@ -118,7 +174,7 @@ def test_what_is_no_longer_kept_is_said_to_be_missing_however_much_it_is(tmp_pat
 def test_what_cannot_be_read_now_is_not_said_to_be_lost(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
+    async def body(given: GapReplies, outbox: Outbox) -> None:
         async def fail(*_: object) -> None:
             raise EndpointError("disk", "is stuck")
 
@@ -130,7 +186,7 @@ def test_what_cannot_be_read_now_is_not_said_to_be_lost(
 
 
 def test_numbers_that_were_never_given_get_no_answer(tmp_path: Path) -> None:
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
+    async def body(given: GapReplies, outbox: Outbox) -> None:
         ask(given, outbox.epoch, 6, 9)
         assert not await answers(given)
 
@@ -140,21 +196,23 @@ def test_numbers_that_were_never_given_get_no_answer(tmp_path: Path) -> None:
 def test_malformed_requests_are_ignored_and_logged_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
-        given.ask(b"{}")
-        given.ask(b"x" * 100_000)
-        given.ask(GapRequest(outbox.epoch, 1, 2, "elsewhere").encode())
+    async def body(given: GapReplies, outbox: Outbox) -> None:
+        given.request(b"{}")
+        given.request(b"x" * 100_000)
+        given.request(GapRequest(outbox.epoch, 1, 2, "elsewhere").encode())
         assert not given
 
     use(tmp_path, 5, body)
     assert len(caplog.messages) == 1
-    assert caplog.messages[0].startswith(f"ignored, as all that are like it: {RIG}/replay/request: ")
+    assert caplog.messages[0].startswith(
+        f"ignoring malformed gap request (further ones suppressed): {RIG}/replay/request: "
+    )
 
 
 def test_only_so_many_requests_wait_and_each_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gap_answers, "REQUESTS", 3)
+    monkeypatch.setattr(gap_replay, "PENDING_MAX", 3)
 
-    async def body(given: GapAnswers, outbox: Outbox) -> None:
+    async def body(given: GapReplies, outbox: Outbox) -> None:
         for name in "aabcd":
             ask(given, outbox.epoch, 1, 1, name)
         closings = [message.topic[-1] for message in await answers(given) if b"missing" in message.payload]

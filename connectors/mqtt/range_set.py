@@ -1,13 +1,13 @@
-"""Sets of whole numbers, kept as the ranges that they fill."""
+"""Sets of integers, stored as ranges."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable, Iterator
 
 
-class Numbers:
-    """A set of whole numbers; its size in memory is that of its gaps.
+class RangeSet:
+    """A set of integers whose memory grows with its gaps, not with its size.
 
-    >>> seen = Numbers([(1, 3)])
+    >>> seen = RangeSet([(1, 3)])
     >>> seen.add(5, 6)
     >>> 4 in seen, list(seen), list(seen.gaps(2, 8))
     (False, [(1, 3), (5, 6)], [(4, 4), (7, 8)])
@@ -23,7 +23,7 @@ class Numbers:
             self.add(first, last)
 
     def add(self, first: int, last: int | None = None) -> None:
-        """Add a number, or all from `first` to `last`."""
+        """Add one number, or all from `first` to `last`."""
         last = first if last is None else last
         if last < first:
             return
@@ -38,20 +38,20 @@ class Numbers:
         return at < len(self._firsts) and self._firsts[at] <= number
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """The ranges, in order, both ends included."""
+        """Iterate over the ranges in order, both ends included."""
         return zip(self._firsts, self._lasts, strict=True)
 
     def __len__(self) -> int:
-        """How many ranges there are."""
+        """Return the number of ranges."""
         return len(self._firsts)
 
     @property
     def highest(self) -> int:
-        """The greatest number; 0 where there is none."""
+        """The greatest number; 0 if the set is empty."""
         return self._lasts[-1] if self._lasts else 0
 
     def gaps(self, first: int, last: int) -> Iterator[tuple[int, int]]:
-        """The ranges of numbers from `first` to `last` that are not in the set, in order."""
+        """Yield the ranges between `first` and `last` that are not in the set, in order."""
         at = bisect_left(self._lasts, first)
         while first <= last:
             until = self._firsts[at] - 1 if at < len(self._firsts) else last

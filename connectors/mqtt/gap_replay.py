@@ -1,0 +1,159 @@
+"""Replay of missed events on request: the request, the closing answer, and the rig's side of the exchange."""
+
+import logging
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from connectors.events import encode
+from connectors.fields import Fields
+from connectors.mqtt.broker import Message
+from connectors.mqtt.range_set import RangeSet
+from operators.errors import EndpointError, InputError
+from operators.ports import Json
+
+if TYPE_CHECKING:
+    from connectors.mqtt.outbox import Outbox
+
+log = logging.getLogger("slipflow")
+
+TOPIC_MAX = 256  # characters
+PENDING_MAX = 32  # requests; a client without an answer asks again
+ANSWER_MAX = 500  # events of one answer, fewer than a client's queue holds
+SLICE = 16  # events sent at a time
+
+
+@dataclass(frozen=True, slots=True)
+class GapRequest:
+    """Request for events `first` to `last` of an epoch, to be sent to the topic `reply_to`.
+
+    >>> request = GapRequest("ab", 3, 9, "slip/v1/lab/ur10/replay/me")
+    >>> request.encode()
+    b'{"epoch":"ab","from":3,"to":9,"reply_to":"slip/v1/lab/ur10/replay/me"}'
+    >>> GapRequest.decode(request.encode(), "slip/v1/lab/ur10") == request
+    True
+    """
+
+    epoch: str
+    first: int
+    last: int
+    reply_to: str
+
+    def encode(self) -> bytes:
+        """Return the request as JSON."""
+        return encode({"epoch": self.epoch, "from": self.first, "to": self.last, "reply_to": self.reply_to})
+
+    @classmethod
+    def decode(cls, payload: bytes, topic: str) -> "GapRequest":
+        """Parse a request to the rig at `topic`, which replies only below its own ``replay`` topic.
+
+        Raises:
+            InputError: naming the field that is missing or wrong.
+        """
+        fields = Fields.parse(payload, f"{topic}/replay/request")
+        first = fields.whole("from")
+        request = cls(fields.text("epoch"), first, fields.whole("to", first), fields.text("reply_to"))
+        name = request.reply_to.removeprefix(f"{topic}/replay/")
+        own = request.reply_to == f"{topic}/replay/{name}" and name not in ("", "request", "event")
+        if not own or set(name) & set("/+#") or len(request.reply_to) > TOPIC_MAX:
+            fields.fail("reply_to", f"{topic}/replay/<name>")
+        return request
+
+
+@dataclass(frozen=True, slots=True)
+class GapAnswer:
+    """End of an answer: events `first` to `last` were sent, except those `missing`, no longer kept.
+
+    `last` may be less than requested; the client requests the rest again.
+
+    >>> answer = GapAnswer("ab", 3, 9, ((3, 4), (7, 7)))
+    >>> answer.encode()
+    b'{"epoch":"ab","from":3,"to":9,"missing":[[3,4],[7,7]]}'
+    >>> GapAnswer.read(Fields.parse(answer.encode(), "answer")) == answer
+    True
+    """
+
+    epoch: str
+    first: int
+    last: int
+    missing: tuple[tuple[int, int], ...]
+
+    def encode(self) -> bytes:
+        """Return the answer as JSON."""
+        missing: list[Json] = [[first, last] for first, last in self.missing]
+        return encode({"epoch": self.epoch, "from": self.first, "to": self.last, "missing": missing})
+
+    @classmethod
+    def read(cls, fields: Fields) -> "GapAnswer":
+        """Read an answer from a JSON object.
+
+        Raises:
+            InputError: naming the field that is missing or wrong.
+        """
+        first = fields.whole("from")
+        last = fields.whole("to", first)
+        missing = tuple(fields.ranges("missing"))
+        if any(not first <= low <= high <= last for low, high in missing):
+            raise InputError(fields.where, f"missing exceeds the range {first} to {last}")
+        return cls(fields.text("epoch"), first, last, missing)
+
+
+class GapReplies:
+    """Pending requests of one rig, answered in turn in slices, so that a long answer delays no other."""
+
+    def __init__(self, outbox: "Outbox", topic: str) -> None:
+        """Answer from `outbox` for the rig at `topic`."""
+        self._outbox, self._topic = outbox, topic
+        self._pending = deque[_Reply]()
+        self._malformed_logged = False
+
+    def __bool__(self) -> bool:
+        """Return True while requests are pending."""
+        return bool(self._pending)
+
+    def request(self, payload: bytes) -> None:
+        """Queue a request; ignore a malformed one, and log the first of these."""
+        try:
+            request = GapRequest.decode(payload, self._topic)
+        except InputError as error:
+            if not self._malformed_logged:
+                log.warning("ignoring malformed gap request (further ones suppressed): %s", error)
+            self._malformed_logged = True
+            return
+        known = any(each.request == request for each in self._pending)
+        if not known and len(self._pending) < PENDING_MAX:
+            self._pending.append(_Reply(request))
+
+    def clear(self) -> None:
+        """Drop all requests, after the connection was lost: the clients ask again."""
+        self._pending.clear()
+
+    async def next(self) -> list[Message]:
+        """Return the next slice of an answer; [] if no request is pending."""
+        if not self._pending:
+            return []
+        reply = self._pending.popleft()
+        request, limit = reply.request, min(SLICE, ANSWER_MAX - reply.sent)
+        try:
+            found, last = await self._outbox.between(request.epoch, reply.first, request.last, limit)
+        except EndpointError:
+            return []  # unreadable now, which does not make the events lost: the client asks again
+        for entry in found:
+            reply.found.add(entry.seq)
+        reply.first, reply.sent = last + 1, reply.sent + len(found)
+        messages = [Message(request.reply_to, entry.payload, retain=False) for entry in found]
+        if len(found) == limit and reply.sent < ANSWER_MAX and last < request.last:
+            self._pending.append(reply)
+        elif last >= request.first:
+            missing = tuple(reply.found.gaps(request.first, last))
+            closing = GapAnswer(request.epoch, request.first, last, missing)
+            messages.append(Message(request.reply_to, closing.encode(), retain=False))
+        return messages
+
+
+class _Reply:
+    """Progress of the answer to one request."""
+
+    def __init__(self, request: GapRequest) -> None:
+        self.request, self.found = request, RangeSet()
+        self.first, self.sent = request.first, 0

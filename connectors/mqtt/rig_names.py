@@ -1,0 +1,78 @@
+"""Names of a rig: its topic, its name in replays, and the file of its outbox."""
+
+import os
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+from urllib.parse import quote
+
+from operators.errors import ParameterError
+from operators.ports import Run
+
+SUFFIX: Final = "-replay"  # of the name of every replay and of no live rig
+_NAME_MAX: Final = 200  # characters; file names end at 255 bytes
+
+
+def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -> str:
+    """Return the MQTT topic below which a rig publishes.
+
+    >>> rig_topic("Mqtt", "lab", "ur10")
+    'slip/v1/lab/ur10'
+
+    Raises:
+        ParameterError: naming `owner`, if `site` or `rig` is neither one topic level nor `wildcard`.
+    """
+    for name, part in ("site", site), ("rig", rig):
+        if part != wildcard and (not part or not part.isprintable() or set(part) & set("/+#")):
+            raise ParameterError(owner, name, part, "printable text without '/', '+' and '#'")
+    return f"slip/v1/{site}/{rig}"
+
+
+def replay_name(rig: str) -> str:
+    """Return the name of a rig in replays, which keeps old events apart from live ones.
+
+    >>> replay_name("ur10"), replay_name("ur10-replay")
+    ('ur10-replay', 'ur10-replay')
+    """
+    return rig if is_replay(rig) else rig + SUFFIX
+
+
+def is_replay(rig: str) -> bool:
+    """Return True if `rig` is the name of a replay.
+
+    >>> is_replay("ur10-replay"), is_replay("ur10")
+    (True, False)
+    """
+    return rig.endswith(SUFFIX)
+
+
+def name_in_run(run: Run, owner: str, rig: str) -> str:
+    """Return the name under which `rig` publishes in a run, live or replay.
+
+    Raises:
+        ParameterError: naming `owner`, if the run is live and `rig` is the name of a replay.
+    """
+    if run.recording is not None:
+        return replay_name(rig)
+    if is_replay(rig):
+        raise ParameterError(
+            owner, "rig", rig, f"a name that does not end in {SUFFIX}, the suffix of replays"
+        )
+    return rig
+
+
+def outbox_path(site: str, rig: str) -> Path:
+    """Return the default outbox of a rig: below XDG_STATE_HOME, else ``~/.local/state``.
+
+    Source: XDG Base Directory Specification 0.8, which ignores a relative XDG_STATE_HOME.
+
+    >>> outbox_path("a-b", "../c").name
+    'a%2Db-..%2Fc.sqlite'
+    """
+    name = "-".join(quote(part, safe="").replace("-", "%2D") for part in (site, rig))
+    if len(name) > _NAME_MAX:
+        name = sha256(name.encode()).hexdigest()
+    state = Path(os.environ.get("XDG_STATE_HOME", ""))
+    if not state.is_absolute():
+        state = Path.home() / ".local" / "state"
+    return state / "slipflow" / f"{name}.sqlite"

@@ -1,0 +1,76 @@
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from connectors.mqtt.rig_names import is_replay, name_in_run, outbox_path, replay_name, rig_topic
+from operators.errors import ParameterError
+from operators.ports import Run
+
+
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize("rig", ["ur10", "ur10-replay", "replay", "-replay"])
+def test_a_replay_is_never_called_as_a_live_rig_may_be(run: Run, rig: str, *, live: bool) -> None:
+    name = name_in_run(replace(run, recording="stroke", live=live), "Mqtt", rig)
+    assert name == replay_name(rig)
+    assert is_replay(name)
+    with pytest.raises(ParameterError, match=f"^Mqtt: rig is '{name}', must be a name that does not end in"):
+        name_in_run(run, "Mqtt", name)
+
+
+def test_a_live_rig_keeps_its_name(run: Run) -> None:
+    assert [name_in_run(run, "Mqtt", rig) for rig in ("ur10", "replay", "a-replay-b")] == [
+        "ur10",
+        "replay",
+        "a-replay-b",
+    ]
+
+
+def test_every_rig_has_its_own_outbox_in_the_state_folder(
+    state: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rigs = [
+        ("a", "b"),
+        ("a-b", "c"),
+        ("a", "b-c"),
+        ("..", ".."),
+        ("x" * 300, "y"),
+        ("x" * 300, "z"),
+        ("ü", "~"),
+    ]
+    paths = [outbox_path(*rig) for rig in rigs]
+    assert len(set(paths)) == len(rigs)
+    assert all(path.parent == state / "slipflow" and len(path.name.encode()) < 250 for path in paths)
+    monkeypatch.setenv("XDG_STATE_HOME", "relative")
+    assert outbox_path("a", "b") == Path.home() / ".local" / "state" / "slipflow" / "a-b.sqlite"
+
+
+@pytest.mark.parametrize("part", ["", "a/b", "+", "a+", "#", "a\0b", "a\nb"])
+def test_what_is_no_topic_level_is_refused(part: str) -> None:
+    with pytest.raises(ParameterError, match=r"^Mqtt: site is"):
+        rig_topic("Mqtt", part, "rig")
+    with pytest.raises(ParameterError, match=r"^Mqtt: rig is"):
+        rig_topic("Mqtt", "lab", part)
+
+
+def test_only_the_wildcard_asked_for_is_let_through() -> None:
+    assert rig_topic("watch", "+", "rig", wildcard="+") == "slip/v1/+/rig"
+    with pytest.raises(ParameterError):
+        rig_topic("watch", "#", "rig", wildcard="+")
+
+
+def test_faults_have_the_names_of_their_kinds() -> None:
+    batch = Faults(
+        np.array([1, 2]),
+        np.array([3, 4], np.int8),
+        np.array([FaultKind.DEAD, FaultKind.STUCK], np.int8),
+        np.array([True, False]),
+    )
+    assert list(faults(batch)) == [(1, Fault(3, "dead"), True), (2, Fault(4, "stuck"), False)]
+
+
+def test_a_sequence_of_any_kind_becomes_an_array() -> None:
+    moved = Moved("plane")
+    moved.add(Move("tap", seconds=1.0, direction_deg=float("nan")), 0, 5)
+    [told] = json.loads(encode({"episodes": moved, "rows": ("one", 2)}))["episodes"]
+    assert (told["end"], told["direction_deg"]) == (5, None)
