@@ -3,13 +3,18 @@ from dataclasses import replace
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from connectors.events import Event, Fault, encode
+from connectors.events import Event, Fault, encode, faults
+from connectors.sim.moved import Moved
+from connectors.sim.scene import Move
+from operators.batch import Faults
 from operators.errors import InputError
+from operators.health import FaultKind
 from operators.ports import Json
 
 SCHEMA = json.loads(files("connectors").joinpath("slip-event.schema.json").read_text(encoding="utf-8"))
@@ -156,3 +161,20 @@ def test_no_payload_does_worse_than_be_refused(payload: bytes) -> None:
 def test_fields_that_contradict_each_other_are_refused(name: str, value: str) -> None:
     with pytest.raises(InputError, match="must be"):
         Event.decode(altered((name,), value))
+
+
+def test_faults_have_the_names_of_their_kinds() -> None:
+    batch = Faults(
+        np.array([1, 2]),
+        np.array([3, 4], np.int8),
+        np.array([FaultKind.DEAD, FaultKind.STUCK], np.int8),
+        np.array([True, False]),
+    )
+    assert list(faults(batch)) == [(1, Fault(3, "dead"), True), (2, Fault(4, "stuck"), False)]
+
+
+def test_a_sequence_of_any_kind_becomes_an_array() -> None:
+    moved = Moved("plane")
+    moved.add(Move("tap", seconds=1.0, direction_deg=float("nan")), 0, 5)
+    [told] = json.loads(encode({"episodes": moved, "rows": ("one", 2)}))["episodes"]
+    assert (told["end"], told["direction_deg"]) == (5, None)

@@ -57,20 +57,3 @@ def test_only_the_wildcard_asked_for_is_let_through() -> None:
     assert rig_topic("watch", "+", "rig", wildcard="+") == "slip/v1/+/rig"
     with pytest.raises(ParameterError):
         rig_topic("watch", "#", "rig", wildcard="+")
-
-
-def test_faults_have_the_names_of_their_kinds() -> None:
-    batch = Faults(
-        np.array([1, 2]),
-        np.array([3, 4], np.int8),
-        np.array([FaultKind.DEAD, FaultKind.STUCK], np.int8),
-        np.array([True, False]),
-    )
-    assert list(faults(batch)) == [(1, Fault(3, "dead"), True), (2, Fault(4, "stuck"), False)]
-
-
-def test_a_sequence_of_any_kind_becomes_an_array() -> None:
-    moved = Moved("plane")
-    moved.add(Move("tap", seconds=1.0, direction_deg=float("nan")), 0, 5)
-    [told] = json.loads(encode({"episodes": moved, "rows": ("one", 2)}))["episodes"]
-    assert (told["end"], told["direction_deg"]) == (5, None)
