@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from connectors.mqtt.gap_request import GapRequest
 from jsonschema import Draft202012Validator, validate
 
 from connectors import Event, Mqtt
@@ -20,6 +19,7 @@ from connectors.events import Fault
 from connectors.mqtt import broker_link as link
 from connectors.mqtt import mqtt_sink as mqtt
 from connectors.mqtt.broker_link import Link
+from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox_file import OutboxFile
 from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.errors import EndpointError, ParameterError

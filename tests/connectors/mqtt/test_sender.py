@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from connectors.mqtt.gap_answers import SLICE
-from connectors.mqtt.gap_request import GapRequest
 
 from connectors.events import Event
 from connectors.mqtt import broker_link as module
 from connectors.mqtt import sender
 from connectors.mqtt.broker import PASSWORD_FILE, Broker, Message
+from connectors.mqtt.gap_replay import SLICE, GapRequest
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_file import Entry
 from connectors.mqtt.sender import Sender
