@@ -94,4 +94,6 @@ class Broker:
             reason = f"contains no CA certificate in PEM format ({CA})"
             raise InputError(str(path), reason) from None
         except OSError as error:
-            raise InputError(str(path), f"cannot read the CA certificates ({CA}): {because(error)}") from None
+            raise InputError(
+                str(path), f"cannot read the CA certificates ({CA}): {os_error_reason(error)}"
+            ) from None

@@ -16,7 +16,7 @@ from pathlib import Path
 from threading import Lock
 from zlib import crc32
 
-from operators.errors import InputError, because
+from operators.errors import InputError, os_error_reason
 
 log = logging.getLogger("slipflow")
 

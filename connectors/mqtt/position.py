@@ -15,7 +15,7 @@ from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
 from connectors.mqtt.lock import lock_beside
 from connectors.mqtt.range_set import RangeSet
-from operators.errors import EndpointError, InputError, because
+from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Json
 
 RigId: TypeAlias = tuple[str, str]  # site and rig

@@ -77,8 +77,8 @@ def test_the_password_comes_from_the_environment_or_a_file(
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        (None, r"cannot read the authorities \(SLIPFLOW_MQTT_CA\): No such file"),
-        ("no certificate", r"holds no certificates of authorities \(SLIPFLOW_MQTT_CA\): these are text, PEM"),
+        (None, r"cannot read the CA certificates \(SLIPFLOW_MQTT_CA\): No such file"),
+        ("no certificate", r"contains no CA certificate in PEM format \(SLIPFLOW_MQTT_CA\)"),
     ],
 )
 def test_authorities_that_cannot_be_read_are_an_error_that_names_the_variable(

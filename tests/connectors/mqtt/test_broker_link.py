@@ -62,7 +62,7 @@ def test_nobody_listening_is_one_clear_line(broker: TestBroker) -> None:
         asyncio.run(use(broker.url))
     assert (
         str(caught.value)
-        == f"{broker.url}: cannot connect: Connection refused; is the broker running, and is this its port?"
+        == f"{broker.url}: cannot connect: Connection refused; check that the broker runs and that this is its port"
     )
 
 
@@ -78,7 +78,7 @@ def test_a_silent_server_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
         url = f"mqtt://127.0.0.1:{listening.getsockname()[1]}"
         with pytest.raises(
             EndpointError,
-            match=r"cannot connect: no answer within 0\.1 s; is this its address, and is the network up\?$",
+            match=r"cannot connect: no response within 0\.1 s; check the address and the network$",
         ):
             asyncio.run(use(url))
 
@@ -92,7 +92,7 @@ def test_a_server_that_hangs_up_is_given_up_at_once() -> None:
             await use(f"mqtt://127.0.0.1:{serving.sockets[0].getsockname()[1]}")
 
     with pytest.raises(
-        EndpointError, match=r"cannot connect: the broker closed the connection; if it speaks TLS, say mqtts"
+        EndpointError, match=r"cannot connect: the broker closed the connection; if it uses TLS, write mqtts"
     ):
         asyncio.run(main())
 
@@ -135,7 +135,7 @@ def test_a_lost_connection_is_noticed_while_sending(
         broker.stop(number)
         for _ in range(turns):  # the loop may or may not have seen it
             await asyncio.sleep(0)
-        with pytest.raises(EndpointError, match=r"connection lost \((?!no answer)[^\n]+\)$"):
+        with pytest.raises(EndpointError, match=r"connection lost \((?!no response)[^\n]+\)$"):
             await link.send("a", b"x")
         assert not link.alive
         await link.leave()
@@ -150,7 +150,7 @@ async def test_an_answer_that_does_not_come_is_given_up(
     link = await connect(Broker.parse(broker.url), "test")
     assert broker.process
     broker.process.send_signal(signal.SIGSTOP)
-    with pytest.raises(EndpointError, match=r"connection lost \(no answer within 0\.2 s\)$"):
+    with pytest.raises(EndpointError, match=r"connection lost \(no response within 0\.2 s\)$"):
         await link.send("a", b"x")
     assert not link.alive
     await link.leave()
@@ -161,9 +161,7 @@ def test_a_user_with_the_right_password_may_do_what_the_broker_allows(guarded: T
 
 
 def test_a_publish_that_the_broker_refuses_is_an_error_that_names_the_topic(guarded: TestBroker) -> None:
-    with pytest.raises(
-        EndpointError, match=r"refuses to publish yours/a: Not authorized; its access list must"
-    ):
+    with pytest.raises(EndpointError, match=r"refuses to publish yours/a: Not authorized; allow it in"):
         asyncio.run(use(guarded.url, "mine/a", "yours/a"))
 
 
@@ -190,9 +188,7 @@ async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
 
     async with await asyncio.start_server(refuse, "127.0.0.1", 0) as serving:
         link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
-        with pytest.raises(
-            EndpointError, match=r"refuses to subscribe to a/#: Not authorized; its access list must"
-        ):
+        with pytest.raises(EndpointError, match=r"refuses to subscribe to a/#: Not authorized; allow it in"):
             await link.listen("a/#")
         await link.leave()
 
@@ -218,7 +214,7 @@ def test_mqtts_talks_to_a_broker_whose_certificate_it_trusts(
 
 
 def test_mqtts_talks_to_no_broker_whose_certificate_it_does_not_trust(secure: TestBroker) -> None:
-    with pytest.raises(EndpointError, match=rf"certificate verify failed: [^;(]*; name the file .* in {CA}$"):
+    with pytest.raises(EndpointError, match=rf"certificate verify failed: [^;(]*; set {CA} to the file .*$"):
         asyncio.run(use(secure.url.replace("mqtt:", "mqtts:")))
 
 
@@ -229,10 +225,10 @@ def test_plain_mqtt_on_a_port_for_tls_and_tls_on_a_plain_port_are_errors_before_
     plain = TestBroker(tmp_path / "plain")
     try:
         for url, hint in (
-            (secure.url, "if it speaks TLS, say mqtts://"),
-            (plain.url.replace("mqtt:", "mqtts:"), "if it speaks no TLS, say mqtt:// and its port"),
+            (secure.url, "if it uses TLS, write mqtts://"),
+            (plain.url.replace("mqtt:", "mqtts:"), "if it uses no TLS, write mqtt:// and its port"),
         ):
-            with pytest.raises(EndpointError, match=rf"cannot connect: (?!no answer).*; {hint}$"):
+            with pytest.raises(EndpointError, match=rf"cannot connect: (?!no response).*; {hint}$"):
                 asyncio.run(use(url))
     finally:
         plain.close()
@@ -243,7 +239,7 @@ def test_a_silent_server_is_given_up_while_shaking_hands_too(monkeypatch: pytest
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"mqtts://127.0.0.1:{listening.getsockname()[1]}"
         with pytest.raises(
-            EndpointError, match=r"cannot connect: (.*timed out|no answer within 0\.1 s); is this its address"
+            EndpointError, match=r"cannot connect: (.*timed out|no response within 0\.1 s); check the address"
         ):
             asyncio.run(use(url))
 
@@ -264,7 +260,7 @@ def test_messages_sent_together_arrive_in_order_and_each_refusal_is_told(guarded
         return refusals
 
     refusals = asyncio.run(main())
-    assert refusals[7] == "refuses to publish yours/7: Not authorized; its access list must allow it"
+    assert refusals[7] == "refuses to publish yours/7: Not authorized; allow it in the broker's access list"
     assert [number for number, refusal in enumerate(refusals) if refusal] == [7]
 
 

@@ -96,7 +96,7 @@ async def test_a_replay_is_followed_by_its_name_and_is_none_of_any(broker: TestB
         publish(broker, 3, "a-replay")
         later = publish(broker, 3, "b")
         assert await anext(events) == later
-        assert {place for place, _ in inside(events, "_asked")} == {("lab", "b")}
+        assert {place for place, _ in inside(events, "_requested")} == {("lab", "b")}
     assert not reports
 
 
@@ -123,10 +123,13 @@ async def test_what_is_malformed_is_reported_in_one_line_and_left_out(broker: Te
         publish(broker, 1)
         assert await take(events, 1) == [1]
     assert len(reports) == len(bad)
-    assert all(report.startswith(f"left out: {UR10}/") and report.isprintable() for report in reports)
-    assert f"left out: {UR10}/0/event: data is missing, must be an object" in reports
-    assert f"left out: {UR10}/2/event: has an event of lab/ur10/0" in reports
-    assert f"left out: {UR10}/3/event: is 100000 bytes, at most 65536 are read" in reports
+    assert all(
+        report.startswith(f"ignoring malformed message: {UR10}/") and report.isprintable()
+        for report in reports
+    )
+    assert f"ignoring malformed message: {UR10}/0/event: data is missing, must be an object" in reports
+    assert f"ignoring malformed message: {UR10}/2/event: has an event of lab/ur10/0" in reports
+    assert f"ignoring malformed message: {UR10}/3/event: is 100000 bytes, at most 65536 are read" in reports
 
 
 async def test_a_copy_of_an_event_is_not_given_again(broker: TestBroker) -> None:
@@ -139,13 +142,13 @@ async def test_a_copy_of_an_event_is_not_given_again(broker: TestBroker) -> None
 async def test_an_event_that_was_missed_is_asked_for_and_comes_late(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reports, read = list[str](), vars(Consumer)["_read"]
+    reports, read = list[str](), vars(Consumer)["_process"]
 
     def deaf(self: Consumer, place: str, payload: bytes) -> Event | None:
         lost = place.endswith("event") and Event.decode(payload).seq in (2, 3)
         return None if lost else read(self, place, payload)
 
-    monkeypatch.setattr(Consumer, "_read", deaf)
+    monkeypatch.setattr(Consumer, "_process", deaf)
     async with publishing(broker, run) as sink, Consumer(broker.url, report=reports.append) as events:
         await following(events)
         await sink.write(slips(1, 0, 1, 0))
@@ -220,9 +223,7 @@ async def test_an_outbox_that_was_lost_is_reported_and_its_successor_followed(
         async with publishing(broker, run, outbox=tmp_path / "b.sqlite") as sink:
             await sink.write(slips(1))
             assert await take(events, 1) == [1]
-    assert reports == [
-        f"lab/ur10: of epoch {epoch}, which is no longer kept, those after 2, if any, are lost"
-    ]
+    assert reports == [f"lab/ur10: epoch {epoch} is no longer kept; lost events: any after 2"]
 
 
 async def test_a_lost_broker_is_reported_and_what_was_missed_meanwhile_comes(
@@ -269,7 +270,7 @@ async def test_messages_that_came_too_fast_are_reported_and_the_events_asked_for
             await until(lambda: links[1].dropped > 20)
             assert sorted(await take(events, 40)) == list(range(1, 41))
     assert reports
-    assert all(report.endswith("messages came too fast") for report in reports)
+    assert all(report.endswith("messages dropped: too slow a reader") for report in reports)
 
 
 CONSUME = """
@@ -345,7 +346,7 @@ async def test_two_cannot_go_on_from_one_position_and_the_second_may_once_the_fi
 ) -> None:
     for _ in range(2):
         async with Consumer(broker.url, position_file=tmp_path / "position"):
-            with pytest.raises(EndpointError, match="two consumers cannot go on from one position"):
+            with pytest.raises(EndpointError, match="is in use by another consumer"):
                 async with Consumer(broker.url, position_file=tmp_path / "position"):
                     pass
             assert len(links) % 2 == 1  # the second did not connect
@@ -370,7 +371,7 @@ async def test_a_wait_that_is_cancelled_loses_no_event(broker: TestBroker) -> No
 
 async def test_a_position_that_is_none_is_an_error(broker: TestBroker, tmp_path: Path) -> None:
     (tmp_path / "position").write_text("{}")
-    with pytest.raises(InputError, match="is no position"):
+    with pytest.raises(InputError, match="is not a position"):
         async with Consumer(broker.url, position_file=tmp_path / "position"):
             pass
 

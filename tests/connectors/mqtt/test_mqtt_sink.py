@@ -360,7 +360,7 @@ async def test_without_any_event_the_connection_is_made_again_and_its_loss_logge
         assert read(await asyncio.to_thread(listener.next))["state"] == "online"
     assert len(caplog.messages) == 2
     assert caplog.messages[0].startswith(f"{broker.url}: connection lost")
-    assert caplog.messages[1] == f"{broker.url}: connected again, 0 events wait"
+    assert caplog.messages[1] == f"{broker.url}: connected again, 0 events pending"
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -441,7 +441,7 @@ def test_a_run_that_may_not_publish_does_not_begin(tmp_path: Path, run: Run, lin
     rights.write_text("topic read #\n")
     with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
         with pytest.raises(
-            EndpointError, match=f"refuses to publish {RIG}/status: Not authorized; its access"
+            EndpointError, match=f"refuses to publish {RIG}/status: Not authorized; allow it in"
         ):
             asyncio.run(Mqtt(broker.url).open(run))
         assert not links[0].alive
@@ -480,7 +480,7 @@ async def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_
             await sent(sink)
     assert [message.partition("; ")[0] for message in caplog.messages] == [
         f"{broker.url}: refuses to publish {refused}: Not authorized",
-        f"{broker.url}: lets us publish {refused} again",
+        f"{broker.url}: accepts {refused} again",
     ]
 
 

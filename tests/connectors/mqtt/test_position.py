@@ -130,7 +130,7 @@ def test_a_folder_that_is_not_there_is_an_error_of_one_line(tmp_path: Path) -> N
 
 def test_only_one_may_go_on_from_it_and_the_second_is_told_what_to_do(tmp_path: Path) -> None:
     held = lock_position(tmp_path / "position")
-    with pytest.raises(EndpointError, match=r"position: is in use: .*; name another file$"):
+    with pytest.raises(EndpointError, match=r"position: is in use by another consumer; name another file$"):
         lock_position(tmp_path / "position")
     os.close(held)
     os.close(lock_position(tmp_path / "position"))

@@ -241,8 +241,8 @@ async def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_al
             assert peer.events()[20:] == [str(number) for number in range(2, 41, 2)]
             assert ("info", "old") not in peer.got
     assert sorted(caplog.messages) == [
-        f"mqtt://localhost:1883: lets us publish {RIG}/1/event again",
-        f"mqtt://localhost:1883: lets us publish {RIG}/info again",
+        f"mqtt://localhost:1883: accepts {RIG}/1/event again",
+        f"mqtt://localhost:1883: accepts {RIG}/info again",
         *["mqtt://localhost:1883: refuses; retrying"] * 2,
     ]
 
@@ -268,7 +268,7 @@ async def test_where_nobody_may_ask_events_are_sent_and_that_is_told_once(
             await until(lambda: not outbox.waiting)
             peer.connections[-1].lose()
             await until(lambda: peer.connections[-1].alive)
-    assert sum("nobody can ask" in message for message in caplog.messages) == 1
+    assert sum("consumers cannot request missed events" in message for message in caplog.messages) == 1
 
 
 async def test_events_wait_for_no_more_than_a_slice_of_an_answer(tmp_path: Path, peer: Peer) -> None:
@@ -279,7 +279,7 @@ async def test_events_wait_for_no_more_than_a_slice_of_an_answer(tmp_path: Path,
         peer.holds.clear()
         request = GapRequest(outbox.epoch, 1, 100, f"{RIG}/replay/you")
         peer.connections[0].requests.put_nowait(request.encode())
-        await until(lambda: bool(vars(sending)["_answers"]))
+        await until(lambda: bool(vars(sending)["_replies"]))
         await outbox.append([DRAFT] * 40)
         peer.holds.set()
         await until(lambda: any('"missing"' in what for topic, what in peer.got if topic == "replay/you"))
@@ -329,4 +329,4 @@ async def test_a_broker_that_is_away_is_told_once_and_again_when_it_is_back(
         await until(lambda: not outbox.waiting)
     first, second = caplog.messages
     assert first.endswith(f"reconnecting; events are kept in {tmp_path}/o.sqlite")
-    assert second.endswith("connected again, 1 events wait")
+    assert second.endswith("connected again, 1 events pending")
