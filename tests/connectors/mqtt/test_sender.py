@@ -198,7 +198,7 @@ async def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_
     assert peer.events() == ["1", "2"]
     away, back = caplog.messages
     assert "nobody there, reconnecting; events are kept in" in away
-    assert "connected again, 2 events wait" in back
+    assert "connected again, 2 events pending" in back
 
 
 async def test_a_patient_one_tells_at_once_of_a_password_that_cannot_be_read(
