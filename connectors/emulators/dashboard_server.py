@@ -1,4 +1,4 @@
-"""The dashboard of a UR controller: one line asks, one line answers.
+"""The dashboard of a UR controller: one line of request, one line of reply.
 
 Source: Universal Robots, "Dashboard Server e-Series, port 29999" and "..., CB-Series".
 """
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Final
 
-from connectors.emulators.ur_control_box import ControlBox, RobotMode, RuntimeState
+from connectors.emulators.ur_control_box import ControlBox, RuntimeState
 
 GREETING: Final = "Connected: Universal Robots Dashboard Server"
 FAREWELL: Final = "Disconnected"
@@ -15,7 +15,7 @@ SERIAL_NUMBER: Final = "20195501234"
 
 
 def answer(box: ControlBox, line: str) -> str:
-    """Do what a line asks of a control box, and say so.
+    """Execute a line on a control box and return the reply.
 
     >>> import numpy as np
     >>> from connectors.emulators.free_arm import FreeArm
@@ -24,9 +24,9 @@ def answer(box: ControlBox, line: str) -> str:
     >>> answer(box, "PolyscopeVersion"), answer(box, "safetystatus"), answer(box, "dance")
     ('URSoftware 5.11.0.0 (Jan 01 2022)', 'Safetystatus: NORMAL', 'could not understand: dance')
     """
-    asked = line.strip()
-    act = _ACTS.get(asked.lower())
-    return act(box) if act else f"could not understand: {asked}"
+    request = line.strip()
+    execute = _COMMANDS.get(request.lower())
+    return execute(box) if execute else f"could not understand: {request}"
 
 
 def _stop(box: ControlBox) -> str:
@@ -49,11 +49,7 @@ def _state(box: ControlBox) -> str:
     return f"{box.runtime_state.name} {box.program or '<unnamed>'}"
 
 
-def _switch(mode: RobotMode, done: str, failed: str) -> Callable[[ControlBox], str]:
-    return lambda box: done if box.switch(mode) else f"Failed to execute: {failed}"
-
-
-_ACTS: Final[Mapping[str, Callable[[ControlBox], str]]] = MappingProxyType(
+_COMMANDS: Final[Mapping[str, Callable[[ControlBox], str]]] = MappingProxyType(
     {
         "polyscopeversion": lambda box: f"URSoftware {box.version} (Jan 01 2022)",
         "get serial number": lambda _: SERIAL_NUMBER,
@@ -69,9 +65,6 @@ _ACTS: Final[Mapping[str, Callable[[ControlBox], str]]] = MappingProxyType(
         "safetystatus": lambda box: f"Safetystatus: {box.safety_mode.name}",
         "unlock protective stop": _unlock,
         "close safety popup": lambda _: "closing safety popup",
-        "power on": _switch(RobotMode.IDLE, "Powering on", "power on"),
-        "power off": _switch(RobotMode.POWER_OFF, "Powering off", "power off"),
-        "brake release": _switch(RobotMode.RUNNING, "Brake releasing", "brake release"),
         "quit": lambda _: FAREWELL,
     }
 )

@@ -1,9 +1,9 @@
-"""What is inside an emulated Robotiq 3-finger gripper: it does what its registers say, as time goes by.
+"""Mechanism of an emulated Robotiq 3-Finger gripper, driven by its registers.
 
-It is simple. The three fingers move as one, at a constant speed, and stop where they meet the object; there
-they grip with the force that was asked for, from that instant on. They lock themselves: asked for more force
-they grip harder, asked for less they stay as they are, until they open. Its times are guesses, apart from the
-10 ms until a request shows.
+The three fingers move as one at a constant speed and stop where they meet the object, which they grip with
+the requested force from that instant on. They are self-locking: a larger force grips harder, a smaller one
+changes nothing until they open. All durations are assumed, except the 10 ms after which a request shows in
+the status.
 """
 
 from collections import deque
@@ -15,114 +15,110 @@ from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.robotiq import FULL, SETTLE, Axis, Fingers, Mode, Phase, Request, Status
 from operators.batch import Commands, s
 
-SLOWEST: Final = 7.0  # s from open to closed
-FASTEST: Final = 1.4  # s
-RELEASING: Final = 0x0B  # faults
-RELEASED: Final = 0x0F
-CURRENT: Final = 14  # of a motor that moves, 0.1 mA
-SCISSOR: Final = 137  # its position in the basic mode
+SLOWEST: Final = 7.0  # s from open to closed at speed 0
+FASTEST: Final = 1.4  # s from open to closed at full speed
+RELEASING: Final = 0x0B  # fault: automatic release in progress
+RELEASED: Final = 0x0F  # fault: automatic release completed
+MOTOR_CURRENT: Final = 14  # of a moving motor, 0.1 mA
+SCISSOR: Final = 137  # position of the scissor axis in the basic mode
 
 
-class Gripped(Protocol):
-    """What feels the fingers, such as a `Lab`."""
+class ForceReceiver(Protocol):
+    """Receiver of the grip force, such as a `SharedScene`."""
 
     def command(self, commands: Commands) -> None:
-        """Take the grip force (N) from an instant on."""
+        """Apply the grip force (N) from the commands' times on."""
         ...
 
 
 class Mechanism:
-    """The fingers, what they meet, and what has been asked of them. Instants are ns, and never go back.
+    """Fingers, object and pending requests. Instants are in ns and never decrease.
 
     Args:
-        scene: Is told of each change of the grip force.
-        now: The instant at which it is switched on.
-        met: Position, 0 to 255, at which the fingers meet an object; None: there is none.
-        activation: Seconds that an activation takes; the fingers open meanwhile.
-        change: Seconds that a change of mode takes.
-        scale: What the force register means.
+        scene: Receiver of each change of the grip force.
+        now: Instant of power-up.
+        contact: Position, 0 to 255, at which the fingers meet an object; None for no object.
+        activation: Duration of an activation (s), during which the fingers open.
+        mode_change: Duration of a mode change (s).
+        scale: Force of the force register's values.
 
     Attributes:
-        met: May be changed while the fingers are open.
-        force: That the object is gripped with, N.
+        contact: May be changed while the fingers are open.
+        force: Grip force on the object (N).
     """
 
     def __init__(
         self,
-        scene: Gripped,
+        scene: ForceReceiver,
         now: int,
         *,
-        met: int | None = 120,
+        contact: int | None = 120,
         activation: float = 2.0,
-        change: float = 1.0,
+        mode_change: float = 1.0,
         scale: ForceScale | None = None,
     ) -> None:
-        self.met, self.force = met, 0.0
+        self.contact, self.force = contact, 0.0
         self._scene, self._scale = scene, scale or ForceScale()
-        self._activation, self._change = round(activation * s), round(change * s)
+        self._activation, self._mode_change = round(activation * s), round(mode_change * s)
         self._time, self._position = now, 0.0
-        self._mode = Mode.BASIC  # that the fingers stand in
-        self._asked = deque[tuple[int, Request]]()  # not taken yet, and when they will be
-        self.restart()
+        self._mode = Mode.BASIC  # current mode of the fingers
+        self._pending = deque[tuple[int, Request]]()  # requests, and when they take effect
+        self.power_up()
 
-    def restart(self) -> None:
-        """Be switched off and on: the registers are 0, the fingers stay where they are."""
-        self._taken, self._phase, self._fault = Request(), Phase.RESET, 0
-        self._until: int | None = None  # the end of the phase
-        self._asked.clear()
+    def power_up(self) -> None:
+        """Reset the registers; the fingers stay where they are."""
+        self._current, self._phase, self._fault = Request(), Phase.RESET, 0
+        self._until: int | None = None  # end of the phase
+        self._pending.clear()
 
-    def fail(self, fault: int) -> None:
-        """Have a fault, one of `connectors.gripper.robotiq.FAULTS`, and do nothing more until it is reset."""
-        self._phase, self._until, self._fault = Phase.RESET, None, fault
-
-    def ask(self, request: Request, now: int) -> None:
-        """Take a request, which has its effect `SETTLE` later."""
+    def request(self, request: Request, now: int) -> None:
+        """Accept a request, which takes effect `SETTLE` later."""
         self.advance(now)
-        self._asked.append((now + round(SETTLE * s), request))
+        self._pending.append((now + round(SETTLE * s), request))
 
-    def look(self, now: int) -> Status:
-        """The status at an instant."""
+    def status(self, now: int) -> Status:
+        """Return the status at an instant."""
         self.advance(now)
-        taken, position = self._taken, round(self._position)
-        if not taken.active:
-            return Status(echo=taken.position, fault=7 if taken.go else self._fault)
-        go = taken.go and self._phase is Phase.READY
+        request, position = self._current, round(self._position)
+        if not request.active:
+            return Status(echo=request.position, fault=7 if request.go else self._fault)
+        go = request.go and self._phase is Phase.READY
         fingers, axis = self._fingers() if go else (Fingers.MOVING, Axis.MOVING)
-        moving = CURRENT if go and axis is Axis.MOVING else 0
-        waits = {Phase.ACTIVATING: 5, Phase.CHANGING: 6}.get(self._phase, 0) if taken.go else 0
+        moving = MOTOR_CURRENT if go and axis is Axis.MOVING else 0
+        waits = {Phase.ACTIVATING: 5, Phase.CHANGING: 6}.get(self._phase, 0) if request.go else 0
         return Status(
             active=True,
-            mode=taken.mode,
+            mode=request.mode,
             go=go,
             phase=self._phase,
             fingers=fingers,
             axes=(axis, axis, axis, Axis.ARRIVED if go else Axis.MOVING),
             fault=self._fault or waits,
-            echo=taken.position,
+            echo=request.position,
             positions=(position, position, position),
             currents=(moving, moving, moving),
             scissor=SCISSOR,
         )
 
     def advance(self, now: int) -> None:
-        """Let time go by."""
+        """Simulate up to an instant."""
         while True:
-            asked = self._asked[0][0] if self._asked else now
-            due = min(now, asked, now if self._until is None else self._until)
+            effective = self._pending[0][0] if self._pending else now
+            due = min(now, effective, now if self._until is None else self._until)
             self._move(due)
             if self._until is not None and self._until <= due:
                 self._complete()
-            elif self._asked and self._asked[0][0] <= due:
-                self._take(self._asked.popleft()[1])
+            elif self._pending and self._pending[0][0] <= due:
+                self._start(self._pending.popleft()[1])
             else:
                 return
 
-    def _take(self, request: Request) -> None:
-        """Begin what a request asks for."""
-        before, self._taken = self._taken, request
+    def _start(self, request: Request) -> None:
+        """Start to execute a request."""
+        previous, self._current = self._current, request
         if not request.active:
             self._phase, self._until, self._fault = Phase.RESET, None, 0
-        elif not before.active:
+        elif not previous.active:
             self._phase, self._until = Phase.ACTIVATING, self._time + self._activation
             self._mode = Mode.BASIC
         elif self._fault:
@@ -130,49 +126,50 @@ class Mechanism:
         elif request.release:
             self._phase, self._until, self._fault = Phase.RESET, None, RELEASING
         elif self._phase is Phase.READY and request.mode is not self._mode:
-            self._phase, self._until = Phase.CHANGING, self._time + self._change
+            self._phase, self._until = Phase.CHANGING, self._time + self._mode_change
 
     def _complete(self) -> None:
-        """End a phase."""
+        """End the phase."""
         if self._phase is Phase.CHANGING:
-            self._mode = self._taken.mode
+            self._mode = self._current.mode
         self._phase, self._until = Phase.READY, None
-        self._take(self._taken)
+        self._start(self._current)
 
-    def _goal(self) -> tuple[int, float] | None:
-        """Where the fingers go, and how fast (1/s); None: they stay."""
+    def _target(self) -> tuple[int, float] | None:
+        """Return target position and speed (positions per second), or None if the fingers stay."""
         if self._fault == RELEASING:
             return 0, FULL / SLOWEST
         if self._phase is Phase.ACTIVATING:
             return 0, FULL / FASTEST
-        if self._phase is Phase.READY and self._taken.go:
-            part = self._taken.speed / FULL
-            return self._taken.position, FULL / SLOWEST + part * (FULL / FASTEST - FULL / SLOWEST)
+        if self._phase is Phase.READY and self._current.go:
+            fraction = self._current.speed / FULL
+            return self._current.position, FULL / SLOWEST + fraction * (FULL / FASTEST - FULL / SLOWEST)
         return None
 
     def _move(self, until: int) -> None:
-        """Move the fingers for a while."""
+        """Move the fingers until an instant."""
         since, self._time = self._time, max(self._time, until)
-        if (going := self._goal()) is None:
+        if (target := self._target()) is None:
             return
-        goal, speed = going
-        reach = speed * (self._time - since) / s
+        goal, speed = target
+        travel = speed * (self._time - since) / s
         if goal < self._position:
             self._grip(0.0, since)
-            self._position = max(float(goal), self._position - reach)
+            self._position = max(float(goal), self._position - travel)
             if self._fault == RELEASING and not self._position:
                 self._fault = RELEASED
             return
-        end = float(goal if self.met is None or self.met < self._position else min(goal, self.met))
-        way = end - self._position
-        self._position = end if way <= reach else self._position + reach
-        if way <= reach and end < goal:
-            force = max(self.force, self._scale.force(self._taken.force))
-            self._grip(force, since + round(way / speed * s))
+        contact = self.contact
+        end = float(goal if contact is None or contact < self._position else min(goal, contact))
+        distance = end - self._position
+        self._position = end if distance <= travel else self._position + travel
+        if distance <= travel and end < goal:
+            force = max(self.force, self._scale.force(self._current.force))
+            self._grip(force, since + round(distance / speed * s))
 
     def _fingers(self) -> tuple[Fingers, Axis]:
-        """How far they have come."""
-        if self._position == self._taken.position:
+        """Return the state of the fingers and of their axes."""
+        if self._position == self._current.position:
             return Fingers.ARRIVED, Axis.ARRIVED
         if self.force:
             return Fingers.ALL_STOPPED, Axis.STOPPED_CLOSING

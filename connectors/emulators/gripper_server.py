@@ -1,83 +1,84 @@
-"""A Robotiq 3-finger gripper, emulated: its registers over Modbus TCP, its fingers in the scene."""
+"""An emulated Robotiq 3-Finger gripper: registers over Modbus TCP, grip force to a scene."""
 
 import asyncio
-import socket
-import struct
 from collections.abc import Callable
 from contextlib import suppress
 from time import time_ns
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self, cast
+from typing import TYPE_CHECKING, Final, Self
 
-from connectors.emulators.gripper_mechanism import Gripped, Mechanism
+from connectors.emulators.gripper_mechanism import ForceReceiver, Mechanism
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.modbus_link import need_pymodbus
 from connectors.gripper.robotiq import PORT, STATUS, UNIT, Request, octets, registers
-from operators.errors import EndpointError, ParameterError
+from operators.checks import check_between
+from operators.errors import EndpointError
 
 if TYPE_CHECKING:
     from pymodbus.constants import ExcCodes
     from pymodbus.server import ModbusTcpServer
 
 CYCLE: Final = 0.010  # s
-READ: Final = 4  # Modbus functions
-WRITE: Final = 16
-TAKEN: Final = "cannot be listened on: end the program that uses it, or give another address or port"
+READ: Final = 4  # Modbus function: read input registers
+WRITE: Final = 16  # Modbus function: write multiple registers
+MAX_UNIT: Final = 255
+IN_USE: Final = "cannot listen: end the program that uses the port, or give another address or port"
 
 
 class GripperServer:
-    """A gripper that serves its clients between `start` and `close`, or as a context.
+    """A gripper that serves clients between `start` and `close`, or as a context manager.
 
-    It takes what is written from register 0 on (function 16) and gives its status (function 4); it refuses
-    other functions, and other units. Whoever listens beyond loopback lets everybody there move it.
+    Clients write its request from register 0 on (function 16) and read its status (function 4); other
+    functions and other units are refused. Modbus has no authentication: beyond loopback, any host can move
+    the gripper.
 
     Args:
-        scene: Is told of the grip force, such as a `Lab`.
-        host: The address that it listens on.
-        port: Its port there; 0: any free one.
-        unit: Its Modbus unit; 0: it answers as any.
-        now: The host's clock, ns since 1970 UTC; that of a lab is its `now`.
-        met: Position, 0 to 255, at which the fingers meet an object; None: there is none.
-        activation: Seconds that an activation takes.
-        change: Seconds that a change of mode takes.
-        scale: What the force register means.
+        scene: Receiver of the grip force, such as a `SharedScene`.
+        host: Address on which to listen (default 127.0.0.1).
+        port: Port on which to listen; 0 for any free one (default 502).
+        unit: Modbus unit; 0 answers as any (default 2).
+        now: Clock of the scene (ns since 1970 UTC).
+        contact: Position, 0 to 255, at which the fingers meet an object (default 120); None for no object.
+        activation: Duration of an activation (s, default 2).
+        mode_change: Duration of a mode change (s, default 1).
+        scale: Force of the force register's values.
 
     Attributes:
-        mechanism: Its inside: faults and the object are commanded there.
-        port: Where it listens, once it does.
+        mechanism: Fingers and their state.
+        port: Actual port, once started.
 
     Raises:
-        ParameterError: if there can be no such unit.
+        ParameterError: if the unit is not from 0 to 255.
     """
 
     def __init__(
         self,
-        scene: Gripped,
+        scene: ForceReceiver,
         *,
         host: str = "127.0.0.1",
         port: int = PORT,
         unit: int = UNIT,
         now: Callable[[], int] = time_ns,
-        met: int | None = 120,
+        contact: int | None = 120,
         activation: float = 2.0,
-        change: float = 1.0,
+        mode_change: float = 1.0,
         scale: ForceScale | None = None,
     ) -> None:
-        if not 0 <= unit <= 255:  # noqa: PLR2004 - a byte
-            raise ParameterError("GripperServer", "unit", unit, "from 0 to 255")
+        check_between("GripperServer", "unit", unit, 0, MAX_UNIT)
         self.host, self.port, self.unit = host, port, unit
-        self.mechanism = Mechanism(scene, now(), met=met, activation=activation, change=change, scale=scale)
+        self.mechanism = Mechanism(
+            scene, now(), contact=contact, activation=activation, mode_change=mode_change, scale=scale
+        )
         self._now = now
         self._written = bytearray(2 * STATUS)
-        self._refusing = self._silent = False
         self._server: ModbusTcpServer | None = None
         self._running: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Listen, and let time go by.
+        """Listen, and run the mechanism.
 
         Raises:
-            EndpointError: if the port is taken.
+            EndpointError: if the port is in use.
             InputError: if pymodbus is not installed.
         """
         need_pymodbus("GripperServer")
@@ -85,21 +86,21 @@ class GripperServer:
         from pymodbus.simulator import DataType, SimData, SimDevice  # noqa: PLC0415 - an extra
 
         data = SimData(0, count=STATUS, datatype=DataType.REGISTERS)
-        devices = [SimDevice(self.unit, data, action=self._act)]
+        devices = [SimDevice(self.unit, data, action=self._answer)]
         if self.unit:
-            devices.append(SimDevice(0, data, action=_nobody))
-        server = ModbusTcpServer(devices, address=(self.host, self.port), trace_packet=self._pass)
+            devices.append(SimDevice(0, data, action=_refuse))
+        server = ModbusTcpServer(devices, address=(self.host, self.port))
         try:
             await server.serve_forever(background=True)
         except RuntimeError as error:
-            raise EndpointError(f"{self.host}:{self.port}", TAKEN) from error
+            raise EndpointError(f"{self.host}:{self.port}", IN_USE) from error
         self._server = server
         if isinstance(server.transport, asyncio.Server):
             self.port = server.transport.sockets[0].getsockname()[1]
         self._running = asyncio.create_task(self._run())
 
     async def close(self) -> None:
-        """End all connections, and listen no more."""
+        """Close all connections and stop listening."""
         if self._running:
             self._running.cancel()
             with suppress(asyncio.CancelledError):
@@ -118,40 +119,12 @@ class GripperServer:
     ) -> None:
         await self.close()
 
-    def restart(self, *, drop: bool = True) -> None:
-        """Switch it off and on: its registers are 0, and it must be activated again.
-
-        Args:
-            drop: All clients lose their connections.
-        """
-        self.mechanism.advance(self._now())
-        self.mechanism.restart()
-        self._written[:] = bytes(len(self._written))
-        if drop:
-            self.drop()
-
-    def drop(self) -> None:
-        """Reset the connections of all clients."""
-        for client in list(self._server.active_connections.values()) if self._server else []:
-            transport = cast("asyncio.Transport", client.transport)
-            if connected := transport.get_extra_info("socket"):
-                connected.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-            transport.abort()
-
-    def refuse(self, *, refusing: bool = True) -> None:
-        """Answer every request from now on with a failure; or do as asked again."""
-        self._refusing = refusing
-
-    def silence(self, *, silent: bool = True) -> None:
-        """Obey, but answer nothing from now on; or do so again."""
-        self._silent = silent
-
     async def _run(self) -> None:
         while True:
             self.mechanism.advance(self._now())
             await asyncio.sleep(CYCLE)
 
-    async def _act(  # noqa: PLR0917 - as pymodbus calls it
+    async def _answer(  # noqa: PLR0917 - as pymodbus calls it
         self,
         function: int,
         start: int,
@@ -160,29 +133,24 @@ class GripperServer:
         current: list[int],
         written: "list[int] | list[bool] | None",
     ) -> "ExcCodes | None":
-        """Do what a client asks for; as pymodbus has it, the answer is read from `current`."""
+        """Execute a request; pymodbus sends the registers in `current` as the answer."""
         from pymodbus.constants import ExcCodes  # noqa: PLC0415 - an extra
 
         del start, count
-        if self._refusing:
-            return ExcCodes.DEVICE_FAILURE
         if function == WRITE and written is not None:
             data = octets(written)
             self._written[2 * address : 2 * address + len(data)] = data
-            self.mechanism.ask(Request.decode(bytes(self._written)), self._now())
+            self.mechanism.request(Request.decode(bytes(self._written)), self._now())
         elif function == READ:
-            current[:STATUS] = registers(self.mechanism.look(self._now()).encode())
+            current[:STATUS] = registers(self.mechanism.status(self._now()).encode())
         else:
             return ExcCodes.ILLEGAL_FUNCTION
         return None
 
-    def _pass(self, sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
-        return b"" if sending and self._silent else data
 
-
-async def _nobody(*asked: object) -> "ExcCodes":
-    """What becomes of a request to another unit."""
+async def _refuse(*request: object) -> "ExcCodes":
+    """Refuse a request to another unit."""
     from pymodbus.constants import ExcCodes  # noqa: PLC0415 - an extra
 
-    del asked
+    del request
     return ExcCodes.GATEWAY_NO_RESPONSE

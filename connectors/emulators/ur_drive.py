@@ -1,10 +1,10 @@
-"""How a UR controller drives its arm: movel, speedl and stopl as velocities of the TCP, cycle by cycle.
+"""Motion of a UR arm: movel, speedl and stopl as TCP velocities, cycle by cycle.
 
-A line is driven by the distance that is left, D (m, or rad where the turn is the longer)::
+With D the remaining distance (m, or the remaining angle in rad if that is larger) a line has
 
-    speed = min(v, sqrt(a D), D / (4 cycles), speed before + a * cycle)
+    speed = min(v, sqrt(a D), D / (4 cycles), previous speed + a * cycle)
 
-so that any arm that follows, however it accelerates, ends where it should.
+so that it converges for any arm that follows, whatever its acceleration.
 """
 
 from math import sqrt
@@ -17,22 +17,22 @@ from operators.rotation import onward
 
 Task: TypeAlias = Literal["none", "line", "speed", "stop"]
 
-NEAR: Final = 5e-5  # m, rad: the arm is there; a UR10 repeats to 1e-4 m
-STILL: Final = 1e-3  # m/s, rad/s: the arm stands
-HOPELESS: Final = 1.0  # s without progress after which an arm does not follow
+POSE_TOLERANCE: Final = 5e-5  # m, rad; a UR10 has a repeatability of 1e-4 m
+STANDSTILL: Final = 1e-3  # m/s, rad/s
+PROGRESS_TIMEOUT: Final = 1.0  # s
 
 
 class Drive:
-    """Turns tasks into velocities; a new task replaces the old one at any time, without a jump.
+    """Motion tasks as velocities; a new task replaces the current one without a jump in velocity.
 
     Args:
-        period: Of the cycles, s.
-        acceleration: The highest that the arm is driven with, m/s2 and rad/s2.
+        period: Duration of a cycle (s).
+        acceleration: Maximum acceleration (m/s2 and rad/s2, default 1).
 
     Attributes:
-        velocity: (6,) m/s and rad/s in the base frame: what is commanded now.
-        task: What is being done; "none" when it is done.
-        lost: The arm did not follow; the task was given up.
+        velocity: Commanded velocity (6,) m/s and rad/s, base frame.
+        task: Current task; "none" when it is done.
+        lost: The arm did not follow, and the task was aborted.
     """
 
     def __init__(self, period: float, acceleration: float = 1.0) -> None:
@@ -42,75 +42,75 @@ class Drive:
         self.lost = False
         self._target: Reals = np.zeros(6)  # pose of a line, velocity of a speed
         self._speed = self._acceleration = 0.0
-        self._best, self._idle = np.inf, 0.0  # how near it came to its end, and for how long (s) no nearer
+        self._nearest, self._stalled = np.inf, 0.0  # smallest distance so far, and s since it shrank
 
     def line(self, pose: Reals, speed: float, acceleration: float) -> None:
-        """Go straight to a pose (6,) m and rotation vector, at a speed (m/s) and acceleration (m/s2)."""
+        """Move straight to a pose (6,) m and rotation vector, at a speed (m/s) and acceleration (m/s2)."""
         self._begin("line", pose, speed, acceleration)
 
     def speed(self, velocity: Reals, acceleration: float) -> None:
-        """Go on with a velocity (6,) m/s and rad/s, reached at an acceleration (m/s2 and rad/s2)."""
+        """Approach a velocity (6,) m/s and rad/s at an acceleration (m/s2 and rad/s2) and keep it."""
         self._begin("speed", velocity, 0.0, acceleration)
 
     def stop(self, deceleration: float) -> None:
-        """Come to rest (m/s2 and rad/s2)."""
+        """Decelerate to rest (m/s2 and rad/s2)."""
         self._begin("stop", np.zeros(6), 0.0, deceleration)
 
     def hold(self) -> None:
-        """Stand still until the next step; the task goes on from there."""
+        """Stop until the next step, from which the task continues."""
         self.velocity = np.zeros(6)
 
     def halt(self) -> None:
-        """Give the task up and stand still, as fast as the arm can."""
+        """Abort the task and stop as fast as the arm can."""
         self._begin("stop", np.zeros(6), 0.0, self._highest)
         self.velocity = np.zeros(6)
 
     def step(self, pose: Reals, velocity: Reals) -> None:
-        """One cycle: where the arm really is, (6,), and how it moves, (6,)."""
+        """Run one cycle with the measured pose (6,) and velocity (6,)."""
         if self.task == "line":
             self._follow(pose)
         elif self.task != "none":
             self._approach()
-        resting = not self.velocity.any() and float(np.abs(velocity).max()) < STILL
+        resting = not self.velocity.any() and float(np.abs(velocity).max()) < STANDSTILL
         if self.task == "stop" and resting:
             self.task = "none"
-        if self.task in ("line", "stop") and self._idle > HOPELESS:
+        if self.task in ("line", "stop") and self._stalled > PROGRESS_TIMEOUT:
             self.lost, self.task, self.velocity = True, "none", np.zeros(6)
 
     def _begin(self, task: Task, target: Reals, speed: float, acceleration: float) -> None:
         self.task, self._target, self._speed = task, target.copy(), speed
         self._acceleration = min(acceleration, self._highest)
-        self._best, self._idle, self.lost = np.inf, 0.0, False
+        self._nearest, self._stalled, self.lost = np.inf, 0.0, False
 
     def _follow(self, pose: Reals) -> None:
         turn = onward(tuple(pose[3:].tolist()), tuple(self._target[3:].tolist()))
-        left = np.concatenate((self._target[:3] - pose[:3], turn))  # (6,)
-        distance = _extent(left)
-        self._progress(distance, NEAR / 10)
-        if distance < NEAR:
+        remaining = np.concatenate((self._target[:3] - pose[:3], turn))  # (6,)
+        distance = _extent(remaining)
+        self._progress(distance, POSE_TOLERANCE / 10)
+        if distance < POSE_TOLERANCE:
             self.halt()
             return
-        before = max(0.0, float(self.velocity @ left) / float(left @ left)) * distance
-        gentle = sqrt(self._acceleration * distance)
-        soon = distance / (4 * self._period)
-        speed = min(self._speed, gentle, soon, before + self._acceleration * self._period)
-        self.velocity = left * (speed / distance)
+        previous = max(0.0, float(self.velocity @ remaining) / float(remaining @ remaining)) * distance
+        braking = sqrt(self._acceleration * distance)
+        settling = distance / (4 * self._period)
+        speed = min(self._speed, braking, settling, previous + self._acceleration * self._period)
+        self.velocity = remaining * (speed / distance)
 
     def _approach(self) -> None:
         self._progress(_extent(self._target - self.velocity), 0.0)
         self.velocity = self.velocity.copy()
-        for part in (slice(0, 3), slice(3, 6)):  # they are ramped apart
+        for part in (slice(0, 3), slice(3, 6)):  # separate ramps for translation and rotation
             change = self._target[part] - self.velocity[part]
-            share = self._acceleration * self._period / max(float(np.linalg.norm(change)), 1e-12)
-            self.velocity[part] += change * min(1.0, share)
+            fraction = self._acceleration * self._period / max(float(np.linalg.norm(change)), 1e-12)
+            self.velocity[part] += change * min(1.0, fraction)
 
-    def _progress(self, left: float, least: float) -> None:
-        if left < self._best - least:
-            self._best, self._idle = left, 0.0
+    def _progress(self, distance: float, least: float) -> None:
+        if distance < self._nearest - least:
+            self._nearest, self._stalled = distance, 0.0
         else:
-            self._idle += self._period
+            self._stalled += self._period
 
 
 def _extent(change: Reals) -> float:
-    """The longer of a change's (6,) two parts, m and rad."""
+    """Return the larger of translation (m) and rotation (rad) of a change (6,)."""
     return float(max(np.linalg.norm(change[:3]), np.linalg.norm(change[3:])))

@@ -1,10 +1,7 @@
-"""What listens on the ports of a UR controller: one object per connection."""
+"""The ports of a UR controller: one object per connection."""
 
 import asyncio
 import logging
-import socket
-import struct
-from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final, cast
 
@@ -25,111 +22,84 @@ from connectors.ur.rtde import (
 
 log = logging.getLogger("slipflow")
 
-UNREAD: Final = 1 << 16  # bytes that a client may leave unread until it is dropped
-HELD: Final = 1 << 15  # packages, a minute, that can be held up; then the oldest are lost
-SCRIPT_LARGEST: Final = 1 << 20  # bytes of an upload
-LINE_LARGEST: Final = 4096  # bytes
+UNREAD_LIMIT: Final = 1 << 16  # bytes that a client may leave unread before it is disconnected
+SCRIPT_LIMIT: Final = 1 << 20  # bytes of an uploaded script
+LINE_LIMIT: Final = 4096  # bytes of a dashboard line
+MAX_RECIPES: Final = 255  # a recipe number is a uint8
 
 
 class Connection(asyncio.Protocol):
-    """A client of any port.
+    """A client of one port.
 
     Args:
         box: The controller.
-        everybody: Where it is listed while it is connected.
+        connections: Set that contains this connection while it is open.
 
     Attributes:
-        lost: Set when it is over.
+        lost: Set when the connection has ended.
     """
 
-    def __init__(self, box: ControlBox, everybody: "set[Connection]") -> None:
-        self.box, self._everybody = box, everybody
+    def __init__(self, box: ControlBox, connections: "set[Connection]") -> None:
+        self.box, self._connections = box, connections
         self._transport: asyncio.Transport | None = None
         self.lost = asyncio.Event()
 
     @property
     def transport(self) -> asyncio.Transport:
-        """Its socket, once it is connected."""
+        """Transport of the socket, once connected."""
         assert self._transport
         return self._transport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Be listed."""
+        """Add the connection to the open ones."""
         self._transport = cast("asyncio.Transport", transport)
-        self._everybody.add(self)
+        self._connections.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Be listed no more."""
+        """Remove the connection from the open ones."""
         del exc
-        self._everybody.discard(self)
+        self._connections.discard(self)
         self.lost.set()
-
-    def reset(self) -> None:
-        """End it without a farewell: the client's socket is reset."""
-        linger = struct.pack("ii", 1, 0)
-        self.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
-        self.transport.abort()
 
 
 class RtdeConnection(Connection):
-    """A client of the RTDE port.
+    """A client of the RTDE port."""
 
-    Attributes:
-        held: What is not sent while it is held up; None: it is not.
-        gone: The peer is out of reach, and neither side knows.
-    """
-
-    def __init__(self, box: ControlBox, everybody: set[Connection]) -> None:
-        super().__init__(box, everybody)
+    def __init__(self, box: ControlBox, connections: set[Connection]) -> None:
+        super().__init__(box, connections)
         self._packages, self._started = Packages(), False
         self._outputs: Recipe | None = None
-        self._every = 1  # cycles from package to package
+        self._interval = 1  # cycles between packages
         self._inputs: dict[int, Recipe] = {}
-        self.held: deque[bytes] | None = None
-        self.gone = False
 
     @property
     def inputs(self) -> set[str]:
-        """The input variables that it writes, and nobody else may."""
+        """Input variables reserved for this client."""
         return {name for recipe in self._inputs.values() for name in recipe.names}
 
     def data_received(self, data: bytes) -> None:
-        """Answer what is asked, take what is written; who does not keep to the protocol is dropped."""
-        if self.gone:
-            return
+        """Handle packages; disconnect a client that violates the protocol."""
         try:
             for package in self._packages.feed(data):
-                self._take(package)
+                self._handle(package)
         except RtdeError as error:
-            log.warning("a client of RTDE is dropped: %s", error)
+            log.warning("disconnecting an RTDE client: %s", error)
             self.transport.abort()
 
-    def hold(self) -> None:
-        """Hold up what is sent from now on."""
-        self.held = deque(self.held or (), HELD)
-
-    def release(self, *, burst: bool) -> None:
-        """Send again; with a `burst` of what was held up, else that is lost."""
-        held, self.held = self.held or (), None
-        if burst and not self.gone:
-            self.transport.write(b"".join(held))
-
-    def tell(self) -> None:
-        """Send what the newest cycle showed, if it is due."""
-        if self._started and self._outputs and self.box.cycles % self._every == 0:
+    def publish(self) -> None:
+        """Send the outputs of the latest cycle if they are due."""
+        if self._started and self._outputs and self.box.cycles % self._interval == 0:
             self.send(Kind.DATA, self._outputs.pack(self.box.values(self._outputs.names)))
 
     def send(self, kind: Kind, payload: bytes) -> None:
-        """Send a package, unless it is held up; a client that does not read is dropped."""
-        if self.held is not None:
-            self.held.append(pack(kind, payload))
-        elif not (self.gone or self.transport.is_closing()):
+        """Send a package; disconnect a client that does not read."""
+        if not self.transport.is_closing():
             self.transport.write(pack(kind, payload))
-            if self.transport.get_write_buffer_size() > UNREAD:
-                log.warning("a client of RTDE does not read: it is dropped")
+            if self.transport.get_write_buffer_size() > UNREAD_LIMIT:
+                log.warning("disconnecting an RTDE client that does not read")
                 self.transport.abort()
 
-    def _take(self, package: Package) -> None:
+    def _handle(self, package: Package) -> None:
         kind, payload = package
         match kind:
             case Kind.PROTOCOL:
@@ -149,28 +119,28 @@ class RtdeConnection(Connection):
             case Kind.DATA:
                 recipe = self._inputs.get(payload[0] if payload else 0)
                 if recipe is None:
-                    raise RtdeError(f"data for recipe {payload[:1].hex() or 'none'}")
+                    raise RtdeError(f"data for unknown recipe {payload[:1].hex() or '(none)'}")
                 self.box.write(dict(zip(recipe.names, recipe.unpack(payload), strict=True)))
             case Kind.TEXT:
-                log.info("a client of RTDE says %r", payload[:255])
+                log.info("RTDE client: %r", payload[:255])
             case _:
-                raise RtdeError(f"a package {chr(kind)!r}")
+                raise RtdeError(f"unexpected package {chr(kind)!r}")
 
     def _grant_outputs(self, payload: bytes) -> bytes:
         rate, wanted = outputs_asked(payload)
         types = _types(wanted, OUTPUTS)
         if "NOT_FOUND" in types or not wanted or not 0 < rate <= self.box.rate:
             return b"\0" + ",".join(types).encode()
-        self._outputs, self._every = Recipe(1, wanted, types), round(self.box.rate / rate)
+        self._outputs, self._interval = Recipe(1, wanted, types), round(self.box.rate / rate)
         return self._outputs.answer
 
     def _grant_inputs(self, wanted: tuple[str, ...]) -> bytes:
         others = [
-            other for other in self._everybody if isinstance(other, RtdeConnection) and other is not self
+            other for other in self._connections if isinstance(other, RtdeConnection) and other is not self
         ]
         taken = {name: "IN_USE" for other in others for name in other.inputs}
         types, number = _types(wanted, {**INPUTS, **taken}), len(self._inputs) + 1
-        if {"NOT_FOUND", "IN_USE"} & set(types) or not wanted or number > 255:  # noqa: PLR2004 - a uint8
+        if {"NOT_FOUND", "IN_USE"} & set(types) or not wanted or number > MAX_RECIPES:
             return b"\0" + ",".join(types).encode()
         self._inputs[number] = Recipe(number, wanted, types)
         return self._inputs[number].answer
@@ -179,34 +149,34 @@ class RtdeConnection(Connection):
 class TextConnection(Connection):
     """A client that sends text."""
 
-    largest = LINE_LARGEST
+    limit = LINE_LIMIT  # bytes of incomplete text
 
-    def __init__(self, box: ControlBox, everybody: set[Connection]) -> None:
-        super().__init__(box, everybody)
+    def __init__(self, box: ControlBox, connections: set[Connection]) -> None:
+        super().__init__(box, connections)
         self._text = ""
 
     def data_received(self, data: bytes) -> None:
-        """Take the lines that are complete; who sends too much without an end is dropped."""
+        """Handle complete text; disconnect a client whose text does not end."""
         self._text = self.take(self._text + data.decode("utf-8", "replace"))
-        if len(self._text) > self.largest:
-            log.warning("a client sends text without an end: it is dropped")
+        if len(self._text) > self.limit:
+            log.warning("disconnecting a client that sent %d characters without an end", len(self._text))
             self.transport.abort()
 
     def take(self, text: str) -> str:
-        """Take what is complete of a text; give the rest."""
+        """Handle the complete parts of a text and return the rest."""
         raise NotImplementedError
 
 
 class ScriptConnection(TextConnection):
-    """A client that uploads programs: from a line that begins with ``def`` to one that is ``end``."""
+    """A client that uploads programs, each from a line ``def ...`` to a line ``end``."""
 
-    largest = SCRIPT_LARGEST
+    limit = SCRIPT_LIMIT
 
     def take(self, text: str) -> str:
-        """Run the programs that are complete."""
+        """Run complete programs."""
         *complete, rest = text.split("\nend\n")
-        for each in complete:
-            self.box.run_script(each)
+        for script in complete:
+            self.box.run_script(script)
         return rest
 
 
@@ -214,21 +184,21 @@ class DashboardConnection(TextConnection):
     """A client of the dashboard."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Greet."""
+        """Send the greeting."""
         super().connection_made(transport)
-        self._say(GREETING)
+        self._send(GREETING)
 
     def take(self, text: str) -> str:
         """Answer each line."""
         *lines, rest = text.split("\n")
         for line in lines:
-            said = answer(self.box, line)
-            self._say(said)
-            if said == FAREWELL:
+            reply = answer(self.box, line)
+            self._send(reply)
+            if reply == FAREWELL:
                 self.transport.close()
         return rest
 
-    def _say(self, line: str) -> None:
+    def _send(self, line: str) -> None:
         self.transport.write(f"{line}\n".encode())
 
 

@@ -1,11 +1,11 @@
-"""The program that ur-rtde uploads to a UR controller: it obeys commands in the input registers.
+"""The program that ur-rtde uploads to a UR controller: it executes commands from the input registers.
 
-A command is a number in input_int_register_0, its values stand in the other registers; 0 is none. The program
-answers in output_int_register_0: 1 it is ready for one, 2 it is done with one, until that is taken back. A
-speed is taken at once and goes on until it is stopped.
+The command is a number in input_int_register_0 (0 for none), its parameters are in the other registers. The
+program answers in output_int_register_0: 1 when ready for a command, 2 when a command is done, until the
+client resets the command to 0. A speed is executed at once and lasts until it is stopped.
 
-Source: rtde_control.script of ur-rtde 1.6.5, which runs on the controller. Commands that neither a collection
-nor a safe stop needs are not emulated: they end the program, as an error in a script does.
+Source: rtde_control.script of ur-rtde 1.6.5, which runs on the controller. Only the commands that a
+collection or a safe stop needs are emulated; others end the program, as an error in a script does.
 """
 
 import logging
@@ -27,82 +27,85 @@ DONE: Final = 2
 
 
 class Command(IntEnum):
-    """What input_int_register_0 asks for."""
+    """Command in input_int_register_0, with its parameters."""
 
     NONE = 0
     MOVE_LINE = 3  # doubles 0..5 pose, 6 speed, 7 acceleration; int 1: 1 asynchronous
-    ZERO_FORCE_SENSOR = 8  # the scene's force needs no zero
+    ZERO_FORCE_SENSOR = 8  # no effect: the force has no offset
     SPEED = 10  # doubles 0..5 velocity, 6 acceleration
     STOP_SPEED = 15  # double 0 deceleration
-    SET_PAYLOAD = 17  # the scene's arm carries any
+    SET_PAYLOAD = 17  # no effect
     STOP_PROTECTIVELY = 31
     STOP_LINE = 33  # double 0 deceleration; int 1: 1 asynchronous
-    STOP_JOINTS = 34  # the same
-    SET_WATCHDOG = 35  # double 0 least rate (Hz) at which the command must be written
-    IS_STEADY = 47  # answers in output_int_register_1
+    STOP_JOINTS = 34  # as STOP_LINE
+    SET_WATCHDOG = 35  # double 0 minimum rate (Hz) of commands
+    IS_STEADY = 47  # result in output_int_register_1
     END = 255
 
 
 @dataclass
 class Registers:
-    """General purpose registers; inputs keep what was written last."""
+    """General purpose registers."""
 
     input_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
     input_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
     output_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
     output_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
-    fresh: bool = False  # the command was written since the last cycle
+    command_written: bool = False  # since the last cycle
 
 
 class Program:
-    """The program while it runs.
+    """The running program.
 
     Args:
-        registers: Of the controller.
-        drive: Of its arm.
-        period: Of the cycles, s.
-        protect: What a protective stop on command does.
+        registers: Registers of the controller.
+        drive: Drive of the arm.
+        period: Duration of a cycle (s).
+        stop_protectively: Triggers a protective stop for a reason.
     """
 
     def __init__(
-        self, registers: Registers, drive: Drive, period: float, protect: Callable[[str], None]
+        self, registers: Registers, drive: Drive, period: float, stop_protectively: Callable[[str], None]
     ) -> None:
-        self._registers, self._drive, self._period, self._protect = registers, drive, period, protect
-        self._busy = self._obeyed = self._moving = False  # with a command; taken back yet; asynchronously
-        self._operations = self._writes = 0  # asynchronous ones
-        self._silence, self._longest = 0.0, np.inf  # s without a command, and how much of it is too much
-        self._progress(running=False)
+        self._registers, self._drive, self._period = registers, drive, period
+        self._stop_protectively = stop_protectively
+        self._waiting = False  # for a synchronous motion to end
+        self._executed = False  # the command in the register
+        self._moving = False  # asynchronously
+        self._operations = self._writes = 0  # counters of asynchronous operations, modulo 128
+        self._silence, self._watchdog = 0.0, np.inf  # s since the last command, and its limit
+        self._report(running=False)
         registers.output_int[0] = READY
 
     def step(self) -> bool:
-        """One cycle; False when the program has ended."""
+        """Run one cycle; return False when the program has ended."""
         registers, drive = self._registers, self._drive
-        self._silence = 0.0 if registers.fresh else self._silence + self._period
-        registers.fresh = False
-        if self._silence > self._longest:
-            log.warning("the watchdog ends the program: no command for %.3f s", self._silence)
+        self._silence = 0.0 if registers.command_written else self._silence + self._period
+        registers.command_written = False
+        if self._silence > self._watchdog:
+            log.warning("watchdog: no command for %.3f s, the program ends", self._silence)
             return False
         if self._moving and drive.task == "none":
             self._moving = False
-            self._progress(running=False)
-        if self._busy:
+            self._report(running=False)
+        if self._waiting:
             if drive.task == "none":
-                self._busy = False
+                self._waiting = False
                 registers.output_int[0] = DONE
             return True
         command = registers.input_int[0]
         if command == Command.NONE:
-            self._obeyed = False
+            self._executed = False
             registers.output_int[0] = READY
         elif command == Command.SPEED:
             drive.speed(self._vector(), registers.input_double[6])
             registers.output_int[0] = READY
-        elif not self._obeyed:
-            self._obeyed = True
-            return self._obey(command)
+        elif not self._executed:
+            self._executed = True
+            return self._execute(command)
         return True
 
-    def _obey(self, command: int) -> bool:
+    def _execute(self, command: int) -> bool:
         registers, drive = self._registers, self._drive
         first, asynchronous = registers.input_double[0], registers.input_int[1] == 1
         match command:
@@ -116,9 +119,9 @@ class Program:
                 drive.stop(first)
                 self._begin(asynchronous=asynchronous)
             case Command.STOP_PROTECTIVELY:
-                self._protect("on command")
+                self._stop_protectively("on command")
             case Command.SET_WATCHDOG:
-                self._longest = 1 / first if first > 0 else np.inf
+                self._watchdog = 1 / first if first > 0 else np.inf
             case Command.IS_STEADY:
                 registers.output_int[1] = int(drive.task == "none")
             case Command.ZERO_FORCE_SENSOR | Command.SET_PAYLOAD:
@@ -128,7 +131,7 @@ class Program:
             case _:
                 log.warning("command %d is not emulated: the program ends", command)
                 return False
-        if not self._busy:
+        if not self._waiting:
             registers.output_int[0] = DONE
         return True
 
@@ -137,11 +140,11 @@ class Program:
 
     def _begin(self, *, asynchronous: bool) -> None:
         if self._moving or asynchronous:
-            self._progress(running=asynchronous)
-        self._moving, self._busy = asynchronous, not asynchronous
+            self._report(running=asynchronous)
+        self._moving, self._waiting = asynchronous, not asynchronous
 
-    def _progress(self, *, running: bool) -> None:
-        """Tell in output_int_register_2 that an asynchronous operation began or ended."""
+    def _report(self, *, running: bool) -> None:
+        """Report in output_int_register_2 that an asynchronous operation began or ended."""
         self._writes = (self._writes + 1) % 128
         self._operations = (self._operations + running) % 128
         self._registers.output_int[2] = (self._operations << 24) + (self._writes << 16) + (running << 15)

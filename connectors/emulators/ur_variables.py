@@ -1,14 +1,14 @@
-"""The variables of a UR controller that RTDE reads and writes, by name, with their types.
+"""Names and types of the RTDE variables of a UR controller.
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide": those that every controller since 3.4 has,
-and some that came later; ur-rtde asks for the latter of the controllers that have them.
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide": the variables of controllers since 3.4, and
+the later ones that ur-rtde requests.
 """
 
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Final
 
-REGISTERS: Final = 48  # of each type, each way
+REGISTERS: Final = 48  # per type and direction
 
 _BY_TYPE: Final = {
     "DOUBLE": "timestamp actual_execution_time speed_scaling target_speed_fraction actual_momentum"

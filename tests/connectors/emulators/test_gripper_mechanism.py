@@ -25,38 +25,38 @@ class Scene:
         self.told.append((time - START, force))
 
 
-def active(scene: Scene, met: int | None = MET) -> tuple[Mechanism, int]:
+def active(scene: Scene, contact: int | None = MET) -> tuple[Mechanism, int]:
     """A gripper that has been activated, and when it was."""
-    mechanism = Mechanism(scene, START, met=met)
-    mechanism.ask(Request(active=True), START)
+    mechanism = Mechanism(scene, START, contact=contact)
+    mechanism.request(Request(active=True), START)
     now = START + 2 * s + 10 * ms
-    assert mechanism.look(now).ready
+    assert mechanism.status(now).ready
     return mechanism, now
 
 
 def test_it_begins_with_registers_of_zeros() -> None:
-    assert Mechanism(Scene(), START).look(START + 5 * s).encode() == bytes(16)
+    assert Mechanism(Scene(), START).status(START + 5 * s).encode() == bytes(16)
 
 
 def test_an_activation_takes_its_time_and_shows_as_the_manual_says() -> None:
     mechanism = Mechanism(Scene(), START)
-    mechanism.ask(Request(active=True), START)
-    shown = [mechanism.look(START + at * ms).encode()[:2].hex() for at in (9, 10, 2009, 2010)]
+    mechanism.request(Request(active=True), START)
+    shown = [mechanism.status(START + at * ms).encode()[:2].hex() for at in (9, 10, 2009, 2010)]
     assert shown == ["0000", "1100", "1100", "3100"]
 
 
 def test_the_fingers_stop_at_the_object_and_grip_it_from_that_instant_on() -> None:
     scene = Scene()
     mechanism, now = active(scene)
-    mechanism.ask(CLOSE, now)
+    mechanism.request(CLOSE, now)
     begun = now + 10 * ms
     way = round(FASTEST * 0.4 * s)
-    mechanism.look(begun + way // 2)
-    moving = mechanism.look(begun + way // 2)
+    mechanism.status(begun + way // 2)
+    moving = mechanism.status(begun + way // 2)
     assert (moving.fingers, moving.positions, moving.echo) == (Fingers.MOVING, (51, 51, 51), 255)
     assert not moving.object_detected
     assert not scene.told
-    held = mechanism.look(begun + 3 * way)  # nobody looked when it happened
+    held = mechanism.status(begun + 3 * way)  # nobody looked when it happened
     assert (held.fingers, held.positions) == (Fingers.ALL_STOPPED, (102, 102, 102))
     assert held.axes == (Axis.STOPPED_CLOSING,) * 3 + (Axis.ARRIVED,)
     assert held.object_detected
@@ -68,9 +68,9 @@ def test_the_fingers_stop_at_the_object_and_grip_it_from_that_instant_on() -> No
 
 def test_without_an_object_they_reach_where_they_are_to_go() -> None:
     scene = Scene()
-    mechanism, now = active(scene, met=None)
-    mechanism.ask(replace(CLOSE, position=200), now)
-    status = mechanism.look(now + 10 * s)
+    mechanism, now = active(scene, contact=None)
+    mechanism.request(replace(CLOSE, position=200), now)
+    status = mechanism.status(now + 10 * s)
     assert (status.fingers, status.positions, status.object_detected) == (Fingers.ARRIVED, (200,) * 3, False)
     assert not scene.told
 
@@ -78,8 +78,8 @@ def test_without_an_object_they_reach_where_they_are_to_go() -> None:
 def test_an_object_beyond_the_requested_position_is_not_touched() -> None:
     scene = Scene()
     mechanism, now = active(scene)
-    mechanism.ask(replace(CLOSE, position=MET), now)
-    assert mechanism.look(now + 10 * s).fingers is Fingers.ARRIVED
+    mechanism.request(replace(CLOSE, position=MET), now)
+    assert mechanism.status(now + 10 * s).fingers is Fingers.ARRIVED
     assert not scene.told
 
 
@@ -87,32 +87,32 @@ def test_more_force_grips_harder_less_does_not_loosen_and_opening_lets_go() -> N
     scene, scale = Scene(), ForceScale()
     mechanism, now = active(scene)
     for step, force in enumerate((40, 200, 90)):
-        mechanism.ask(replace(CLOSE, force=force), now + 5 * step * s)
+        mechanism.request(replace(CLOSE, force=force), now + 5 * step * s)
         mechanism.advance(now + 5 * (step + 1) * s)
     assert [force for _, force in scene.told] == [scale.force(40), scale.force(200)]
     assert scene.told[1][0] == now + 5 * s + 10 * ms - START
-    mechanism.ask(replace(CLOSE, position=0), now + 20 * s)
+    mechanism.request(replace(CLOSE, position=0), now + 20 * s)
     mechanism.advance(now + 30 * s)
     assert scene.told[2:] == [(now + 20 * s + 10 * ms - START, 0.0)]
     assert mechanism.force == 0.0
-    mechanism.ask(replace(CLOSE, force=90), now + 30 * s)
+    mechanism.request(replace(CLOSE, force=90), now + 30 * s)
     mechanism.advance(now + 40 * s)
     assert mechanism.force == scale.force(90)
 
 
 def test_they_stay_where_they_are_when_they_are_not_to_go() -> None:
-    mechanism, now = active(Scene(), met=None)
-    mechanism.ask(replace(CLOSE, speed=0), now)
+    mechanism, now = active(Scene(), contact=None)
+    mechanism.request(replace(CLOSE, speed=0), now)
     half = now + 10 * ms + round(SLOWEST / 2 * s)
-    mechanism.ask(replace(CLOSE, go=False), half - 10 * ms)
-    status = mechanism.look(half + 60 * s)
+    mechanism.request(replace(CLOSE, go=False), half - 10 * ms)
+    status = mechanism.status(half + 60 * s)
     assert (status.go, status.positions) == (False, (128,) * 3)
 
 
 def test_a_change_of_mode_takes_its_time_and_holds_the_fingers_up() -> None:
     mechanism, now = active(Scene())
-    mechanism.ask(replace(CLOSE, mode=Mode.PINCH), now)
-    changing = mechanism.look(now + 500 * ms)
+    mechanism.request(replace(CLOSE, mode=Mode.PINCH), now)
+    changing = mechanism.status(now + 500 * ms)
     assert (changing.phase, changing.mode, changing.fault, changing.go) == (
         Phase.CHANGING,
         Mode.PINCH,
@@ -120,67 +120,67 @@ def test_a_change_of_mode_takes_its_time_and_holds_the_fingers_up() -> None:
         False,
     )
     assert changing.positions == (0, 0, 0)
-    done = mechanism.look(now + 1010 * ms)
+    done = mechanism.status(now + 1010 * ms)
     assert (done.phase, done.fault, done.go) == (Phase.READY, 0, True)
-    assert mechanism.look(now + 10 * s).object_detected
+    assert mechanism.status(now + 10 * s).object_detected
 
 
 def test_what_is_asked_for_during_the_activation_is_done_after_it() -> None:
-    mechanism = Mechanism(Scene(), START, met=None)
-    mechanism.ask(replace(CLOSE, mode=Mode.WIDE), START)
+    mechanism = Mechanism(Scene(), START, contact=None)
+    mechanism.request(replace(CLOSE, mode=Mode.WIDE), START)
     seen = [
-        (mechanism.look(START + at * s // 2).phase, mechanism.look(START + at * s // 2).fault)
+        (mechanism.status(START + at * s // 2).phase, mechanism.status(START + at * s // 2).fault)
         for at in (2, 5, 7)
     ]
     assert seen == [(Phase.ACTIVATING, 5), (Phase.CHANGING, 6), (Phase.READY, 0)]
-    assert mechanism.look(START + 10 * s).fingers is Fingers.ARRIVED
+    assert mechanism.status(START + 10 * s).fingers is Fingers.ARRIVED
 
 
 def test_it_does_not_act_before_it_is_activated() -> None:
     mechanism = Mechanism(Scene(), START)
-    mechanism.ask(replace(CLOSE, active=False), START)
-    status = mechanism.look(START + 10 * s)
+    mechanism.request(replace(CLOSE, active=False), START)
+    status = mechanism.status(START + 10 * s)
     assert (status.active, status.fault, status.positions) == (False, 7, (0, 0, 0))
 
 
 def test_switched_off_and_on_its_registers_are_zeros_and_what_it_holds_falls_when_it_is_activated() -> None:
     scene = Scene()
     mechanism, now = active(scene)
-    mechanism.ask(CLOSE, now)
+    mechanism.request(CLOSE, now)
     mechanism.advance(now + 5 * s)
-    mechanism.restart()
-    assert mechanism.look(now + 6 * s).encode() == bytes(16)
+    mechanism.power_up()
+    assert mechanism.status(now + 6 * s).encode() == bytes(16)
     assert mechanism.force == 60.0
-    mechanism.ask(Request(active=True), now + 7 * s)
-    assert mechanism.look(now + 10 * s).positions == (0, 0, 0)
+    mechanism.request(Request(active=True), now + 7 * s)
+    assert mechanism.status(now + 10 * s).positions == (0, 0, 0)
     assert scene.told[-1] == (now + 7 * s + 10 * ms - START, 0.0)
 
 
 def test_it_opens_slowly_in_an_automatic_release_and_then_obeys_only_a_reset() -> None:
-    mechanism, now = active(Scene(), met=None)
-    mechanism.ask(CLOSE, now)
+    mechanism, now = active(Scene(), contact=None)
+    mechanism.request(CLOSE, now)
     mechanism.advance(now + 2 * s)
-    mechanism.ask(replace(CLOSE, release=True), now + 2 * s)
-    halfway = mechanism.look(now + 2010 * ms + round(SLOWEST / 2 * s))
+    mechanism.request(replace(CLOSE, release=True), now + 2 * s)
+    halfway = mechanism.status(now + 2010 * ms + round(SLOWEST / 2 * s))
     assert (halfway.fault, halfway.phase, halfway.positions) == (RELEASING, Phase.RESET, (128,) * 3)
-    assert mechanism.look(now + 10 * s).fault == RELEASED
-    mechanism.ask(CLOSE, now + 10 * s)
-    status = mechanism.look(now + 20 * s)
+    assert mechanism.status(now + 10 * s).fault == RELEASED
+    mechanism.request(CLOSE, now + 10 * s)
+    status = mechanism.status(now + 20 * s)
     assert (status.fault, status.positions) == (RELEASED, (0, 0, 0))
-    mechanism.ask(Request(), now + 20 * s)
-    assert mechanism.look(now + 21 * s).fault == 0
-    mechanism.ask(CLOSE, now + 21 * s)
-    assert mechanism.look(now + 30 * s).fingers is Fingers.ARRIVED
+    mechanism.request(Request(), now + 20 * s)
+    assert mechanism.status(now + 21 * s).fault == 0
+    mechanism.request(CLOSE, now + 21 * s)
+    assert mechanism.status(now + 30 * s).fingers is Fingers.ARRIVED
 
 
 @pytest.mark.parametrize("steps", [1, 7, 1000])
 def test_how_often_it_is_looked_at_changes_nothing(steps: int) -> None:
     scene = Scene()
     mechanism, now = active(scene)
-    mechanism.ask(CLOSE, now)
+    mechanism.request(CLOSE, now)
     for step in range(steps):
         mechanism.advance(now + round((step + 1) / steps * 5 * s))
     [(instant, force)] = scene.told
     assert abs(instant - (now + 10 * ms + round(FASTEST * 0.4 * s) - START)) <= steps
     assert force == 60.0
-    assert mechanism.look(now + 5 * s).positions == (102, 102, 102)
+    assert mechanism.status(now + 5 * s).positions == (102, 102, 102)

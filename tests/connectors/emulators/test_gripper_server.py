@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from connectors import Gripper
-from connectors.emulators.gripper_server import GripperServer
 from connectors.emulators.shared_scene import SharedScene
 from connectors.gripper.robotiq import Fingers, Mode, Phase, Request, Status, octets, registers
 from flows.run.clocks import LoopClock
 from operators import EndpointError, ParameterError, s
 from operators.batch import Commands
 from operators.ports import Run
+from tests.connectors.emulators.faulty_gripper import FaultyGripperServer
 
 pytest.importorskip("pymodbus")
 
@@ -41,14 +41,14 @@ class Hand:
 
 
 @asynccontextmanager
-async def served(**parameters: Any) -> AsyncGenerator[tuple[GripperServer, Hand]]:  # noqa: ANN401 - the server's
+async def served(**parameters: Any) -> AsyncGenerator[tuple[FaultyGripperServer, Hand]]:  # noqa: ANN401 - the server's
     hand = Hand()
-    async with asyncio.timeout(30), GripperServer(hand, port=0, now=hand.now, **parameters) as server:
+    async with asyncio.timeout(30), FaultyGripperServer(hand, port=0, now=hand.now, **parameters) as server:
         yield server, hand
 
 
 @asynccontextmanager
-async def client(server: GripperServer, **parameters: Any) -> AsyncGenerator[AsyncModbusTcpClient]:  # noqa: ANN401
+async def client(server: FaultyGripperServer, **parameters: Any) -> AsyncGenerator[AsyncModbusTcpClient]:  # noqa: ANN401
     modbus = AsyncModbusTcpClient(HOST, port=server.port, retries=0, reconnect_delay=0, **parameters)
     assert await modbus.connect()
     try:
@@ -70,7 +70,7 @@ async def look(modbus: AsyncModbusTcpClient, unit: int = 2) -> Status:
 
 def test_it_answers_the_manuals_frames_byte_for_byte() -> None:
     async def test() -> None:
-        async with served(activation=10.0, met=188) as (server, hand):
+        async with served(activation=10.0, contact=188) as (server, hand):
             reader, writer = await asyncio.open_connection(HOST, server.port)
             with closing(writer):
 
@@ -161,17 +161,17 @@ def test_after_a_restart_its_registers_are_zeros() -> None:
 def test_it_can_refuse_and_be_silent() -> None:
     async def test() -> None:
         async with served() as (server, hand), client(server) as modbus:
-            server.refuse()
+            server.refusing = True
             answer = await modbus.write_registers(0, registers(CLOSE.encode()), device_id=2)
             assert answer.exception_code == 4
-            server.refuse(refusing=False)
+            server.refusing = False
             hand.time += s
             assert await look(modbus) == Status()
-            server.silence()
+            server.silent = True
             async with client(server, timeout=0.1) as other:
                 with pytest.raises(ModbusException, match="No response"):
                     await ask(other, CLOSE)
-            server.silence(silent=False)
+            server.silent = False
             hand.time += s
             assert (await look(modbus)).active
 
@@ -184,8 +184,8 @@ def test_a_port_that_is_taken_is_said_to_be() -> None:
             other.bind((HOST, 0))
             other.listen()
             port = other.getsockname()[1]
-            with pytest.raises(EndpointError, match=f"{HOST}:{port}: cannot be listened on"):
-                await GripperServer(Hand(), port=port).start()
+            with pytest.raises(EndpointError, match=f"{HOST}:{port}: cannot listen"):
+                await FaultyGripperServer(Hand(), port=port).start()
 
     asyncio.run(test())
 
@@ -206,7 +206,7 @@ def test_it_listens_on_loopback_only_and_again_after_it_was_closed() -> None:
 
 def test_a_unit_that_cannot_be_is_refused() -> None:
     with pytest.raises(ParameterError, match="GripperServer: unit is 256"):
-        GripperServer(Hand(), unit=256)
+        FaultyGripperServer(Hand(), unit=256)
 
 
 def test_the_grip_reaches_the_scene_and_its_fingertip_feels_it() -> None:
@@ -218,7 +218,7 @@ def test_the_grip_reaches_the_scene_and_its_fingertip_feels_it() -> None:
                 lab.command(commands)
                 gripped.set()
 
-        server = GripperServer(Scene(), port=0, now=lab.now, activation=0.05, met=3)
+        server = FaultyGripperServer(Scene(), port=0, now=lab.now, activation=0.05, contact=3)
         async with asyncio.timeout(60), server:
             gripper = Gripper(HOST, server.port)
             rest, _ = lab.touch(0, lab.now())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from connectors.emulators.free_arm import FreeArm
-from connectors.emulators.ur_drive import HOPELESS, NEAR, Drive
+from connectors.emulators.ur_drive import POSE_TOLERANCE, PROGRESS_TIMEOUT, Drive
 from operators.batch import Commands, Reals, s
 
 DOWN = np.array([0.4, -0.2, 0.1, np.pi, 0.0, 0.0])
@@ -45,7 +45,7 @@ def test_a_line_ends_where_it_should_and_never_goes_faster(
     poses, velocities = np.array([each[0] for each in path]), np.array([each[1] for each in path])
     assert drive.task == "none"
     assert not drive.lost
-    np.testing.assert_allclose(poses[-1], change, atol=2 * NEAR)
+    np.testing.assert_allclose(poses[-1], change, atol=2 * POSE_TOLERANCE)
     speed = np.maximum(*(np.linalg.norm(velocities[:, part], axis=1) for part in (slice(3), slice(3, 6))))
     assert speed.max() < 0.1 + 1e-9
     longest = max(np.linalg.norm(change[:3]), np.linalg.norm(change[3:]))
@@ -61,7 +61,7 @@ def test_a_line_turns_the_short_way_in_the_frame_of_the_base() -> None:
     target = np.array([*DOWN[:3], *turned])
     drive.line(target, 0.5, 1.0)
     velocities = np.array([velocity for _, velocity in cycles(drive, arm, 500.0)])
-    np.testing.assert_allclose(arm.motion(10**12)[0], target, atol=2 * NEAR)
+    np.testing.assert_allclose(arm.motion(10**12)[0], target, atol=2 * POSE_TOLERANCE)
     assert np.abs(velocities[:, :5]).max() < 1e-4
     assert velocities[:, 5].max() == pytest.approx(0.5)
 
@@ -110,7 +110,7 @@ def test_an_arm_that_does_not_follow_is_given_up() -> None:
     path = list(cycles(drive, Stuck(np.zeros(6)), 125.0))
     assert drive.lost
     assert not drive.velocity.any()
-    assert len(path) * 0.008 == pytest.approx(HOPELESS, abs=0.05)
+    assert len(path) * 0.008 == pytest.approx(PROGRESS_TIMEOUT, abs=0.05)
 
 
 def test_a_task_that_is_held_goes_on_from_where_it_stood() -> None:

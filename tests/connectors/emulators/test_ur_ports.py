@@ -189,10 +189,12 @@ def test_who_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture) -> None:
         await client.subscribe(500.0, *everything)
         client.writer.transport.pause_reading()  # type: ignore[attr-defined]  # asyncio's sockets have it
         await asyncio.sleep(60.0)
-        assert not here.controller.clients
+        assert not here.controller.connections
 
     virtually(body)
-    assert [record.message for record in caplog.records] == ["a client of RTDE does not read: it is dropped"]
+    assert [record.message for record in caplog.records] == [
+        "disconnecting an RTDE client that does not read"
+    ]
 
 
 # --- script port and dashboard ---------------------------------------------------------------------------
@@ -230,7 +232,7 @@ def test_text_without_an_end_is_not_kept(caplog: pytest.LogCaptureFixture) -> No
         await reader.readline()
         writer.write(b"x" * 5000)
         await asyncio.sleep(0.1)
-        assert not here.controller.clients
+        assert not here.controller.connections
 
     virtually(body)
     assert "without an end" in caplog.text

@@ -2,7 +2,7 @@ import asyncio
 import socket
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 from pymodbus.client import AsyncModbusTcpClient
@@ -30,9 +30,7 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip() -> None:
                     return counts
 
             in_air = await felt()
-            cast("Any", lab.controller.box)._drive.line(
-                np.array([0.0, 0.0, -0.002, np.pi, 0.0, 0.0]), 0.2, 1.0
-            )
+            lab.controller.box.drive.line(np.array([0.0, 0.0, -0.002, np.pi, 0.0, 0.0]), 0.2, 1.0)
             async with asyncio.timeout(10):
                 async for moved in motion.batches(clock):
                     if moved.pose[-1, 2] < -0.0019:
@@ -53,11 +51,11 @@ def test_a_sphere_is_touched_lower_at_its_side() -> None:
 
     async def main() -> None:
         async with virtual_lab(commanded_scene("sphere", 0.03), ports=ANYWHERE) as lab:
-            box = cast("Any", lab.controller.box)
+            box = lab.controller.box
             async with asyncio.timeout(10):
                 for place in ([0.015, 0.0, 0.0], [0.015, 0.0, -0.006]):  # its surface is at -0.004 there
-                    box._drive.line(np.array([*place, np.pi, 0.0, 0.0]), 0.2, 1.0)
-                    while box._drive.task != "none":  # noqa: ASYNC110 - nothing tells
+                    box.drive.line(np.array([*place, np.pi, 0.0, 0.0]), 0.2, 1.0)
+                    while box.drive.task != "none":  # noqa: ASYNC110 - nothing tells
                         await asyncio.sleep(0.01)
                     pushed.append(box.values(["actual_TCP_force"])[0][2])
 

@@ -10,13 +10,13 @@ from typing import Any, cast
 import numpy as np
 
 from connectors import Gripper
-from connectors.emulators.gripper_server import GripperServer
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.robotiq import Request
 from flows.run.clocks import LoopClock
 from operators import s
 from operators.batch import Commands
 from operators.ports import Run
+from tests.connectors.emulators.faulty_gripper import FaultyGripperServer
 
 IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' own wire without sockets: virtual time cannot overtake it
 PORT = 5020
@@ -45,7 +45,7 @@ class Scene:
 class Lab:
     """A served gripper on the event loop's time, a sink that commands it, and what goes over the wire."""
 
-    server: GripperServer
+    server: FaultyGripperServer
     scene: Scene
     run: Run
     asked: list[tuple[float, bytes]]  # s of the loop, and a request's bytes after the transaction's number
@@ -79,17 +79,17 @@ async def lab(
     """A gripper, served meanwhile."""
     loop, scene, asked = asyncio.get_running_loop(), Scene(), list[tuple[float, bytes]]()
     begun = loop.time()
-    server = GripperServer(
+    server = FaultyGripperServer(
         scene, host=host, port=port, now=lambda: round((loop.time() - begun) * s), **parameters
     )
-    pass_on = server._pass  # pyright: ignore[reportPrivateUsage]
+    pass_on = server._trace  # pyright: ignore[reportPrivateUsage]
 
     def listen(sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
         if data and not sending:
             asked.append((loop.time(), data[2:]))
         return pass_on(sending, data)
 
-    server._pass = listen  # type: ignore[method-assign]
+    server._trace = listen  # type: ignore[method-assign]
     async with server:
         yield Lab(server, scene, Run("run1", "live", LoopClock(), 0), asked)
 

@@ -7,6 +7,7 @@ import pytest
 from connectors.emulators.gripper_mechanism import RELEASED, Mechanism
 from connectors.gripper.robotiq import Mode, Phase, Request
 from operators import EndpointError
+from tests.connectors.emulators.faulty_gripper import fail
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
 
 pytestmark = pytest.mark.virtual
@@ -61,9 +62,9 @@ async def test_a_command_that_meets_a_restarted_gripper_is_obeyed_once_it_is_rea
 async def test_somebody_who_resets_it_has_it_activated_again() -> None:
     async with lab() as at, at.gripping(force=20.0) as gripper:
         await asyncio.sleep(5)
-        at.server.mechanism.fail(RELEASED)
+        fail(at.server.mechanism, RELEASED)
         await asyncio.sleep(5)
-        at.server.mechanism.restart()
+        at.server.mechanism.power_up()
         await asyncio.sleep(10)
         assert at.scene.forces == [SCALE.force(28), 0.0, SCALE.force(28)]
         await gripper.write(commands(20.0))
@@ -99,7 +100,7 @@ async def test_a_command_whose_answer_is_missing_counts_as_not_sent() -> None:
     async with lab() as at:
         gripper = at.gripper()
         await gripper.open(at.run)
-        at.server.silence()
+        at.server.silent = True
         await gripper.write(commands(20.0))
         await asyncio.sleep(0.5)
         assert at.writes[-1].force == 28

@@ -16,6 +16,7 @@ from flows.run.live_runner import LiveRunner
 from operators import EndpointError, FlowError, InputError, ParameterError, ms
 from operators.batch import Commands
 from operators.ports import Run
+from tests.connectors.emulators.faulty_gripper import fail
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
 
 pytestmark = pytest.mark.virtual
@@ -40,7 +41,7 @@ async def test_opening_and_closing_the_fingers_are_the_manuals_frames() -> None:
 
 
 async def test_the_fingers_grip_once_a_force_is_commanded_and_the_object_is_detected() -> None:
-    async with lab(met=51) as at:
+    async with lab(contact=51) as at:
         gripper = at.gripper(speed=200, position=180)
         await gripper.open(at.run)
         await asyncio.sleep(10)
@@ -121,7 +122,7 @@ async def test_forces_beyond_the_limits_are_brought_to_them_and_counted() -> Non
 async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_answers() -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
         await asyncio.sleep(5)
-        at.server.silence()
+        at.server.silent = True
         await asyncio.sleep(1.2)
         for force in (20.0, 25.0, 30.0):
             with pytest.raises(
@@ -130,7 +131,7 @@ async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_
                 await gripper.write(commands(force))
         assert gripper.status is None
         assert gripper.describe()["fault"] == "does not answer within 1.0 s: is 2 its unit?"
-        at.server.silence(silent=False)
+        at.server.silent = False
         await asyncio.sleep(4)
         assert [each.force for each in at.writes[2:]] == [85]
         assert at.scene.forces == [15.0, SCALE.force(85)]
@@ -140,13 +141,13 @@ async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_
 
 async def test_written_again_after_a_failure_a_batch_is_taken_once() -> None:
     async with lab() as at, at.gripping() as gripper:
-        at.server.refuse()
+        at.server.refusing = True
         await asyncio.sleep(0.2)
         batch = commands(20.0, 99.0)
         for _ in range(3):
             with pytest.raises(EndpointError, match="refuses: it failed"):
                 await gripper.write(batch)
-        at.server.refuse(refusing=False)
+        at.server.refusing = False
         await asyncio.sleep(4)
         await gripper.write(batch)
         assert [counted(gripper)[name] for name in ("taken", "superseded", "limited")] == [2, 1, 1]
@@ -161,7 +162,7 @@ async def test_a_fault_that_only_a_reset_ends_is_left_to_people_during_a_run_and
         gripper = at.gripper(force=20.0)
         await gripper.open(at.run)
         await asyncio.sleep(5)
-        at.server.mechanism.fail(RELEASED)
+        fail(at.server.mechanism, RELEASED)
         await asyncio.sleep(1)
         with pytest.raises(EndpointError, match="has released automatically, and must be reset"):
             await gripper.write(commands(30.0))
@@ -278,7 +279,7 @@ def test_a_measured_scale_widens_the_limits() -> None:
 
 def test_over_real_sockets_it_survives_a_reset_and_a_gripper_that_is_gone() -> None:
     async def test() -> None:
-        async with asyncio.timeout(30), lab("127.0.0.1", 0, activation=0.05, met=2) as at:
+        async with asyncio.timeout(30), lab("127.0.0.1", 0, activation=0.05, contact=2) as at:
             gripper = at.gripper(patience=10.0, poll=0.02)
             await gripper.open(at.run)
             await gripper.write(commands(30.0))

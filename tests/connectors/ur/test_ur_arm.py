@@ -18,7 +18,6 @@ import pytest
 from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.ur_control_box import Arm, RuntimeState
-from connectors.emulators.ur_controller import UrController
 from connectors.emulators.ur_program import Program
 from connectors.ur.control_process import Command, Move
 from connectors.ur.rtde import Version
@@ -27,6 +26,7 @@ from connectors.ur.ur_state import ArmState, Bounds
 from flows.run.clocks import LoopClock
 from operators import EndpointError
 from operators.batch import Reals
+from tests.connectors.emulators.faulty_ur import FaultyUrController, stop_in_emergency
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
@@ -41,7 +41,7 @@ CB3 = Version(3, 15, 8, 0)
 
 @dataclass
 class Lab:
-    controller: UrController
+    controller: FaultyUrController
     arm: UrArm
 
 
@@ -61,7 +61,7 @@ class Leaning(PressingArm):
 async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator[Lab]:
     clock, arm = LoopClock(), arm or FreeArm(np.array(BEGIN), 1.0)
     async with (
-        UrController(arm, host=HOST, version=CB3, now=clock.now) as controller,
+        FaultyUrController(arm, host=HOST, version=CB3, now=clock.now) as controller,
         UrArm(HOST, bounds, clock, watchdog=1.0) as moved,
     ):
         yield Lab(controller, moved)
@@ -118,7 +118,7 @@ def test_it_stops_though_its_controller_reads_commands_slowly(monkeypatch: pytes
     async def main() -> None:
         clock = LoopClock()
         async with (
-            UrController(FreeArm(np.array(BEGIN), 1.0), host=HOST, version=CB3, now=clock.now),
+            FaultyUrController(FreeArm(np.array(BEGIN), 1.0), host=HOST, version=CB3, now=clock.now),
             UrArm(HOST, BOUNDS, clock) as arm,
         ):
             monkeypatch.setattr(Program, "step", seldom)
@@ -245,7 +245,7 @@ def test_a_protective_stop_ends_its_moves() -> None:
 
 
 def test_an_emergency_stop_ends_its_moves() -> None:
-    here = refused(lambda here: here.controller.box.stop_in_emergency(), away)
+    here = refused(lambda here: stop_in_emergency(here.controller.box), away)
     assert here.arm.fault == "emergency stop"
 
 
@@ -308,8 +308,8 @@ def test_a_cancelled_move_stops_the_arm() -> None:
 def test_an_arm_that_may_not_move_is_not_opened() -> None:
     async def main() -> None:
         arm = FreeArm(np.array(BEGIN))
-        async with UrController(arm, host=HOST, version=CB3) as controller:
-            controller.box.stop_in_emergency()
+        async with FaultyUrController(arm, host=HOST, version=CB3) as controller:
+            stop_in_emergency(controller.box)
             async with UrArm(HOST, BOUNDS, LoopClock()):
                 pass
 

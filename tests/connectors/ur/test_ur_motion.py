@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from connectors import UrMotion
 from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.shared_scene import SharedScene
-from connectors.emulators.ur_controller import Ports, UrController
+from connectors.emulators.ur_controller import Ports
 from connectors.ur import rtde_client
 from connectors.ur.rtde import Version
 from connectors.ur.ur_motion import PackageStamps
@@ -25,6 +25,7 @@ from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Clocks, DeviceClock, EndpointError, Motion, ParameterError, WatchClock, concat, ms, s
 from operators.batch import Commands, Times
+from tests.connectors.emulators.faulty_ur import FaultyUrController
 
 HOST = "127.0.0.1"
 ANYWHERE = Ports(0, 0, 0)
@@ -48,7 +49,7 @@ async def exhaust(source: UrMotion, clock: LoopClock) -> tuple[list[Motion], End
 class Lab:
     """Controller on the event loop's time, and a source that reads it."""
 
-    controller: UrController
+    controller: FaultyUrController
     source: UrMotion
     clock: LoopClock
 
@@ -74,7 +75,7 @@ class Lab:
 async def lab(version: Version = E_SERIES, rate: float = 125.0, drift: float = 0.0) -> AsyncGenerator[Lab]:
     clock, arm = LoopClock(1_700_000_000 * s), FreeArm(POSE)
     arm.command(Commands(np.array([clock.now()]), np.array([nan]), FORWARD[None]))
-    async with UrController(
+    async with FaultyUrController(
         arm, host=HOST, ports=ANYWHERE, version=version, now=clock.now, drift=drift
     ) as controller:
         yield Lab(controller, UrMotion(HOST, rate, controller.ports.rtde), clock)
@@ -161,7 +162,9 @@ def test_the_virtual_arm_moves_to_its_target_and_reports_it() -> None:
     async def main() -> tuple[Motion, SharedScene]:
         clock = LoopClock(1_700_000_000 * s)
         scenery = SharedScene(now=clock.now)
-        async with UrController(scenery, host=HOST, ports=ANYWHERE, version=CB3, now=clock.now) as controller:
+        async with FaultyUrController(
+            scenery, host=HOST, ports=ANYWHERE, version=CB3, now=clock.now
+        ) as controller:
             controller.box.run_script("def program():\n  x = read_input_integer_reg(0)")
             controller.box.write({"input_int_register_0": 3} | doubles)
             here = Lab(controller, UrMotion(HOST, 125.0, controller.ports.rtde), clock)

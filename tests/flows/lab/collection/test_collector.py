@@ -38,6 +38,7 @@ from operators import (
     s,
 )
 from storage import Session as Recorded
+from tests.connectors.emulators.faulty_ur import stop_in_emergency
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
@@ -285,7 +286,7 @@ def interrupted(done: Made, why: str) -> None:
 
 def test_an_emergency_stop_ends_the_collection(tmp_path: Path) -> None:
     interrupted(
-        made(tmp_path / "data", act=lambda lab: lab.controller.box.stop_in_emergency()), "emergency stop"
+        made(tmp_path / "data", act=lambda lab: stop_in_emergency(lab.controller.box)), "emergency stop"
     )
 
 

@@ -1,0 +1,54 @@
+"""An emulated gripper with faults on command."""
+
+import asyncio
+import socket
+import struct
+from typing import TYPE_CHECKING, Any, cast
+
+from connectors.emulators.gripper_mechanism import Mechanism
+from connectors.emulators.gripper_server import GripperServer
+from connectors.gripper.robotiq import Phase
+
+if TYPE_CHECKING:
+    from pymodbus.constants import ExcCodes
+
+
+def fail(mechanism: Mechanism, fault: int) -> None:
+    """Set a fault, one of `connectors.gripper.robotiq.FAULTS`, until it is reset."""
+    inside = cast("Any", mechanism)
+    inside._phase, inside._until, inside._fault = Phase.RESET, None, fault
+
+
+class FaultyGripperServer(GripperServer):
+    """A gripper that can restart, drop its clients, refuse (`refusing`) or not answer (`silent`)."""
+
+    refusing = silent = False
+
+    async def start(self) -> None:
+        await super().start()
+        assert self._server
+        self._server.trace_packet = self._trace
+
+    def restart(self, *, drop: bool = True) -> None:
+        """Power it down and up: its registers are 0; with `drop` its clients lose their connections."""
+        self.mechanism.advance(self._now())
+        self.mechanism.power_up()
+        self._written[:] = bytes(len(self._written))
+        if drop:
+            self.drop()
+
+    def drop(self) -> None:
+        """Reset the connections of all clients."""
+        for client in list(self._server.active_connections.values()) if self._server else []:
+            transport = cast("asyncio.Transport", client.transport)
+            if connected := transport.get_extra_info("socket"):
+                connected.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            transport.abort()
+
+    async def _answer(self, *request: Any) -> "ExcCodes | None":  # noqa: ANN401 - as pymodbus calls it
+        from pymodbus.constants import ExcCodes  # noqa: PLC0415 - an extra
+
+        return ExcCodes.DEVICE_FAILURE if self.refusing else await super()._answer(*request)
+
+    def _trace(self, sending: bool, data: bytes) -> bytes:  # noqa: FBT001 - as pymodbus calls it
+        return b"" if sending and self.silent else data
