@@ -57,7 +57,7 @@ def test_a_sphere_is_touched_lower_at_its_side() -> None:
                     box.drive.line(np.array([*place, np.pi, 0.0, 0.0]), 0.2, 1.0)
                     while box.drive.task != "none":  # noqa: ASYNC110 - nothing tells
                         await asyncio.sleep(0.01)
-                    pushed.append(box.values(["actual_TCP_force"])[0][2])
+                    pushed.append(cast("tuple[float, ...]", box.values(["actual_TCP_force"])[0])[2])
 
     asyncio.run(main())
     assert pushed[0] == 0.0
