@@ -1,31 +1,34 @@
-"""The commands that look at a flow without running it."""
+"""The command `slipflow check`."""
 
 import json
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from flows.cli.declared import Settings, Target, declared, named_settings
-from flows.cli.options import AsJson
+from flows.cli.options import AsJson, Settings, Target, parse_settings
 
 if TYPE_CHECKING:
     from flows.graph.node import Node
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 
 def check(target: Target, *, settings: Settings = None, as_json: AsJson = False) -> None:
-    """Find what is wrong with a flow without running it.
+    """Find errors in a flow without running it.
 
-    Lists its parameters as they are set or else by default, ready for --set. Exits 2 if anything is wrong.
+    Lists the flow's parameters with their values, as --set takes them. Exits 2 if there are errors.
+
+    Examples:
+      slipflow check record --set delay=70ms
+      slipflow check grip.py:gentle
     """
     from flows.graph.loading import load
     from flows.graph.validation import problems
 
     declaration = load(target)
-    chosen = named_settings(settings)
+    chosen = parse_settings(settings)
     flow = declaration.flow(chosen)
     found = [str(problem) for problem in problems(flow)]
     if as_json:
@@ -34,25 +37,12 @@ def check(target: Target, *, settings: Settings = None, as_json: AsJson = False)
     elif found:
         typer.echo("\n".join(f"error: {problem}" for problem in found), err=True)
     else:
-        typer.echo(f"{flow.name} is sound; sources: {_names(flow.sources())}; sinks: {_names(flow.sinks())}")
+        typer.echo(f"{flow.name}: OK (sources: {_names(flow.sources())}; sinks: {_names(flow.sinks())})")
         for name, each in declaration.parameters.items():
             value = each.value(flow.name, chosen[name]) if name in chosen else each.default
             typer.echo(f"  --set {replace(each, default=value)}")
     if found:
         raise typer.Exit(2)
-
-
-def graph(
-    target: Target,
-    *,
-    settings: Settings = None,
-    mermaid: Annotated[bool, typer.Option("--mermaid", help="As a Mermaid flowchart.")] = False,
-) -> None:
-    """Print a flow as text or, with --mermaid, as a flowchart."""
-    from flows.graph import drawing
-
-    flow = declared(target, settings)
-    typer.echo(drawing.mermaid(flow.nodes) if mermaid else flow)
 
 
 def _names(nodes: "list[Node]") -> str:

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson, told
+from flows.cli.options import AsJson
+from flows.cli.terminal import note
 
 if TYPE_CHECKING:
     from flows.lab.collection.arm_path import Pose
@@ -124,6 +125,12 @@ def collect(
     stops the arm first and then commits; SIGUSR1 pauses, and a second one goes on. The arm is stopped for
     good on a stop of the controller, at the workspace's bounds, by too much force, and when a fingertip is
     not felt any more, or feels nothing of a stroke.
+
+    Examples:
+      slipflow collect tiny --dry-run --robot 10.0.0.2
+      slipflow collect tiny --virtual --out lab
+      slipflow collect paper --robot 10.0.0.2 --force 2N --speeds 0.01,0.02
+      slipflow collect tiny --robot 10.0.0.2 --surface sphere:60mm@0.4,0,0.1,3.1416,0,0
     """
     from connectors.ur.control_process import WATCHDOG
     from flows.graph.quantity import quantity, time
@@ -173,7 +180,7 @@ def collect(
         found = _dry(changed, surfaces, rigging, robot, seed, virtual=virtual)
         typer.echo(json.dumps(found) if as_json else report.as_table(found))
         return
-    told(f"pause, and go on: kill -USR1 {os.getpid()}")
+    note(f"pause, and go on: kill -USR1 {os.getpid()}")
     done = asyncio.run(_collect(changed, plan, surfaces, rigging, seed, virtual=virtual))
     collected = report.summary(done.runs, done.strokes)
     collected["error"] = done.error or None
@@ -203,14 +210,14 @@ async def _collect(
 
     async with AsyncExitStack() as running:
         if virtual:
-            told("starting the virtual lab; the first time, its physics is compiled for some seconds")
+            note("starting the virtual lab; the first time, its physics is compiled for some seconds")
             scene = commanded_scene(surfaces[0].curvature, surfaces[0].radius)
             lab = await running.enter_async_context(
                 virtual_lab(scene, seed, fingers=rigging.rows, host=rigging.robot)
             )
             rigging = replace(rigging, bus=lab.bus)
             surfaces = [each._replace(place=each.place or _middle()) for each in surfaces]
-        return await live.collect(plan, surfaces, rigging, name=name, seed=seed, told=told)
+        return await live.collect(plan, surfaces, rigging, name=name, seed=seed, told=note)
 
 
 def _check_pressing(plan: "StrokePlan", *, limit: float, depth: str | None, deepest: str | None) -> None:
@@ -257,9 +264,9 @@ def _dry(
     elif robot is not None:
         middle = here = asyncio.run(ask(robot))
     else:
-        told("without --robot or --virtual, where the arm is now is unknown: the way from there is left out")
+        note("without --robot or --virtual, where the arm is now is unknown: the way from there is left out")
         if any(each.place is None for each in surfaces):
-            told("and the plan is laid around the origin of its base frame")
+            note("and the plan is laid around the origin of its base frame")
     sessions = plan.sessions([each.surface(middle) for each in surfaces], seed)
     return planned(sessions, *room(sessions, here, rigging.workspace, rigging.margin), here)
 

@@ -6,7 +6,8 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Models, Names, check_output_file, progress_bar, told
+from flows.cli.options import AsJson, Methods, Models
+from flows.cli.terminal import check_output_file, note, progress_bar
 
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
@@ -21,7 +22,7 @@ def evaluate(
     *,
     split: Annotated[str, typer.Option(help="What is judged: train, validation, test or all.")] = "test",
     model: Models = None,
-    method: Names = None,
+    method: Methods = None,
     budget: Budget = 2.0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the page and tables go.")] = Path(
         "evaluation"
@@ -32,6 +33,9 @@ def evaluate(
 
     Says how right they are, and what users of slip events feel. Prints the paper's Tables I and III beside
     its figures, false alarms, missed slips and onset delay, and writes evaluation.html, .md and .json.
+
+    Examples:
+      slipflow evaluate recordings --model mine.safetensors --method psd --out judged
     """
     from flows.learn.evaluation import evaluation_page as report
     from flows.learn.evaluation.evaluation_study import evaluate as judge
@@ -40,12 +44,12 @@ def evaluate(
 
     make_output_folder(out)
     if reason := lacking():
-        told(f"the page will be without figures, which {reason}")
+        note(f"the page will be without figures, which {reason}")
     models, names = model or [], method or []
-    found = judge(dataset, split=split, models=models, names=names, budget=budget, told=told)
+    found = judge(dataset, split=split, models=models, names=names, budget=budget, told=note)
     options = f"--split {split}{_chosen(models, names)} --budget {budget:g}"
     paths = report.write(found, out, f"slipflow evaluate {found.dataset} {options}")
-    told(f"written: {paths[0]} and what it is made of")
+    note(f"written: {paths[0]} and what it is made of")
     typer.echo(json.dumps(report.summary(found)) if as_json else report.text(found))
 
 
@@ -86,6 +90,10 @@ def train(
 
     It learns from the train split, the validation split chooses, the test split is only told. Stop it with
     Ctrl-C and start it again: the tcn goes on where it was. Needs the train extra.
+
+    Examples:
+      slipflow train recordings -o mine.safetensors
+      slipflow train lab simulated --filters 32 --lag 70ms --curve curve.svg
     """
     from flows.graph.quantity import time
     from flows.learn.training.learning_curve import Check, draw
@@ -101,11 +109,11 @@ def train(
         def progress(part: str, done: int, of: int, check: Check | None) -> None:
             if method == "tcn" and part not in begun and done > 1:
                 again = "remove the checkpoint beside the model to start anew"
-                told(f"{part}: goes on after step {done - 1:,} of {of:,}, where it was stopped; {again}")
+                note(f"{part}: goes on after step {done - 1:,} of {of:,}, where it was stopped; {again}")
             begun.add(part)
             update(done, of, part)
             if check:
-                told(f"{part}, {check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
+                note(f"{part}, {check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
 
         try:
             found = learn(
@@ -119,13 +127,13 @@ def train(
                 progress=progress,
             )
         except KeyboardInterrupt:
-            told("stopped; the same command goes on from the last check" if method == "tcn" else "stopped")
+            note("stopped; the same command goes on from the last check" if method == "tcn" else "stopped")
             raise
     if curve is not None:
         from flows.report.figures import save
 
         save(draw({f"seed {model.card['seed']}": model.curve for model in found.models}), curve)
-        told(f"written: {curve}")
+        note(f"written: {curve}")
     typer.echo(json.dumps(found.summary()) if as_json else found.report())
 
 
@@ -138,6 +146,9 @@ def onnx(
     """Write a tcn as ONNX, for other runtimes.
 
     Windows of zeroed counts go in, the probability of slip comes out. Needs the train extra.
+
+    Examples:
+      slipflow onnx mine.safetensors mine.onnx
     """
     from flows.learn.training.onnx_export import export
     from operators.detectors import Tcn
@@ -158,7 +169,7 @@ def chart(
     dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="A labelled dataset with splits.")],
     *,
     model: Models = None,
-    method: Names = None,
+    method: Methods = None,
     budget: Budget = 2.0,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the page and tables go.")] = Path("chart"),
     as_json: AsJson = False,
@@ -167,6 +178,9 @@ def chart(
 
     Charts onset delay against false alarms, too. Times are of one core, sample by sample, taken by turns.
     Writes chart.html, .md, .json and .svg.
+
+    Examples:
+      slipflow chart recordings --model mine.safetensors
     """
     from flows.learn.chart import chart_page
     from flows.learn.chart.speed_accuracy import chart as measure
@@ -174,16 +188,16 @@ def chart(
 
     make_output_folder(out)
     models, names = model or [], method or []
-    found = measure(dataset, models, names=names, budget=budget, told=told)
+    found = measure(dataset, models, names=names, budget=budget, told=note)
     command = f"slipflow chart {found.dataset}{_chosen(models, names)} --budget {budget:g}"
-    told(f"written: {', '.join(map(str, chart_page.write(found, out, command)))}")
+    note(f"written: {', '.join(map(str, chart_page.write(found, out, command)))}")
     typer.echo(json.dumps(found.json()) if as_json else chart_page.text(found))
 
 
 def stress(
     *,
     model: Models = None,
-    method: Names = None,
+    method: Methods = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the simulated recordings.")] = 4000,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for each core by default.")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the page and tables go.")] = Path("stress"),
@@ -193,6 +207,9 @@ def stress(
 
     It tries every stress of the simulated rig, from nominal to broken. Writes stress.html, .md, .json and
     figures.
+
+    Examples:
+      slipflow stress --method tcn --method psd --jobs 2
     """
     from flows.learn.stress import stress_page
     from flows.learn.stress.stress_study import stress as measure
@@ -206,11 +223,11 @@ def stress(
             names=names,
             seed=seed,
             jobs=jobs,
-            told=told,
+            told=note,
             progress=update,
         )
     command = f"slipflow stress{_chosen(models, names)} --seed {seed}"
-    told(f"written: {', '.join(map(str, stress_page.write(found, out, command)))}")
+    note(f"written: {', '.join(map(str, stress_page.write(found, out, command)))}")
     typer.echo(json.dumps(found.json()) if as_json else stress_page.text(found))
 
 

@@ -1,4 +1,4 @@
-"""What happens in a run as a log: lines for people, or one JSON object a line on stdout."""
+"""Log of a run: text lines on stderr, or one JSON object per line on stdout."""
 
 import logging
 import re
@@ -13,18 +13,18 @@ import typer
 if TYPE_CHECKING:
     from flows.graph import Flow
     from flows.graph.node import Node, Part
-    from operators.ports import Json, Run
+    from operators.ports import Json, Run, SinkStatus, SourceStatus
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
-_SECRET: Final = re.compile(r"""(?<=://)[^/\s"'@]+(?=@)|(?<=[?&]token=)[^&\s"']+""")  # within addresses
+_SECRET: Final = re.compile(r"""(?<=://)[^/\s"'@]+(?=@)|(?<=[?&]token=)[^&\s"']+""")  # in URLs
 
 log = logging.getLogger("slipflow")
 
 
 class Format(StrEnum):
-    """What a log looks like."""
+    """Format of the log."""
 
     TEXT = "text"
     JSON = "json"
@@ -34,24 +34,24 @@ Log = Annotated[
     Format,
     typer.Option(
         "--log",
-        help="json: print each event as one JSON object a line: slips, failures, the run's begin and end.",
+        help="json: print slips, failures, and the start and end of the run, each as one JSON object per"
+        " line.",
     ),
 ]
 
 
-class JsonLines(logging.Formatter):
-    """A log record as one line of JSON: time (UTC), event, level, what the event tells.
+class JsonFormatter(logging.Formatter):
+    """Formatter of log records as JSON: time (UTC), event, level and the fields of the event.
 
-    A record that names no event becomes an event called `log`, with its text. Credentials in addresses
-    are left out.
+    A record without an event becomes the event `log` with its message. Credentials in URLs are removed.
 
-    >>> about = {"msg": "cannot reach mqtt://me:secret@host", "created": 5, "levelname": "INFO"}
-    >>> print(JsonLines().format(logging.makeLogRecord(about)).partition(",")[2])
+    >>> fields = {"msg": "cannot reach mqtt://me:secret@host", "created": 5, "levelname": "INFO"}
+    >>> print(JsonFormatter().format(logging.makeLogRecord(fields)).partition(",")[2])
     "event":"log","level":"info","message":"cannot reach mqtt://...@host"}
     """
 
     def format(self, record: logging.LogRecord) -> str:
-        """Make the line."""
+        """Return the record as one line."""
         from connectors.events import encode, timestamp
 
         document: dict[str, Json] = {
@@ -67,87 +67,75 @@ class JsonLines(logging.Formatter):
         return _SECRET.sub("...", encode(document).decode())
 
 
-class Printed(logging.StreamHandler[TextIO]):
-    """Writes log lines to a stream, and is silent when its reader has gone, as `| head` does."""
+class PipeHandler(logging.StreamHandler[TextIO]):
+    """Stream handler that ignores a closed pipe, as in ``slipflow ... | head``."""
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802 - logging's name
-        """Report any other failure to write."""
+        """Report any other write error."""
         if not isinstance(sys.exc_info()[1], BrokenPipeError):
             super().handleError(record)
 
 
 def begin_log(form: Format, stream: TextIO | None = None) -> None:
-    """Let what happens be told: to people on stderr, to programs on `stream`, by default stdout."""
+    """Send log records to stderr as text, or to `stream` (default stdout) as JSON."""
     if form is Format.TEXT:
         logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
         return
-    handler = Printed(stream or sys.stdout)
-    handler.setFormatter(JsonLines())
+    handler = PipeHandler(stream or sys.stdout)
+    handler.setFormatter(JsonFormatter())
     logging.basicConfig(handlers=[handler])
     log.setLevel(logging.INFO)
 
 
-def in_json(flow: "Flow") -> "Flow":
-    """The same flow, its consoles printing JSON; if it has none, one takes its first slips and faults."""
+def with_json_console(flow: "Flow") -> "Flow":
+    """Return a copy of a flow whose consoles print JSON; without one, add one for its slips and faults."""
     from connectors import Console
     from operators import Faults, Slips
 
-    def choose(node: "Node") -> "Part":
+    def part(node: "Node") -> "Part":
         return Console(node.part.stream, "json") if isinstance(node.part, Console) else node.part
 
-    told = flow.replaced(choose)
-    if not any(isinstance(node.part, Console) for node in told.nodes):
+    copy = flow.replaced(part)
+    if not any(isinstance(node.part, Console) for node in copy.nodes):
         console = Console(format="json")
         for kind in (Slips, Faults):
-            first = next((node for node in told.nodes if node.gives is kind), None)
+            first = next((node for node in copy.nodes if node.gives is kind), None)
             if first is not None:
-                told.add_sink(console, first)
-    return told
+                copy.add_sink(console, first)
+    return copy
 
 
 @contextmanager
 def logged(run: "Run") -> Generator[None]:
-    """Tell when a run begins and what it came to."""
+    """Log the start of a run, and its result at the end."""
     from flows.run.log_events import event
 
     names: dict[str, Json] = {"sources": [*run.sources], "sinks": [*run.sinks]}
     about: dict[str, Json] = {"live": run.live, "recording": run.recording, **names}
-    begins = event("run_begins", session=run.session, flow=run.flow, **about)
-    log.info("%s begins", run.session, extra=begins)
+    log.info("%s begins", run.session, extra=event("run_begins", session=run.session, flow=run.flow, **about))
     try:
         yield
     finally:
-        log.info("%s ends", run.session, extra=_end(run))
+        log.info("%s ends", run.session, extra=_result(run))
 
 
-def _end(run: "Run") -> "dict[str, Any]":
+def _result(run: "Run") -> "dict[str, Any]":
     from flows.run.log_events import event
 
-    seconds = (run.clock.now() - run.start) / 1e9
-    sources: dict[str, Json] = {
-        name: {
-            "rows": source.rows,
-            "late": source.late,
-            "failures": source.failures,
-            "gaps": len(source.gaps),
-            "error": source.error or None,
-        }
-        for name, source in run.sources.items()
-    }
-    sinks: dict[str, Json] = {
-        name: {
-            "rows": sink.rows,
-            "dropped": sink.dropped,
-            "failures": sink.failures,
-            "error": sink.error or None,
-        }
-        for name, sink in run.sinks.items()
-    }
+    def source(status: "SourceStatus") -> "Json":
+        error, gaps = status.error or None, len(status.gaps)
+        rows, late, failures = status.rows, status.late, status.failures
+        return {"rows": rows, "late": late, "failures": failures, "gaps": gaps, "error": error}
+
+    def sink(status: "SinkStatus") -> "Json":
+        error = status.error or None
+        return {"rows": status.rows, "dropped": status.dropped, "failures": status.failures, "error": error}
+
     return event(
         "run_ends",
         session=run.session,
-        seconds=seconds,
-        sources=sources,
-        sinks=sinks,
+        seconds=(run.clock.now() - run.start) / 1e9,
+        sources={name: source(status) for name, status in run.sources.items()},
+        sinks={name: sink(status) for name, status in run.sinks.items()},
         error=run.error or None,
     )

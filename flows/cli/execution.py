@@ -1,36 +1,34 @@
-"""Carrying a flow out for a command, and saying what came of it."""
+"""Execution of a flow for a command, and the report of its result."""
 
 import json
 import sys
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from flows.cli import replays
 from flows.cli.event_log import Format, begin_log, logged
-from flows.cli.options import told
+from flows.cli.replay_batch import replays_as_json
+from flows.cli.terminal import note
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from flows.graph import Flow
     from operators.ports import Recording, Run
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
-Duration = Annotated[
-    str | None, typer.Option("--for", metavar="TIME", help="Stop after this time: 500ms, 30s, 5min, 1h.")
-]
 
-
-def apart_from(*, result: bool, log: Format) -> AbstractContextManager[object]:
-    """What sinks print goes to stderr where stdout is for a result in JSON; a log for programs stays."""
-    return redirect_stdout(sys.stderr) if result and log is Format.TEXT else nullcontext()
+def separate_result(*, as_json: bool, log: Format) -> AbstractContextManager[object]:
+    """Redirect what sinks print to stderr if stdout is for a JSON result; a JSON log stays on stdout."""
+    return redirect_stdout(sys.stderr) if as_json and log is Format.TEXT else nullcontext()
 
 
 def session_name(flow: "Flow") -> str:
-    """What a session that begins now is called."""
+    """Return the name of a session that begins now."""
     from datetime import UTC, datetime
 
     return f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
@@ -44,17 +42,17 @@ async def execute(
     recording: "Recording | None" = None,
     pace: float | None = None,
 ) -> "Run":
-    """Run a flow: live, or over a recording.
+    """Run a flow live, or replay a recording through it.
 
     Args:
-        flow: To be run.
-        log: How what happens is told.
-        limit: When a live or a paced run ends at the latest, ns.
-        recording: To be replayed; None: it runs live.
-        pace: Of the replay, a multiple of real time; None: full speed.
+        flow: Flow to run.
+        log: Format of the log.
+        limit: Longest duration of a live or paced run, ns.
+        recording: Recording to replay; None: run live.
+        pace: Speed of the replay as a multiple of real time; None: full speed.
 
     Raises:
-        SlipflowError: if it cannot begin, or a replay fails.
+        SlipflowError: if the run cannot begin, or a replay fails.
     """
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
@@ -66,7 +64,7 @@ async def execute(
         tell_places(flow)
     session = session_name(flow)
     if recording is not None and pace is None:
-        replay, show = ReplayRunner(flow, recording, session), replays.progress(recording)
+        replay, show = ReplayRunner(flow, recording, session), _replay_status(recording)
         with stopping() as stopped, logged(replay.run):
             return await replay.execute(lambda run: replay.stop() if stopped() else show(run))
     clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
@@ -76,8 +74,8 @@ async def execute(
         return await live.execute()
 
 
-def finish(run: "Run", *, replayed: Path | None, seconds: float, log: Format, as_json: bool) -> None:
-    """Say what a run came to; it took so many `seconds` of wall time.
+def report_run(run: "Run", *, replayed: Path | None, seconds: float, log: Format, as_json: bool) -> None:
+    """Print the result of a run that took `seconds` of wall time.
 
     Exits 130 if it was interrupted, 1 if a source was down at its end or rows were lost.
     """
@@ -86,13 +84,29 @@ def finish(run: "Run", *, replayed: Path | None, seconds: float, log: Format, as
 
     summary = Summary.of(run)
     if as_json and replayed:
-        typer.echo(replays.as_json([Replayed(str(replayed), summary, error=run.error)], seconds))
+        typer.echo(replays_as_json([Replayed(str(replayed), summary, error=run.error)], seconds))
     elif as_json:
         typer.echo(json.dumps(summary.as_dict()))
-    elif log is Format.TEXT:  # else the log has told it
+    elif log is Format.TEXT:  # a JSON log ends with the same facts
         typer.echo(summary.report())
     if run.error:
-        told(f"error: {run.error}")
+        note(f"error: {run.error}")
         raise typer.Exit(130)
     if summary.lost:
         raise typer.Exit(1)
+
+
+def _replay_status(recording: "Recording") -> "Callable[[Run], None]":
+    """Return a callback that shows the progress of a replay if stderr is a terminal."""
+    from rich.console import Console
+    from rich.status import Status
+
+    status = Status(f"replaying {recording.name}", console=Console(stderr=True))
+    if sys.stderr.isatty():
+        status.start()
+
+    def show(run: "Run") -> None:
+        rows = sum(source.rows for source in run.sources.values())
+        status.update(f"replaying {recording.name}: {(run.clock.now() - run.start) / 1e9:.1f} s, {rows} rows")
+
+    return show

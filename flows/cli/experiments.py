@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.examples import examples
+from flows.cli.commands import command_group, register
 from flows.cli.experiment_options import (
     Count,
     Delay,
@@ -24,7 +24,8 @@ from flows.cli.experiment_options import (
     methods_of,
     trials_of,
 )
-from flows.cli.options import AsJson, check_output_file, progress_bar, told
+from flows.cli.options import AsJson
+from flows.cli.terminal import check_output_file, note, progress_bar
 
 if TYPE_CHECKING:
     from flows.report.report_page import Report
@@ -32,14 +33,9 @@ if TYPE_CHECKING:
 # Imports inside functions: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
 
-app = typer.Typer(
-    help="Run the paper's robot experiments in simulation, closed loop.",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-)
+app = command_group("Run the paper's robot experiments in simulation, closed loop.")
 
 
-@app.command(epilog=examples("tap"))
 def tap(
     context: typer.Context,
     *,
@@ -56,6 +52,9 @@ def tap(
 
     Prints success next to the paper's, how trials failed, and false slips. Writes tap.html, .md, .json and
     .svg.
+
+    Examples:
+      slipflow experiment tap --method tcn --object ball --trials 5
     """
     from flows.lab.experiments.study import DEFAULT, Method, run_study
     from flows.lab.experiments.study_report import tap_report
@@ -71,7 +70,6 @@ def tap(
     _write(tap_report(found[""], command_line(context)), out, as_json=as_json)
 
 
-@app.command(epilog=examples("lift"))
 def lift(
     context: typer.Context,
     *,
@@ -99,6 +97,11 @@ def lift(
     Prints success next to the paper's, how trials failed, how far objects slid and the force that held them.
     Writes lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation
     lift-ablation.html, .md, .json and .svg. --ablation sets path, delay, rate and gripper itself.
+
+    Examples:
+      slipflow experiment lift --object ball --trials 5
+      slipflow experiment lift --method tcn --rule steps --delay 50ms
+      slipflow experiment lift --ablation --method psd --trials 10
     """
     if stress and ablation:
         raise typer.BadParameter("--stress and --ablation: give one of them")
@@ -137,7 +140,6 @@ def lift(
     _write(report, out, as_json=as_json)
 
 
-@app.command(epilog=examples("learn"))
 def learn(
     *,
     out: Annotated[
@@ -160,6 +162,9 @@ def learn(
 
     Trains on simulated grasps and strokes, labelled by true sliding; none has one of the six objects. Needs
     the train extra.
+
+    Examples:
+      slipflow experiment learn -o mine.safetensors
     """
     from dataclasses import replace
 
@@ -173,10 +178,10 @@ def learn(
         def progress(done: int, total: int, check: Check | None) -> None:
             update(done, total)
             if check:
-                told(f"{check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
+                note(f"{check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
 
         model = train(
-            out, seed=seed, grasps=grasps, recipe=replace(RECIPE, steps=steps), log=told, progress=progress
+            out, seed=seed, grasps=grasps, recipe=replace(RECIPE, steps=steps), log=note, progress=progress
         )
     scores = ", ".join(f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items())
     summary = {"path": str(model.path), **model.card}
@@ -189,5 +194,9 @@ def _write(report: "Report", out: Path, *, as_json: bool) -> None:
 
     paths = report.write(out, report.sections[0].name)
     missing = any(section.draw and section.figure is None for section in report.sections)
-    told(f"wrote {', '.join(map(str, paths))}" + (f"; figures {lacking()}" if missing else ""))
+    note(f"wrote {', '.join(map(str, paths))}" + (f"; figures {lacking()}" if missing else ""))
     typer.echo(json.dumps(report.json(), allow_nan=False) if as_json else report.terminal())
+
+
+for each in (tap, lift, learn):
+    register(app, each)

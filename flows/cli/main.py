@@ -1,56 +1,80 @@
 """The command line: `slipflow`."""
 
 import sys
-from typing import Annotated
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Annotated, Final
 
 import typer
 
-from flows.cli import datasets, detectors, exchange, experiments
-from flows.cli.check import check, graph
+from flows.cli import experiments
+from flows.cli.check import check
 from flows.cli.collect import collect
-from flows.cli.demo import demo
-from flows.cli.examples import examples
-from flows.cli.mistakes import mistake
+from flows.cli.commands import command_group, register, usage_error
+from flows.cli.demo_command import demo
+from flows.cli.detectors import chart, evaluate, onnx, stress, train
+from flows.cli.export import export
+from flows.cli.graph import graph
+from flows.cli.import_command import import_
+from flows.cli.recover import recover
 from flows.cli.rig import rig
 from flows.cli.run import run
 from flows.cli.show import show
+from flows.cli.simulate import simulate
+from flows.cli.verify import verify
 from flows.cli.watch import watch
 
-app = typer.Typer(
-    help="Feel slip: run declared flows from barometric fingertips to slip events and labelled datasets.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
+app = command_group("Detect slip from barometric fingertips: run flows, record datasets, train detectors.")
+_PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
+    {
+        "Record and run": (run, demo, check, graph),
+        "View": (show, watch),
+        "Train and evaluate": (train, evaluate, chart, stress, onnx),
+        "Robots": (collect, rig),
+        "Data": (verify, recover, import_, export, simulate),
+    }
 )
 _debug = False
 
 
+def _print_version(value: bool) -> None:  # noqa: FBT001 - called by typer
+    if value:
+        from importlib.metadata import version  # noqa: PLC0415 - slow to import
+
+        typer.echo(f"slipflow {version('slipflow')}")
+        raise typer.Exit
+
+
 @app.callback()
 def _options(
-    *, debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
+    *,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[  # noqa: ARG001 - its callback prints it
+        bool, typer.Option("--version", help="Print the version and exit.", callback=_print_version)
+    ] = False,
 ) -> None:
-    global _debug  # noqa: PLW0603 - main() shows the error after the command has gone
+    global _debug  # noqa: PLW0603 - main() reports errors after the command has returned
     _debug = debug
 
 
 def main() -> None:
-    """Run the command line; an error that the user can mend is one line and exit code 2."""
+    """Run the command line; an error that the user can fix is one line and exit code 2."""
     try:
         sys.exit(app(standalone_mode=False, prog_name="slipflow"))
     except typer.TyperException as error:
         if _debug:
             raise
-        typer.echo(mistake(error), err=True)
+        typer.echo(usage_error(error), err=True)
         sys.exit(2)
     except OSError as error:
         if _debug or error.filename is None:
             raise
-        from operators.errors import os_error_reason  # noqa: PLC0415 - loads numpy, which `slipflow --help` need not
+        from operators.errors import os_error_reason  # noqa: PLC0415 - imports numpy
 
         typer.echo(f"error: {error.filename}: {os_error_reason(error)}", err=True)
         sys.exit(2)
     except Exception as error:
-        from operators.errors import SlipflowError  # noqa: PLC0415 - loads numpy, which `slipflow --help` need not
+        from operators.errors import SlipflowError  # noqa: PLC0415 - imports numpy
 
         if _debug or not isinstance(error, SlipflowError):
             raise
@@ -60,25 +84,7 @@ def main() -> None:
         sys.exit(130)
 
 
-for each in (
-    run,
-    check,
-    graph,
-    demo,
-    detectors.train,
-    detectors.evaluate,
-    detectors.chart,
-    detectors.stress,
-    detectors.onnx,
-    datasets.verify,
-    datasets.recover,
-    collect,
-    rig,
-    exchange.export,
-    show,
-    datasets.simulate,
-    watch,
-):
-    app.command(epilog=examples(each.__name__))(each)
-app.command("import", epilog=examples("import"))(exchange.import_)
-app.add_typer(experiments.app, name="experiment")
+for panel, commands in _PANELS.items():
+    for command in commands:
+        register(app, command, panel)
+app.add_typer(experiments.app, name="experiment", rich_help_panel="Robots")

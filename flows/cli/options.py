@@ -1,73 +1,80 @@
-"""What several commands share: options, and how they say what they do."""
+"""Options and arguments that several commands share."""
 
-from collections.abc import Generator
-from contextlib import contextmanager
+import re
 from pathlib import Path
-from typing import Annotated, Protocol
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-AsJson = Annotated[
-    bool, typer.Option("--json", help="Print the result as one JSON object, and nothing else on stdout.")
-]
+if TYPE_CHECKING:
+    from flows.graph import Flow
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result on stdout as one JSON object.")]
 Models = Annotated[
     list[Path] | None,
-    typer.Option("--model", metavar="FILE", help="A model to take in as well; may be given several times."),
+    typer.Option("--model", metavar="FILE", help="Trained model to include; repeatable."),
 ]
-Names = Annotated[
+Methods = Annotated[
     list[str] | None,
-    typer.Option("--method", metavar="NAME", help="Only this method; may be given several times."),
+    typer.Option("--method", metavar="NAME", help="Include this method only; repeatable (default: all)."),
+]
+Duration = Annotated[
+    str | None, typer.Option("--for", metavar="TIME", help="Stop after this time, such as 30s or 5min.")
+]
+Target = Annotated[
+    str,
+    typer.Argument(
+        metavar="FILE[:FLOW]",
+        help="Python file that declares a flow (it is executed), or a shipped flow: live, record, relabel,"
+        " lift.",
+    ),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Set a parameter of the flow, such as delay=70ms; repeatable. `slipflow check` lists them.",
+    ),
+]
+DatasetOrSession = Annotated[
+    Path, typer.Argument(metavar="DATASET|SESSION", help="Folder of a dataset, or of one of its sessions.")
 ]
 
 
-def check_output_file(path: Path) -> None:
-    """Make sure that a file can be put where it is to be: in a folder that is there. Other folders are made.
+def parse_settings(settings: list[str] | None) -> dict[str, str]:
+    """Return the values given with ``--set`` by name.
+
+    >>> parse_settings(["seed=1", "delay=70ms"])
+    {'seed': '1', 'delay': '70ms'}
+    """
+    pairs = [setting.partition("=") for setting in settings or ()]
+    for name, equals, _ in pairs:
+        if not (name and equals):
+            raise typer.BadParameter(f"--set {name}: write it as NAME=VALUE, such as seed=1")
+    return {name: value for name, _, value in pairs}
+
+
+def load_flow(target: str, settings: list[str] | None) -> "Flow":
+    """Build the flow that `target` names.
 
     Raises:
-        EndpointError: if it is not.
+        InputError: if there is no such flow.
+        ParameterError: if a setting is invalid.
     """
-    from operators.errors import EndpointError  # noqa: PLC0415 - imports numpy
+    from flows.graph.loading import load  # noqa: PLC0415 - imports numpy
 
-    if not path.parent.is_dir():
-        raise EndpointError(str(path), f"there is no folder {path.parent}: make it, or write elsewhere")
-    if path.is_dir():
-        raise EndpointError(str(path), "is a folder: give the name of a file")
+    return load(target).flow(parse_settings(settings))
 
 
-def told(text: str) -> None:
-    """Say what is being done, beside the result."""
-    typer.echo(text, err=True)
+def parse_address(option: str, address: str) -> tuple[str, int]:
+    """Return host and port of a server to start; the default host is this machine only.
 
-
-def counted(count: int, noun: str) -> str:
-    """So many of something.
-
-    >>> counted(1, "session"), counted(2000, "session")
-    ('1 session', '2,000 sessions')
+    >>> [parse_address("--listen", text) for text in ("8765", "0.0.0.0:80", "[::1]:0")]
+    [('127.0.0.1', 8765), ('0.0.0.0', 80), ('::1', 0)]
     """
-    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
-
-
-class Update(Protocol):
-    """Tells a bar how far the work is."""
-
-    def __call__(self, done: int, of: int, part: str = "") -> None:
-        """So many of so many are done, of a part of it."""
-        ...
-
-
-@contextmanager
-def progress_bar(what: str) -> Generator[Update]:
-    """A bar on stderr, where that is a screen."""
-    from rich.console import Console  # noqa: PLC0415 - `slipflow --help` must not wait for it
-    from rich.progress import MofNCompleteColumn, Progress, TimeElapsedColumn  # noqa: PLC0415
-
-    columns = *Progress.get_default_columns(), MofNCompleteColumn(), TimeElapsedColumn()
-    screen = Console(stderr=True)
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bar:
-        task = bar.add_task(what)
-
-        def update(done: int, of: int, part: str = "") -> None:
-            bar.update(task, description=f"{what} {part}".rstrip(), completed=done, total=of)
-
-        yield update
+    match = re.fullmatch(r"(?:(?:\[([0-9A-Fa-f:.]+)\]|([\w.-]+)):)?([0-9]{1,5})", address)
+    if match is None or int(match[3]) >= 2**16:
+        form = "write it as PORT or HOST:PORT, such as 8765 or 0.0.0.0:8765; the highest port is 65535"
+        raise typer.BadParameter(f"{option} {address}: {form}")
+    return match[1] or match[2] or "127.0.0.1", int(match[3])

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import told
+from flows.cli.terminal import note
 
 if TYPE_CHECKING:
     from connectors.emulators.ur_controller import Ports
@@ -49,6 +49,10 @@ def rig(
 
     One simulated scene stands behind both, which speak their own protocols. Its TakkTile bus can be had in
     the same process only, since no kernel serves it: `slipflow collect --virtual` has the whole lab inside.
+
+    Examples:
+      slipflow rig
+      slipflow rig --surface sphere --gripper -1 --for 5min
     """
     from connectors.emulators.ur_controller import Ports
     from flows.graph.quantity import time
@@ -74,7 +78,7 @@ async def _serve(
     from connectors.emulators.virtual_lab import virtual_lab
     from connectors.sim.scene import commanded_scene
 
-    told("starting; the first time, the simulated physics is compiled for some seconds")
+    note("starting; the first time, the simulated physics is compiled for some seconds")
     serving = virtual_lab(commanded_scene(surface), seed, host=listen, ports=ports, gripper=gripper)
     async with serving as lab:
         for device, address in lab.addresses.items():
@@ -84,4 +88,4 @@ async def _serve(
             async with asyncio.timeout(seconds):
                 await asyncio.Event().wait()
         except TimeoutError:
-            told("done")
+            note("done")

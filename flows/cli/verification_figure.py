@@ -1,4 +1,4 @@
-"""Rows of each session over time: those that can be read, those that cannot."""
+"""Figure of a verification: readable and unreadable rows of each session over time."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -11,24 +11,24 @@ from operators.batch import s
 from storage.findings import severity
 from storage.verification import Checked, Verified
 
-LANES: Final = 40  # sessions, at most
+MAX_SESSIONS: Final = 40
 
-_BINS: Final = 400  # over the longest session
-_HEIGHT: Final = 0.8  # of a lane, that the highest rate fills
+_BINS: Final = 400  # in the longest session
+_HEIGHT: Final = 0.8  # of a lane, for the highest rate
 
 
 @styled
-def lanes(found: Verified) -> Figure:
-    """A lane for each session; `found` lists one file with rows at least."""
-    of = {name: [each for each in listed if each.part.rows] for name, listed in by_session(found).items()}
-    parts = {name: of[name] for name in chosen(found) if of[name]}
-    width = max(max(_span(listed) for listed in parts.values()) / s / _BINS, 1e-3)  # s
-    rates = {name: rows(listed, width) for name, listed in parts.items()}
-    top = max(float(read.max() + lost.max()) for read, lost in rates.values()) or 1.0
+def session_lanes(found: Verified) -> Figure:
+    """Draw a lane with the row rate of each session; at least one file must have rows."""
+    dated = {name: [each for each in parts if each.part.rows] for name, parts in by_session(found).items()}
+    parts = {name: dated[name] for name in worst_sessions(found) if dated[name]}
+    width = max(max(_span(each) for each in parts.values()) / s / _BINS, 1e-3)  # s
+    counts = {name: count_rows(each, width) for name, each in parts.items()}
+    top = max(float(readable.max() + lost.max()) for readable, lost in counts.values()) or 1.0
     figure, [axis] = grid(1, 1, (10.0, 1.1 + 0.42 * len(parts)))
-    for lane, (read, lost) in enumerate(rates.values()):
-        edges = np.arange(len(read) + 1) * width
-        for low, high, colour in ((0 * read, read, MAIN), (read, read + lost, SECOND)):
+    for lane, (readable, lost) in enumerate(counts.values()):
+        edges = np.arange(len(readable) + 1) * width
+        for low, high, colour in ((0 * readable, readable, MAIN), (readable, readable + lost, SECOND)):
             if not (high > low).any():
                 continue
             top_edge = lane + 0.4 - _HEIGHT * np.append(high, high[-1]) / top
@@ -37,41 +37,40 @@ def lanes(found: Verified) -> Figure:
     axis.set_yticks(range(len(parts)), [name.replace("$", r"\$") for name in parts])
     axis.set_ylim(len(parts) - 0.5, -0.5)
     axis.set_xlim(0, None)
-    axis.set_xlabel(f"s since a session's first row; full height: {top / width:,.0f} rows/s", color=INK)
+    axis.set_xlabel(f"s since the session's first row; full height: {top / width:,.0f} rows/s", color=INK)
     return figure
 
 
 def by_session(found: Verified) -> dict[str, list[Checked]]:
-    """The files of each session."""
+    """Return the files of each session."""
     parts: dict[str, list[Checked]] = {name: [] for name in found.names}
     for each in found.parts:
         parts[each.session].append(each)
     return parts
 
 
-def chosen(found: Verified) -> Sequence[str]:
-    """The sessions that are drawn: if there are too many, those with most that is wrong; in their order."""
+def worst_sessions(found: Verified) -> Sequence[str]:
+    """Return the sessions to draw, in order: all, or those with the most severe findings."""
     worst = {name: severity("note") for name in found.names}
     for finding in found.findings:
         if finding.session in worst:
             worst[finding.session] = max(worst[finding.session], severity(finding.weight))
-    kept = set(sorted(found.names, key=lambda name: -worst[name])[:LANES])
+    kept = set(sorted(found.names, key=lambda name: -worst[name])[:MAX_SESSIONS])
     return [name for name in found.names if name in kept]
 
 
-def rows(parts: Sequence[Checked], width: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rows in each bin of `width` s that can be read, and that cannot; (n,) each, a part's spread evenly."""
+def count_rows(parts: Sequence[Checked], width: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return readable and unreadable rows, (n,) each, in bins of `width` s; a file's rows spread evenly."""
     origin = min(each.part.first for each in parts)
     bins = int(_span(parts) / s / width) + 1
-    found = np.zeros((2, bins))
+    counts = np.zeros((2, bins))
     for each in parts:
         first, last = (each.part.first - origin) / s / width, (each.part.last - origin) / s / width
-        edges = np.clip(np.arange(bins + 1), first, max(last, first + 1e-9))
-        share = np.diff(edges)
-        found[0 if each.whole else 1] += each.part.rows * share / share.sum()
-    return found[0], found[1]
+        share = np.diff(np.clip(np.arange(bins + 1), first, max(last, first + 1e-9)))
+        counts[0 if each.whole else 1] += each.part.rows * share / share.sum()
+    return counts[0], counts[1]
 
 
 def _span(parts: Sequence[Checked]) -> int:
-    """Ns."""
+    """Return the time from the first to the last row, ns."""
     return max(each.part.last for each in parts) - min(each.part.first for each in parts)

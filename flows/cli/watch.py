@@ -1,4 +1,4 @@
-"""The command that prints slip events as a broker delivers them."""
+"""The command `slipflow watch`."""
 
 import asyncio
 from pathlib import Path
@@ -6,36 +6,44 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import told
+from flows.cli.terminal import note
 
 if TYPE_CHECKING:
     from connectors.events import Event
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 
 def watch(
-    url: Annotated[str, typer.Argument(metavar="URL", help="The broker.")] = "mqtt://localhost",
+    url: Annotated[
+        str, typer.Argument(metavar="URL", help="Address of the MQTT broker.")
+    ] = "mqtt://localhost",
     *,
-    site: Annotated[str, typer.Option(help="Only this site.")] = "+",
-    rig: Annotated[str, typer.Option(help="Only this rig; a replay is shown by its name only.")] = "+",
+    site: Annotated[str, typer.Option(help="Show this site only; + for all.")] = "+",
+    rig: Annotated[
+        str, typer.Option(help="Show this rig only; + for all live rigs. Replays are shown by name only.")
+    ] = "+",
     since: Annotated[
-        str, typer.Option(help="now: only what happens; start: first all that the rigs still keep.")
+        str, typer.Option(help="now: new events only; start: first all events that the rigs still have.")
     ] = "now",
     position: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Resume from the position saved in FILE, and save it there."),
     ] = None,
     as_json: Annotated[
-        bool, typer.Option("--json", help="Print each event as one JSON object a line, as it came.")
+        bool, typer.Option("--json", help="Print each event as received: one JSON object per line.")
     ] = False,
 ) -> None:
-    """Print slip events as a broker delivers them, each once.
+    """Print slip events from an MQTT broker, each once.
 
-    The rigs are asked for those that were missed. Beside each stands how soon it was made (of a replay's
-    nothing), and how late it came here by this machine's clock, both since the sample that decided. Stops
-    at Ctrl-C. What is lost for good is reported, never passed over in silence.
+    Fetches missed events from the rigs, and reports events that are lost. Each line shows two delays since
+    the decisive sample: until the event was created (not for replays), and until it arrived here by this
+    machine's clock. Stops at Ctrl-C.
+
+    Examples:
+      slipflow watch mqtt://localhost --site lab
+      slipflow watch mqtts://broker --since start --json
     """
     from contextlib import suppress
     from time import time_ns
@@ -47,7 +55,7 @@ def watch(
 
     async def show() -> None:
         async with Consumer(
-            url, site, rig, position_file=position, since="start" if since == "start" else "now", report=told
+            url, site, rig, position_file=position, since="start" if since == "start" else "now", report=note
         ) as events:
             async for event in events:
                 typer.echo(event.encode() if as_json else _line(event, time_ns()))
@@ -57,26 +65,26 @@ def watch(
 
 
 def _line(event: "Event", now: int) -> str:
-    """An event that came at `now` (ns): when, where and what it was, how soon it was made, how late it is."""
+    """Return the line of an event that arrived at `now` (ns)."""
     from connectors.events import timestamp
 
     where = f"{event.site}/{event.rig} finger {event.finger}"
-    sure = "" if event.probability is None else f"  p {event.probability:.2f}"
-    doubt = "".join(f"  barometer {fault.barometer} {fault.kind}" for fault in event.degraded)
+    probability = "" if event.probability is None else f"  p {event.probability:.2f}"
+    faults = "".join(f"  barometer {fault.barometer} {fault.kind}" for fault in event.degraded)
     when = timestamp(event.time)[:23].replace("T", " ")
-    soon = "" if event.latency is None else f"{event.latency:.1f} ms, "
-    late = f"{soon}here after {span(now - event.time)}"
-    return f"{when}  {where}  slip {event.state:5}{sure}  {late}{doubt}"
+    created = "" if event.latency is None else f"{event.latency:.1f} ms, "
+    delay = f"{created}here after {span(now - event.time)}"
+    return f"{when}  {where}  slip {event.state:5}{probability}  {delay}{faults}"
 
 
 def span(time: int) -> str:
-    """So many ns, as a person says it.
+    """Return a time span (ns) as text with a fitting unit.
 
     >>> span(12_340_000), span(-3_000_000), span(4 * 10**9), span(7 * 86400 * 10**9)
     ('12.3 ms', '-3.0 ms', '4.0 s', '7.0 days')
     """
     units = (("days", 172_800e9, 86_400e9), ("h", 7200e9, 3600e9), ("min", 120e9, 60e9), ("s", 1e9, 1e9))
-    for name, least, one in units:
+    for name, least, unit in units:
         if abs(time) >= least:
-            return f"{time / one:.1f} {name}"
+            return f"{time / unit:.1f} {name}"
     return f"{time / 1e6:.1f} ms"

@@ -100,3 +100,12 @@ def _plain(value: Cell) -> Cell:
     if isinstance(value, float):
         return float(f"{value:.6g}") if isfinite(value) else None
     return value
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun.
+
+    >>> counted(1, "session"), counted(2000, "session")
+    ('1 session', '2,000 sessions')
+    """
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"

@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 import numpy as np
 
 from flows import demo as ready_made
-from flows.cli.live_page import add_page
-from flows.cli.options import told
+from flows.cli.live_view import add_page
+from flows.cli.terminal import note
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from tests.benchmarks.machine import commit
@@ -82,7 +82,7 @@ async def serve(*, page: bool) -> None:
         if page:
             add_page(flow, "127.0.0.1:0")
         else:
-            told("page: none")
+            note("page: none")
         await LiveRunner(flow, "demo", clock=LoopClock()).execute()
 
 

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, Request, ViewportSize, expect, sync_playwright
 
 from connectors.web.recorded_page import Recorded
-from flows.cli.live_page import add_page
+from flows.cli.live_view import add_page
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.run.clocks import LoopClock

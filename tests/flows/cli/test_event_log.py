@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from connectors import Console
-from flows.cli.event_log import Format, JsonLines, Printed, begin_log, in_json, logged
+from flows.cli.event_log import Format, JsonFormatter, PipeHandler, begin_log, logged, with_json_console
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from flows.graph.validation import problems
@@ -20,7 +20,7 @@ from tests.command import slipflow
 
 
 @pytest.fixture
-def told() -> Iterator[StringIO]:
+def log_text() -> Iterator[StringIO]:
     """What the log tells programs."""
     root, ours, stream = logging.getLogger(), logging.getLogger("slipflow"), StringIO()
     handlers, level = root.handlers[:], ours.level
@@ -39,7 +39,7 @@ def scores(*probability: float) -> Scores:
     return Scores(np.arange(len(probability)), np.array(probability))
 
 
-def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(told: StringIO) -> None:
+def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(log_text: StringIO) -> None:
     flow = Flow("felt")
     source = TestSource(Scores, [scores(0.1), OSError("unplugged"), scores(0.2, 0.3)])
     flow.source(source, "touch").to(TestSink(failures=[OSError("disk full")]))
@@ -50,7 +50,7 @@ def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(told: StringIO) 
             await runner.execute()
 
     run_virtually(main())
-    found = objects(told.getvalue())
+    found = objects(log_text.getvalue())
     assert found[0]["event"] == "run_begins"
     assert found[-1]["event"] == "run_ends"
     by_event = {each["event"]: each for each in found}
@@ -81,19 +81,19 @@ def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(told: StringIO) 
     assert by_event["run_ends"]["sinks"]["testsink"]["rows"] == 3
 
 
-def test_a_run_that_breaks_tells_why(told: StringIO, run: Run) -> None:
+def test_a_run_that_breaks_tells_why(log_text: StringIO, run: Run) -> None:
     run.error = "touch -> Zero: broken"
     with pytest.raises(ValueError, match="broken"), logged(run):
         raise ValueError(run.error)
-    assert objects(told.getvalue())[-1]["error"] == "touch -> Zero: broken"
+    assert objects(log_text.getvalue())[-1]["error"] == "touch -> Zero: broken"
 
 
-def test_other_records_are_told_with_their_text_but_without_credentials(told: StringIO) -> None:
+def test_other_records_are_told_with_their_text_but_without_credentials(log_text: StringIO) -> None:
     log = logging.getLogger("slipflow.other")
     log.warning("cannot reach %s", "mqtt://me:s3cret@host:1883 and http://host/?token=s3cret2&x=1")
     log.error("failed", exc_info=OSError("http://me:s3cret@host"))
-    assert "s3cret" not in told.getvalue()
-    first, second = objects(told.getvalue())
+    assert "s3cret" not in log_text.getvalue()
+    first, second = objects(log_text.getvalue())
     assert first["message"] == "cannot reach mqtt://...@host:1883 and http://host/?token=...&x=1"
     assert (first["event"], first["level"], second["level"]) == ("log", "warning", "error")
     assert second["traceback"].endswith("OSError: http://...@host")
@@ -116,7 +116,7 @@ def test_consoles_print_json_where_the_log_does_and_one_is_added_where_none_is()
     slips.to(Console(stream))
 
     async def main() -> None:
-        await LiveRunner(in_json(flow), "run1").execute()
+        await LiveRunner(with_json_console(flow), "run1").execute()
 
     asyncio.run(main())
     assert [each["event"] for each in objects(stream.getvalue())] == ["slip_onset"]
@@ -124,14 +124,14 @@ def test_consoles_print_json_where_the_log_does_and_one_is_added_where_none_is()
     slips = bare.source(TestSource(Scores)) | Debounce()
     slips.to(TestSink())
     bare.source(TestSource(Faults)).to(TestSink())
-    told = in_json(bare)
-    [console] = [node for node in told.nodes if isinstance(node.part, Console)]
+    copy = with_json_console(bare)
+    [console] = [node for node in copy.nodes if isinstance(node.part, Console)]
     assert [parent.gives for parent in console.inputs] == [Slips, Faults]
-    assert problems(told) == []
+    assert problems(copy) == []
     assert not any(isinstance(node.part, Console) for node in bare.nodes)
     silent = Flow("silent")
     silent.source(TestSource(Scores)).to(TestSink())
-    assert len(in_json(silent).nodes) == len(silent.nodes)
+    assert len(with_json_console(silent).nodes) == len(silent.nodes)
 
 
 def test_run_with_log_json_prints_nothing_but_objects(tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_run_with_log_json_prints_nothing_but_objects(tmp_path: Path) -> None:
 
 def test_the_formatter_tells_utc() -> None:
     record = logging.makeLogRecord({"msg": "up", "created": 1.5, "levelname": "INFO"})
-    assert json.loads(JsonLines().format(record))["time"] == "1970-01-01T00:00:01.500000000Z"
+    assert json.loads(JsonFormatter().format(record))["time"] == "1970-01-01T00:00:01.500000000Z"
 
 
 class Gone(StringIO):
@@ -164,7 +164,7 @@ class Gone(StringIO):
 
 def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is(capsys: pytest.CaptureFixture[str]) -> None:
     record = logging.makeLogRecord({"msg": "slip"})
-    Printed(Gone(BrokenPipeError())).handle(record)
+    PipeHandler(Gone(BrokenPipeError())).handle(record)
     assert capsys.readouterr().err == ""
-    Printed(Gone(OSError("No space left on device"))).handle(record)
+    PipeHandler(Gone(OSError("No space left on device"))).handle(record)
     assert "No space left on device" in capsys.readouterr().err

@@ -7,7 +7,7 @@ import typer
 
 from connectors import CsvTrace
 from flows.cli.event_log import Format
-from flows.cli.execution import execute, finish, session_name
+from flows.cli.execution import execute, report_run, session_name
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from operators import Run, Touch, s
@@ -55,17 +55,17 @@ def test_a_live_run_replays_nothing() -> None:
 
 
 def test_what_came_of_a_run_is_a_report_or_an_object(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    finish(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=False)
+    report_run(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=False)
     assert capsys.readouterr().out == "run1: 10.0 s\n"
-    finish(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=True)
+    report_run(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=True)
     assert json.loads(capsys.readouterr().out)["session"] == "run1"
-    finish(run, replayed=Path("stroke-9"), seconds=1.5, log=Format.TEXT, as_json=True)
+    report_run(run, replayed=Path("stroke-9"), seconds=1.5, log=Format.TEXT, as_json=True)
     found = json.loads(capsys.readouterr().out)
     assert (found["wall_seconds"], found["sessions"][0]["recording"]) == (1.5, "stroke-9")
 
 
 def test_a_log_for_programs_is_all_that_is_said(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    finish(run, replayed=None, seconds=1.5, log=Format.JSON, as_json=False)
+    report_run(run, replayed=None, seconds=1.5, log=Format.JSON, as_json=False)
     assert capsys.readouterr().out == ""
 
 
@@ -76,6 +76,6 @@ def test_lost_rows_and_an_interruption_are_told_by_the_exit_code(
     for error, code in (("", 1), ("was interrupted", 130)):
         run.error = error
         with pytest.raises(typer.Exit) as raised:
-            finish(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=False)
+            report_run(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=False)
         assert raised.value.exit_code == code
     assert capsys.readouterr().err == "error: was interrupted\n"

@@ -7,7 +7,7 @@ from aiohttp import ClientSession
 from prometheus_client.parser import text_string_to_metric_families
 
 from connectors import Metrics
-from flows.cli.live_metrics import add_metrics
+from flows.cli.live_view import add_metrics
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems

@@ -1,4 +1,6 @@
-"""The command line as a user meets it: its help, and what a mistake gives."""
+"""The command line in processes of its own: help, version and usage errors."""
+
+from importlib.metadata import version
 
 import pytest
 import typer
@@ -9,15 +11,24 @@ from tests.command import error, slipflow
 
 
 def names(app: typer.Typer) -> list[str]:
-    """What its commands are called."""
-    given = [each.name or getattr(each.callback, "__name__", "") for each in app.registered_commands]
-    return [*given, *(str(group.name) for group in app.registered_groups)]
+    """Return the names of its commands."""
+    commands = [str(each.name) for each in app.registered_commands]
+    return commands + [str(each.name) for each in app.registered_groups]
 
 
-def test_help_names_every_command() -> None:
+def test_help_lists_every_command_in_panels_with_the_most_used_first() -> None:
     assert len(names(main.app)) > 15
-    shown = {line.split()[0] for line in slipflow("--help").stdout.splitlines() if line.startswith("  ")}
-    assert set(names(main.app)) <= shown
+    text = slipflow("--help").stdout
+    shown = [line.split()[0] for line in text.splitlines() if line.startswith("  ")]
+    assert set(names(main.app)) <= set(shown)
+    panels = ["Record and run:", "View:", "Train and evaluate:", "Robots:", "Data:"]
+    assert [line for line in text.splitlines() if line in panels] == panels
+    assert shown[shown.index("run") :][:4] == ["run", "demo", "check", "graph"]
+
+
+def test_version_prints_the_installed_version() -> None:
+    done = slipflow("--version")
+    assert (done.returncode, done.stdout) == (0, f"slipflow {version('slipflow')}\n")
 
 
 @pytest.mark.parametrize(
@@ -25,7 +36,7 @@ def test_help_names_every_command() -> None:
     [*([name] for name in names(main.app)), *(["experiment", n] for n in names(experiments.app))],
     ids=" ".join,
 )
-def test_each_command_has_a_help_of_its_own(words: list[str]) -> None:
+def test_each_command_has_help_with_examples(words: list[str]) -> None:
     shown = CliRunner().invoke(main.app, [*words, "--help"], prog_name="slipflow")
     assert shown.exit_code == 0
     assert shown.output.split()[: 2 + len(words)] == ["Usage:", "slipflow", *words]
@@ -50,10 +61,10 @@ def test_debug_shows_the_traceback() -> None:
         ("rum live", "no such command 'rum'. Did you mean 'run'? See slipflow --help"),
         ("experiment lit", "no such command 'lit'. Did you mean 'lift'? See slipflow experiment --help"),
         ("demo --seed x", "invalid value for '--seed': must be a valid integer. See slipflow demo --help"),
-        ("simulate", "give OUT, the dataset's folder, or --report DIR"),
+        ("simulate", "missing argument 'OUT'. See slipflow simulate --help"),
     ],
 )
-def test_wrong_usage_is_one_line_that_says_how_to_write_it(words: str, line: str) -> None:
+def test_wrong_usage_is_one_line_with_the_fix(words: str, line: str) -> None:
     assert error(*words.split()).startswith(line)
 
 

@@ -1,15 +1,10 @@
-from pathlib import Path
-
 import pytest
+import typer
 
-from flows.cli.options import check_output_file
-from operators.errors import EndpointError
+from flows.cli.options import parse_address
 
 
-def test_a_file_goes_into_a_folder_that_is_there(tmp_path: Path) -> None:
-    check_output_file(tmp_path / "new.html")
-    with pytest.raises(EndpointError, match=f"new.html: there is no folder {tmp_path / 'none'}: make it"):
-        check_output_file(tmp_path / "none" / "new.html")
-    with pytest.raises(EndpointError, match="is a folder: give the name of a file"):
-        check_output_file(tmp_path)
-    assert not (tmp_path / "none").exists()
+@pytest.mark.parametrize("text", ["", "host", "host:", ":80", "host:99999", "99999", "::1:80", "a b:80"])
+def test_an_invalid_address_is_a_usage_error(text: str) -> None:
+    with pytest.raises(typer.BadParameter, match=f"^--listen {text}: write it as PORT or HOST:PORT"):
+        parse_address("--listen", text)

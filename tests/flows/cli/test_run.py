@@ -1,4 +1,4 @@
-"""`slipflow run` as a user meets it: whole processes, exit codes, one-line errors."""
+"""`slipflow run` in processes of its own: output, exit codes, one-line errors."""
 
 import json
 import os
@@ -139,13 +139,13 @@ def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
     ("words", "line"),
     [
         ("--for soon", "run: --for is 'soon', must be a time with its unit: 500ms, 30s, 5min or 1h"),
-        ("--pace 2", "--pace, --jobs and further recordings need --replay PATH: without it"),
-        ("--replay x.csv --for 5s", "--for is of live runs and of --pace: a replay ends with its"),
-        ("--replay x.csv y.csv --pace 1", "--pace, --page, --metrics and --log take one recording: leave"),
-        ("--follow", "--follow and --cluster-python need --cluster URL"),
-        ("--cluster http://x", "--cluster needs --replay PATH"),
-        ("--cluster http://x --replay x.csv --page", "--cluster: leave out --pace, --jobs, --page, "),
-        ("--cluster http://x --replay x.csv --jobs 2", "--cluster: leave out --pace, --jobs, --page, "),
+        ("--pace 2", "--pace, --jobs and further recordings require --replay PATH: without it"),
+        ("--replay x.csv --for 5s", "--for requires a live run or --pace: a replay at full speed"),
+        ("--replay x.csv y.csv --pace 1", "--pace, --page, --metrics and --log require a single recording"),
+        ("--follow", "--follow and --cluster-python require --cluster URL"),
+        ("--cluster http://x", "--cluster requires --replay PATH"),
+        ("--cluster http://x --replay x.csv --page", "--cluster: omit --pace, --jobs, --page, "),
+        ("--cluster http://x --replay x.csv --jobs 2", "--cluster: omit --pace, --jobs, --page, "),
         ("--set detector", "--set detector: write it as NAME=VALUE, such as seed=1"),
         ("--set =1", "--set : write it as NAME=VALUE"),
     ],

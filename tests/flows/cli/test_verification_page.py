@@ -4,8 +4,9 @@ from pathlib import Path
 import pytest
 
 from flows.cli import verification_page
-from flows.cli.verification_figure import LANES, chosen, rows
-from flows.cli.verification_page import page, summary, write
+from flows.cli.verification_figure import MAX_SESSIONS, count_rows, worst_sessions
+from flows.cli.verification_page import report, summary, write
+from flows.report import report_page
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError
 from storage.findings import Finding
@@ -25,31 +26,31 @@ def verified(*findings: Finding, whole: bool = True) -> Verified:
     return Verified(2, 3 if whole else 2, 150 if whole else 100, findings, parts, ("a", "b"))
 
 
-def test_the_title_of_a_whole_dataset_says_so(tmp_path: Path) -> None:
-    made = page(verified(), tmp_path / "data", "")
-    assert made.title == "data: 2 sessions, 3 files, 150 rows: all is there"
-    assert [section.title for section in made.sections] == [
+def test_the_title_states_that_all_data_is_present(tmp_path: Path) -> None:
+    made = report(verified(), tmp_path / "data", "")
+    assert made.title == "data: 2 sessions, 3 files, 150 rows: all data is present"
+    assert [section.finding for section in made.sections] == [
         "All 3 listed files can be read",
-        "Nothing is wrong; 0 notes",
+        "No faults; 0 notes",
     ]
     assert made.sections[1].tables == []
 
 
-def test_what_is_lost_is_told_by_session_and_by_finding(tmp_path: Path) -> None:
+def test_lost_rows_are_listed_by_session_and_by_finding(tmp_path: Path) -> None:
     note = Finding("a", "note", "touch was down for 2.0 s: unplugged")
-    made = page(verified(LOST, note, whole=False), tmp_path / "data", "")
+    made = report(verified(LOST, note, whole=False), tmp_path / "data", "")
     sessions, findings = made.sections
-    assert made.title.endswith(": something is lost")
-    assert sessions.title == "1 of 3 listed files cannot be read: 50 rows"
+    assert made.title.endswith(": recorded data is lost")
+    assert sessions.finding == "1 of 3 listed files cannot be read: 50 rows"
     assert [[row[0], *row[2:]] for row in sessions.tables[0].rows] == [
-        ["a", "50", "0", "10.0", "1", "note"],
-        ["b", "50", "50", "20.0", "1", "lost"],
+        ["a", 50, 0, 10.0, 1, "note"],
+        ["b", 50, 50, 20.0, 1, "lost"],
     ]
-    assert findings.title == "1 finding in 1 session; 1 note"
+    assert findings.finding == "1 finding in 1 session; 1 note"
     assert len(findings.tables[0].rows) == 2
 
 
-def test_the_page_is_one_file_with_its_figure_and_the_command_that_made_it(tmp_path: Path) -> None:
+def test_the_page_is_one_file_with_its_figure_and_its_command(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="needs the extra `report`")
     out = tmp_path / "my page.html"
     write(verified(LOST, whole=False), tmp_path / "data", out)
@@ -64,35 +65,35 @@ def test_the_page_is_one_file_with_its_figure_and_the_command_that_made_it(tmp_p
     assert "#d1495b" not in re.sub(r"<style>.*?</style>", "", out.read_text(), flags=re.DOTALL)
 
 
-def test_without_matplotlib_the_page_says_what_is_missing(
+def test_without_matplotlib_the_page_names_the_missing_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        verification_page, "lacking", lambda: "need matplotlib: in the clone, pip install -e '.[report]'"
-    )
-    [sessions, _] = page(verified(), tmp_path, "").sections
+    reason = "need matplotlib: in the clone, pip install -e '.[report]'"
+    for module in (verification_page, report_page):
+        monkeypatch.setattr(module, "lacking", lambda: reason)
+    [sessions, _] = report(verified(), tmp_path, "").sections
     assert sessions.figure is None
     assert "pip install -e '.[report]'" in sessions.text
 
 
-def test_rows_go_to_the_bins_they_are_of_and_none_gets_lost() -> None:
+def test_every_row_is_counted_in_its_bin() -> None:
     parts = [checked("a", 0), checked("a", 1, whole=False, count=20), checked("a", 3, count=7)]
-    read, lost = rows(parts, 5.0)
+    read, lost = count_rows(parts, 5.0)
     assert read.tolist() == pytest.approx([25, 25, 0, 0, 0, 0, 3.5, 3.5, 0])
     assert lost.tolist() == pytest.approx([0, 0, 10, 10, 0, 0, 0, 0, 0])
     instant = Checked("a", Part("slips.parquet", 3, 40 * s, 40 * s, "0" * 64), whole=True)
-    assert sum(map(sum, rows([*parts, instant], 5.0))) == pytest.approx(80)
+    assert sum(map(sum, count_rows([*parts, instant], 5.0))) == pytest.approx(80)
 
 
-def test_of_too_many_sessions_the_worst_are_drawn() -> None:
-    names = tuple(f"s{k:03}" for k in range(LANES + 5))
+def test_only_the_worst_of_too_many_sessions_are_drawn() -> None:
+    names = tuple(f"s{k:03}" for k in range(MAX_SESSIONS + 5))
     found = Verified(len(names), 0, 0, (Finding(names[-1], "lost", ""),), (), names)
-    assert len(chosen(found)) == LANES
-    assert chosen(found)[-1] == names[-1]
-    assert chosen(found)[0] == names[0]
+    assert len(worst_sessions(found)) == MAX_SESSIONS
+    assert worst_sessions(found)[-1] == names[-1]
+    assert worst_sessions(found)[0] == names[0]
 
 
-def test_a_program_is_told_the_findings_and_not_every_file() -> None:
+def test_the_json_result_has_the_findings() -> None:
     assert summary(verified(LOST, whole=False)) == {
         "sessions": 2,
         "files": 2,
@@ -103,19 +104,19 @@ def test_a_program_is_told_the_findings_and_not_every_file() -> None:
     }
 
 
-def test_notes_say_nothing_against_a_dataset() -> None:
+def test_notes_are_not_faults() -> None:
     assert summary(verified(Finding("a", "note", "touch was down for 2.0 s")))["worst"] == "good"
     assert summary(verified())["worst"] == "good"
 
 
-def test_a_page_that_cannot_be_written_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+def test_a_page_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"ends in \.html"):
-        verification_page.claim(tmp_path / "report.pdf")
+        verification_page.check_file(tmp_path / "report.pdf")
     (tmp_path / "file").touch()
-    with pytest.raises(EndpointError, match="there is no folder"):
-        verification_page.claim(tmp_path / "file" / "report.html")
+    with pytest.raises(EndpointError, match="does not exist"):
+        verification_page.check_file(tmp_path / "file" / "report.html")
     (tmp_path / "folder.html").mkdir()
     with pytest.raises(EndpointError, match="is a folder"):
-        verification_page.claim(tmp_path / "folder.html")
+        verification_page.check_file(tmp_path / "folder.html")
     with pytest.raises(EndpointError, match="cannot be written"):
         write(verified(), tmp_path, tmp_path / "folder.html")

@@ -1,4 +1,4 @@
-"""`slipflow verify` and `slipflow recover` as a user meets them."""
+"""`slipflow verify` and `slipflow recover` in processes of their own."""
 
 import json
 import os
@@ -28,69 +28,69 @@ def record(root: Path, session: str, *, close: bool) -> Path:
 
 @pytest.fixture
 def dataset(tmp_path: Path) -> Path:
-    """One session that was closed and one whose recorder is gone."""
+    """A dataset with a closed session and one whose recorder was killed."""
     record(tmp_path, "closed", close=True)
     record(tmp_path, "crashed", close=False)
     return tmp_path
 
 
-def test_a_crash_is_told_recovered_and_remembered(dataset: Path) -> None:
+def test_a_crash_is_reported_repaired_and_noted(dataset: Path) -> None:
     done = slipflow("verify", dataset)
     assert done.returncode == 3, done.stderr
     assert "repairable  crashed: has a journal that waits: slipflow recover" in done.stdout
-    assert "something waits to be repaired, nothing is lost" in done.stdout
+    assert "repairable, nothing is lost" in done.stdout
     done = slipflow("recover", dataset)
     assert done.returncode == 3, done.stderr
-    assert done.stdout == "crashed: back are 5 rows of touch\n"
+    assert done.stdout == "crashed: recovered 5 rows of touch\n"
     assert len(Session.open(dataset / "sessions/crashed").frame("touch")) == 5
     done = slipflow("recover", dataset)
     assert done.returncode == 0
     assert done.stdout == "2 sessions, nothing to recover; slipflow verify reads every file\n"
     done = slipflow("verify", dataset)
     assert done.returncode == 3
-    assert "2 sessions, 2 files, 10 rows: something was repaired, nothing is lost" in done.stdout
+    assert "2 sessions, 2 files, 10 rows: repaired, nothing is lost" in done.stdout
     done = slipflow("verify", dataset / "sessions/closed")
-    assert (done.returncode, "1 session, 1 file, 5 rows: all is there" in done.stdout) == (0, True)
+    assert (done.returncode, "1 session, 1 file, 5 rows: all data is present" in done.stdout) == (0, True)
 
 
-def test_a_lost_part_is_told_for_people_and_programs(dataset: Path) -> None:
+def test_a_lost_part_is_reported_as_text_and_json(dataset: Path) -> None:
     (dataset / "sessions/closed/touch/part-000000.parquet").unlink()
     done = slipflow("verify", dataset / "sessions/closed", "--json")
     found = json.loads(done.stdout.splitlines()[-1])
     assert (done.returncode, found["code"], found["findings"][0]["weight"]) == (1, 1, "lost")
     done = slipflow("verify", dataset)
     assert done.returncode == 1
-    assert "something is lost" in done.stdout.splitlines()[-1]
+    assert "recorded data is lost" in done.stdout.splitlines()[-1]
 
 
-def test_a_whole_dataset_is_good_for_a_program(dataset: Path) -> None:
+def test_a_complete_session_is_good_in_json(dataset: Path) -> None:
     done = slipflow("verify", dataset / "sessions/closed", "--json")
     found = json.loads(done.stdout)
     assert (done.returncode, found["code"], found["worst"]) == (0, 0, "good")
 
 
-def test_recover_tells_programs_what_it_did(dataset: Path) -> None:
+def test_recover_prints_its_result_as_json(dataset: Path) -> None:
     done = slipflow("recover", dataset, "--json")
     found = json.loads(done.stdout.splitlines()[-1])
     assert (done.returncode, found["errors"]) == (3, [])
     assert [each["rows"] for each in found["sessions"]] == [{}, {"touch": 5}]
 
 
-def test_what_is_being_recorded_is_left_alone_and_no_error(dataset: Path) -> None:
+def test_a_session_being_recorded_is_skipped_without_error(dataset: Path) -> None:
     held = lock(dataset / "sessions/crashed")
     assert held is not None
     done = slipflow("recover", dataset)
-    assert (done.returncode, "crashed: is being recorded just now" in done.stderr) == (0, True)
+    assert (done.returncode, "crashed: skipped, it is being recorded" in done.stderr) == (0, True)
     done = slipflow("verify", dataset)
     assert (done.returncode, "is being recorded just now" in done.stdout) == (0, True)
     os.close(held)
 
 
-def test_a_session_that_cannot_be_recovered_does_not_keep_the_others_from_it(dataset: Path) -> None:
+def test_the_other_sessions_are_recovered_if_one_cannot_be(dataset: Path) -> None:
     (dataset / "sessions/closed/session.json").write_text("{")
     done = slipflow("recover", dataset)
     assert done.returncode == 1
-    assert "crashed: back are 5 rows of touch" in done.stdout
+    assert "crashed: recovered 5 rows of touch" in done.stdout
     assert "session.json: is not valid JSON" in done.stderr
 
 
@@ -98,13 +98,13 @@ def test_a_session_without_its_description_is_named(dataset: Path) -> None:
     (dataset / "sessions/closed/session.json").unlink()
     done = slipflow("recover", dataset)
     assert done.returncode == 1
-    assert "sessions/closed: its session.json is gone" in done.stderr
+    assert "sessions/closed: session.json is missing" in done.stderr
     done = slipflow("verify", dataset, "--json")
     found = json.loads(done.stdout.splitlines()[-1])
     assert (done.returncode, found["sessions"], found["rows"], found["worst"]) == (1, 2, 10, "lost")
 
 
-def test_recover_says_what_it_changed(dataset: Path) -> None:
+def test_recover_lists_its_changes(dataset: Path) -> None:
     folder = dataset / "sessions/closed"
     copyfile(folder / "touch/part-000000.parquet", folder / "touch/part-000001.parquet")
     done = slipflow("recover", folder)
@@ -112,7 +112,7 @@ def test_recover_says_what_it_changed(dataset: Path) -> None:
     assert "touch/part-000001.parquet: is a copy of touch/part-000000.parquet" in done.stdout
 
 
-def test_mistakes_are_one_line_each(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
     for command in ("verify", "recover"):
         done = slipflow(command, tmp_path / "nowhere")
         assert done.returncode == 2
@@ -120,18 +120,18 @@ def test_mistakes_are_one_line_each(tmp_path: Path) -> None:
         assert "nowhere" in done.stderr
 
 
-def test_verify_writes_a_page_to_keep_and_exits_as_without(dataset: Path, tmp_path: Path) -> None:
+def test_verify_writes_a_page_with_the_same_exit_code(dataset: Path, tmp_path: Path) -> None:
     report = tmp_path / "report.html"
     done = slipflow("verify", dataset, "--report", report, "--json")
     assert done.returncode == 3, done.stderr
     assert json.loads(done.stdout)["worst"] == "repairable"
-    assert f"written: {report}" in done.stderr
+    assert f"wrote {report}" in done.stderr
     text = report.read_text()
-    assert "something waits to be repaired, nothing is lost</h1>" in text
+    assert "repairable, nothing is lost</h1>" in text
     assert "crashed" in text
     done = slipflow("verify", dataset, "-o", tmp_path / "nowhere" / "report.html")
     assert (done.returncode, done.stdout) == (2, "")
-    assert f"report.html: there is no folder {tmp_path / 'nowhere'}: make it" in done.stderr
+    assert f"report.html: folder {tmp_path / 'nowhere'} does not exist" in done.stderr
     assert not (tmp_path / "nowhere").exists()
     done = slipflow("verify", dataset, "-o", tmp_path / "report.txt")
     assert (done.returncode, done.stdout) == (2, "")

@@ -13,8 +13,8 @@ import pytest
 
 from connectors import Page
 from flows import demo as ready_made
-from flows.cli.demo import demo
-from flows.cli.live_page import NoBrowser, add_page, invite, shown
+from flows.cli.demo_command import demo
+from flows.cli.live_view import NoBrowser, add_page, announce_page, page_streams
 from flows.cli.run import run
 from flows.cli.show import show
 from flows.graph import Flow
@@ -26,7 +26,7 @@ from tests.connectors.mqtt.broker_process import PATIENCE
 
 
 def names(flow: Flow) -> list[str]:
-    return [node.gives.__name__ for node in shown(flow) if node.gives]
+    return [node.gives.__name__ for node in page_streams(flow) if node.gives]
 
 
 def page_of(flow: Flow) -> Page:
@@ -71,7 +71,7 @@ def test_the_token_is_told_to_a_terminal_and_to_nobody_else(monkeypatch: pytest.
         (StringIO(), f"live page: {url} (asks for its token)\n"),
     ):
         monkeypatch.setattr(sys, "stderr", stream)
-        invite("live page", url, entrance, browse=False)
+        announce_page("live page", url, entrance, browse=False)
         assert stream.getvalue() == text
 
 
@@ -85,10 +85,10 @@ def test_a_browser_is_opened_for_a_person_and_for_no_program(
     for stream in ("stdout", "stderr"):
         monkeypatch.setattr(sys, stream, Terminal())
     monkeypatch.setattr(sys, program, StringIO())
-    invite("page", "http://one", "http://one", browse=True)
+    announce_page("page", "http://one", "http://one", browse=True)
     monkeypatch.setattr(sys, program, Terminal())
-    invite("page", "http://two", "http://two", browse=False)
-    invite("page", "http://three", "http://three/?token=secret", browse=True)
+    announce_page("page", "http://two", "http://two", browse=False)
+    announce_page("page", "http://three", "http://three/?token=secret", browse=True)
     assert opened.get(timeout=PATIENCE) == "http://three"  # the first, and without its token
 
 

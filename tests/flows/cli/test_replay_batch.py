@@ -1,4 +1,4 @@
-"""Replays of several recordings as a user meets them: whole processes, exit codes, what is printed."""
+"""Replays of several recordings in processes of their own: output and exit codes."""
 
 import json
 import os
@@ -122,6 +122,6 @@ def test_a_signal_ends_all_and_commits_what_there_is(
         os.killpg(process.pid, number)  # as a terminal does, to all of them
         text, _ = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert "not to the end" in text.splitlines()[-1]
+    assert "incomplete" in text.splitlines()[-1]
     done = slipflow("verify", tmp_path)
-    assert "all is there" in done.stdout
+    assert "all data is present" in done.stdout

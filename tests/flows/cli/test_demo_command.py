@@ -90,8 +90,8 @@ def test_the_demo_goes_on_when_the_broker_is_killed_and_a_watch_gets_every_event
 ) -> None:
     out, topic = tmp_path / "data", "slip/v1/lab/demo"
     listener = broker.listen(f"{topic}/+/event", f"{topic}/status")
-    watched = ["watch", broker.url, "--json", "--since", "start", "--position", str(tmp_path / "position")]
-    watch = subprocess.Popen([*SLIPFLOW, *watched], stdout=subprocess.PIPE, text=True)
+    options = ["watch", broker.url, "--json", "--since", "start", "--position", str(tmp_path / "position")]
+    watch = subprocess.Popen([*SLIPFLOW, *options], stdout=subprocess.PIPE, text=True)
     options = ["--for", "14s", "--out", str(out), "--mqtt", broker.url, "--json"]
     demo = subprocess.Popen([*SLIPFLOW, "demo", *options], stdout=subprocess.PIPE, text=True)
     assert json.loads(listener.next(f"{topic}/status").payload)["state"] == "online"

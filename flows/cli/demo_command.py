@@ -1,0 +1,77 @@
+"""The command `slipflow demo`."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.cli.event_log import Format, Log, with_json_console
+from flows.cli.execution import execute, separate_result
+from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
+from flows.cli.options import AsJson, Duration
+from flows.cli.terminal import note
+
+# Slow imports are inside functions: `slipflow --help` must be fast.
+# ruff: noqa: PLC0415
+
+
+def demo(
+    *,
+    duration: Duration = "20s",
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
+    mqtt: Annotated[
+        str | None,
+        typer.Option(metavar="URL", help="MQTT broker to publish to (default: one on this machine, if any)."),
+    ] = None,
+    rig: Annotated[
+        str, typer.Option(metavar="NAME", help="Rig name used in topics; each name has its own outbox.")
+    ] = "demo",
+    outbox: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="File that keeps the published events (default: one per rig)."),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Random seed of the simulated rig.")] = 0,
+    page: WithPage = True,
+    listen: Listen = None,
+    no_browser: NoBrowser = False,
+    metrics: Metrics = None,
+    log: Log = Format.TEXT,
+    as_json: AsJson = False,
+) -> None:
+    """Detect slip on a simulated rig; no hardware is needed.
+
+    Records a labelled dataset, shows touch and slips on the live page, and publishes events if there is a
+    broker. Exits 1 if a source was down at the end or rows were lost.
+
+    Examples:
+      slipflow demo --for 1min
+      slipflow demo --mqtt mqtt://localhost --rig left --no-page
+    """
+    from flows import demo as declared
+    from flows.cli import demo_summary
+    from flows.graph.quantity import time
+    from flows.run.run_summary import Summary
+
+    limit = None if duration is None else time("demo", "--for", duration)  # ns
+    broker = mqtt or demo_summary.local_broker()
+    flow = declared.demo(str(out), broker, rig, outbox, seed, connect_required=bool(mqtt))
+    if log is Format.JSON:
+        flow = with_json_console(flow)
+    if page:
+        add_page(flow, listen, browse=not no_browser)
+    if metrics:
+        add_metrics(flow, metrics)
+    typer.echo(flow, err=True)
+    note("starting; the first run compiles the simulated physics, which takes some seconds")
+    with separate_result(as_json=as_json, log=log):
+        done = asyncio.run(execute(flow, log=log, limit=limit))
+    summary = Summary.of(done)
+    found = demo_summary.summarize(flow, done, out, broker)
+    if as_json:
+        typer.echo(json.dumps({**summary.as_dict(), **found}))
+    elif log is Format.TEXT:
+        typer.echo(demo_summary.report(found, done))
+    if summary.lost:
+        raise typer.Exit(1)

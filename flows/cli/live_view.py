@@ -1,0 +1,138 @@
+"""The live page and the metrics of a running flow: options of the commands that serve them, and wiring."""
+
+import os
+import sys
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flows.cli.options import parse_address
+from flows.cli.terminal import note
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from flows.graph import Flow
+    from flows.graph.node import Node
+    from operators.batch import Batch
+
+# Slow imports are inside functions: `slipflow --help` must be fast.
+# ruff: noqa: PLC0415
+
+WithPage = Annotated[
+    bool, typer.Option("--page/--no-page", help="Serve the live page and open it in a browser.")
+]
+Listen = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[HOST:]PORT",
+        help="Serve the page here (default: 127.0.0.1:8765, or a free port if that is in use). Other"
+        " machines can connect only if a host is given; this requires SLIPFLOW_PAGE_TOKEN.",
+    ),
+]
+NoBrowser = Annotated[
+    bool,
+    typer.Option(
+        "--no-browser",
+        help="Print the address of the page, but do not open a browser. None is opened either if stdout or"
+        " stderr is not a terminal.",
+    ),
+]
+Metrics = Annotated[
+    str | None,
+    typer.Option(
+        "--metrics",
+        metavar="[HOST:]PORT",
+        help="Serve metrics for Prometheus here, such as 9464; on this machine only unless a host is given.",
+    ),
+]
+
+
+def add_page(
+    flow: "Flow",
+    listen: str | None = None,
+    *,
+    browse: bool = False,
+    opened: "Callable[[str], None] | None" = None,
+) -> None:
+    """Add a sink to a flow that shows it on the live page, with the threshold of its first `Debounce`.
+
+    Args:
+        flow: Flow to change.
+        listen: Address as ``[HOST:]PORT``.
+        browse: Open a browser if a person uses this terminal.
+        opened: Called with the page's URL when it is served; the default prints it.
+
+    Raises:
+        ParameterError: if the page cannot be served at this address.
+    """
+    from connectors import Page
+    from operators import Debounce
+
+    host, port = parse_address("--listen", listen) if listen else ("127.0.0.1", None)
+    thresholds = [node.part.threshold for node in flow.nodes if isinstance(node.part, Debounce)]
+
+    def announce(url: str) -> None:
+        announce_page("live page", url, page.entrance, browse=browse)
+
+    page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=opened or announce)
+    for node in page_streams(flow):
+        flow.add_sink(page, node)
+
+
+def page_streams(flow: "Flow") -> "list[Node]":
+    """Return the streams that the page shows: the first of each type, zeroed touch if there is any."""
+    from operators import Faults, Motion, Scores, Slips, Touch, Zeroed
+
+    first: dict[type[Batch] | None, Node] = {}
+    for node in flow.nodes:
+        first.setdefault(node.gives, node)
+    kinds = (Zeroed if Zeroed in first else Touch, Motion, Scores, Slips, Faults)
+    return [first[kind] for kind in kinds if kind in first]
+
+
+def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None" = None) -> None:
+    """Add a sink to a flow that serves metrics of its run and of its first slips, faults and clocks.
+
+    Args:
+        flow: Flow to change.
+        listen: Address as ``[HOST:]PORT``.
+        opened: Called with the URL when the metrics are served; the default prints it.
+    """
+    from connectors import Metrics
+    from operators import Clocks, Faults, Slips
+
+    host, port = parse_address("--metrics", listen)
+    inputs = [
+        next((node for node in flow.nodes if node.gives is kind), None) for kind in (Slips, Faults, Clocks)
+    ]
+    metrics = Metrics(port, host, opened=opened or (lambda url: note(f"metrics: {url}")))
+    flow.add("metrics", metrics, *filter(None, inputs))
+
+
+def announce_page(title: str, url: str, entrance: str, *, browse: bool) -> None:
+    """Print the address of a page, and open a browser if `browse` is set and a person uses this terminal.
+
+    `entrance` is the URL with the access token. It is printed on a terminal only, never into a log. The
+    browser gets the URL without it, because all users of this machine can read the arguments of a process.
+    """
+    hint = "" if entrance == url else " (asks for its token)"
+    note(f"{title}: {entrance if sys.stderr.isatty() else url + hint}")
+    if browse:
+        _open_browser(url)
+
+
+def _open_browser(url: str) -> None:
+    """Open a browser if there is a screen and no program reads the output; failures are ignored."""
+    screen = sys.platform == "darwin" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if not (screen and sys.stdout.isatty() and sys.stderr.isatty()):
+        return
+    import webbrowser
+    from contextlib import suppress
+    from threading import Thread
+
+    def show() -> None:
+        with suppress(Exception):
+            webbrowser.open(url)
+
+    Thread(target=show, daemon=True).start()  # some browsers return only when they are closed

@@ -1,0 +1,84 @@
+"""The command `slipflow recover`."""
+
+import json
+from typing import TYPE_CHECKING
+
+import typer
+
+from flows.cli.options import AsJson, DatasetOrSession
+from flows.cli.terminal import note, progress_bar
+from flows.report.table import counted
+
+if TYPE_CHECKING:
+    from storage import Recovery
+
+# Slow imports are inside functions: `slipflow --help` must be fast.
+# ruff: noqa: PLC0415
+
+
+def recover(place: DatasetOrSession, *, as_json: AsJson = False) -> None:
+    """Repair recordings after a crash.
+
+    Moves rows from the journal of a killed recording into the dataset. Opening such a session with slipflow
+    does the same; other readers see the rows only afterwards. Sessions that are complete, or are being
+    recorded, are not changed. Unreadable and duplicate files are kept in a folder `damaged`. Files that are
+    in the manifest are not read; `slipflow verify` reads them.
+
+    Exits 0 if there was nothing to do, 3 if something was repaired, 1 if a session could not be repaired.
+
+    Examples:
+      slipflow recover recordings
+    """
+    from operators.errors import SlipflowError
+    from storage import recover as repair
+    from storage.layout import SESSION, SESSIONS, headless, headless_names, session_folder, session_names
+    from storage.lock import locked
+
+    single = (place / SESSION).exists() or headless(place)
+    folders = [place] if single else [session_folder(place, name) for name in session_names(place)]
+    without_description = [place / SESSIONS / name for name in ([] if single else headless_names(place))]
+    if not folders and not without_description:
+        raise typer.BadParameter(
+            f"{place} is not a session and holds none: give the folder of a dataset or of a session"
+        )
+    done: list[Recovery] = []
+    errors = [f"{folder}: {SESSION} is missing: see slipflow verify" for folder in without_description]
+    with progress_bar("recovering") as update:
+        for number, folder in enumerate(folders, 1):
+            try:
+                if locked(folder):
+                    note(f"{folder.name}: skipped, it is being recorded")
+                else:
+                    done.append(repair(folder))
+            except SlipflowError as error:
+                errors.append(str(error))
+            update(number, len(folders))
+    if as_json:
+        sessions = [_as_dict(each) for each in done]
+        typer.echo(json.dumps({"sessions": sessions, "errors": errors}))
+    else:
+        changed = [_text(each) for each in done if each.changed]
+        nothing = f"{counted(len(done), 'session')}, nothing to recover; slipflow verify reads every file"
+        typer.echo("\n".join(changed) or nothing)
+    for each in errors:
+        typer.echo(f"error: {each}", err=True)
+    if errors or any(each.changed for each in done):
+        raise typer.Exit(1 if errors else 3)
+
+
+def _text(done: "Recovery") -> str:
+    rows = ", ".join(f"{count:,} rows of {table}" for table, count in done.rows.items())
+    lines = [f"{'cut off' if each in done.cut else 'lost'}: {each}" for each in done.lost]
+    return "\n  ".join([f"{done.session}: recovered {rows or 'no rows'}", *lines, *done.done])
+
+
+def _as_dict(done: "Recovery") -> dict[str, object]:
+    return {
+        "session": done.session,
+        "rows": dict(done.rows),
+        "adopted": list(done.adopted),
+        "lost": list(done.lost),
+        "cut": list(done.cut),
+        "done": list(done.done),
+        "complete": done.complete,
+    }

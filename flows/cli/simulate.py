@@ -1,0 +1,50 @@
+"""The command `slipflow simulate`."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.cli.options import AsJson
+from flows.cli.terminal import progress_bar
+
+# Slow imports are inside functions: `slipflow --help` must be fast.
+# ruff: noqa: PLC0415
+
+
+def simulate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the dataset, new or empty.")],
+    *,
+    plan: Annotated[
+        str,
+        typer.Option(help="paper: 44 minutes; wide: 30 minutes, 30 materials; tiny: 2 minutes."),
+    ] = "paper",
+    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives identical output.")] = 0,
+    delay: Annotated[
+        str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this much later.")
+    ] = "0s",
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Simulate a collection plan as a labelled dataset.
+
+    The sessions are split for training, validation and testing.
+
+    Examples:
+      slipflow simulate recordings --plan tiny --seed 1
+      slipflow simulate late --delay 70ms --jobs 2
+    """
+    from flows.graph.quantity import time
+    from flows.lab import simulation
+
+    with progress_bar(f"simulating {plan}") as update:
+        done = simulation.simulate(
+            out,
+            plan,
+            seed,
+            delay=time("simulate", "--delay", delay),
+            jobs=jobs,
+            progress=update,
+        )
+    typer.echo(json.dumps(done.summary()) if as_json else done.report())

@@ -1,0 +1,61 @@
+"""Notes, progress and checks that several commands share."""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import typer
+
+# numpy and rich are imported inside functions: `slipflow --help` must be fast.
+# ruff: noqa: PLC0415
+
+
+def note(text: str) -> None:
+    """Print a message on stderr, apart from the result on stdout."""
+    typer.echo(text, err=True)
+
+
+def check_output_file(path: Path) -> None:
+    """Require that a file can be created at `path`: its folder exists, and `path` is not a folder itself.
+
+    Raises:
+        EndpointError: if it cannot.
+    """
+    from operators.errors import EndpointError
+
+    if not path.parent.is_dir():
+        raise EndpointError(str(path), f"folder {path.parent} does not exist: create it, or write elsewhere")
+    if path.is_dir():
+        raise EndpointError(str(path), "is a folder: give a file name")
+
+
+class Progress(Protocol):
+    """Callback that updates a progress bar."""
+
+    def __call__(self, done: int, total: int, part: str = "") -> None:
+        """Show that `done` of `total` steps are done, and which part is in work."""
+        ...
+
+
+@contextmanager
+def progress_bar(action: str) -> Generator[Progress]:
+    """Show a progress bar on stderr if it is a terminal; yield the callback that updates it."""
+    from rich import progress
+    from rich.console import Console
+
+    columns = *progress.Progress.get_default_columns(), progress.MofNCompleteColumn()
+    console = Console(stderr=True)
+    with progress.Progress(
+        *columns,
+        progress.TimeElapsedColumn(),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as bar:
+        task = bar.add_task(action)
+
+        def update(done: int, total: int, part: str = "") -> None:
+            bar.update(task, description=f"{action} {part}".rstrip(), completed=done, total=total)
+
+        yield update

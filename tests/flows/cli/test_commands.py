@@ -1,0 +1,66 @@
+import shlex
+from typing import Any
+
+import pytest
+import typer
+import typer.core
+import typer.main
+
+from flows.cli.commands import usage_error
+from flows.cli.main import app
+
+
+def commands(group: typer.core.TyperGroup) -> dict[str, Any]:
+    """Return all commands by name, those of groups included."""
+    found = dict[str, Any]()
+    for name, command in group.commands.items():
+        found |= commands(command) if isinstance(command, typer.core.TyperGroup) else {name: command}
+    return found
+
+
+ROOT = typer.main.get_command(app)
+assert isinstance(ROOT, typer.core.TyperGroup)
+ALL = commands(ROOT)
+
+
+def usage(*words: str) -> str:
+    with pytest.raises(typer.TyperException) as raised:
+        app(list(words), standalone_mode=False, prog_name="slipflow")
+    return usage_error(raised.value)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_each_command_accepts_the_examples_of_its_help(name: str) -> None:
+    examples = ALL[name].make_context(name, [], resilient_parsing=True).get_help().partition("Examples:\n")[2]
+    assert examples.strip()
+    for line in examples.strip().splitlines():
+        program, *words = shlex.split(line.partition(" > ")[0])
+        assert program == "slipflow"
+        ALL[name].make_context(name, words[words.index(name) + 1 :])  # raises an error if it does not
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_summary_of_a_command_fits_into_the_list_of_commands(name: str) -> None:
+    assert not ALL[name].get_short_help_str(62).endswith("...")
+
+
+def test_a_usage_error_names_the_help_to_read() -> None:
+    assert usage("verify") == "error: missing argument 'DATASET|SESSION'. See slipflow verify --help"
+    assert usage("verify", "a", "--jsn") == (
+        "error: no such option: --jsn. Did you mean --json? See slipflow verify --help"
+    )
+
+
+def test_a_number_out_of_range_is_reported_without_the_validators_words() -> None:
+    line = usage("run", "live", "--pace", "0")
+    assert line == (
+        "error: invalid value for '--pace': must be greater than or equal to 0.01. See slipflow run --help"
+    )
+
+
+def test_the_message_of_a_command_is_one_line() -> None:
+    assert usage_error(typer.BadParameter("--set a\nb: write\n it")) == "error: --set a b: write it"
+
+
+def test_no_command_prints_the_help() -> None:
+    assert usage().startswith("Usage: slipflow [OPTIONS] COMMAND")

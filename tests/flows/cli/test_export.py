@@ -1,0 +1,65 @@
+"""`slipflow export` in processes of its own."""
+
+import json
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from storage.layout import session_names
+from tests.command import error, slipflow
+
+
+def test_a_dataset_becomes_a_lerobot_dataset(tiny: Path, tmp_path: Path) -> None:
+    done = slipflow("export", str(tiny), "out", "--to", "lerobot", "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    frames = pl.read_parquet(tmp_path / "out" / "data" / "*" / "*.parquet")
+    info = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())
+    assert found["frames"] == info["total_frames"] == len(frames)
+    assert found["sessions"] == found["episodes"] == 12
+    assert found["splits"] == info["splits"] == {"train": "0:9", "validation": "9:10", "test": "10:12"}
+    assert {"observation.state", "observation.pose", "action"} < set(found["features"])
+
+
+def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
+    tiny: Path, tmp_path: Path
+) -> None:
+    done = slipflow("export", str(tiny), "out", "--to", "mcap", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    names = session_names(tiny)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {f"{name}.mcap" for name in names}
+    assert done.stdout.startswith("12 files, ")
+    session = tiny / "sessions" / names[0]
+    one = slipflow("export", str(session), "one.mcap", "--to", "mcap", "--json", cwd=tmp_path)
+    assert list(json.loads(one.stdout)["files"]["one.mcap"]) == [
+        "/touch/0",
+        "/samples/0",
+        "/episodes",
+        "/motion",
+    ]
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "out" / f"{names[0]}.mcap").read_bytes()
+
+
+@pytest.mark.rerun
+def test_a_session_becomes_a_rerun_recording_with_its_probability(tiny: Path, tmp_path: Path) -> None:
+    session = tiny / "sessions" / session_names(tiny)[0]
+    arguments = ("export", str(session), "one.rrd", "--to", "rrd", "--detector", "tcn", "--json")
+    done = slipflow(*arguments, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["files"]["one.rrd"]
+    assert set(found) == {"/touch/0", "/probability/0", "/motion/speed", "/samples/0/speed"}
+    assert 0 < found["/probability/0"] <= found["/touch/0"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["export", "nowhere", "out", "--to", "lerobot"], "nowhere: there is no such folder"),
+        (["export", "nowhere", "out", "--to", "rosbag"], "--to rosbag: give lerobot, mcap or rrd"),
+        (["export", "nowhere", "out", "--to", "mcap", "--detector", "tcn"], "--detector requires --to rrd"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: str, tmp_path: Path) -> None:
+    assert message in error(*arguments, cwd=tmp_path)
+    assert list(tmp_path.iterdir()) == []

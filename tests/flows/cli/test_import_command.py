@@ -1,0 +1,63 @@
+"""`slipflow import` in processes of its own."""
+
+import json
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from tests.command import error, slipflow
+
+TRACE = "t,p0,p1,p2,p3,p4,p5,slip\n" + "".join(
+    f"{k / 100},{','.join(str(500 + (k + c) % 5) for c in range(6))},{k // 50 % 2}\n" for k in range(300)
+)
+
+
+def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> None:
+    (tmp_path / "lab.csv").write_text(TRACE)
+    checked = slipflow("import", "lab.csv", "out", "--dry-run", cwd=tmp_path)
+    assert checked.returncode == 0, checked.stderr
+    assert "counts   p0 p1 p2 p3 p4 p5  (raw, guessed from the names)" in checked.stdout
+    assert "labels of the file: 150 slip, 150 static" in checked.stdout
+    assert "dry run: nothing written" in checked.stderr
+    assert not (tmp_path / "out").exists()
+    columns = (
+        "--map",
+        "time=t,counts=p0..p5,label=slip",
+        "--units",
+        "time=s",
+        "--rate",
+        "100",
+        "--finger",
+        "2",
+    )
+    done = slipflow("import", "lab.csv", "out", *columns, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["written"], found["guessed"], found["finger"]) == (True, [], 2)
+    samples = pl.read_parquet(tmp_path / "out/sessions/lab/samples/*.parquet")
+    assert samples["label"].to_list() == [k // 50 % 2 for k in range(300)]
+    judged = slipflow("evaluate", "out", "--split", "all", "--method", "psd", "--json", cwd=tmp_path)
+    assert judged.returncode == 0, judged.stderr
+    exported = slipflow("export", "out", "frames", "--to", "lerobot", cwd=tmp_path)
+    assert exported.returncode == 0, exported.stderr
+    assert "1 session, split at 0 gaps: 1 episode (train 0:1)" in exported.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["import", "lab.csv", "out", "--map", "time"], "must be written as time=t,counts=p0..p5"),
+        (["import", "lab.csv", "out", "--units", "time=h"], "unit of time is 'h', must be one of s, ms"),
+        (["import", "lab.csv", "out", "--map", "label=p9"], "lab.csv, line 1: has the columns"),
+        (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: is '500', must be"),
+        (["import", "lab.csv", "out", "--rate", "50"], "comes at 100.0 rows per second, not at 50"),
+        (["import", "lab.csv", "out", "--delay", "soon"], "with its unit: 500ms"),
+        (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
+        (["import", "lab.csv", "out", "--session", "../x"], "must be a file name"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "lab.csv").write_text(TRACE)
+    assert message in error(*arguments, cwd=tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["lab.csv"]
