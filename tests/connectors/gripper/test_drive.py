@@ -74,7 +74,7 @@ async def test_the_status_counts_once_the_request_is_echoed(monkeypatch: pytest.
     async with lab() as at, at.gripping(patience=0.5) as gripper:
         await asyncio.sleep(1)
         with monkeypatch.context() as patch:
-            patch.setattr(Mechanism, "ask", taken_by_nobody)
+            patch.setattr(Mechanism, "request", taken_by_nobody)
             await gripper.write(commands(30.0))
             before = gripper.status
             await asyncio.sleep(0.4)
