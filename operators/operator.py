@@ -25,13 +25,13 @@ _BEGINNING = int(np.iinfo(np.int64).min)
 
 
 @dataclass
-class Order:
+class LateRowFilter:
     """Keeps one input in order: a row older than the newest one seen is late; it is dropped and counted."""
 
     newest: int = _BEGINNING  # ns
     late: int = 0  # rows
 
-    def keep(self, batch: SomeBatch) -> SomeBatch:
+    def filter(self, batch: SomeBatch) -> SomeBatch:
         """The rows that are not late; equal stamps are kept, in their order of arrival."""
         time, newest = batch.time, self.newest
         if len(time) == 1:
@@ -73,14 +73,14 @@ class Operator(Step, Generic[In, Out]):
     something. Both must be pure: no I/O, no clock, no waiting. State is pickled whole to snapshot it.
     """
 
-    _order: Order = field(default_factory=Order, init=False, repr=False)
+    _order: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
 
     def push(self, batch: In) -> Out:
         """Take the next rows; give what they complete, which may be nothing.
 
         An empty batch gives an empty batch. Late rows are dropped and counted in `late`.
         """
-        if batch.time.size and (kept := self._order.keep(batch)).time.size:  # `len` costs a call
+        if batch.time.size and (kept := self._order.filter(batch)).time.size:  # `len` costs a call
             return self.process(kept)
         return cast("Out", output_type(type(self)).empty())
 
@@ -106,15 +106,15 @@ class Join(Step, Generic[Left, Right, Out]):
     a live run gives one of them rows and the other an empty batch.
     """
 
-    _order_left: Order = field(default_factory=Order, init=False, repr=False)
-    _order_right: Order = field(default_factory=Order, init=False, repr=False)
+    _order_left: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
+    _order_right: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
 
     def push(self, left: Left, right: Right) -> Out:
         """Take the next rows of either stream; give what they complete, which may be nothing."""
         if left.time.size:
-            left = self._order_left.keep(left)
+            left = self._order_left.filter(left)
         if right.time.size:
-            right = self._order_right.keep(right)
+            right = self._order_right.filter(right)
         if left.time.size or right.time.size:
             return self.process(left, right)
         return cast("Out", output_type(type(self)).empty())

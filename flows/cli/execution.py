@@ -56,12 +56,12 @@ async def execute(
     """
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
-    from flows.run.replay_runner import ReplayRunner, first_time, replayed, tell_places
+    from flows.run.replay_runner import ReplayRunner, first_time, log_replay_destinations, replayed
     from flows.run.stop_signals import stopping
 
     begin_log(log)
     if recording is not None:
-        tell_places(flow)
+        log_replay_destinations(flow)
     session = session_name(flow)
     if recording is not None and pace is None:
         replay, show = ReplayRunner(flow, recording, session), _replay_status(recording)

@@ -39,7 +39,7 @@ def replay_all(
     from flows.run.stop_signals import stopping
 
     replays = Replays(target, settings, recordings, session)
-    if jobs is None and (exclusive := replays.lonely()):
+    if jobs is None and (exclusive := replays.exclusive_sinks()):
         note(f"replaying one recording at a time: only one process can write to {', '.join(exclusive)}")
     began, done = perf_counter(), list["Replayed"]()
     with stopping() as stopped, progress_bar(f"replaying {target}") as update:
@@ -77,7 +77,7 @@ def _line(done: "Replayed") -> str:
 
 def _total(done: "Sequence[Replayed]", seconds: float) -> str:
     found = [each.summary for each in done if each.summary]
-    rows = counted(sum(each.taken for each in found), "row")
+    rows = counted(sum(each.rows_in for each in found), "row")
     failed = sum(1 for each in done if each.error)
     incomplete = f"; {failed} incomplete" if failed else ""
     return f"{counted(len(done), 'recording')}, {rows} in {seconds:.1f} s{incomplete}"

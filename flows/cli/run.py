@@ -70,7 +70,7 @@ def run(
     from time import perf_counter
 
     from flows.graph.quantity import time
-    from flows.run.parallel_replay import apart, open_recording, recordings
+    from flows.run.parallel_replay import check_outputs, open_recording, recordings
 
     limit = None if duration is None else time("run", "--for", duration)  # ns
     single = bool(pace is not None or page or listen or metrics or log is not Format.TEXT)
@@ -105,7 +105,7 @@ def run(
         )
         return
     paths = recordings(given)
-    apart(flow, paths)
+    check_outputs(flow, paths)
     if len(paths) > 1:
         _check_options((not single, "--pace, --page, --metrics and --log require a single recording"))
         replay_all(target, parse_settings(settings), paths, session_name(flow), jobs, as_json=as_json)

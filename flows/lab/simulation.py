@@ -6,7 +6,6 @@ recording, never by window, about 70/10/20 of every surface, speed and kind of m
 """
 
 import asyncio
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -27,7 +26,7 @@ from flows.graph import Flow
 from flows.learn.splits import SPLITS, TURNS
 from flows.record import declare_recording
 from flows.run.clocks import EventClock
-from flows.run.process_map import process_map
+from flows.run.processes import process_map
 from flows.run.replay_runner import ReplayRunner
 from operators import Label, Source
 from operators.batch import SLIP, STATIC, Batch, Labelled, Motion, Touch, concat, s
@@ -192,9 +191,6 @@ def simulate(
     """
     began = perf_counter()
     planned = recordings(plan, seed)
-    jobs = min(os.cpu_count() or 1 if jobs is None else jobs, len(planned))
-    if jobs < 1:
-        raise ParameterError("simulate", "jobs", jobs, "1 or above")
     tallies = {split: Tally() for split in SPLITS}
     with (
         partial_folder(out.resolve()) as root,

@@ -1,21 +1,21 @@
-"""The clocks of a run."""
+"""Clocks of a run."""
 
 import asyncio
 import time
 
 from operators.batch import ms, s
 
-STEP = 10 * ms  # ns; the host's clock was set if it is further off than before
+STEP = 10 * ms  # ns; least change of the host clock's offset that counts as a step
 
 
 class LoopClock:
-    """Time of the running event loop: monotonic, so a step of the host's clock changes no stamp.
+    """Clock of the running event loop: monotonic, so steps of the host's clock change no stamp.
 
-    In a replay it starts at the recording's first stamp and may run faster or slower than real time.
+    A paced replay starts it at the recording's first stamp, possibly faster or slower than real time.
     """
 
     def __init__(self, start: int | None = None, pace: float = 1.0) -> None:
-        """Show `start` now (ns since 1970 UTC; default: what the host shows), then run at `pace`."""
+        """Start at `start` (ns; default: the host's time) and run at `pace` times real time."""
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         self._start = time.time_ns() if start is None else start
@@ -23,31 +23,31 @@ class LoopClock:
         self._pace = pace
 
     @property
-    def stray(self) -> int | None:
-        """How far the host's clock is ahead of this one, ns: it was set since; None in a replay."""
+    def host_offset(self) -> int | None:
+        """Offset of the host's clock from this one, ns, due to steps since the start; None in a replay."""
         return None if self._ahead is None else time.time_ns() - time.monotonic_ns() - self._ahead
 
     def now(self) -> int:
-        """The present, ns since 1970-01-01 UTC."""
+        """Return the current time, ns since 1970-01-01 UTC."""
         return self._start + round((self._loop.time() - self._began) * self._pace * s)
 
     async def sleep_until(self, time: int) -> None:
-        """Wait until `time` (ns); at once if it has passed."""
+        """Wait until `time` (ns); return at once if it has passed."""
         wait = (time - self.now()) / s / self._pace
         if wait > 0:
             await asyncio.sleep(wait)
 
 
 class EventClock:
-    """Time as told by the newest event: the clock of a replay at full speed."""
+    """Clock of a replay at full speed: the time of the newest event."""
 
     def __init__(self, start: int) -> None:
         self.newest = start  # ns
 
     def now(self) -> int:
-        """The newest event time, ns since 1970-01-01 UTC."""
+        """Return the newest event time, ns since 1970-01-01 UTC."""
         return self.newest
 
     async def sleep_until(self, time: int) -> None:
-        """Go on at once, at `time` (ns)."""
+        """Set the clock to `time` (ns) and return at once."""
         self.newest = max(self.newest, time)

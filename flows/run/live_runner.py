@@ -1,4 +1,4 @@
-"""Running a flow live: a task per source, operators called inline, an queue per sink."""
+"""Live execution of a flow: one task per source, operators called inline, one queue per sink."""
 
 import asyncio
 from collections import defaultdict
@@ -11,28 +11,38 @@ from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node
 from flows.run import log_events
-from flows.run.back_off import FIRST_RETRY, LAST_RETRY
 from flows.run.clocks import STEP, LoopClock
-from flows.run.replay_runner import recorded_of
+from flows.run.replay_runner import replayed_recording
 from flows.run.sink_queue import SinkQueue
 from flows.run.stop_signals import signals_to
+from operators.back_off import BackOff
 from operators.batch import Batch, ms
-from operators.operator import Order
+from operators.operator import LateRowFilter
 from operators.ports import Clock, ClockStep, Gap, Run, Sink, Source, SourceStatus
 
-LOOK = 1.0  # s, between two looks at the host's clock
-TURN = 16  # rows
-BEHIND = 50 * ms  # ns; a source whose newest row is older catches up, as all do after a stall of the host
-PASSES = 8  # of the event loop, that a source catching up waits for older rows of another
+CLOCK_CHECK = 1.0  # s, between two checks of the host's clock
+YIELD_EVERY = 16  # rows, after which a source that never waits yields to the event loop
+LAGGING = 50 * ms  # ns; a source with an older newest row is catching up, as all do after a stall of the host
+PASSES = 8  # of the event loop, that a source catching up waits for older rows of the others
 
 
 class LiveRunner:
     """One live run of a flow.
 
-    A source that fails is started again with back-off, and its gap is recorded. A sink that fails is retried
-    with the same batch and never stops the others: a lossless one makes the sources wait while it is slow,
-    one that is not drops its oldest batch. A sink that is stuck counts as one that fails. Rows that a failed
-    sink could not take are counted as dropped. Steps of the host's clock, which change no stamp, are noted.
+    A source that fails is restarted with a back-off, and its gap is recorded. A sink that fails is retried
+    with the same batch and never blocks the others. While a lossless sink is slow, the sources wait; other
+    sinks drop their oldest batch. A sink that is stuck counts as failing. Rows for which a failing sink has
+    no room are counted as dropped. Steps of the host's clock are recorded; they change no stamp.
+
+    Args:
+        flow: Flow to run.
+        session: Identifier of the run.
+        clock: Clock of the run; default: `LoopClock`.
+        duration: End of the run after this time, ns; default: when all sources end.
+        signals: Stop on SIGINT and SIGTERM. A stopped replay is marked as incomplete.
+
+    Raises:
+        FlowError: if the flow is wired wrongly.
     """
 
     def __init__(
@@ -44,15 +54,7 @@ class LiveRunner:
         duration: int | None = None,
         signals: bool = True,
     ) -> None:
-        """Get ready to run `flow` as `session` until its sources end, `duration` (ns) has passed, or `stop`.
-
-        It is a replay if a source gives what was recorded: then a run that was stopped is not complete.
-        SIGINT and SIGTERM stop it, unless `signals` are left to whoever runs it.
-
-        Raises:
-            FlowError: if the flow is wired wrongly.
-        """
-        self.plan = CompiledFlow(flow)
+        self.compiled = CompiledFlow(flow)
         self.clock = clock or LoopClock()
         self._duration, self._signals = duration, signals
         self._sources: dict[Node, Source[Any]] = {
@@ -63,9 +65,9 @@ class LiveRunner:
             flow.name,
             self.clock,
             self.clock.now(),
-            recording=recorded_of(self._sources.values()),
+            recording=replayed_recording(self._sources.values()),
             declaration=tuple(streams(flow.nodes)),
-            sink_types=self.plan.sink_types,
+            sink_types=self.compiled.sink_types,
         )
         for node, source in self._sources.items():
             self.run.describe[node.name] = source.describe()
@@ -75,16 +77,16 @@ class LiveRunner:
         }
         for queue in self._queues.values():
             self.run.sinks[queue.name] = queue.status
-        self._push = asyncio.Lock()  # a full sink makes all sources wait: the rows of a stream stay in order
-        self._in_hand = 0  # batches taken from a source that wait for a sink with room
+        self._push = asyncio.Lock()  # while a sink is full, all sources wait: streams stay in order
+        self._pending = 0  # batches of sources that wait for room in a queue
         self._delivered, self._ending = asyncio.Event(), False
         self._stop, self._stops = asyncio.Event(), 0
         self._writers: list[asyncio.Task[None]] = []
 
     def stop(self) -> None:
-        """End the run: operators are flushed, sinks commit.
+        """End the run: flush the operators, write the queues, close the sinks.
 
-        Called again, failing sinks are given up; called a third time, all that is still being written is.
+        The second call abandons failing sinks, the third one all writes in progress.
         """
         self._stops += 1
         self._stop.set()
@@ -92,16 +94,16 @@ class LiveRunner:
             self.run.error = "was interrupted"
         if self._stops > 1:
             for queue in self._queues.values():
-                queue.give_up()
-        if self._stops > 2:  # noqa: PLR2004 - as said above
+                queue.abandon()
+        if self._stops > 2:  # noqa: PLR2004 - see above
             for writer in self._writers:
                 writer.cancel()
 
     async def execute(self) -> Run:
-        """Run to the end.
+        """Run until all sources end, the duration is over, or `stop` is called.
 
         Raises:
-            SlipflowError: if a sink cannot be opened, or an operator fails; what it gave before is committed.
+            SlipflowError: if a sink cannot be opened or an operator fails; earlier output is committed.
         """
         opened: list[SinkQueue] = []
         for source in self._sources.values():
@@ -117,21 +119,21 @@ class LiveRunner:
                 await queue.sink.close()
             raise
         with signals_to(self.stop) if self._signals else nullcontext():
-            await self._carry()
+            await self._run_tasks()
         return self.run
 
-    async def _carry(self) -> None:
-        self._writers = [asyncio.create_task(queue.carry()) for queue in self._queues.values()]
+    async def _run_tasks(self) -> None:
+        self._writers = [asyncio.create_task(queue.run()) for queue in self._queues.values()]
         readers = [asyncio.create_task(self._read(node)) for node in self._sources]
         ends: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
-        watching = asyncio.create_task(self._watch_host())
+        watching = asyncio.create_task(self._watch_host_clock())
         if self._duration is not None:
             ends.append(asyncio.create_task(self.clock.sleep_until(self.clock.now() + self._duration)))
         reading = asyncio.gather(*readers)
         try:
             await asyncio.wait([reading, *ends], return_when=asyncio.FIRST_COMPLETED)
             self._ending = True
-            while self._in_hand and not reading.done():  # what was taken is delivered
+            while self._pending and not reading.done():  # deliver pending batches
                 self._delivered.clear()
                 await self._delivered.wait()
             for task in readers:
@@ -139,8 +141,8 @@ class LiveRunner:
             await asyncio.wait(readers)
             for task in readers:
                 if not task.cancelled():
-                    task.result()  # raises what an operator raised: that ends the run
-            await self._deliver(self.plan.flush())
+                    task.result()  # raises an operator's error, which ends the run
+            await self._deliver(self.compiled.flush())
         except Exception as error:
             self.run.error = log_events.reason_of(error)
             raise
@@ -154,45 +156,45 @@ class LiveRunner:
             await asyncio.gather(*self._writers, return_exceptions=True)
 
     async def _read(self, node: Node) -> None:
-        status, orders = self.run.sources[node.name], defaultdict[int, Order](Order)
+        status, filters = self.run.sources[node.name], defaultdict[int, LateRowFilter](LateRowFilter)
         async with aclosing(self._batches(node, status)) as batches:
             async for batch in batches:
-                order = orders[batch.finger]
-                late = order.late
-                order.keep(batch)
-                status.late += order.late - late
-                status.newest = max(status.newest, order.newest)
+                in_time = filters[batch.finger]
+                late = in_time.late
+                in_time.filter(batch)
+                status.late += in_time.late - late
+                status.newest = max(status.newest, in_time.newest)
                 status.rows += len(batch)
-                await self._take({(node, batch.finger): batch})
+                await self._process({(node, batch.finger): batch})
                 if self._ending:
                     return
-                if self.clock.now() - status.newest > BEHIND:
-                    await self._let_older_pass(status)
-                if status.rows % TURN < len(batch):
-                    await asyncio.sleep(0)  # a source that never waits must let the sinks have their turn
+                if self.clock.now() - status.newest > LAGGING:
+                    await self._wait_for_older_rows(status)
+                if status.rows % YIELD_EVERY < len(batch):
+                    await asyncio.sleep(0)  # let the sinks run
 
-    async def _take(self, batches: Mapping[Entry, Batch]) -> None:
-        """Carry what came through the plan; wait if a sink is full, as then does what comes meanwhile."""
-        waiting = None if self._in_hand else self._refused(self.plan.push(batches))
+    async def _process(self, batches: Mapping[Entry, Batch]) -> None:
+        """Push batches through the operators into the queues; wait while a queue is full."""
+        waiting = None if self._pending else self._enqueue(self.compiled.push(batches))
         if waiting == []:
-            return  # most often: no turn of the event loop went by, and there was nothing to guard
-        self._in_hand += 1
+            return  # the usual case: nothing waited, so no other source ran in between
+        self._pending += 1
         try:
             async with self._push:
-                await self._deliver(self.plan.push(batches) if waiting is None else waiting)
+                await self._deliver(self.compiled.push(batches) if waiting is None else waiting)
         finally:
-            self._in_hand -= 1
+            self._pending -= 1
             self._delivered.set()
 
-    def _refused(self, deliveries: list[Delivery]) -> list[Delivery]:
-        """Queue what sinks are to take, up to the first that has no room: give the rest."""
-        for place, (node, batch) in enumerate(deliveries):
-            if not self._queues[node].offer(batch):
-                return deliveries[place:]
+    def _enqueue(self, deliveries: list[Delivery]) -> list[Delivery]:
+        """Queue deliveries up to the first full queue; return the rest."""
+        for index, (node, batch) in enumerate(deliveries):
+            if not self._queues[node].try_put(batch):
+                return deliveries[index:]
         return []
 
-    async def _let_older_pass(self, status: SourceStatus) -> None:
-        """Let the others give what is older: a join waits for what belongs together only so long."""
+    async def _wait_for_older_rows(self, status: SourceStatus) -> None:
+        """Let other sources deliver older rows first: a join waits only for a limited time."""
         others = [other for other in self.run.sources.values() if other is not status]
         for _ in range(PASSES):
             if not any(other.up and 0 < other.newest < status.newest for other in others):
@@ -200,8 +202,8 @@ class LiveRunner:
             await asyncio.sleep(0)
 
     async def _batches(self, node: Node, status: SourceStatus) -> AsyncGenerator[Batch]:
-        """What a source gives, over all its failures."""
-        retry, failed_at, reason = FIRST_RETRY, 0, ""
+        """Yield the batches of a source, restarting it after failures."""
+        retry, failed_at, reason = BackOff(), 0, ""
         try:
             while True:
                 stream = self._sources[node].batches(self.clock)
@@ -212,10 +214,11 @@ class LiveRunner:
                         if failed_at:
                             status.gaps.append(gap := Gap(failed_at, self.clock.now(), reason))
                             log_events.source_restarted(node.name, gap)
-                            retry, failed_at = FIRST_RETRY, 0
+                            failed_at = 0
+                            retry.reset()
                         status.up, status.error = True, ""
                         yield batch
-                except Exception as error:  # noqa: BLE001 - whatever a device raises, it is tried again
+                except Exception as error:  # noqa: BLE001 - retry after any error
                     if not failed_at:
                         failed_at, reason = status.newest or self.run.start, log_events.reason_of(error)
                         log_events.source_failed(node.name, reason)
@@ -224,24 +227,23 @@ class LiveRunner:
                 else:
                     return
                 finally:
-                    if isinstance(stream, AsyncGenerator):  # let go of the device before it is opened again
+                    if isinstance(stream, AsyncGenerator):  # release the device before it is opened again
                         await stream.aclose()
-                await asyncio.sleep(retry)
-                retry = min(2 * retry, LAST_RETRY)
+                await asyncio.sleep(retry.delay())
         finally:
             status.up = False
-            if failed_at:  # it never came back
+            if failed_at:  # it did not recover
                 status.gaps.append(Gap(failed_at, self.clock.now(), reason))
 
     async def _deliver(self, deliveries: Sequence[Delivery]) -> None:
         for node, batch in deliveries:
             await self._queues[node].put(batch)
 
-    async def _watch_host(self) -> None:
-        """Note when the host's clock is set: stamps go on, and are that much off from then on."""
-        while (stray := self.clock.stray if isinstance(self.clock, LoopClock) else None) is not None:
+    async def _watch_host_clock(self) -> None:
+        """Record steps of the host's clock."""
+        while (offset := self.clock.host_offset if isinstance(self.clock, LoopClock) else None) is not None:
             known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
-            if abs(stray - known) >= STEP:
-                self.run.clock_steps.append(ClockStep(self.clock.now(), stray))
-                log_events.clock_set(stray, known)
-            await asyncio.sleep(LOOK)
+            if abs(offset - known) >= STEP:
+                self.run.clock_steps.append(ClockStep(self.clock.now(), offset))
+                log_events.clock_set(offset, known)
+            await asyncio.sleep(CLOCK_CHECK)

@@ -1,4 +1,4 @@
-"""What people should know of a run as it happens: each a line for them, an event for programs."""
+"""Log events of a run: a line of text for people, and structured data for programs."""
 
 import logging
 from dataclasses import asdict
@@ -12,7 +12,7 @@ log = logging.getLogger("slipflow")
 
 
 def event(name: str, **about: Json) -> dict[str, Any]:
-    """What a log record tells a program besides its text, as `extra`; `flows.cli.event_log` writes it.
+    """Return the structured data of a log record, for `extra`; `flows.cli.event_log` writes it as JSON.
 
     >>> event("source_failed", source="touch")
     {'event': 'source_failed', 'about': {'source': 'touch'}}
@@ -21,48 +21,48 @@ def event(name: str, **about: Json) -> dict[str, Any]:
 
 
 def reason_of(error: Exception) -> str:
-    """What a failure says of itself; with the name of its type where slipflow or the system did not raise it.
+    """Return an error's message, with its type unless slipflow or the operating system raised it.
 
-    >>> reason_of(OSError("the cable is out")), reason_of(KeyError("x"))
-    ('the cable is out', "KeyError: 'x'")
+    >>> reason_of(OSError("Connection reset")), reason_of(KeyError("x"))
+    ('Connection reset', "KeyError: 'x'")
     """
     return str(error) if isinstance(error, SlipflowError | OSError) else f"{type(error).__name__}: {error}"
 
 
-def replay_elsewhere(sink: str, place: str) -> None:
-    """In a replay it writes to `place`, elsewhere than in a live run."""
-    extra = event("replay_elsewhere", sink=sink, place=place)
-    log.warning("%s: the replay goes to %s", sink, place, extra=extra)
+def replay_destination(sink: str, destination: str) -> None:
+    """Log that a sink writes to another destination than in a live run."""
+    extra = event("replay_destination", sink=sink, destination=destination)
+    log.warning("%s: the replay is written to %s", sink, destination, extra=extra)
 
 
 def source_failed(source: str, reason: str) -> None:
-    """It failed, for the first time since it last worked."""
+    """Log the first failure of a source since it last worked."""
     extra = event("source_failed", source=source, reason=reason)
-    log.warning("%s failed, trying again: %s", source, reason, extra=extra)
+    log.warning("%s failed, retrying: %s", source, reason, extra=extra)
 
 
 def source_restarted(source: str, gap: Gap) -> None:
-    """It gives rows again."""
-    log.warning("%s is back", source, extra=event("source_restarted", source=source, gap=asdict(gap)))
+    """Log that a source works again."""
+    log.warning("%s works again", source, extra=event("source_restarted", source=source, gap=asdict(gap)))
 
 
 def sink_failed(sink: str, reason: str) -> None:
-    """It failed, for the first time since it last worked."""
+    """Log the first failure of a sink since it last worked."""
     log.warning("%s failed: %s", sink, reason, extra=event("sink_failed", sink=sink, reason=reason))
 
 
 def sink_drops(sink: str) -> None:
-    """It has no room for what comes while it fails."""
+    """Log that the queue of a failing sink is full."""
     log.warning("%s drops rows until it works again", sink, extra=event("sink_drops", sink=sink))
 
 
 def sink_restored(sink: str, dropped: int) -> None:
-    """It takes rows again; so many were dropped meanwhile."""
+    """Log that a sink works again, and how many rows were dropped meanwhile."""
     lost = f"; {dropped} rows were dropped" if dropped else ""
     log.warning("%s works again%s", sink, lost, extra=event("sink_restored", sink=sink, dropped=dropped))
 
 
 def clock_set(offset: int, known: int) -> None:
-    """The host's clock is `offset` ns off the run's, and was `known`."""
-    text = "the host's clock was set by %+.3f s; time stamps go on"
+    """Log a step of the host's clock: its offset from the run's clock was `known` and is now `offset`, ns."""
+    text = "the host's clock stepped by %+.3f s; time stamps are not affected"
     log.warning(text, (offset - known) / s, extra=event("clock_set", offset_ns=offset))

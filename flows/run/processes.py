@@ -1,54 +1,86 @@
-"""Work spread over processes of this machine: results in order, and a process that dies costs its item only.
+"""Process pool: results in order, a process that dies costs its item only, and workers end with their parent.
 
-Parent and worker share a pipe and nothing else. The worker is sent items one by one, tells how far it is, and
-sends a result for each. It ends when its end of the pipe closes, as it does when the parent dies, however.
+Parent and worker share one pipe. The worker receives items one by one, reports progress and sends one result
+per item. It ends when its end of the pipe closes, which also happens when the parent is killed.
 """
 
 import os
 import signal
+import sys
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
+from importlib import import_module
+from importlib.util import find_spec
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.resource_tracker import ensure_running
 from time import monotonic
-from typing import Any, Final, Generic, TypeAlias, TypeVar, cast
+from typing import Any, Final, Generic, Never, TypeAlias, TypeVar, cast
+
+from operators.checks import check_at_least
+from operators.errors import SlipflowError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Pipe: TypeAlias = "Connection[Any, Any]"
-Watch: TypeAlias = Callable[[int], bool]  # is told how far an item is, e.g. in rows; says whether to stop
+Watch: TypeAlias = Callable[[int], bool]  # takes the progress of an item, e.g. rows; returns whether to stop
 
-_TELL_EVERY: Final = 0.2  # s, at most
-_LOOK_EVERY: Final = 0.2  # s, whether somebody asked to stop
+_REPORT_INTERVAL: Final = 0.2  # s, least time between two progress reports of a worker
+_POLL_INTERVAL: Final = 0.2  # s, between two checks for a request to stop
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numpy's libraries
-_UNBEGUN: Final = "was not begun: interrupted"
+_NOT_STARTED: Final = "was not started: interrupted"
 
 
-@dataclass
-class _Worker:
-    """A process, and what it is at."""
+def process_map(
+    work: Callable[[Item], Result], items: Sequence[Item], jobs: int | None = None
+) -> Generator[Result]:
+    """Apply a function to many items in several processes and yield the results in order.
 
-    process: BaseProcess
-    number: int = -1  # of the item
-    steps: int = 0  # how far it is with it
-    stopping: bool = False  # it was told to
+    Close the generator to end the processes early.
+
+    Args:
+        work: Function of a module; it is pickled, as are items and results. Its errors are raised here.
+        items: Arguments.
+        jobs: Number of processes; None: one per core. 1: this process only.
+
+    Raises:
+        ParameterError: if `jobs` is below 1.
+        SlipflowError: if a process died.
+    """
+    return WorkerPool(partial(_without_watch, work), items, _raise_lost).results(jobs)
 
 
 @dataclass(eq=False)
-class Spread(Generic[Item, Result]):
-    """Work on items, spread over processes.
+class _Worker:
+    """Process and its current item."""
+
+    process: BaseProcess
+    number: int = -1  # of the item
+    steps: int = 0  # progress of the item
+    stopping: bool = False  # has received the request to stop
+
+
+@dataclass(frozen=True)
+class _Raised:
+    """Error that `work` raised, to be raised in the parent."""
+
+    error: Exception
+
+
+@dataclass(eq=False)
+class WorkerPool(Generic[Item, Result]):
+    """Processes that work on items.
 
     Args:
-        work: A function of a module, which processes find by its name. It returns soon after its `Watch` says
-            so, with what it has.
-        items: What to work on; they and the results are pickled.
-        lost: The result of an item whose process died, or that was not begun, and why.
-        stopped: Whether to stop: what is being worked on is told, the rest is lost.
-        progress: Told how many items are done, and how far all are, in what `work` tells its `Watch`.
+        work: Function of a module. It returns soon after its `Watch` returns True, with a partial result.
+        items: Items; they and the results are pickled.
+        lost: Returns the result of an item whose process died or that was not started, given the reason.
+        stopped: Returns whether to stop: items in progress return early, the rest is lost.
+        progress: Called with the number of finished items and the sum of their progress.
     """
 
     work: Callable[[Item, Watch], Result]
@@ -57,33 +89,31 @@ class Spread(Generic[Item, Result]):
     stopped: Callable[[], bool] = lambda: False
     progress: Callable[[int, int], object] = lambda _done, _steps: None
     _waiting: deque[int] = field(default_factory=deque[int], init=False)
-    _workers: dict[Pipe, _Worker] = field(default_factory=dict[Pipe, _Worker], init=False)  # by our end
-    _found: dict[int, Result] = field(default_factory=dict[int, Result], init=False)  # whose turn is to come
+    _workers: dict[Pipe, _Worker] = field(default_factory=dict[Pipe, _Worker], init=False)  # by our pipe end
+    _results: dict[int, Result | _Raised] = field(default_factory=dict[int, Result | _Raised], init=False)
     _done: int = field(default=0, init=False)
     _steps: int = field(default=0, init=False)
 
-    def results(self, jobs: int) -> Generator[Result]:
-        """The result of each item, in order, from `jobs` processes, each in one thread; 1: none but this."""
-        if min(jobs, len(self.items)) <= 1:
-            yield from self._here()
-            return
-        self._waiting += range(len(self.items))
-        try:
-            for number in range(len(self.items)):
-                while number not in self._found:
-                    self._go_on(jobs)
-                yield self._found.pop(number)
-        finally:
-            for pipe in self._workers:
-                pipe.close()  # whoever is still at work stops
-            for worker in self._workers.values():
-                worker.process.join()
+    def results(self, jobs: int | None = None) -> Generator[Result]:
+        """Yield the result of each item, in order.
 
-    def _here(self) -> Generator[Result]:
-        for number, item in enumerate(self.items):
-            begun = not self.stopped()
-            self._finish(number, self.work(item, self._watch()) if begun else self.lost(item, _UNBEGUN))
-            yield self._found.pop(number)
+        Args:
+            jobs: Number of processes, each with one thread; None: one per core. 1: this process only.
+
+        Raises:
+            ParameterError: if `jobs` is below 1.
+        """
+        if jobs is not None:
+            check_at_least("processes", "jobs", jobs, 1)
+        count = min(jobs or os.cpu_count() or 1, len(self.items))
+        return self._in_processes(count) if count > 1 else self._in_this_process()
+
+    def _in_this_process(self) -> Generator[Result]:
+        for item in self.items:
+            result = self.lost(item, _NOT_STARTED) if self.stopped() else self.work(item, self._watch())
+            self._done += 1
+            self.progress(self._done, self._steps)
+            yield result
 
     def _watch(self) -> Watch:
         before = self._steps
@@ -95,99 +125,128 @@ class Spread(Generic[Item, Result]):
 
         return watch
 
-    def _go_on(self, jobs: int) -> None:
-        """Give work to those who have none, and hear what the others say."""
+    def _in_processes(self, count: int) -> Generator[Result]:
+        self._waiting += range(len(self.items))
+        try:
+            for number in range(len(self.items)):
+                while number not in self._results:
+                    self._advance(count)
+                result = self._results.pop(number)
+                if isinstance(result, _Raised):
+                    raise result.error
+                yield result
+        finally:
+            for pipe in self._workers:
+                pipe.close()  # workers stop after their current item
+            for worker in self._workers.values():
+                worker.process.join()
+
+    def _advance(self, count: int) -> None:
+        """Start workers, pass on a request to stop, and receive messages for a short time."""
         if self.stopped():
             for pipe, worker in self._workers.items():
                 if not worker.stopping:
                     worker.stopping = True
-                    with suppress(OSError):  # it died: it will be heard of
+                    with suppress(OSError):  # it died: its pipe reports that
                         pipe.send(None)
             while self._waiting:
-                self._finish(number := self._waiting.popleft(), self.lost(self.items[number], _UNBEGUN))
+                self._finish(number := self._waiting.popleft(), self.lost(self.items[number], _NOT_STARTED))
             if not self._workers:
                 return
-        while self._waiting and len(self._workers) < jobs:
+        while self._waiting and len(self._workers) < count:
             self._start()
-        for pipe in cast("list[Pipe]", wait(self._workers, _LOOK_EVERY)):
-            self._hear(pipe)
+        for pipe in cast("list[Pipe]", wait(self._workers, _POLL_INTERVAL)):
+            self._receive(pipe)
 
     def _start(self) -> None:
         context = get_context("spawn")
         ours, theirs = context.Pipe()
         process = context.Process(target=_serve, args=(self.work, theirs), daemon=True)
-        with _apart():
+        with _worker_environment():
             process.start()
-        theirs.close()  # so that its end is heard
+        theirs.close()  # so that the end of the process closes the pipe
         self._workers[ours] = _Worker(process)
-        self._hand(ours)
+        self._assign(ours)
 
-    def _hand(self, pipe: Pipe) -> None:
-        """Give a worker its next item, or nothing more to do."""
+    def _assign(self, pipe: Pipe) -> None:
+        """Send a worker its next item, or end it."""
         worker = self._workers[pipe]
         if not self._waiting:
-            del self._workers[pipe]
-            pipe.close()
-            worker.process.join()
+            self._end(pipe)
             return
         worker.number, worker.steps = self._waiting.popleft(), 0
-        with suppress(OSError):  # it died: it will be heard of
+        with suppress(OSError):  # it died: its pipe reports that
             pipe.send(self.items[worker.number])
 
-    def _hear(self, pipe: Pipe) -> None:
-        worker = self._workers[pipe]
+    def _end(self, pipe: Pipe) -> _Worker:
+        worker = self._workers.pop(pipe)
+        pipe.close()
+        worker.process.join()
+        return worker
+
+    def _receive(self, pipe: Pipe) -> None:
         try:
-            steps, result = cast("tuple[int, list[Result]]", pipe.recv())
+            steps, result = cast("tuple[int, list[Result | _Raised]]", pipe.recv())
         except (EOFError, OSError):
-            del self._workers[pipe]
-            pipe.close()
-            worker.process.join()
-            how = f"its process ended early, with code {worker.process.exitcode} (-9: perhaps for memory)"
-            self._finish(worker.number, self.lost(self.items[worker.number], how))
+            worker = self._end(pipe)
+            reason = f"its process died with exit code {worker.process.exitcode} (-9: perhaps out of memory)"
+            self._finish(worker.number, self.lost(self.items[worker.number], reason))
             return
+        worker = self._workers[pipe]
         self._steps += steps - worker.steps
         worker.steps = steps
         if result:
             self._finish(worker.number, result[0])
-            self._hand(pipe)
+            self._assign(pipe)
         else:
             self.progress(self._done, self._steps)
 
-    def _finish(self, number: int, result: Result) -> None:
-        self._found[number] = result
+    def _finish(self, number: int, result: Result | _Raised) -> None:
+        self._results[number] = result
         self._done += 1
         self.progress(self._done, self._steps)
 
 
+def _without_watch(work: Callable[[Item], Result], item: Item, _watch: Watch) -> Result:
+    return work(item)
+
+
+def _raise_lost(_item: object, reason: str) -> Never:
+    raise SlipflowError(f"an item was lost: {reason}; use fewer jobs")
+
+
 def _serve(work: Callable[[Any, Watch], Any], pipe: Pipe) -> None:
-    """What a worker does until there is nothing more."""
-    steps, told, stopping = 0, monotonic(), False
+    """Run in a worker: process items until the pipe closes or the parent requests a stop."""
+    steps, reported, stopping = 0, monotonic(), False
 
     def watch(now: int) -> bool:
-        nonlocal steps, told, stopping
+        nonlocal steps, reported, stopping
         steps = now
-        if monotonic() - told >= _TELL_EVERY and not stopping:
-            told = monotonic()
-            with suppress(OSError):  # the parent is gone: seen below
+        if monotonic() - reported >= _REPORT_INTERVAL and not stopping:
+            reported = monotonic()
+            with suppress(OSError):  # the parent died: seen below
                 pipe.send((steps, []))
-        if not stopping and pipe.poll():  # only a wish to stop can come meanwhile, or the end
+        if not stopping and pipe.poll():  # only a request to stop, or the end, can arrive during an item
             stopping = True
         return stopping
 
-    with suppress(EOFError, OSError):  # the parent needs nothing more
+    with suppress(EOFError, OSError):  # the parent closed the pipe
         while not stopping and (item := pipe.recv()) is not None:
             steps = 0
-            result = work(item, watch)
+            try:
+                result = work(item, watch)
+            except Exception as error:  # noqa: BLE001 - raised again in the parent
+                result = _Raised(error)
             pipe.send((steps, [result]))
 
 
 @contextmanager
-def _apart() -> Generator[None]:
-    """What is started meanwhile computes in one thread, and hears of Ctrl-C and SIGTERM from us only.
+def _worker_environment() -> Generator[None]:
+    """Start processes with one thread each and with SIGINT and SIGTERM blocked.
 
-    Terminals and service managers send these to all processes alike.
+    Terminals and service managers send these signals to all processes; only the parent must act on them.
     """
-    ensure_running()  # else it is started with the first process, and lets the signals through again
+    ensure_running()  # else it starts with the first process and unblocks the signals again
     before = {name: os.environ.get(name) for name in _THREADS}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
     try:
@@ -199,3 +258,20 @@ def _apart() -> Generator[None]:
             if value is None:
                 del os.environ[name]
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+@contextmanager
+def one_thread() -> Generator[None]:
+    """Limit torch, if imported, scikit-learn and numpy's libraries to one thread.
+
+    For timing on one core, or for one process per core.
+    """
+    with ExitStack() as stack:
+        if torch := sys.modules.get("torch"):
+            stack.callback(torch.set_num_threads, torch.get_num_threads())
+            torch.set_num_threads(1)
+        if find_spec("sklearn") and find_spec("threadpoolctl"):  # installed together
+            import_module("sklearn")  # only loaded thread pools can be limited
+            pools: Any = import_module("threadpoolctl")
+            stack.enter_context(pools.threadpool_limits(1))
+        yield

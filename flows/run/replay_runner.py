@@ -1,4 +1,4 @@
-"""Running a flow over a recording: the same graph, as fast as the machine goes, or paced like a live run."""
+"""Execution of a flow over a recording: the same graph at full speed, or paced like a live run."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain, islice
@@ -15,20 +15,19 @@ from flows.run import log_events
 from flows.run.clocks import EventClock
 from operators.batch import Batch, Motion, Touch
 from operators.errors import InputError
-from operators.operator import Order
+from operators.operator import LateRowFilter
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
 
 def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
-    """The same flow, its sources replaced by what was recorded of them.
+    """Return a copy of a flow that reads its sources from a recording.
 
-    A source takes the recorded fingertips that it declares; the only source of its kind takes all of them.
+    A source reads the recorded fingertips that it declares, or all if no other source has its type.
 
     Args:
-        flow: The flow; it stays as it is.
-        recording: What was recorded.
-        paced: Whether it will run live: then the streams keep their distance in time, for which the
-            beginning of each is read.
+        flow: Flow to copy.
+        recording: Recorded streams.
+        paced: Keep the time offsets between the streams, for `LiveRunner`; reads the start of each stream.
 
     Raises:
         InputError: if the recording holds nothing for one of the sources.
@@ -45,33 +44,44 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
         if sum(cast("type[Batch]", other.kind) is kind for other in sources) > 1:
             fingers = tuple(finger for finger in fingers if finger in part.fingers)
         if not fingers:
-            reason = f"holds no {kind.__name__.lower()} stream, which source {node.name!r} needs"
+            reason = f"has no {kind.__name__.lower()} stream, which source {node.name!r} needs"
             raise InputError(recording.name, f"{reason} (flow {flow.name!r})")
         return Replay(recording, kind, fingers, origin=origin)
 
     return flow.replaced(recorded)
 
 
-def recorded_of(sources: Iterable[Source[Any]]) -> str | None:
-    """The name of what is replayed, if one of the sources gives what was recorded."""
+def replayed_recording(sources: Iterable[Source[Any]]) -> str | None:
+    """Return the name of the recording that the sources replay, or None."""
     names = (source.recording for source in sources)
     return next((name for name in names if name is not None), None)
 
 
-def tell_places(flow: Flow) -> None:
-    """Say where the sinks of a flow write in a replay, if that is elsewhere than in a live run."""
+def log_replay_destinations(flow: Flow) -> None:
+    """Log the destinations that differ between a replay and a live run."""
     for node in flow.sinks():
         sink = cast("Sink[Any]", node.part)
         if sink.replay_destination != sink.destination:
-            log_events.replay_elsewhere(node.name, sink.replay_destination)
+            log_events.replay_destination(node.name, sink.replay_destination)
 
 
 class ReplayRunner:
     """One run of a flow over a recording at full speed.
 
-    All streams advance together in slices of event time, so that joins see what they would have seen live;
-    each sink takes each batch before the next slice is read. Unlike in a live run any failure ends it: the
-    recording is still there to be run over again.
+    All streams advance together in slices of event time, so that joins see the same rows as in a live run.
+    All sinks write a slice before the next one is read. Unlike in a live run, any failure ends the replay: it
+    can be repeated.
+
+    Args:
+        flow: Flow to run.
+        recording: Recorded streams for its sources.
+        session: Identifier of the run.
+        rows: Most rows per batch.
+        compile_flow: Compiles the flow; the cluster runner replaces it.
+
+    Raises:
+        FlowError: if the flow is wired wrongly.
+        InputError: if the recording lacks a stream.
     """
 
     def __init__(
@@ -83,16 +93,8 @@ class ReplayRunner:
         rows: int = 1000,
         compile_flow: Callable[[Flow], CompiledFlow] = CompiledFlow,
     ) -> None:
-        """Get ready to run `flow` over `recording` as `session`, in batches of at most `rows`.
-
-        What `compile_flow` makes of the flow is carried out.
-
-        Raises:
-            FlowError: if the flow is wired wrongly.
-            InputError: if the recording lacks a stream.
-        """
         self._flow = replayed(flow, recording, paced=False)
-        self.plan = compile_flow(self._flow)
+        self.compiled = compile_flow(self._flow)
         self._recording, self._rows = recording, rows
         self._stopping = False
         self._clock = EventClock(0)
@@ -102,9 +104,9 @@ class ReplayRunner:
             self._clock,
             0,
             live=False,
-            recording=recorded_of(cast("Source[Any]", node.part) for node in self._flow.sources()),
+            recording=replayed_recording(cast("Source[Any]", node.part) for node in self._flow.sources()),
             declaration=tuple(streams(flow.nodes)),
-            sink_types=self.plan.sink_types,
+            sink_types=self.compiled.sink_types,
         )
         for node in self._flow.sources():
             self.run.describe[node.name] = cast("Source[Any]", node.part).describe()
@@ -113,25 +115,25 @@ class ReplayRunner:
             self.run.sinks[node.name] = SinkStatus(records=cast("Sink[Any]", node.part).records)
 
     def stop(self) -> None:
-        """End after the slice at hand, as if the recording ended there; the run tells that it did not."""
+        """End after the current slice; the run is marked as interrupted."""
         self._stopping = True
 
     async def execute(self, progress: Callable[[Run], object] = lambda _: None) -> Run:
-        """Run to the end of the recording, calling `progress` after each slice.
+        """Run to the end of the recording and call `progress` after each slice.
 
         Raises:
-            SlipflowError: of an operator, a sink or the recording; what went before is committed.
+            SlipflowError: if an operator, a sink or the recording fails; earlier output is committed.
         """
         recorded: dict[Entry, Iterator[Batch]] = {
             (node, finger): self._recording.read(cast("Source[Any]", node.part).kind, finger, self._rows)
-            for node, finger in self.plan.entries
+            for node, finger in self.compiled.entries
         }
         slices = in_slices(recorded)
         if (first := next(slices, None)) is None:
-            raise InputError(self._recording.name, "is empty: there is no row to replay")
+            raise InputError(self._recording.name, "is empty: it has no rows to replay")
         self._clock.newest = self.run.start = min(int(batch.time[0]) for batch in first.values())
         sinks = {node: cast("Sink[Any]", node.part) for node in self._flow.sinks()}
-        order = {entry: Order() for entry in self.plan.entries}
+        filters = {entry: LateRowFilter() for entry in self.compiled.entries}
         opened: list[Sink[Any]] = []
         try:
             for sink in sinks.values():
@@ -139,20 +141,20 @@ class ReplayRunner:
                 opened.append(sink)
             for batches in chain([first], slices):
                 for entry, batch in batches.items():
-                    order[entry].keep(batch)
+                    filters[entry].filter(batch)
                     status = self.run.sources[entry[0].name]
                     status.up = True
-                    status.newest = max(status.newest, order[entry].newest)
+                    status.newest = max(status.newest, filters[entry].newest)
                     status.rows += len(batch)
-                    status.late = sum(o.late for (node, _), o in order.items() if node is entry[0])
+                    status.late = sum(each.late for (node, _), each in filters.items() if node is entry[0])
                     self._clock.newest = max(self._clock.newest, status.newest)
-                await self._write(sinks, self.plan.push(batches))
+                await self._write(sinks, self.compiled.push(batches))
                 progress(self.run)
                 if self._stopping:
                     self.run.error = "was interrupted"
                     break
-            await self._write(sinks, self.plan.flush())
-        except BaseException as error:  # cancelled is not complete either
+            await self._write(sinks, self.compiled.flush())
+        except BaseException as error:  # a cancelled run is incomplete too
             self.run.error = str(error) or "was interrupted"
             raise
         finally:
@@ -169,9 +171,9 @@ class ReplayRunner:
 
 
 def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, Batch]]:
-    """Cut streams at common instants: each slice holds what all of them have up to the same time.
+    """Cut streams at common instants: each slice holds the rows of all streams up to the same time.
 
-    A slice ends where the first of the batches at hand ends, so nothing is held longer than one batch each.
+    A slice ends where the first of the current batches ends, so that at most one batch per stream is kept.
     """
     rest: dict[Entry, Batch] = {}
     while True:
@@ -183,7 +185,7 @@ def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, 
         until = min(int(batch.time.max()) for batch in rest.values())
         slices: dict[Entry, Batch] = {}
         for entry, batch in list(rest.items()):
-            reached = np.maximum.accumulate(batch.time)  # (n,) late rows go with what they came after
+            reached = np.maximum.accumulate(batch.time)  # (n,) late rows stay with the rows before them
             cut = int(np.searchsorted(reached, until, side="right"))
             if cut:
                 slices[entry] = batch[:cut]
@@ -195,10 +197,10 @@ def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, 
 
 
 def first_time(recording: Recording) -> int:
-    """The first stamp of a recording, ns.
+    """Return the first stamp of a recording, ns.
 
     Raises:
-        InputError: if it holds nothing.
+        InputError: if the recording is empty.
     """
     times = [
         int(batch.time[0])
@@ -207,5 +209,5 @@ def first_time(recording: Recording) -> int:
         for batch in islice(recording.read(kind, finger, 1), 1)
     ]
     if not times:
-        raise InputError(recording.name, "is empty: there is no row to replay")
+        raise InputError(recording.name, "is empty: it has no rows to replay")
     return min(times)

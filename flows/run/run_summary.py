@@ -1,4 +1,4 @@
-"""What a run came to, for a person and for a program."""
+"""Summary of a run, as text and as JSON."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -10,44 +10,44 @@ from operators.ports import Run, SinkStatus, SourceStatus
 
 @dataclass(frozen=True)
 class Summary:
-    """A run that has ended; unlike the run itself it travels between processes."""
+    """Counters of a finished run; unlike `Run` it can be pickled."""
 
     session: str
     flow: str
-    seconds: float  # of the run's time
+    seconds: float  # run time
     sources: Mapping[str, SourceStatus]  # by name
     sinks: Mapping[str, SinkStatus]  # by name
-    error: str = ""  # why it ended early; empty: it did not
+    error: str = ""  # reason of an early end; empty: none
 
     @classmethod
     def of(cls, run: Run) -> Self:
-        """What a run came to."""
+        """Return the summary of a run."""
         seconds = (run.clock.now() - run.start) / s
         return cls(run.session, run.flow, seconds, dict(run.sources), dict(run.sinks), run.error)
 
     @property
-    def taken(self) -> int:
-        """The rows that its sources gave."""
+    def rows_in(self) -> int:
+        """Rows of all sources."""
         return sum(source.rows for source in self.sources.values())
 
     @property
-    def given(self) -> int:
-        """The rows that its sinks took."""
+    def rows_out(self) -> int:
+        """Rows written by all sinks."""
         return sum(sink.rows for sink in self.sinks.values())
 
     @property
     def lost(self) -> bool:
-        """Whether a source was down at the end, or a sink lost rows."""
+        """True if a source was down at the end, or a sink dropped rows."""
         return any(sink.dropped or sink.error for sink in self.sinks.values()) or any(
             source.error for source in self.sources.values()
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, for a program."""
+        """Return all fields, for JSON."""
         return {**asdict(self), "error": self.error or None}
 
     def report(self) -> str:
-        """The same for a person."""
+        """Return the summary as text."""
         lines = [f"{self.session}: {self.seconds:.1f} s"]
         for name, source in self.sources.items():
             gaps = f"{len(source.gaps)} gaps {source.error}".rstrip()

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a wish to end, which the work that is told of it can meet in good order."""
+"""Handlers that turn Ctrl-C and SIGTERM into a request for an orderly stop."""
 
 import asyncio
 import signal
@@ -10,13 +10,13 @@ from types import FrameType
 
 @contextmanager
 def stopping() -> Generator[Callable[[], bool]]:
-    """Gives what says whether somebody has asked to stop; who asks again ends the process at once.
+    """Yield a function that returns True after the first SIGINT or SIGTERM; the second one ends the process.
 
-    In a thread other than the main one nobody can ask.
+    Has no effect outside the main thread.
     """
-    asked = threading.Event()
+    requested = threading.Event()
     if threading.current_thread() is not threading.main_thread():
-        yield asked.is_set
+        yield requested.is_set
         return
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
@@ -24,23 +24,23 @@ def stopping() -> Generator[Callable[[], bool]]:
         for number, handler in before.items():
             signal.signal(number, handler)
 
-    def ask(_number: int, _frame: FrameType | None) -> None:
-        asked.set()
+    def request_stop(_number: int, _frame: FrameType | None) -> None:
+        requested.set()
         restore()
 
     for number in before:
-        signal.signal(number, ask)
+        signal.signal(number, request_stop)
     try:
-        yield asked.is_set
+        yield requested.is_set
     finally:
         restore()
 
 
 @contextmanager
 def signals_to(stop: Callable[[], None]) -> Generator[None]:
-    """Let each SIGINT and SIGTERM call `stop` in the running event loop.
+    """Call `stop` in the running event loop on each SIGINT and SIGTERM.
 
-    In a thread other than the main one none can: whoever runs the loop there calls it.
+    Has no effect outside the main thread.
     """
     loop = asyncio.get_running_loop()
     caught: list[signal.Signals] = []

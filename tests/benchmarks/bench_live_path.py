@@ -223,7 +223,7 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
         if apart:
             names = smbus2.smbus2.__dict__
             names["ioctl"] = spent.timed("bus", names["ioctl"])
-            for stage in runner.plan._stages:  # pyright: ignore[reportPrivateUsage]
+            for stage in runner.compiled._stages:  # pyright: ignore[reportPrivateUsage]
                 if stage.operator is not None:
                     name = type(stage.operator).__name__
                     vars(stage.operator)["push"] = spent.timed(name, cast("Any", stage.operator).push)

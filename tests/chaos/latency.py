@@ -63,7 +63,7 @@ def measured(seconds: float, *, naive: bool = False, record: bool = True) -> Rea
                     rig.kill()
                 else:
                     rig.end()
-                    stray = abs(json.loads(rig.said("status")[-1])["stray"])
+                    stray = abs(json.loads(rig.said("status")[-1])["host_offset"])
         finally:
             rig.kill()
             broker.close()

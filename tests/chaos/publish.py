@@ -85,8 +85,8 @@ def tell(run: Run) -> None:
     """Say how sources and sinks do."""
     sinks = {name: asdict(sink) for name, sink in run.sinks.items()}
     rows = {name: source.rows for name, source in run.sources.items()}
-    stray = run.clock.stray if isinstance(run.clock, LoopClock) else None
-    say(f"status {json.dumps({'sources': rows, 'sinks': sinks, 'stray': stray})}")
+    offset = run.clock.host_offset if isinstance(run.clock, LoopClock) else None
+    say(f"status {json.dumps({'sources': rows, 'sinks': sinks, 'host_offset': offset})}")
 
 
 async def keep_telling(run: Run) -> None:

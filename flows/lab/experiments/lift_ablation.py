@@ -8,7 +8,6 @@ gripper climbs, whatever the force. In the air it falls with the part of its wei
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -32,8 +31,7 @@ from flows.lab.experiments.study import (
     run_study,
 )
 from flows.lab.experiments.trial import BASELINE, Conditions, NullDetector, Trial
-from flows.run.one_thread import one_thread
-from flows.run.process_map import process_map
+from flows.run.processes import one_thread, process_map
 from operators import Grip
 
 DELAYS: Final = (0, 50, 100, 125, 150, 175, 200, 225, 250, 275, 300, 350, 400, 600)  # ms, added
@@ -203,7 +201,6 @@ def slide_budgets(
 ) -> dict[str, list[Budget]]:
     """Return the budgets of the trials of each object, by its name."""
     work = partial(_budgets, trials.seeds, conditions)
-    jobs = min(jobs or os.cpu_count() or 1, len(trials.objects))
     with closing(process_map(work, trials.objects, jobs)) as found:
         return dict(zip(trials.objects, found, strict=True))
 

@@ -1,6 +1,5 @@
 """An experiment over objects, detectors, rules and conditions, in parallel, with the same trials for each."""
 
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -13,8 +12,7 @@ import numpy as np
 from connectors.sim.objects import OBJECTS, Object, named
 from flows.lab.experiments.trial import Conditions, Trace
 from flows.lift import controller
-from flows.run.one_thread import one_thread
-from flows.run.process_map import process_map
+from flows.run.processes import one_thread, process_map
 from operators import GripController, StepGrip
 from operators.checks import check_at_least, check_choice
 from operators.detectors import Detector
@@ -170,7 +168,6 @@ def run_study(
     outcomes = {name: dict[tuple[Method, str], list[Result]]() for name in conditions}
     done, total = 0, sum(len(unit.seeds) for unit in units)
     progress(0, total, "")
-    jobs = min(os.cpu_count() or 1 if jobs is None else jobs, len(units))
     with closing(process_map(_Worker(experiment, setups, conditions), units, jobs)) as results:
         for unit, found in zip(units, results, strict=True):
             outcomes[unit.condition].setdefault((unit.method, unit.held), []).extend(found)

@@ -20,7 +20,7 @@ from flows.learn.evaluation.judgement import Judgement
 from flows.learn.evaluation.methods import methods
 from flows.learn.labelled_recordings import by_split, load
 from flows.learn.scoring import probabilities
-from flows.run.one_thread import one_thread
+from flows.run.processes import one_thread
 from operators.detectors.detector import Detector, Streaming
 from operators.detectors.tcn import Tcn
 from operators.errors import InputError

@@ -5,7 +5,6 @@ a detector says is held against the label by the arm's speed, and against what t
 of the motion stream moves the label alone.
 """
 
-import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -26,8 +25,7 @@ from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, simulate
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import GRIDS, plan_of
 from flows.learn.stress.stress_result import Condition, Outcome, Stress
-from flows.run.one_thread import one_thread
-from flows.run.process_map import process_map
+from flows.run.processes import one_thread, process_map
 from operators import Debounce
 from operators.batch import Flags
 from operators.detectors.detector import Detector
@@ -104,7 +102,6 @@ def judged(
     began = perf_counter()
     conditions = [Condition(field, value) for field, grid in GRIDS.items() for value in grid.values]
     distinct = list(dict.fromkeys(map(_distinct, conditions)))
-    jobs = min(os.cpu_count() or 1 if jobs is None else jobs, len(distinct))
     progress(0, len(distinct))
     outcomes: dict[Condition, Outcome] = {}
     with closing(process_map(_Judge(subjects, plan, seed), distinct, jobs)) as each:

@@ -322,8 +322,8 @@ async def test_a_run_records_the_gap_and_says_once_what_happened(
         assert (touch.time[silent] <= gap.start).all()
         assert (touch.counts[~silent] == pressure(0)).all()
     assert [record.message for record in caplog.records] == [
-        f"touch failed, trying again: {SILENT}",
-        "touch is back",
+        f"touch failed, retrying: {SILENT}",
+        "touch works again",
     ]
 
 

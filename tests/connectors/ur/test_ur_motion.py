@@ -280,8 +280,8 @@ def test_after_a_restart_the_run_goes_on_with_a_gap_and_a_new_epoch(
     [gap] = run.sources["motion"].gaps
     assert 0 < gap.end - gap.start < 0.3 * s
     assert [record.message.split(":")[0] for record in caplog.records] == [
-        "motion failed, trying again",
-        "motion is back",
+        "motion failed, retrying",
+        "motion works again",
     ]
     motion, clocks = sink.rows(Motion), sink.rows(Clocks)
     [again] = np.flatnonzero(np.diff(motion.device_time) < 0) + 1

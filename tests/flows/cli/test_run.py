@@ -102,7 +102,7 @@ def test_an_output_that_cannot_be_written_is_told_before_anything_runs(tmp_path:
 def test_a_broker_that_is_not_there_is_told(tmp_path: Path) -> None:
     done = slipflow("run", "live", "--replay", shaking(tmp_path), "--set", "broker=mqtt://127.0.0.1:1")
     told, line = done.stderr.splitlines()
-    assert "the replay goes to" in told
+    assert "the replay is written to" in told
     assert (done.returncode, line.startswith("error: mqtt://127.0.0.1:1: cannot connect")) == (2, True)
 
 

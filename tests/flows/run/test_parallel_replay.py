@@ -106,7 +106,7 @@ def test_a_sink_that_publishes_as_one_rig_needs_one_process(
 ) -> None:
     settings = {"out": str(tmp_path), "broker": "mqtt://localhost"}
     replays = Replays(felt, settings, four, "again")
-    assert replays.lonely() == ["mqtt"]
+    assert replays.exclusive_sinks() == ["mqtt"]
     with pytest.raises(ParameterError, match="jobs is 2, must be 1: mqtt cannot be shared by processes"):
         list(replays.run(2))
 
@@ -118,7 +118,7 @@ def test_recordings_are_published_as_one_rig_one_after_the_other_and_that_is_tol
     listener = broker.listen("slip/v1/lab/+/0/event")
     found = replay(felt, four[:2], tmp_path / "out", None, broker=broker.url)
     assert [each.error for each in found] == ["", ""]
-    assert caplog.messages == [f"mqtt: the replay goes to {broker.url}/slip/v1/lab/rig-replay"]
+    assert caplog.messages == [f"mqtt: the replay is written to {broker.url}/slip/v1/lab/rig-replay"]
     events = [Event.decode(received.payload.encode()) for received in listener.rest()]
     assert {each.rig for each in events} == {"rig-replay"}
     assert [each.seq for each in events] == list(range(1, len(events) + 1))
@@ -142,9 +142,9 @@ def test_when_stopped_what_was_replayed_so_far_is_kept_and_not_complete(
     rows = list[int]()
     replays = Replays(felt, {"out": str(tmp_path / "out")}, four, "again")
     found = list(replays.run(1, stopped=lambda: bool(rows), progress=lambda _, taken: rows.append(taken)))
-    assert [each.error for each in found] == ["was interrupted", *["was not begun: interrupted"] * 3]
+    assert [each.error for each in found] == ["was interrupted", *["was not started: interrupted"] * 3]
     assert found[0].summary
-    assert found[0].summary.taken == rows[0] > 0
+    assert found[0].summary.rows_in == rows[0] > 0
     [name] = session_names(tmp_path / "out")
     folder = session_folder(tmp_path / "out", name)
     about = json.loads((folder / "session.json").read_text())
@@ -157,7 +157,7 @@ def test_a_dataset_names_its_sessions_in_order(tiny: Path, tmp_path: Path) -> No
     found = recordings([trace, tiny, gone])
     assert found == [trace, *(session_folder(tiny, name) for name in session_names(tiny)), gone]
     (tmp_path / "empty/sessions").mkdir(parents=True)
-    with pytest.raises(InputError, match="empty: holds no session"):
+    with pytest.raises(InputError, match="empty: has no session"):
         recordings([tmp_path / "empty"])
 
 

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from flows.run.processes import Spread
+from flows.run.processes import WorkerPool, process_map
+from operators.errors import ParameterError, SlipflowError
 
 WORK = """
 import os, signal, sys, time
@@ -55,13 +56,13 @@ def lost(item: str, reason: str) -> str:
 
 def test_processes_work_at_once_and_results_come_in_order(work: Callable[..., Any], tmp_path: Path) -> None:
     items = [f"await:{tmp_path}/there", f"make:{tmp_path}/there", "last"]  # the first needs the second to end
-    assert list(Spread(work, items, lost).results(2)) == items
+    assert list(WorkerPool(work, items, lost).results(2)) == items
 
 
 def test_a_process_that_dies_costs_its_item_only(work: Callable[..., Any]) -> None:
-    found = list(Spread(work, ["one", "die", "two", "three"], lost).results(2))
+    found = list(WorkerPool(work, ["one", "die", "two", "three"], lost).results(2))
     assert found[0::2] == ["one", "two"]
-    assert found[1].startswith("die its process ended early, with code 3")
+    assert found[1].startswith("die its process died with exit code 3")
     assert found[3] == "three"
 
 
@@ -75,12 +76,12 @@ def test_who_is_told_to_stop_gives_what_he_has_and_the_rest_is_not_begun(
         return all(place.exists() for place in places)
 
     items = [*(f"wait:{place}" for place in places), "rest", "more"]
-    found = list(Spread(work, items, lost, stopped).results(jobs))
-    assert found == ["stopped"] * jobs + [f"{each} was not begun: interrupted" for each in ("rest", "more")]
+    found = list(WorkerPool(work, items, lost, stopped).results(jobs))
+    assert found == ["stopped"] * jobs + [f"{each} was not started: interrupted" for each in ("rest", "more")]
 
 
 def test_one_job_is_done_here(work: Callable[..., Any]) -> None:
-    [[process, *_], _] = Spread(work, ["where", "more"], lost).results(1)
+    [[process, *_], _] = WorkerPool(work, ["where", "more"], lost).results(1)
     assert process == os.getpid()
 
 
@@ -88,7 +89,7 @@ def test_a_worker_computes_in_one_thread_and_leaves_signals_to_the_parent(
     work: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
-    [[process, threads, masked], _] = Spread(work, ["where", "more"], lost).results(2)
+    [[process, threads, masked], _] = WorkerPool(work, ["where", "more"], lost).results(2)
     assert (process != os.getpid(), threads, masked) == (True, "1", True)
     assert "OMP_NUM_THREADS" not in os.environ
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
@@ -97,14 +98,14 @@ def test_a_worker_computes_in_one_thread_and_leaves_signals_to_the_parent(
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_progress_tells_items_and_how_far_they_all_are(work: Callable[..., Any], jobs: int) -> None:
     told = list[tuple[int, int]]()
-    spread = Spread(work, ["count"] * 3, lost, progress=lambda done, steps: told.append((done, steps)))
-    list(spread.results(jobs))
+    pool = WorkerPool(work, ["count"] * 3, lost, progress=lambda done, steps: told.append((done, steps)))
+    list(pool.results(jobs))
     assert told[-1] == (3, 30)
     assert told == sorted(told)
 
 
 def test_results_that_nobody_wants_any_more_end_the_workers(work: Callable[..., Any], tmp_path: Path) -> None:
-    results = Spread(work, ["first", f"wait:{tmp_path}/pid", f"wait:{tmp_path}/other"], lost).results(2)
+    results = WorkerPool(work, ["first", f"wait:{tmp_path}/pid", f"wait:{tmp_path}/other"], lost).results(2)
     assert next(results) == "first"
     results.close()  # returns once they have ended
     assert not [path for path in tmp_path.glob("pid") if Path(f"/proc/{path.read_text()}").exists()]
@@ -115,10 +116,10 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path) -> None:
     script = f"""
 import sys
 sys.path.insert(0, {str(tmp_path)!r})
-from flows.run.processes import Spread
+from flows.run.processes import WorkerPool
 from worked import work
 if __name__ == "__main__":
-    list(Spread(work, ["wait:{tmp_path}/pid", "wait:{tmp_path}/other"], print).results(2))
+    list(WorkerPool(work, ["wait:{tmp_path}/pid", "wait:{tmp_path}/other"], print).results(2))
 """
     (tmp_path / "parent.py").write_text(script)
     with subprocess.Popen(
@@ -130,3 +131,25 @@ if __name__ == "__main__":
     while Path(f"/proc/{pid}").exists():
         if "zombie" in Path(f"/proc/{pid}/status").read_text():  # nobody reaps it in a container
             break
+
+
+def test_a_map_gives_the_same_results_for_any_number_of_processes() -> None:
+    assert list(process_map(abs, [-3, 2, -1], 2)) == list(process_map(abs, [-3, 2, -1], 1)) == [3, 2, 1]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_map_raises_the_error_of_an_item(jobs: int) -> None:
+    results = process_map(int, ["1", "one"], jobs)
+    assert next(results) == 1
+    with pytest.raises(ValueError, match="invalid literal"):
+        next(results)
+
+
+def test_a_map_reports_a_process_that_died_in_one_line() -> None:
+    with pytest.raises(SlipflowError, match=r"its process died with exit code 1 .*; use fewer jobs"):
+        list(process_map(os._exit, [1, 1], 2))
+
+
+def test_a_map_needs_a_process() -> None:
+    with pytest.raises(ParameterError, match="processes: jobs is 0, must be at least 1"):
+        process_map(abs, [1], 0)

@@ -11,7 +11,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from flows.run.replay_runner import ReplayRunner, first_time, in_slices, replayed, tell_places
+from flows.run.replay_runner import ReplayRunner, first_time, in_slices, log_replay_destinations, replayed
 from operators import (
     EVERY,
     Align,
@@ -136,8 +136,8 @@ def test_sinks_that_a_replay_writes_elsewhere_are_told_of(caplog: pytest.LogCapt
     source = flow.source(TestSource(Touch))
     source.to(sink)
     source.to(TestSink())
-    tell_places(flow)
-    assert caplog.messages == [f"{flow.sinks()[0].name}: the replay goes to the attic"]
+    log_replay_destinations(flow)
+    assert caplog.messages == [f"{flow.sinks()[0].name}: the replay is written to the attic"]
 
 
 def test_a_stream_that_the_recording_lacks_is_named() -> None:

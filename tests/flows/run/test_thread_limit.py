@@ -1,6 +1,6 @@
 import pytest
 
-from flows.run.one_thread import one_thread
+from flows.run.processes import one_thread
 
 
 def test_torch_has_one_thread_inside_and_what_it_had_after() -> None:
