@@ -143,7 +143,7 @@ def test_sinks_that_a_replay_writes_elsewhere_are_told_of(caplog: pytest.LogCapt
 def test_a_stream_that_the_recording_lacks_is_named() -> None:
     flow, _ = labelling()
     touch_only = Memory(next(recording().read(Touch, 0, 1000)))
-    with pytest.raises(InputError, match="memory: holds no motion stream, which source 'motion' needs"):
+    with pytest.raises(InputError, match="memory: has no motion stream, which source 'motion' needs"):
         ReplayRunner(flow, touch_only, "x")
 
 

@@ -134,7 +134,7 @@ def test_a_third_stop_ends_a_run_whose_sink_hangs() -> None:
 
     run = run_virtually(main())
     assert run.sinks["testsink"].dropped == run.sources["scores"].rows > 0
-    assert "given up" in run.sinks["testsink"].error
+    assert "abandoned" in run.sinks["testsink"].error
 
 
 def test_what_a_given_up_sink_had_waiting_is_dropped_and_waits_no_more() -> None:
