@@ -1,4 +1,4 @@
-"""What each term of the scene is worth: take it away, and see what changes."""
+"""Ablation of the scene: the change of each measure when a term of the physics or the plan is removed."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from connectors.sim.scene import Move, Plan, Scene
 from flows.learn.labelled_recordings import simulated_recordings
 from operators.batch import Reals
 from operators.detectors import Detector
-from tests.scene.scene_judges import confusion, fitted
+from tests.scene.scene_judges import confusion, fit
 from tests.scene.scene_statistics import distance, measure
 
 NETWORK: Final = "paper's TCN, points"
@@ -21,12 +21,12 @@ DETECTORS: Final = ("PSD, points", "logistic regression, points")
 
 @dataclass(frozen=True, slots=True)
 class Calm:
-    """A plan without what comes between its strokes: the arm stands still there."""
+    """A plan in which the arm stands still between strokes: no force changes, taps or lifts."""
 
     plan: Plan
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """The plan's moves; those between strokes become holds."""
+        """Return the moves of the plan; those between strokes become holds."""
         stroked = False
         for move in self.plan.moves(random):
             stroked |= move.motion in ("translation", "rotation")
@@ -39,7 +39,7 @@ class CalmCollection(Collection):
     """A collection without force changes, taps and lifts."""
 
     def scenes(self, seed: int) -> Iterator[Scene]:
-        """The scenes, each with its plan calmed."""
+        """Return the scenes, each with a calm plan."""
         return (replace(scene, plan=Calm(scene.plan)) for scene in Collection.scenes(self, seed))
 
 
@@ -70,7 +70,7 @@ def _calm(plan: Collection) -> Collection:
     return CalmCollection(**{name: getattr(plan, name) for name in Collection.__dataclass_fields__})
 
 
-# what is missing in each
+# removed in each variant
 TERMS: Final[Mapping[str, Change]] = {
     "response to shear": _physics(shear_gain=0.0),
     "tilt by drag": _physics(lever=0.0),
@@ -94,27 +94,27 @@ GRIDS: Final[Mapping[str, Change]] = {
 
 @dataclass(frozen=True, eq=False)
 class Ablation:
-    """Measures of each variant for each seed, less those of the whole scene."""
+    """Measures of the whole scene for each seed, and their change in each variant."""
 
     measures: tuple[str, ...]
     whole: Reals  # (seeds, measures)
     change: Mapping[str, Reals]  # (seeds, measures) of each variant
 
     def effect(self, name: str) -> Reals:
-        """Mean change over the seeds; (measures,)."""
+        """Return the mean change over the seeds; (measures,)."""
         mean: Reals = self.change[name].mean(axis=0)
         return mean
 
     def sigma(self, name: str) -> Reals:
-        """Standard error of the effect, but not below the median of those of all variants; (measures,)."""
+        """Return the standard error of the effect, at least the median over all variants; (measures,)."""
         errors = {
             key: values.std(axis=0, ddof=1) / np.sqrt(len(values)) for key, values in self.change.items()
         }
         largest: Reals = np.maximum(errors[name], np.median(list(errors.values()), axis=0))
         return largest
 
-    def silent(self, names: Sequence[str]) -> list[str]:
-        """Those that change no measure by two sigma."""
+    def unclear(self, names: Sequence[str]) -> list[str]:
+        """Return the variants that change no measure by two sigma."""
         return [name for name in names if (np.abs(self.effect(name)) < 2 * self.sigma(name)).all()]
 
 
@@ -125,24 +125,24 @@ def ablate(
     variants: Mapping[str, Change],
     *,
     hop: int = 8,
-    told: Callable[[str], None] = lambda _: None,
+    log: Callable[[str], None] = lambda _: None,
 ) -> Ablation:
     """Measure the scene with and without each term, on the same seeds.
 
-    The network's measure is its accuracy on the variant. The detectors are fitted to the variant and judged,
-    by balanced accuracy, on other recordings of the whole scene: what they would lose if the scene that they
-    learn from lacked the term.
+    The network's measure is its accuracy on the variant. The detectors are fitted to the variant and
+    evaluated, by balanced accuracy, on other recordings of the whole scene: the loss if the training scene
+    lacked the term.
     """
     judged = [simulated_recordings(plan, seed + 1000) for seed in seeds]
 
     def row(changed: Collection, number: int) -> list[float]:
-        trials = simulated_recordings(changed, seeds[number])
-        scores = [] if network is None else [confusion(network, trials, hop).accuracy]
-        found = [confusion(detector, judged[number], hop).balanced for detector in fitted(trials, hop)]
-        return [*scores, distance(measure(trials)), *found]
+        recordings = simulated_recordings(changed, seeds[number])
+        scores = [] if network is None else [confusion(network, recordings, hop).accuracy]
+        found = [confusion(detector, judged[number], hop).balanced for detector in fit(recordings, hop)]
+        return [*scores, distance(measure(recordings)), *found]
 
     def rows(name: str, changed: Collection) -> Reals:
-        told(name)
+        log(name)
         return np.array([row(changed, number) for number in range(len(seeds))])
 
     whole = rows("the whole scene", plan)

@@ -1,4 +1,4 @@
-"""The figures of the scene's report."""
+"""Figures of the report on the scene."""
 
 from collections.abc import Mapping, Sequence
 from typing import Final
@@ -12,12 +12,12 @@ from tests.scene.scene_ablation import TERMS, Ablation
 from tests.scene.scene_speed import Speed
 from tests.scene.scene_statistics import FREQUENCIES, RATE, TABLE
 
-MARK: Final = 1100  # simulated s per CPU s of one core at 24 nodes: what a prototype reached
+MARK: Final = 1100  # simulated s per CPU s of one core at 24 nodes, of a prototype
 
 
 @styled
 def traces(shown: Sequence[tuple[str, LabelledRecording, int]], samples: int = 400) -> Figure:
-    """Counts, normal force and label of recordings: title, recording, first sample of each."""
+    """Draw counts, normal force and label of recordings: title, recording, first sample of each."""
     rows = -(-len(shown) // 3)
     figure, axes = grid(2 * rows, 3, (12, 2.9 * rows), sharex=True, heights=[3, 1] * rows)
     for number, (title, trial, first) in enumerate(shown):
@@ -61,7 +61,7 @@ def traces(shown: Sequence[tuple[str, LabelledRecording, int]], samples: int = 4
 
 @styled
 def realism(rows: Sequence[tuple[str, float, bool]], unit: str) -> Figure:
-    """Scores of detectors: text, %, and whether it is a mark to compare with rather than a result."""
+    """Draw scores of detectors: text, %, and True for a value to compare with."""
     figure, (axis,) = grid(1, 1, (7.5, 0.6 + 0.32 * len(rows)))
     for place, (_, value, mark) in enumerate(reversed(rows)):
         axis.plot([50, value], [place, place], color="#e6e9ed", linewidth=2, zorder=0)
@@ -75,7 +75,7 @@ def realism(rows: Sequence[tuple[str, float, bool]], unit: str) -> Figure:
 
 @styled
 def statistics(found: Mapping[str, Reals], real: Mapping[str, Reals] | None) -> Figure:
-    """How far each published row is off, and the spectra beside the real trace's."""
+    """Draw the distance of each published row, and the spectra of the scene and of the real trace."""
     figure, (far, spectra) = grid(1, 2, (11, 4.6), widths=[1.2, 1])
     rows = [row for row in TABLE if row.low and row.key in found][::-1]
     values = [row.distance(found[row.key]) for row in rows]
@@ -98,7 +98,7 @@ def statistics(found: Mapping[str, Reals], real: Mapping[str, Reals] | None) -> 
 
 @styled
 def ablation(found: Ablation) -> Figure:
-    """What each measure loses without each term, with two sigma."""
+    """Draw the change of each measure without each term, with two sigma."""
     names = sorted(found.change, key=lambda name: float(found.effect(name)[0]), reverse=True)
     columns = len(found.measures)
     figure, axes = grid(1, columns, (2.6 + 2.3 * columns, 0.9 + 0.26 * len(names)), sharey=True)
@@ -119,7 +119,7 @@ def ablation(found: Ablation) -> Figure:
 
 @styled
 def speed(found: Speed) -> Figure:
-    """Growth with nodes and with fingertips."""
+    """Draw the speed against nodes and fingertips."""
     figure, (nodes, fingertips) = grid(1, 2, (8.5, 3.2))
     nodes.plot(list(found.by_nodes), list(found.by_nodes.values()), "o-", color=MAIN)
     nodes.plot(24, MARK, "D", color=FAINT)

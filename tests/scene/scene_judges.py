@@ -1,4 +1,4 @@
-"""Detectors that judge the scene, and their answers."""
+"""Detectors that are evaluated on the scene, and their predictions."""
 
 from collections.abc import Sequence
 
@@ -13,25 +13,28 @@ from operators.batch import SLIP, STATIC, Flags
 from operators.detectors import Detector, Psd
 
 
-def answers(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> list[Flags]:
-    """Whether the detector calls each judged sample of each trial slip."""
-    return [probabilities(detector, trial)[trial.evaluated(hop)] > 1 / 2 for trial in trials]
+def predictions(detector: Detector, recordings: Sequence[LabelledRecording], hop: int) -> list[Flags]:
+    """Return True where the detector predicts slip, for the evaluated samples of each recording."""
+    return [probabilities(detector, each)[each.evaluated(hop)] > 1 / 2 for each in recordings]
 
 
-def confusion(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> Confusion:
-    """The detector's answers to all trials, counted."""
-    return Confusion.of(np.concatenate(answers(detector, trials, hop)), labels(trials, hop))
+def confusion(detector: Detector, recordings: Sequence[LabelledRecording], hop: int) -> Confusion:
+    """Return the confusion of a detector on all recordings together."""
+    return Confusion.of(np.concatenate(predictions(detector, recordings, hop)), labels(recordings, hop))
 
 
-def cells(detector: Detector, trials: Sequence[LabelledRecording], hop: int) -> Cells:
-    """The same by kind of motion."""
-    return Cells.of(trials, [trial.evaluated(hop) for trial in trials], answers(detector, trials, hop))
+def by_motion(detector: Detector, recordings: Sequence[LabelledRecording], hop: int) -> Cells:
+    """Return the confusion of a detector by kind of motion."""
+    evaluated = [each.evaluated(hop) for each in recordings]
+    return Cells.of(recordings, evaluated, predictions(detector, recordings, hop))
 
 
-def fitted(trials: Sequence[LabelledRecording], hop: int) -> tuple[Psd, Logistic]:
-    """The two detectors that need no training framework, fitted to trials."""
-    slip = labels(trials, hop)
+def fit(recordings: Sequence[LabelledRecording], hop: int) -> tuple[Psd, Logistic]:
+    """Fit the two detectors that need no training framework."""
+    slip = labels(recordings, hop)
     codes = np.where(slip, SLIP, STATIC).astype(np.int8)
     psd, length = Psd(), 41
-    seen = [np.concatenate([windows(trial, n, hop) for trial in trials]) for n in (psd.length, length)]
-    return psd.fitted(seen[0], codes), Logistic.fitted(seen[1], slip)
+    short, long = (
+        np.concatenate([windows(each, n, hop) for each in recordings]) for n in (psd.length, length)
+    )
+    return psd.fitted(short, codes), Logistic.fitted(long, slip)

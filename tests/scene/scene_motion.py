@@ -1,33 +1,61 @@
-"""The motion effects of the real data, as the paper's Table III shows them."""
+"""Effects of the motion on detection in the real data, from the paper's Table III."""
 
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from flows.learn.evaluation.motion_metrics import Cell, Chosen
+from flows.learn.evaluation.motion_metrics import Cell, Cells, Chosen
 from flows.learn.evaluation.published import SPEEDS
+from flows.learn.evaluation.sample_metrics import Confusion
+from operators.batch import Reals
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What the paper's Table III shows: one group is recognised better or worse than another."""
+    """A difference between two groups of motions in the paper's Table III."""
 
     text: str
     first: Chosen
     second: Chosen
     paper: float  # points of F1, from means over the cells of the table
 
-    def verdict(self, gap: float, error: float) -> str:
-        """Whether a gap with a standard error shows the same."""
-        if np.isnan(gap):
+    def verdict(self, difference: float, error: float) -> str:
+        """Compare a difference and its standard error with the paper's."""
+        if np.isnan(difference):
             return "not in the plan"
-        if abs(gap) < 2 * error:
+        if abs(difference) < 2 * error:
             return "no clear effect"
-        return "reproduced" if (gap > 0) == (self.paper > 0) else "reversed"
+        return "reproduced" if (difference > 0) == (self.paper > 0) else "reversed"
 
 
-def _slides(cell: Cell) -> bool:
+def f1_difference(
+    found: Cells, first: Chosen, second: Chosen, seed: int = 0, draws: int = 300
+) -> tuple[float, float]:
+    """Return F1 of the first group less that of the second, and its standard error; NaN if one is empty.
+
+    The error is that of a bootstrap over recordings.
+    """
+    sides = [
+        found.counts * np.array([group(cell) for cell in found.cells])[:, None, None]
+        for group in (first, second)
+    ]
+    number = int(found.recordings[-1]) + 1
+    random = np.random.default_rng(seed)
+
+    def difference(weights: Reals) -> float:  # (recordings,)
+        one, other = (Confusion((side * weights[found.recordings, None, None]).sum(axis=0)) for side in sides)
+        return one.f1 - other.f1
+
+    whole = difference(np.ones(number))
+    if np.isnan(whole):
+        return whole, whole
+    shares = np.full(number, 1 / number)
+    drawn = [difference(np.asarray(random.multinomial(number, shares), np.float64)) for _ in range(draws)]
+    return whole, float(np.nanstd(drawn))
+
+
+def _translation(cell: Cell) -> bool:
     return cell.kind != "rotation"
 
 
@@ -47,10 +75,10 @@ EFFECTS: Final = (
     Effect(
         "oblique strokes, against primary", lambda c: c.kind == "oblique", lambda c: c.kind == "primary", 1.3
     ),
-    Effect("rotation, against translation", lambda c: not _slides(c), _slides, -10.6),
+    Effect("rotation, against translation", lambda c: not _translation(c), _translation, -10.6),
     Effect("10 cm/s, against 5 cm/s", lambda c: c.speed == SPEEDS[2], lambda c: c.speed == SPEEDS[0], 2.9),
     Effect(
-        "cylinder y, primary, at 5 cm/s, against it faster",
+        "cylinder y, primary, 5 cm/s, against faster",
         lambda c: (c.surface, c.kind, c.speed) == ("cylinder_y", "primary", SPEEDS[0]),
         lambda c: (c.surface, c.kind) == ("cylinder_y", "primary") and c.speed != SPEEDS[0],
         -10.2,

@@ -1,4 +1,4 @@
-"""How fast the scene is simulated: simulated seconds per CPU second of one core."""
+"""Speed of the simulation: simulated seconds per CPU second of one core."""
 
 from dataclasses import dataclass, replace
 from time import process_time
@@ -17,8 +17,8 @@ class Speed:
     """Simulated seconds per CPU second."""
 
     by_nodes: dict[int, float]  # one fingertip
-    by_fingertips: dict[int, float]  # of the whole scene: all its fingertips
-    single: float  # one fingertip, sample by sample, as a live run takes it
+    by_fingertips: dict[int, float]  # of the whole scene with all its fingertips
+    single: float  # one fingertip, sample by sample, as in a live run
 
 
 def speed(plan: Collection, seconds: float) -> Speed:

@@ -1,7 +1,6 @@
-"""Statistics of the signal beside those of real recordings, and one distance between the two.
+"""Statistics of the signal, their published values for real recordings, and the distance between them.
 
-The published figures are those of "Under Pressure" (2021) and of what its authors made public: code, logs and
-plots of their recordings.
+The published figures are those of "Under Pressure" (2021) and of its authors' public code, logs and plots.
 """
 
 from collections.abc import Sequence
@@ -27,12 +26,12 @@ class Published:
 
     key: str
     text: str
-    low: tuple[float, ...] = ()  # of the published range, per value; empty: nothing is published
-    high: tuple[float, ...] = ()  # where empty, the range is one number
-    scale: tuple[float, ...] = ()  # what one unit of distance is; where empty, the middle of the range
+    low: tuple[float, ...] = ()  # of the published range, per value; empty: not published
+    high: tuple[float, ...] = ()  # if empty, the range is one number
+    scale: tuple[float, ...] = ()  # unit of the distance; if empty, the middle of the range
 
     def distance(self, values: Reals) -> float:
-        """Mean over the values of how far they lie outside the published range, in units of its scale."""
+        """Return the mean distance of the values from the published range, in units of its scale."""
         low = np.array(self.low)
         high = np.array(self.high or self.low)
         scale = np.array(self.scale) if self.scale else (np.abs(low) + np.abs(high)) / 2
@@ -69,10 +68,11 @@ TABLE: Final = (
 )  # fmt: skip
 
 
-def measure(trials: Sequence[LabelledRecording]) -> dict[str, Reals]:
-    """The values of each row of `TABLE` that the trials have something to say to."""
+def measure(recordings: Sequence[LabelledRecording]) -> dict[str, Reals]:
+    """Return the values of each row of `TABLE` for which there is data."""
     used = [
-        (trial.counts[trial.zeroing :].astype(np.float64), trial.slip[trial.zeroing :]) for trial in trials
+        (recording.counts[recording.zeroing :].astype(np.float64), recording.slip[recording.zeroing :])
+        for recording in recordings
     ]
     counts = np.concatenate([z for z, _ in used])  # (n, 6)
     slip = np.concatenate([label[1:] for _, label in used])  # (m,) of the steps
@@ -98,43 +98,47 @@ def measure(trials: Sequence[LabelledRecording]) -> dict[str, Reals]:
         "slip spectrum": _spectrum(used, slip=True),
         "static spectrum": _spectrum(used, slip=False),
     }
-    rises, rings = edges(trials)
+    rises, rings = edges(recordings)
     found["rise"], found["ring"] = _median(rises), _median(rings)
     for surface in ("plane", "sphere"):
-        if these := [z for trial, (z, _) in zip(trials, used, strict=True) if trial.surface == surface]:
+        if these := [
+            z for recording, (z, _) in zip(recordings, used, strict=True) if recording.surface == surface
+        ]:
             joined = np.concatenate(these)
             found[f"{surface} mean"], found[f"{surface} std"] = joined.mean(axis=0), joined.std(axis=0)
     return found
 
 
 def distance(found: dict[str, Reals]) -> float:
-    """The mean of `Published.distance` over the rows that are published; 0: nothing can be told apart."""
+    """Return the mean of `Published.distance` over the published rows; 0: indistinguishable."""
     far = [row.distance(found[row.key]) for row in TABLE if row.low and row.key in found]
     return float(np.nanmean(far))
 
 
-def edges(trials: Sequence[LabelledRecording]) -> tuple[Reals, Reals]:
-    """How long after a label's onset the signal rises, and after its end rings, ms: (onsets,), (ends,).
+def edges(recordings: Sequence[LabelledRecording]) -> tuple[Reals, Reals]:
+    """Return how long the signal rises after a label's onset and rings after its end, ms: (onsets,), (ends,).
 
     The signal is the RMS over 30 ms of the step norm. It is up above the geometric mean of its medians in
-    slip and in static, and has ended when it stays down for 50 ms, or where the next slip begins. Onsets
-    that it is up before, at 150 ms, are left out.
+    slip and in static, and has ended when it stays down for 50 ms or the next slip begins. Onsets are left
+    out if the signal is already up 150 ms before.
     """
     rises, rings = list[int](), list[int]()
     before, after, calm = 15, 30, np.ones(5)  # samples
-    for trial in trials:
-        if trial.slip.all() or not trial.slip.any():
+    for recording in recordings:
+        if recording.slip.all() or not recording.slip.any():
             continue
-        steps = np.diff(trial.counts.astype(np.float64), axis=0, prepend=trial.counts[:1])
-        level = np.sqrt(np.convolve(np.square(steps).sum(axis=1), np.full(3, 1 / 3))[: len(trial)])  # (n,)
-        up = level > np.sqrt(np.median(level[trial.slip]) * np.median(level[~trial.slip]))
+        steps = np.diff(recording.counts.astype(np.float64), axis=0, prepend=recording.counts[:1])
+        level = np.sqrt(
+            np.convolve(np.square(steps).sum(axis=1), np.full(3, 1 / 3))[: len(recording)]
+        )  # (n,)
+        up = level > np.sqrt(np.median(level[recording.slip]) * np.median(level[~recording.slip]))
         down = np.convolve(~up, calm)[len(calm) - 1 :] == len(calm)  # (n,) from here on
-        for start, end in runs(trial.slip).tolist():
+        for start, end in runs(recording.slip).tolist():
             around = up[max(start - before, 0) : start + after]
             if start >= before and around.any() and not around[:3].any():
                 rises.append(int(np.argmax(around)) - before)
-            if end + after <= len(trial):
-                rings.append(int(np.argmax(down[end:] | trial.slip[end:])))
+            if end + after <= len(recording):
+                rings.append(int(np.argmax(down[end:] | recording.slip[end:])))
     return np.array(rises) * 1000 / RATE, np.array(rings) * 1000 / RATE
 
 
@@ -143,7 +147,7 @@ def _median(values: Reals) -> Reals:
 
 
 def _rms(steps: Reals, chosen: Flags) -> Reals:
-    """Root mean square over the chosen of each barometer, then the mean of these: (1,)."""
+    """Return the root mean square of the chosen steps of each barometer, averaged over barometers; (1,)."""
     square = np.where(chosen, np.square(steps), 0).sum(axis=0)
     number = chosen.sum(axis=0)
     return _mean(np.sqrt(square[number > 0] / number[number > 0]))
@@ -157,7 +161,7 @@ Used = Sequence[tuple[Reals, Flags]]  # counts (n, 6) and whether each sample is
 
 
 def _cut(used: Used, length: int, hop: int) -> tuple[Reals, Flags, Reals]:
-    """Windows (k, length, 6) of all trials; whether their newest sample is slip, and how much of them is."""
+    """Return windows (k, length, 6); True if their newest sample is slip; and their share of slip."""
     z = [sliding_window_view(counts, length, axis=0)[::hop] for counts, _ in used if len(counts) >= length]
     slip = [sliding_window_view(label, length)[::hop] for _, label in used if len(label) >= length]
     if not z:
@@ -178,7 +182,7 @@ def _static_std(used: Used) -> Reals:
 
 
 def _ratio(used: Used, length: int) -> Reals:
-    """Of windows whose newest sample is slip to the others, over the loaded barometers; (1,)."""
+    """Return the ratio of windows that end in slip to the others, over the loaded barometers; (1,)."""
     windows, slip, _ = _cut(used, length, 5)
     loaded = np.abs(windows.mean(axis=1)) > _LOADED  # (k, 6)
     frequency = np.fft.rfftfreq(length, 1 / RATE)
@@ -190,7 +194,7 @@ def _ratio(used: Used, length: int) -> Reals:
 
 
 def _spectrum(used: Used, *, slip: bool) -> Reals:
-    """Mean amplitude (counts) at each of `FREQUENCIES`: loaded barometers, 0.4-s windows of one label."""
+    """Return the mean amplitude (counts) at `FREQUENCIES`: loaded barometers, 0.4-s windows of one label."""
     length = 40
     windows, _, share = _cut(used, length, 5)
     chosen = windows[share == float(slip)]  # (k, 40, 6)
@@ -206,6 +210,6 @@ def _spectrum(used: Used, *, slip: bool) -> Reals:
 
 
 def _saturation(used: Used) -> Reals:
-    """Share (%) of samples within a count of the least of their barometer in their trial, if that is deep."""
+    """Return the share (%) of samples within a count of their barometer's floor in their recording."""
     low = [(z <= z.min(axis=0) + 1) & (z.min(axis=0) < _DEEP) for z, _ in used]
     return np.array([100 * np.concatenate(low).mean()])

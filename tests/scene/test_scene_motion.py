@@ -9,7 +9,7 @@ WORSE = EFFECTS[3]  # by 10.6 points in the paper
 
 
 @pytest.mark.parametrize(
-    ("gap", "error", "verdict"),
+    ("difference", "error", "verdict"),
     [
         (-5.0, 1.0, "reproduced"),
         (-2.0, 1.0, "reproduced"),
@@ -18,16 +18,18 @@ WORSE = EFFECTS[3]  # by 10.6 points in the paper
         (np.nan, np.nan, "not in the plan"),
     ],
 )
-def test_a_gap_is_judged_by_its_sign_once_it_is_two_errors(gap: float, error: float, verdict: str) -> None:
-    assert WORSE.verdict(gap, error) == verdict
+def test_a_difference_of_two_errors_has_a_verdict_by_its_sign(
+    difference: float, error: float, verdict: str
+) -> None:
+    assert WORSE.verdict(difference, error) == verdict
 
 
-def test_the_papers_gaps_follow_from_its_table() -> None:
+def test_the_papers_effects_follow_from_its_table() -> None:
     plane, sphere, *cylinders = TABLE_3_ANY
     slow, fast = ([TABLE_3[kind, speed][-1] for kind in STROKES] for speed in (SPEEDS[0], SPEEDS[2]))
     primary, oblique = ([TABLE_3[kind, speed][-1] for speed in SPEEDS] for kind in STROKES)
     along = [TABLE_3["primary", speed][SURFACES.index("cylinder_y")] for speed in SPEEDS]
-    gaps = [
+    differences = [
         ([plane], [sphere, *cylinders]),
         ([sphere], [plane, *cylinders]),
         (oblique, primary),
@@ -35,5 +37,5 @@ def test_the_papers_gaps_follow_from_its_table() -> None:
         (fast, slow),
         (along[:1], along[1:]),
     ]
-    found = [np.mean(first) - np.mean(second) for first, second in gaps]
+    found = [np.mean(first) - np.mean(second) for first, second in differences]
     assert found == pytest.approx([effect.paper for effect in EFFECTS], abs=0.051)
