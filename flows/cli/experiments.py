@@ -48,7 +48,7 @@ def tap(
     out: Out = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Hit held objects with a mallet: is the slip registered, and static afterwards?
+    """Hit held objects with a mallet: is the slip registered?
 
     Prints success next to the paper's, how trials failed, and false slips. Writes tap.html, .md, .json and
     .svg.

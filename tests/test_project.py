@@ -1,4 +1,4 @@
-"""The project's own habits: contracts, names, sizes, pages."""
+"""Rules for the code: import contracts, names, sizes, documented errors, light imports, pages."""
 
 import ast
 import importlib
@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import packages_distributions
@@ -15,22 +16,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators import Operator, Scores, concat, errors
+from operators import Operator, Scores, checks, concat, errors
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = ("operators", "connectors", "storage", "flows")
 TREE = (*FOLDERS, "deploy", "tests")
 ERRORS = {name for name in vars(errors) if name.endswith("Error")}
+CHECKS = {name for name in vars(checks) if name.startswith("check_")}  # each raises ParameterError
 MODULES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
 
 
-def test_no_other_distribution_owns_our_top_level_names() -> None:
+def test_no_other_distribution_has_our_top_level_packages() -> None:
     owners = packages_distributions()
     for name in (*FOLDERS, "deploy", "tests"):
         assert set(owners.get(name, ["slipflow"])) == {"slipflow"}, name
 
 
-def test_the_architecture_page_says_what_the_import_contracts_say() -> None:
+def test_the_architecture_page_states_the_import_contracts() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     page = (ROOT / "ARCHITECTURE.md").read_text()
     for contract in project["tool"]["importlinter"]["contracts"]:
@@ -46,12 +48,12 @@ PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").r
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_every_module_that_a_page_names_is_there(page: Path) -> None:
-    named = re.findall(r"`([\w.-][\w./-]*\.py)`", page.read_text())  # /etc/... is not ours
+def test_every_module_named_on_a_page_exists(page: Path) -> None:
+    named = re.findall(r"`([\w.-][\w./-]*\.py)`", page.read_text())  # not /etc/...
     tree = [
         f"/{path.relative_to(ROOT).as_posix()}" for folder in TREE for path in (ROOT / folder).rglob("*.py")
     ]
-    shown = re.findall(r"```python ([\w./-]+\.py)", page.read_text())  # a file that the page itself holds
+    shown = re.findall(r"```python ([\w./-]+\.py)", page.read_text())  # files that the page contains
     assert [n for n in named if n not in shown and not any(path.endswith(f"/{n}") for path in tree)] == []
 
 
@@ -59,8 +61,23 @@ def test_no_module_is_longer_than_400_lines() -> None:
     assert [p.name for p in MODULES if len(p.read_text().splitlines()) > 400] == []
 
 
+def test_functions_have_about_ten_lines_on_average() -> None:
+    lengths = [
+        node.end_lineno - node.lineno + 1
+        for path in MODULES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.end_lineno
+    ]
+    assert np.mean(lengths) < 11
+
+
+def test_module_names_are_unique() -> None:
+    counts = Counter(path.name for path in MODULES if path.name != "__init__.py")
+    assert {name: count for name, count in counts.items() if count > 1} == {}
+
+
 @pytest.mark.parametrize("path", [p for p in MODULES if p.name == "__init__.py"], ids=str)
-def test_a_folder_says_what_it_is_in_a_sentence_and_sorts_its_exports(path: Path) -> None:
+def test_a_package_has_a_one_sentence_docstring_and_sorted_exports(path: Path) -> None:
     module = importlib.import_module(".".join(path.parent.relative_to(ROOT).parts))
     assert module.__doc__ is not None
     assert re.fullmatch(r"[A-Z][^\n]*\.", module.__doc__)
@@ -70,19 +87,21 @@ def test_a_folder_says_what_it_is_in_a_sentence_and_sorts_its_exports(path: Path
 
 
 def raised(function: ast.AST) -> Iterator[str]:
-    """The errors of ours that a function raises itself, not in what is defined within it."""
+    """Yield the slipflow errors that a function raises itself, without those of nested functions."""
     for node in ast.iter_child_nodes(function):
         match node:
             case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef() | ast.Lambda():
                 continue
             case ast.Raise(exc=ast.Call(func=ast.Name(id=name))) if name in ERRORS:
                 yield name
+            case ast.Call(func=ast.Name(id=name)) if name in CHECKS:
+                yield "ParameterError"
             case _:
                 yield from raised(node)
 
 
-def untold(tree: ast.Module) -> Iterator[str]:
-    """The public functions, and classes when they are made, that do not say what they raise."""
+def undocumented(tree: ast.Module) -> Iterator[str]:
+    """Yield the errors of public functions and constructors that are missing from their docstrings."""
     owners: list[ast.Module | ast.ClassDef] = [tree, *(n for n in tree.body if isinstance(n, ast.ClassDef))]
     for owner in owners:
         if isinstance(owner, ast.ClassDef) and owner.name.startswith("_"):
@@ -90,51 +109,56 @@ def untold(tree: ast.Module) -> Iterator[str]:
         for node in owner.body:
             if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
                 continue
-            makes = node.name in ("__init__", "__post_init__")
-            if node.name.startswith("_") and not makes:
+            constructor = node.name in ("__init__", "__post_init__")
+            if node.name.startswith("_") and not constructor:
                 continue
-            said = (ast.get_docstring(node) or "") + ((ast.get_docstring(owner) or "") if makes else "")
-            told = said.partition("Raises:")[2]
+            text = (ast.get_docstring(node) or "") + ((ast.get_docstring(owner) or "") if constructor else "")
+            documented = text.partition("Raises:")[2]
             yield from (
                 f"{getattr(owner, 'name', '')}.{node.name}: {name}"
                 for name in raised(node)
-                if name not in told and "SlipflowError" not in told
+                if name not in documented and "SlipflowError" not in documented
             )
 
 
 @pytest.mark.parametrize("folder", FOLDERS)
-def test_what_is_public_says_which_errors_it_raises(folder: str) -> None:
+def test_public_functions_document_their_errors(folder: str) -> None:
     found = {
-        path.relative_to(ROOT).as_posix(): list(untold(ast.parse(path.read_text())))
+        path.relative_to(ROOT).as_posix(): list(undocumented(ast.parse(path.read_text())))
         for path in MODULES
-        if path.is_relative_to(ROOT / folder) and path.parent.name != "commands"  # their docstring is --help
+        if path.is_relative_to(ROOT / folder)
+        and path.parent.name != "cli"  # docstrings of commands are help texts
     }
     assert {path: names for path, names in found.items() if names} == {}
 
 
-def test_an_error_that_is_not_told_is_noticed() -> None:
+def test_an_undocumented_error_is_found() -> None:
     code = "class A:\n def __init__(self): raise InputError('a', 'b')\n def b(self):\n  'Raises: not that.'"
-    assert list(untold(ast.parse(f"{code}\n  if self: raise ParameterError()"))) == [
+    assert list(undocumented(ast.parse(f"{code}\n  if self: raise ParameterError()"))) == [
         "A.__init__: InputError",
         "A.b: ParameterError",
     ]
-    assert list(untold(ast.parse(f"{code}\n  def c(): raise ParameterError()"))) == ["A.__init__: InputError"]
+    checked = "def a():\n  check_above('a', 'b', 1, 0)"
+    assert list(undocumented(ast.parse(checked))) == [".a: ParameterError"]
+    assert list(undocumented(ast.parse(f"{code}\n  def c(): raise ParameterError()"))) == [
+        "A.__init__: InputError"
+    ]
 
 
-def test_all_that_is_logged_is_under_one_name() -> None:
-    theirs = {'"pymodbus.logging"'}  # which is told to be quiet
+def test_all_loggers_are_below_slipflow() -> None:
+    foreign = {'"pymodbus.logging"'}  # silenced
     names = {name for path in MODULES for name in re.findall(r"getLogger\((.*?)\)", path.read_text())}
-    assert [name for name in names - theirs if not re.fullmatch(r'"slipflow(\.\w+)?"', name)] == []
+    assert [name for name in names - foreign if not re.fullmatch(r'"slipflow(\.\w+)?"', name)] == []
 
 
-def test_operators_import_without_anything_heavy() -> None:
+def test_operators_import_no_heavy_package() -> None:
     heavy = ("scipy", "pandas", "polars", "pyarrow", "torch", "aiomqtt", "numba", "asyncio")
     code = f"import operators, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 
 
-def test_help_imports_nothing_heavy() -> None:
+def test_help_imports_no_heavy_package() -> None:
     heavy = ("numpy", "scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba")
     code = f"import flows.cli.main, sys; print([m for m in {heavy!r} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -151,10 +175,10 @@ def test_the_code_blocks_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.M
         assert "slips" in done.stdout
 
 
-def test_the_operator_on_the_architecture_page_keeps_the_law() -> None:
+def test_the_operator_on_the_architecture_page_keeps_the_invariant() -> None:
     [block] = re.findall(r"```python\n(.*?)```", (ROOT / "ARCHITECTURE.md").read_text(), re.DOTALL)
     names: dict[str, Any] = {"dataclass": dataclass, "field": field, "Operator": Operator, "Scores": Scores}
-    exec(block, names)  # noqa: S102 - ours
+    exec(block, names)  # noqa: S102 - our own page
     scores = Scores(np.arange(9), np.linspace(0, 1, 9), finger=1)
     whole = names["Smooth"]()
     cut = names["Smooth"]()
