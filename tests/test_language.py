@@ -69,9 +69,9 @@ def texts(source: str) -> Iterator[tuple[int, str]]:
         if token.type == tokenize.COMMENT:
             yield token.start[0], token.string
     for node in ast.walk(ast.parse(source)):
-        text = node.value if isinstance(node, ast.Constant) else None
-        if isinstance(text, str) and not _NOT_PROSE.match(text):
-            yield node.lineno, text
+        match node:
+            case ast.Constant(value=str(text), lineno=line) if not _NOT_PROSE.match(text):
+                yield line, text
 
 
 def avoided(text: str) -> list[str]:
