@@ -15,12 +15,13 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
+from importlib.util import find_spec
 from math import hypot
 from multiprocessing.connection import Connection
 from time import monotonic
 from typing import Final, Literal, NamedTuple, Protocol, TypeAlias, cast
 
-from operators.errors import EndpointError
+from operators.errors import EndpointError, InputError
 
 SILENCE: Final = 0.5  # s without a command after which the arm is stopped; longer for a slow watchdog
 REPEAT: Final = 0.05  # s, longest time between two writes to the controller
@@ -28,7 +29,6 @@ WATCHDOG: Final = 5.0  # Hz, lowest rate of writes that the controller accepts
 STOP_DECELERATION: Final = 2.0  # m/s2 and rad/s2
 _POLL: Final = 0.01  # s
 _HEARTBEAT: Final = 0.1  # s, from reply to reply
-INSTALL: Final = "pip install -e '.[ur]'"
 
 Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or 1/s
 
@@ -95,17 +95,26 @@ class Control(Protocol):
     def disconnect(self) -> None: ...  # noqa: D102
 
 
+def check_ur_rtde() -> None:
+    """Check that ur-rtde is installed.
+
+    Raises:
+        InputError: if it is not.
+    """
+    if find_spec("rtde_control") is None:
+        install = "in the clone, pip install -e '.[ur]' (x86-64 Linux, Python 3.11 or 3.12)"
+        raise InputError("commanding a UR arm", f"needs ur-rtde: {install}")
+
+
 def connect(host: str) -> Control:
     """Connect ur-rtde, which uploads its control script to the controller and starts it.
 
     Raises:
-        EndpointError: if ur-rtde is not installed, or the controller does not accept it.
+        InputError: if ur-rtde is not installed.
+        EndpointError: if the controller does not accept it.
     """
-    try:
-        library = import_module("rtde_control")
-    except ImportError as error:
-        reason = f"commanding an arm needs ur-rtde: in the clone, {INSTALL} ({error})"
-        raise EndpointError(f"ur://{host}", reason) from error
+    check_ur_rtde()
+    library = import_module("rtde_control")
     try:
         return cast("Callable[[str], Control]", library.RTDEControlInterface)(host)
     except RuntimeError as error:
@@ -120,7 +129,7 @@ def serve(
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # on Ctrl-C the commanding process ends this one
     try:
         control = connect(host)
-    except EndpointError as error:
+    except (EndpointError, InputError) as error:
         pipe.send(Reply("failed", error.reason))
         return
     commander = _Commander(control)

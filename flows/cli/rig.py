@@ -1,9 +1,9 @@
-"""The command that serves the virtual lab."""
+"""Command that serves the virtual lab."""
 
 import asyncio
 import logging
 import sys
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
@@ -16,54 +16,67 @@ if TYPE_CHECKING:
 # What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
 
-PORTS = 65535  # the highest
-GRIPPER = 5020  # port; that of real ones, 502, is for root only
+MAX_PORT = 65535
+GRIPPER = 5020  # port 502 of real grippers needs root
 
 
 def rig(
     *,
     listen: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where the servers listen: whoever gets there may move it.")
+        str,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Address on which the servers listen (default 127.0.0.1); all its clients can move the arm.",
+        ),
     ] = "127.0.0.1",
     rtde: Annotated[
-        int, typer.Option(min=0, max=PORTS, help="Port of RTDE; ur-rtde knows 30004 only.")
+        int, typer.Option(min=0, max=MAX_PORT, help="RTDE port (default 30004, the only one for ur-rtde).")
     ] = 30004,
     script: Annotated[
-        int, typer.Option(min=0, max=PORTS, help="Port of scripts; ur-rtde knows 30003 only.")
+        int, typer.Option(min=0, max=MAX_PORT, help="Script port (default 30003, the only one for ur-rtde).")
     ] = 30003,
-    dashboard: Annotated[int, typer.Option(min=0, max=PORTS, help="Port; ur-rtde knows 29999 only.")] = 29999,
+    dashboard: Annotated[
+        int,
+        typer.Option(min=0, max=MAX_PORT, help="Dashboard port (default 29999, the only one for ur-rtde)."),
+    ] = 29999,
     gripper: Annotated[
         int,
-        typer.Option(min=-1, max=PORTS, help="Port of Modbus TCP (real grippers have 502); -1: no gripper."),
+        typer.Option(min=-1, max=MAX_PORT, help="Modbus port of the gripper (default 5020); -1: no gripper."),
     ] = GRIPPER,
     surface: Annotated[
-        str, typer.Option(metavar="NAME", help="plane, sphere, cylinder_x or cylinder_y.")
+        str,
+        typer.Option(metavar="NAME", help="plane, sphere, cylinder_x or cylinder_y (default plane)."),
     ] = "plane",
-    seed: Annotated[int, typer.Option(help="Of all noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the noise (default 0).")] = 0,
     duration: Annotated[
         str | None,
-        typer.Option("--for", metavar="TIME", help="Stop after this time: 30s, 5min; else at Ctrl-C."),
+        typer.Option(
+            "--for", metavar="TIME", help="Stop after this time, such as 5min (default: at Ctrl-C)."
+        ),
     ] = None,
 ) -> None:
-    """Serve the virtual lab: a simulated UR arm and gripper.
+    """Serve the virtual lab: a simulated UR arm and gripper in one scene, over their own protocols.
 
-    One simulated scene stands behind both, which speak their own protocols. Its TakkTile bus can be had in
-    the same process only, since no kernel serves it: `slipflow collect --virtual` has the whole lab inside.
+    Its TakkTile bus exists in this process only; `slipflow collect --virtual` runs the whole lab in one
+    process. The gripper needs the gripper extra.
 
     Examples:
       slipflow rig
       slipflow rig --surface sphere --gripper -1 --for 5min
     """
+    from typing import get_args
+
     from connectors.emulators.ur_controller import Ports
+    from connectors.sim.scene import Curvature
     from flows.graph.quantity import time
-    from flows.lab.collection.plan_syntax import curvature
+    from operators.checks import check_choice
 
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    check_choice("rig", "--surface", surface, get_args(Curvature))
     seconds = None if duration is None else time("rig", "--for", duration) / 1e9
     ports, port = Ports(rtde, script, dashboard), None if gripper < 0 else gripper
-    asyncio.run(
-        _serve(listen, ports, gripper=port, surface=curvature(surface, "rig"), seed=seed, seconds=seconds)
-    )
+    shape = cast("Curvature", surface)
+    asyncio.run(_serve(listen, ports, gripper=port, surface=shape, seed=seed, seconds=seconds))
 
 
 async def _serve(
@@ -78,7 +91,7 @@ async def _serve(
     from connectors.emulators.virtual_lab import virtual_lab
     from connectors.sim.scene import commanded_scene
 
-    note("starting; the first time, the simulated physics is compiled for some seconds")
+    note("starting; the first start compiles the simulated physics, which takes some seconds")
     serving = virtual_lab(commanded_scene(surface), seed, host=listen, ports=ports, gripper=gripper)
     async with serving as lab:
         for device, address in lab.addresses.items():

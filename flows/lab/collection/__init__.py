@@ -1,1 +1,1 @@
-"""Collection of recordings with a robot arm."""
+"""Collection of recordings with a robot arm, by plans in TOML files."""

@@ -1,53 +1,44 @@
-"""What a plan will do, and what was collected, for a person and for a program."""
+"""Reports of a planned path and of a collection, as JSON data and as text."""
 
 from collections.abc import Sequence
 from typing import Any
 
-from flows.lab.collection.arm_path import Extent, Place, Pose
-from flows.lab.collection.stroke_plan import Session, Stroke, extent
-from operators.ports import Run
+from connectors.ur.control_process import Pose
+from connectors.ur.path_follower import Point
+from flows.lab.collection.arm_path import Extent
+from flows.lab.collection.collector import CollectionResult
+from flows.lab.collection.stroke_plan import Stroke, StrokeSeries, total_extent
 
 
-def planned(sessions: Sequence[Session], low: Place, high: Place, here: Pose | None = None) -> dict[str, Any]:
-    """A plan's path, its duration and its bounds, within a workspace (m), from where the arm is, if known."""
-    whole = extent(sessions, here)
-    contacts = [_contact(stroke, session) for session in sessions for stroke in session.strokes]
+def describe_plan(
+    series: Sequence[StrokeSeries], low: Point, high: Point, here: Pose | None = None
+) -> dict[str, Any]:
+    """Return the path, duration and bounds of a plan in a workspace (m), from the arm's pose if known."""
+    whole, press = total_extent(series, here), series[0].press
+    contacts = [_contact_seconds(stroke, each) for each in series for stroke in each.strokes]
     return {
-        "sessions": [
-            {
-                "session": session.name,
-                "surface": session.surface.curvature,
-                "radius": None if session.surface.curvature == "plane" else session.surface.radius,
-                "speed": session.speed,
-                "split": session.split,
-                "strokes": len(session.strokes),
-                "seconds": round(_reach(session).seconds, 3),
-                "low": list(_reach(session).low),
-                "high": list(_reach(session).high),
-            }
-            for session in sessions
-        ],
-        "strokes": sum(len(session.strokes) for session in sessions),
+        "sessions": [_describe_series(each) for each in series],
+        "strokes": sum(len(each.strokes) for each in series),
         "seconds": round(whole.seconds, 3),
         "contact_seconds": round(sum(contacts), 3),
         "low": list(whole.low),
         "high": list(whole.high),
         "workspace": [*low, *high],
-        "depth": sessions[0].depth,
-        "force": sessions[0].force,
+        "depth": press.depth if press.force is None else None,
+        "force": press.force,
     }
 
 
-def as_table(plan: dict[str, Any]) -> str:
-    """The same as text.
+def plan_table(plan: dict[str, Any]) -> str:
+    """Return the result of `describe_plan` as text.
 
-    >>> print(as_table({"sessions": [], "strokes": 0, "seconds": 75.0, "low": [0, 0, 0], "high": [1, 1, 1],
+    >>> print(plan_table({"sessions": [], "strokes": 0, "seconds": 75.0, "low": [0, 0, 0], "high": [1, 1, 1],
     ...     "contact_seconds": 30.0, "workspace": [0, 0, 0, 1, 1, 1], "depth": None, "force": 2.0}))
     session                      strokes      time   x mm            y mm            z mm            split
-    in all                             0  1.2 min   0 .. 1000       0 .. 1000       0 .. 1000
+    total                              0  1.2 min   0 .. 1000       0 .. 1000       0 .. 1000
     workspace                                       0 .. 1000       0 .. 1000       0 .. 1000
-    in contact                            0.5 min: the rest is baselines, and the ways from stroke to stroke
-    pressed with 2 N, each stroke at the depth where it is felt; times and bounds are those of the deepest
+    in contact                            0.5 min; the rest is baselines and moves through the air
+    pressed with 2 N, at the depth found for each stroke; times and bounds are for the greatest depth
     """
     head = f"{'session':28} {'strokes':>7} {'time':>9}   {'x mm':15} {'y mm':15} {'z mm':15} split"
     rows = [
@@ -57,17 +48,22 @@ def as_table(plan: dict[str, Any]) -> str:
     ]
     low, high = plan["workspace"][:3], plan["workspace"][3:]
     minutes = f"{plan['seconds'] / 60:.1f} min"
-    whole = f"{'in all':28} {plan['strokes']:7} {minutes:>8}   {_spans(plan['low'], plan['high'])}"
-    room = f"{'workspace':47} {_spans(low, high)}".rstrip()
+    total = f"{'total':28} {plan['strokes']:7} {minutes:>8}   {_spans(plan['low'], plan['high'])}"
+    box = f"{'workspace':47} {_spans(low, high)}".rstrip()
     contact = f"{plan['contact_seconds'] / 60:.1f} min"
-    touching = f"{'in contact':28} {contact:>16}: the rest is baselines, and the ways from stroke to stroke"
-    return "\n".join([head, *rows, whole.rstrip(), room, touching, _pressed(plan)])
+    touching = f"{'in contact':28} {contact:>16}; the rest is baselines and moves through the air"
+    if plan["force"] is None:
+        pressed = f"pressed {1000 * plan['depth']:g} mm after first contact"
+    else:
+        found = "at the depth found for each stroke; times and bounds are for the greatest depth"
+        pressed = f"pressed with {plan['force']:g} N, {found}"
+    return "\n".join([head, *rows, total.rstrip(), box, touching, pressed])
 
 
-def summary(runs: Sequence[Run], strokes: int) -> dict[str, Any]:
-    """What was collected."""
+def describe_result(result: CollectionResult) -> dict[str, Any]:
+    """Return the strokes and sessions of a collection."""
     return {
-        "strokes": strokes,
+        "strokes": result.strokes,
         "sessions": [
             {
                 "session": run.session,
@@ -76,38 +72,43 @@ def summary(runs: Sequence[Run], strokes: int) -> dict[str, Any]:
                 "dropped": sum(sink.dropped for sink in run.sinks.values() if sink.records),
                 "error": run.error or None,
             }
-            for run in runs
+            for run in result.runs
         ],
+        "error": result.error or None,
     }
 
 
-def as_text(collected: dict[str, Any]) -> str:
-    """The same as text."""
+def result_text(result: dict[str, Any]) -> str:
+    """Return the result of `describe_result` as text."""
     rows = [
         f"{each['session']:40} {', '.join(f'{rows} {name}' for name, rows in each['rows'].items())}"
         f"{'' if not each['gaps'] else ', gaps ' + str(each['gaps'])}"
         f"{'' if not each['dropped'] else ', dropped ' + str(each['dropped'])}"
         f"{'' if not each['error'] else ', ended early'}"
-        for each in collected["sessions"]
+        for each in result["sessions"]
     ]
     many = "session" if len(rows) == 1 else "sessions"
-    return "\n".join([*rows, f"{collected['strokes']} strokes in {len(rows)} {many}"])
+    return "\n".join([*rows, f"{result['strokes']} strokes in {len(rows)} {many}"])
 
 
-def _pressed(plan: dict[str, Any]) -> str:
-    if plan["force"] is None:
-        return f"pressed by {1000 * plan['depth']:g} mm beyond the first touch"
-    found = "each stroke at the depth where it is felt; times and bounds are those of the deepest"
-    return f"pressed with {plan['force']:g} N, {found}"
+def _describe_series(series: StrokeSeries) -> dict[str, Any]:
+    path, surface = Extent.of(series.steps, series.begin.pose), series.surface
+    return {
+        "session": series.name,
+        "surface": surface.shape,
+        "radius": None if surface.shape == "plane" else surface.radius,
+        "speed": series.speed,
+        "split": series.split,
+        "strokes": len(series.strokes),
+        "seconds": round(path.seconds, 3),
+        "low": list(path.low),
+        "high": list(path.high),
+    }
 
 
-def _reach(session: Session) -> Extent:
-    return Extent.of(session.steps, session.begin.pose)
-
-
-def _contact(stroke: Stroke, session: Session) -> float:
-    """How long a stroke touches the surface, s."""
-    down = Extent.of(stroke.approach, session.begin.pose).end
+def _contact_seconds(stroke: Stroke, series: StrokeSeries) -> float:
+    """Return the time for which a stroke touches the surface, s."""
+    down = Extent.of(stroke.approach, series.begin.pose).end
     return Extent.of(stroke.contact, down).seconds
 
 

@@ -1,79 +1,207 @@
-"""Collecting a plan: each session is recorded through a flow while the arm carries it out."""
+"""Collection of a plan: each series of strokes is recorded by a flow while the arm makes the strokes."""
 
 import asyncio
-from collections.abc import Callable, Sequence
+import signal
+from collections.abc import AsyncGenerator, Callable, Sequence
+from contextlib import aclosing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Final
+from importlib import import_module
+from pathlib import Path
+from typing import Final, cast
 
+from connectors import TakkTile, UrMotion
+from connectors.takktile.i2c_access import I2cBus
+from connectors.ur.control_process import Pose
+from connectors.ur.path_follower import Point
 from connectors.ur.ur_arm import UrArm
+from connectors.ur.ur_state import ArmStateReader, Bounds
 from flows.graph import Flow
-from flows.lab.collection.arm_path import Pose
-from flows.lab.collection.contact_monitor import Felt
-from flows.lab.collection.stroke_driver import Driver
-from flows.lab.collection.stroke_plan import Session
+from flows.lab.collection.contact_monitor import ContactMonitor
+from flows.lab.collection.signal_handlers import signal_handlers
+from flows.lab.collection.stroke_driver import StrokeDriver
+from flows.lab.collection.stroke_plan import CollectionPlan, Limits, StrokeSeries, total_extent
+from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, WatchClock, Zero, ms, s
-from operators.errors import EndpointError, SlipflowError
+from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.ports import Clock, Json, Run
 from storage import Dataset
 
-APPEAR: Final = 10.0  # s, for a sensor to give its first reading
-PATIENCE: Final = 0.3  # s without a valid reading after which a sensor is lost
-_LOOK: Final = 0.05  # s, from look to look
+FIRST_SAMPLE: Final = 10.0  # s, for the first sample of a fingertip
+_POLL: Final = 0.05  # s
 
 
-def declare(
+@dataclass(frozen=True)
+class Setup:
+    """Addresses of the devices, and the dataset.
+
+    Attributes:
+        robot: Address of the UR controller.
+        out: Folder of the dataset.
+        bus: I2C bus of the fingertips, see `TakkTile`.
+        rows: Rows of the fingertips on the bus.
+    """
+
+    robot: str
+    out: Path
+    bus: int | str | I2cBus = 1
+    rows: tuple[int, ...] = (0,)
+
+
+@dataclass(frozen=True)
+class CollectionResult:
+    """Outcome of a collection."""
+
+    runs: list[Run]  # one for each series that was begun
+    strokes: int
+    error: str  # reason for which the arm was stopped; empty if it was not
+    interrupted: bool
+
+
+async def collect(
+    plan: CollectionPlan, setup: Setup, *, seed: int = 0, log: Callable[[str], None] = lambda _: None
+) -> CollectionResult:
+    """Carry out a plan and record it; SIGUSR1 pauses and resumes, SIGINT and SIGTERM stop the arm first.
+
+    Args:
+        plan: Plan of the strokes.
+        setup: Devices and dataset.
+        seed: Random seed of the order of directions.
+        log: Called with progress messages.
+
+    Raises:
+        EndpointError: if a device is not ready; nothing has moved then.
+        ParameterError: if the path leaves the workspace.
+        SlipflowError: if a session cannot be recorded; the arm stands still.
+    """
+    clock = LoopClock()
+    here = await read_pose(setup.robot, clock)
+    series = plan.series(here, seed)
+    low, high = workspace(series, here, plan.limits)
+    touch = TakkTile(setup.bus, setup.rows)
+    await _check_sampling(touch, clock)
+    await asyncio.to_thread(import_module, "storage.writer")  # a slow import, which would delay the run
+    limits = plan.limits
+    bounds = Bounds(low, high, limits.force)
+    arm = UrArm(setup.robot, bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
+    collector = Collector(
+        arm,
+        touch,
+        UrMotion(setup.robot),
+        lambda: Dataset(setup.out),
+        clock,
+        plan,
+        {"plan": plan.name, "seed": seed, "workspace": [*low, *high], "force_limit": limits.force},
+        log,
+    )
+    error, stop = "", collector.interrupt
+    actions = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: collector.pause_or_resume}
+    with signal_handlers(actions):
+        try:
+            async with arm:
+                await collector.collect(series)
+        except EndpointError as stopped:
+            if not arm.fault or not (collector.runs or collector.interrupted):
+                raise
+            error = str(stopped)
+    return CollectionResult(collector.runs, collector.driver.strokes, error, collector.interrupted)
+
+
+async def _check_sampling(touch: TakkTile, clock: Clock) -> None:
+    """Wait for a first sample.
+
+    Raises:
+        EndpointError: if none arrives.
+    """
+    batches = cast("AsyncGenerator[Touch]", touch.batches(clock))
+    try:
+        async with asyncio.timeout(FIRST_SAMPLE), aclosing(batches):
+            await anext(batches)
+    except TimeoutError as error:
+        raise EndpointError(touch.path, f"gives no sample within {FIRST_SAMPLE:g} s") from error
+
+
+async def read_pose(robot: str, clock: Clock) -> Pose:
+    """Return the TCP pose of an arm.
+
+    Raises:
+        EndpointError: if its controller sends no state.
+    """
+    reader = ArmStateReader(clock, robot)
+    try:
+        x, y, z, a, b, c = (await reader.open()).pose
+    finally:
+        await reader.close()
+    return x, y, z, a, b, c
+
+
+def workspace(series: Sequence[StrokeSeries], here: Pose | None, limits: Limits) -> tuple[Point, Point]:
+    """Return the lowest and highest corner (m) of the workspace: as planned, or the path with its margin.
+
+    Raises:
+        ParameterError: if the path, from the arm's pose if known, leaves the planned workspace.
+    """
+    path, margin = total_extent(series, here), limits.margin
+    if limits.workspace is None:
+        a, b, c = (each - margin for each in path.low)
+        d, e, f = (each + margin for each in path.high)
+        return (a, b, c), (d, e, f)
+    low, high = limits.workspace[:3], limits.workspace[3:]
+    for axis, a, b, c, d in zip("xyz", low, path.low, path.high, high, strict=True):
+        if not a <= b <= c <= d:
+            must_be = f"around the path, which leads from {b:.4f} to {c:.4f} m along {axis}"
+            raise ParameterError("collect", "limits.workspace", [*low, *high], must_be)
+    return low, high
+
+
+def declare_collection(
     touch: Source[Touch],
     motion: Source[Motion],
-    place: Pose,
+    surface: Pose,
     *,
     dataset: Dataset,
-    felt: Felt,
+    monitor: ContactMonitor,
     delay: int = 0,
 ) -> Flow:
-    """The flow of a session: both streams as received, labelled samples and the arm's clock are recorded.
+    """Return the flow of a session, which records both raw streams, labelled samples and the arm's clock.
 
     Args:
         touch: The fingertips.
-        motion: The arm, stamped with its arrival and its controller's clock.
-        place: Pose at which the fingertip just touches the surface.
-        dataset: Where they go.
-        felt: Is told of the touch, too.
-        delay: How much later than the fingertips the arm tells of the same instant, ns; see `Label`.
+        motion: The arm.
+        surface: Pose at which the fingertip just touches the surface.
+        dataset: Dataset for all streams.
+        monitor: Second sink of the touch stream.
+        delay: Delay of the arm's motion relative to the touch, ns; see `Label`.
     """
     flow = Flow("collect")
-    felt_stream, moved = flow.source(touch, "touch"), flow.source(motion, "motion")
-    samples = (felt_stream | Zero()) & (moved | DeviceClock()) | Align(within=20 * ms)
-    labelled = (
-        samples | Label(speed=0.003, rotation=0.2, delay=delay) | MaskLifted(place)
-    )  # m/s, rad/s; paper
-    felt_stream.to(dataset)
+    touched, moved = flow.source(touch, "touch"), flow.source(motion, "motion")
+    samples = (touched | Zero()) & (moved | DeviceClock()) | Align(within=20 * ms)
+    label = Label(speed=0.003, rotation=0.2, delay=delay)  # m/s, rad/s; paper
+    touched.to(dataset)
     moved.to(dataset)
     (moved | WatchClock()).to(dataset)
-    labelled.to(dataset)
-    felt_stream.to(felt)
+    (samples | label | MaskLifted(surface)).to(dataset)
+    touched.to(monitor)
     return flow
 
 
 @dataclass
-class Collection:
-    """What it takes to collect, and what was collected.
+class Collector:
+    """Recorder of series of strokes, one session each.
 
     Attributes:
-        arm: Opened, within its bounds.
-        touch: The fingertips.
-        motion: What the arm's controller tells.
-        dataset: Made anew for each session.
-        clock: Of all sessions.
-        about: What every session says of the plan.
-        delay: See `declare`, ns.
-        patience: Without a valid reading of a fingertip, after which the arm is stopped, s.
-        blind: Go on though a fingertip feels nothing of a stroke.
-        told: Told what is being done.
-        driver: Can be paused.
-        runs: One for each session so far.
-        interrupted: It was told to end.
+        arm: Open arm.
+        touch: Source of the fingertips.
+        motion: Source of the arm's motion.
+        dataset: Factory of the sink, one per session.
+        clock: Clock of all sessions.
+        plan: The plan, for its limits and label delay.
+        about: Description of the collection, copied to every session.
+        log: Called with progress messages.
+        driver: Driver, which can be paused.
+        runs: One run for each series so far.
+        interrupted: True after `interrupt`.
     """
 
     arm: UrArm
@@ -81,59 +209,63 @@ class Collection:
     motion: Source[Motion]
     dataset: Callable[[], Dataset]
     clock: Clock
+    plan: CollectionPlan
     about: dict[str, Json]
-    delay: int = 0
-    patience: float = PATIENCE
-    blind: bool = False
-    told: Callable[[str], None] = lambda _: None
-    driver: Driver = field(init=False)
+    log: Callable[[str], None] = lambda _: None
+    driver: StrokeDriver = field(init=False)
     runs: list[Run] = field(default_factory=list[Run], init=False)
     interrupted: bool = field(default=False, init=False)
     _runner: LiveRunner | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        self.driver = Driver(self.arm, self.clock, blind=self.blind)
+        self.driver = StrokeDriver(self.arm, self.clock, require_contact=self.plan.limits.require_contact)
 
-    async def collect(self, sessions: Sequence[Session]) -> None:
-        """Record all sessions; what a session had until the arm had to be stopped is committed.
+    async def collect(self, series: Sequence[StrokeSeries]) -> None:
+        """Record all series; if the arm has to be stopped, the part recorded so far is committed.
 
         Raises:
             EndpointError: if the arm had to be stopped.
             SlipflowError: if a session cannot be recorded.
         """
         stamp = f"{datetime.fromtimestamp(self.clock.now() // s, UTC):%Y%m%dT%H%M%S}Z"
-        for number, session in enumerate(sessions, 1):
-            self.told(f"{number}/{len(sessions)} {session.name}: {len(session.strokes)} strokes")
-            await self.driver.follow([session.begin])
-            await self._record(session, f"{session.name}-{stamp}")
+        for number, each in enumerate(series, 1):
+            self.log(f"{number}/{len(series)} {each.name}: {len(each.strokes)} strokes")
+            await self.driver.follow([each.begin])
+            await self._record(each, f"{each.name}-{stamp}")
 
     def pause_or_resume(self) -> None:
-        """Pause if it moves, go on if it is paused."""
+        """Pause, or resume if paused."""
         if self.driver.paused:
-            self.told("going on")
+            self.log("resuming")
             self.driver.resume()
         else:
-            self.told("pausing: the arm stands until it is told to go on")
+            self.log("paused: the arm stands still until the next SIGUSR1")
             self.driver.pause()
 
     def interrupt(self) -> None:
-        """Stop the arm, and so the collection; again: give up what is still being written, as a run does."""
+        """Stop the arm and end the collection; a second call also stops the writing of the session."""
         if self.interrupted and self._runner:
             self._runner.stop()
         self.interrupted = True
         self.arm.fail("interrupted")
 
-    async def _record(self, session: Session, name: str) -> None:
-        felt, episodes = Felt(), list[Json]()
-        place, dataset = session.surface.place, self.dataset()
-        flow = declare(self.touch, self.motion, place, dataset=dataset, felt=felt, delay=self.delay)
-        # a signal is the collection's, which stops the arm first
+    async def _record(self, series: StrokeSeries, name: str) -> None:
+        monitor, episodes = ContactMonitor(), list[Json]()
+        flow = declare_collection(
+            self.touch,
+            self.motion,
+            series.surface.pose,
+            dataset=self.dataset(),
+            monitor=monitor,
+            delay=self.plan.label_delay,
+        )
+        # signals are handled by the collection, which stops the arm first
         runner = self._runner = LiveRunner(flow, name, clock=self.clock, signals=False)
-        about: dict[str, Json] = {**self.about, **_described(session), "episodes": episodes}
+        about: dict[str, Json] = {**self.about, **_describe(series), "episodes": episodes}
         runner.run.describe["collection"] = about
         self.runs.append(runner.run)
         running = asyncio.create_task(runner.execute())
-        driving = asyncio.create_task(self._drive(session, felt, episodes))
+        driving = asyncio.create_task(self._drive(series, monitor, episodes))
         try:
             await asyncio.wait({running, driving}, return_when=asyncio.FIRST_COMPLETED)
             if not driving.done():  # nothing is recorded any more
@@ -151,53 +283,57 @@ class Collection:
             raise recorded[0]
         await driving
 
-    async def _drive(self, session: Session, felt: Felt, episodes: list[Json]) -> None:
-        watching = asyncio.create_task(self._watch(felt))
+    async def _drive(self, series: StrokeSeries, monitor: ContactMonitor, episodes: list[Json]) -> None:
+        watching = asyncio.create_task(self._watch(monitor))
         try:
-            await self._appear(felt)
-            await self.driver.carry_out(session, episodes, felt)
+            await self._first_samples(monitor)
+            await self.driver.make_strokes(series, episodes, monitor)
         finally:
             watching.cancel()
             await asyncio.gather(watching, return_exceptions=True)
 
-    async def _appear(self, felt: Felt) -> None:
-        """Wait until every fingertip is there.
+    async def _first_samples(self, monitor: ContactMonitor) -> None:
+        """Wait until every fingertip has been sampled.
 
         Raises:
             EndpointError: if one is not.
         """
-        end = self.clock.now() + round(APPEAR * s)
-        while missing := set(self.touch.fingers) - set(felt.newest):
+        end = self.clock.now() + round(FIRST_SAMPLE * s)
+        while missing := set(self.touch.fingers) - set(monitor.newest):
             if self.clock.now() > end:
-                raise EndpointError("touch", f"fingertip {min(missing)} gives no reading")
-            await self.arm.wait(_LOOK)
+                raise EndpointError("touch", f"fingertip {min(missing)} gives no sample")
+            await self.arm.wait(_POLL)
 
-    async def _watch(self, felt: Felt) -> None:
-        """Stop the arm when a fingertip is not felt any more."""
+    async def _watch(self, monitor: ContactMonitor) -> None:
+        """Stop the arm when a fingertip is no longer sampled."""
+        timeout = self.plan.limits.sensor_timeout
         while True:
             now = self.clock.now()
-            for finger, newest in felt.newest.items():
-                if now - newest > self.patience * s:
-                    why = f"fingertip {finger} has given no reading for {self.patience:g} s (--patience)"
-                    self.arm.fail(why)
-            await self.clock.sleep_until(now + round(_LOOK * s))
+            for finger, newest in monitor.newest.items():
+                if now - newest > timeout * s:
+                    reason = (
+                        f"fingertip {finger} has given no sample for {timeout:g} s (limits.sensor_timeout)"
+                    )
+                    self.arm.fail(reason)
+            await self.clock.sleep_until(now + round(_POLL * s))
 
 
 def _pressed(episode: Json) -> Json:
-    """How deep (m beyond the first touch), and with what force (N) if one was sought, a stroke began."""
+    """Return the start, the depth (m after first contact) and, if pressed with a force, the force (N)."""
     assert isinstance(episode, dict)
     return {key: episode[key] for key in ("start", "depth", "force")}
 
 
-def _described(session: Session) -> dict[str, Json]:
+def _describe(series: StrokeSeries) -> dict[str, Json]:
+    surface, press = series.surface, series.press
     return {
-        "recording": session.name,
-        "surface": session.surface.curvature,
-        "radius": None if session.surface.curvature == "plane" else session.surface.radius,
-        "place": list(session.surface.place),
-        "speed": session.speed,
-        "depth": session.depth,
-        "force": session.force,
-        "strokes": len(session.strokes),
-        "split": session.split,
+        "recording": series.name,
+        "surface": surface.shape,
+        "radius": None if surface.shape == "plane" else surface.radius,
+        "place": list(surface.pose),
+        "speed": series.speed,
+        "depth": press.depth if press.force is None else None,
+        "force": press.force,
+        "strokes": len(series.strokes),
+        "split": series.split,
     }

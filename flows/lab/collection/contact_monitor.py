@@ -1,4 +1,4 @@
-"""What fingertips feel while an arm is driven: whether they are there, and whether a stroke touches them."""
+"""Monitor of the fingertips while an arm moves: are they sampled, and does a stroke touch them?"""
 
 from typing import Final
 
@@ -7,59 +7,63 @@ import numpy as np
 from operators.batch import Reals, Touch
 from operators.ports import Run, Sink
 
-LEAST: Final = 2.0  # counts, that the mean of a cell has to move by: 0.25 kPa
+LEAST_CHANGE: Final = 2.0  # counts, of a cell's mean: 0.25 kPa
 
 
-class Felt(Sink[Touch]):
-    """Keeps when each fingertip gave its newest valid reading, and the mean of its counts since `begin`.
+class ContactMonitor(Sink[Touch]):
+    """Sink that keeps the time of each fingertip's newest valid sample, and the means of its counts.
 
     Attributes:
-        newest: When each fingertip was felt last, ns, by finger.
+        newest: Time of the newest valid sample, ns, by finger.
     """
 
     lossless = False
 
     def __init__(self) -> None:
         self.newest = dict[int, int]()
-        self._sums, self._counted = dict[int, Reals](), dict[int, Reals]()  # (6,) each
-        self._air = dict[int, Reals]()  # (6,) counts
+        self._sums, self._counts = dict[int, Reals](), dict[int, Reals]()  # (6,) each, by finger
+        self._baseline = dict[int, Reals]()  # (6,) counts, by finger
 
     @property
     def destination(self) -> str:
-        """Its name among the sinks of a flow; nothing is written anywhere."""
-        return "what was felt"
+        """Name among the sinks of a flow; nothing is written."""
+        return "contact monitor"
 
     async def open(self, run: Run) -> None:
-        """Begin anew."""
+        """Forget everything."""
         del run
         self.newest.clear()
-        self._air.clear()
-        self.begin()
+        self._baseline.clear()
+        self.restart()
 
     async def write(self, batch: Touch) -> None:
-        """Note when each fingertip was felt, and add the counts to the means."""
+        """Note the time of the newest valid sample, and add the counts to the means."""
         if batch.valid[-1].any():
             self.newest[batch.finger] = int(batch.time[-1])
-        counts = np.where(batch.valid, batch.counts, 0).sum(axis=0, dtype=np.float64)  # (6,)
-        self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros(6)) + counts
-        self._counted[batch.finger] = self._counted.get(batch.finger, np.zeros(6)) + batch.valid.sum(axis=0)
+        total = np.where(batch.valid, batch.counts, 0).sum(axis=0, dtype=np.float64)  # (6,)
+        self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros(6)) + total
+        self._counts[batch.finger] = self._counts.get(batch.finger, np.zeros(6)) + batch.valid.sum(axis=0)
 
-    def begin(self) -> None:
-        """Take the mean of what comes from now on."""
+    def restart(self) -> None:
+        """Start the means again."""
         self._sums.clear()
-        self._counted.clear()
+        self._counts.clear()
 
-    def air(self) -> None:
-        """What came since `begin` is what nothing touched feels like."""
-        self._air = self._means()
+    def set_baseline(self) -> None:
+        """Take the current means as those without contact."""
+        self._baseline = self._means()
 
-    def untouched(self) -> list[int]:
-        """The fingertips that felt the same since `begin` as in the air; not those that gave no reading."""
+    def without_contact(self) -> list[int]:
+        """Return the fingertips whose means are those of the baseline, except those without samples."""
         unknown = np.full(6, np.nan)
-        moved = {f: np.abs(mean - self._air.get(f, unknown)) for f, mean in self._means().items()}  # (6,)
-        return sorted(f for f, each in moved.items() if not (np.isnan(each).all() or (each >= LEAST).any()))
+        change = {f: np.abs(mean - self._baseline.get(f, unknown)) for f, mean in self._means().items()}
+        return sorted(
+            finger
+            for finger, cells in change.items()  # (6,)
+            if not (np.isnan(cells).all() or (cells >= LEAST_CHANGE).any())
+        )
 
     def _means(self) -> dict[int, Reals]:
-        """Of each cell (6,), by finger; NaN of one without a reading."""
+        """Return the mean of each cell (6,), by finger; NaN without samples."""
         with np.errstate(invalid="ignore"):
-            return {finger: total / self._counted[finger] for finger, total in self._sums.items()}
+            return {finger: total / self._counts[finger] for finger, total in self._sums.items()}

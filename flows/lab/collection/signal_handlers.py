@@ -1,4 +1,4 @@
-"""What a signal does while an arm is driven, and that it does as before afterwards."""
+"""Signal handlers for the time in which an arm moves."""
 
 import asyncio
 import signal
@@ -8,17 +8,17 @@ from typing import Any
 
 
 @contextmanager
-def answered(acts: Mapping[signal.Signals, Callable[[], None]]) -> Generator[None]:
-    """A block of a running event loop in which signals call acts; then they do what they did before.
+def signal_handlers(actions: Mapping[signal.Signals, Callable[[], None]]) -> Generator[None]:
+    """Open a block of a running event loop in which signals call actions; then restore the earlier handlers.
 
-    The loop's own way ends with the default, which for most signals is the end of the process. Outside of the
-    main thread, which alone gets signals, nothing is changed.
+    `remove_signal_handler` alone restores the default, which for most signals ends the process. Outside the
+    main thread, which alone receives signals, nothing is changed.
     """
     loop, before = asyncio.get_running_loop(), dict[signal.Signals, Any]()
     try:
-        for number, act in acts.items():
+        for number, action in actions.items():
             earlier = signal.getsignal(number)
-            loop.add_signal_handler(number, act)
+            loop.add_signal_handler(number, action)
             before[number] = earlier
     except (RuntimeError, ValueError):  # not the main thread
         pass

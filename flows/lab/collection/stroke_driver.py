@@ -1,142 +1,105 @@
-"""Carrying out a session's strokes with an arm, and writing down when each was made."""
+"""Driver of an arm through the strokes of a series, which notes the time of each."""
 
 import asyncio
 import math
 from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
+from connectors.ur.control_process import Pose
+from connectors.ur.path_follower import Point
+from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmState
 from flows.lab.collection.arm_path import (
     Line,
-    Place,
-    Pose,
     Slide,
     Step,
     Tare,
     Touchdown,
     Trace,
     Wait,
-    raised,
-    shifted,
+    raise_pose,
+    shift_steps,
 )
-from flows.lab.collection.contact_monitor import Felt
-from flows.lab.collection.stroke_plan import Session, Stroke
+from flows.lab.collection.contact_monitor import ContactMonitor
+from flows.lab.collection.stroke_plan import Stroke, StrokeSeries
 from operators.batch import s
 from operators.ports import Clock, Json
 
-_LOOK: Final = 0.05  # s, from look to look whether to go on
+_POLL: Final = 0.05  # s
 
 
-class Arm(Protocol):
-    """What moves: a `connectors.ur.ur_arm.UrArm`. Its moves raise EndpointError once it had to be stopped."""
+class Contact(NamedTuple):
+    """Result of a touchdown."""
 
-    state: ArmState
-
-    async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
-        """Go straight to a pose, which is planned to take so many seconds."""
-        ...
-
-    async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
-        """Go on with a velocity for a time, then come to rest."""
-        ...
-
-    async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
-        """Go along a line of places at one speed, which is planned to take so many seconds."""
-        ...
-
-    async def tare(self, seconds: float) -> None:
-        """Take the force that is told while it stands in the air for none."""
-        ...
-
-    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> float:
-        """Go straight on until a force is felt, by a way at most; the force (N) where it stands."""
-        ...
-
-    async def wait(self, seconds: float) -> None:
-        """Go on as it is."""
-        ...
-
-    async def stop(self) -> None:
-        """Come to rest."""
-        ...
-
-    def fail(self, why: str) -> None:
-        """Stop for good; its moves raise from now on."""
-        ...
-
-
-class Found(NamedTuple):
-    """What a touchdown found."""
-
-    spared: Place = (0.0, 0.0, 0.0)  # m, by which it ended before the latest end that was planned
+    shortfall: Point = (0.0, 0.0, 0.0)  # m, from the planned end to the contact
     force: float | None = None  # N
 
 
-class Driver:
-    """Moves an arm along the path of a plan, and can be paused.
+class StrokeDriver:
+    """Driver of an arm along a planned path, which can be paused.
 
-    Who pauses stops the arm where it is. When it is resumed it goes straight up, and the stroke that was
-    interrupted is made again; what there is of it stays in the recording, as an episode that is shorter.
+    A pause stops the arm where it is. On resuming it moves straight up and repeats the interrupted stroke;
+    the interrupted part stays in the recording, as a shorter episode.
 
     Args:
         arm: The arm.
-        clock: Of the run.
-        blind: Go on though a fingertip feels nothing of a stroke.
+        clock: Clock of the run.
+        require_contact: Stop the arm when a fingertip does not measure a stroke.
 
     Attributes:
-        strokes: That have been made.
+        strokes: Number of completed strokes.
     """
 
-    def __init__(self, arm: Arm, clock: Clock, *, blind: bool = False) -> None:
+    def __init__(self, arm: UrArm, clock: Clock, *, require_contact: bool = True) -> None:
         self.strokes = 0
-        self._arm, self._clock, self._blind = arm, clock, blind
+        self._arm, self._clock, self._require_contact = arm, clock, require_contact
         self._pause = asyncio.Event()
 
     @property
     def paused(self) -> bool:
-        """Whether it is to stand still."""
+        """True while the driver is paused."""
         return self._pause.is_set()
 
     def pause(self) -> None:
-        """Stand still until `resume`."""
+        """Stop until `resume`."""
         self._pause.set()
 
     def resume(self) -> None:
-        """Go on."""
+        """Continue."""
         self._pause.clear()
 
-    async def carry_out(self, session: Session, episodes: list[Json], felt: Felt) -> None:
-        """Stay in the air for a baseline, then make each stroke; episodes are added as they begin.
+    async def make_strokes(self, series: StrokeSeries, episodes: list[Json], monitor: ContactMonitor) -> None:
+        """Stay in the air for the baseline, then make each stroke.
 
         Args:
-            session: Its strokes.
-            episodes: What was done when.
-            felt: What the fingertips feel meanwhile.
-
-        Raises:
-            EndpointError: if the arm had to be stopped, or a stroke was not felt.
-        """
-        felt.begin()
-        await self._noted(session, None, [session.air], episodes)
-        felt.air()
-        for stroke in session.strokes:
-            await self._resumed()
-            while not await self._unless_paused(session, stroke, episodes, felt):
-                await self._resumed()
-                up = raised(_pose(self._arm.state), session.surface.place, session.clearance)
-                await self.follow([Line(up, session.begin.speed, session.begin.acceleration)])
-            self.strokes += 1
-
-    async def follow(self, steps: Sequence[Step]) -> Found:
-        """Go along a path from where the arm is.
-
-        Returns:
-            What its touchdown found.
+            series: The strokes.
+            episodes: Receives an episode for the baseline and for each stroke, as it begins.
+            monitor: Monitor of the fingertips.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
-        found = Found()
+        monitor.restart()
+        await self._follow_as_episode(series, None, [series.baseline], episodes)
+        monitor.set_baseline()
+        for stroke in series.strokes:
+            await self._resumed()
+            while not await self._make_unless_paused(series, stroke, episodes, monitor):
+                await self._resumed()
+                up = raise_pose(_pose(self._arm.state), series.surface.pose, series.clearance)
+                await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
+            self.strokes += 1
+
+    async def follow(self, steps: Sequence[Step]) -> Contact:
+        """Move along a path from the arm's pose.
+
+        Returns:
+            The result of its touchdown.
+
+        Raises:
+            EndpointError: if the arm had to be stopped.
+        """
+        contact = Contact()
         for step in steps:
             start = _pose(self._arm.state)
             seconds = step.seconds(start)
@@ -145,27 +108,27 @@ class Driver:
                     await self._arm.line(pose, speed, acceleration, seconds)
                 case Slide(velocity, time, acceleration):
                     await self._arm.slide(velocity, time, acceleration)
-                case Trace(places, speed, acceleration):
-                    await self._arm.trace(places, speed, acceleration, seconds)
-                case Wait(time):
-                    await self._arm.wait(time)
+                case Trace(points, speed, acceleration):
+                    await self._arm.trace(points, speed, acceleration, seconds)
                 case Tare(time):
                     await self._arm.tare(time)
-                case Touchdown(way, force, speed, acceleration):
-                    felt = await self._arm.touch(way, force, speed, acceleration)
-                    found = Found(step.spared(start, _pose(self._arm.state)), felt)
-        return found
+                case Wait(time):
+                    await self._arm.wait(time)
+                case Touchdown(path, force, speed, acceleration):
+                    found = await self._arm.touch(path, force, speed, acceleration)
+                    contact = Contact(step.shortfall(start, _pose(self._arm.state)), found)
+        return contact
 
     async def _resumed(self) -> None:
-        """Wait until it may go on; the arm may have to be stopped meanwhile, too."""
+        """Wait while paused; raise if the arm has to be stopped meanwhile."""
         while self.paused:
-            await self._arm.wait(_LOOK)
+            await self._arm.wait(_POLL)
 
-    async def _unless_paused(
-        self, session: Session, stroke: Stroke, episodes: list[Json], felt: Felt
+    async def _make_unless_paused(
+        self, series: StrokeSeries, stroke: Stroke, episodes: list[Json], monitor: ContactMonitor
     ) -> bool:
-        """Make a stroke; False: it was paused, and the arm stands."""
-        work = asyncio.create_task(self._make(session, stroke, episodes, felt))
+        """Make a stroke; return False if it was interrupted by a pause, with the arm at rest."""
+        work = asyncio.create_task(self._make(series, stroke, episodes, monitor))
         pause = asyncio.create_task(self._pause.wait())
         try:
             await asyncio.wait({work, pause}, return_when=asyncio.FIRST_COMPLETED)
@@ -180,30 +143,33 @@ class Driver:
                 await self._arm.stop()
         return False
 
-    async def _make(self, session: Session, stroke: Stroke, episodes: list[Json], felt: Felt) -> None:
-        found = await self.follow(stroke.approach)
-        felt.begin()
-        await self._noted(session, stroke, shifted(stroke.contact, found.spared), episodes, found)
-        untouched = felt.untouched()
+    async def _make(
+        self, series: StrokeSeries, stroke: Stroke, episodes: list[Json], monitor: ContactMonitor
+    ) -> None:
+        contact = await self.follow(stroke.approach)
+        monitor.restart()
+        steps = shift_steps(stroke.contact, contact.shortfall)
+        await self._follow_as_episode(series, stroke, steps, episodes, contact)
+        without_contact = monitor.without_contact()
         await self.follow(stroke.retreat)
-        if untouched and not self._blind:
+        if without_contact and self._require_contact:
             self._arm.fail(
-                f"fingertip {untouched[0]} felt nothing of a stroke: it has to just touch the surface"
-                " at the place that was given, or else at the beginning; --unfelt goes on all the same"
+                f"fingertip {without_contact[0]} measured no contact in a stroke: at the start, or at the"
+                " planned pose, it must just touch the surface (limits.require_contact = false ignores this)"
             )
-            await self._arm.wait(_LOOK)  # raises
+            await self._arm.wait(_POLL)  # raises
 
-    async def _noted(
+    async def _follow_as_episode(
         self,
-        session: Session,
+        series: StrokeSeries,
         stroke: Stroke | None,
         steps: Sequence[Step],
         episodes: list[Json],
-        found: Found = Found(),  # noqa: B008 - it never changes
+        contact: Contact = Contact(),  # noqa: B008 - immutable
     ) -> None:
-        """Follow steps as an episode; None is staying in the air."""
-        start, place = self._clock.now(), session.surface.place
-        longest = sum(2 * step.seconds(place) + 2 for step in steps)  # s; what the arm is given
+        """Follow steps and note them as an episode; None stands for the baseline."""
+        start, pose = self._clock.now(), series.surface.pose
+        longest = sum(2 * step.seconds(pose) + 2 for step in steps)  # s, the arm's own time limit
         episode: dict[str, Json] = {
             "start": start,
             "end": start + round(longest * s),
@@ -211,10 +177,12 @@ class Driver:
             "axis": stroke.axis if stroke else "primary",
             "direction_deg": stroke.direction_deg if stroke else 0.0,
             "speed": stroke.speed if stroke else 0.0,
-            "curvature": session.surface.curvature,
-            "split": session.split,
-            "depth": stroke.depth - math.hypot(*found.spared) if stroke else None,  # m beyond the first touch
-            "force": found.force,  # N at its beginning, where it was sought
+            "curvature": series.surface.shape,
+            "split": series.split,
+            "depth": stroke.depth - math.hypot(*contact.shortfall)
+            if stroke
+            else None,  # m after first contact
+            "force": contact.force,  # N at its beginning, if pressed with a force
         }
         episodes.append(episode)
         try:

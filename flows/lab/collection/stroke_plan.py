@@ -1,193 +1,256 @@
-"""Collection plans for a real arm: what to record on which surface, and the path that does it. Pure.
+"""Collection plan for a real arm: strokes to record on each surface, and the path that makes them. No I/O.
 
-As in "Under Pressure" (2021): one fingertip over a surface at 0.05, 0.075 and 0.1 m/s in eight directions,
-and turned at 1 rad/s. Each stroke comes down onto the surface, rests, slides through the middle of the place,
-rests, and goes up again; the way to the next leads through the air.
+As in "Under Pressure" (2021), one fingertip slides over a surface at 0.05, 0.075 and 0.1 m/s in eight
+directions, and rotates at 1 rad/s. Each stroke moves down onto the surface, rests, slides through its middle,
+rests, and moves up again; the way to the next one leads through the air.
 
-A stroke is pressed by a depth beyond the first touch, or comes down until a force is felt and keeps to the
-depth that it found there. Over a curved surface it follows the arc: the fingertip goes up and down with the
-surface under it. It is not turned: that it lies flat on a slope is up to the finger, which has to give way.
+A stroke is pressed to a depth after first contact, or moves down until a force is measured and keeps the
+depth found there. Over a curved surface it follows the arc at constant orientation: a slope asks for a
+compliant finger.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
-from types import MappingProxyType
-from typing import Final
+from typing import Annotated, Final, TypeAlias
 
 import numpy as np
 
+from connectors.sim.scene import Curvature
+from connectors.ur.control_process import WATCHDOG, Pose
+from connectors.ur.path_follower import Point
+from flows.graph.quantity import Duration, Force, Length, Speed
 from flows.lab.collection.arm_path import (
     Extent,
     Line,
-    Place,
-    Pose,
     Slide,
     Step,
     Tare,
     Touchdown,
     Trace,
     Wait,
-    beside,
-    heading,
+    offset_pose,
+    spin_velocity,
 )
-from flows.lab.collection.surfaces import Surface
+from flows.lab.collection.surfaces import RADIUS, Surface
 from flows.learn.splits import TURNS
+from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
 
+Seconds: TypeAlias = Annotated[float, "s"]
+
+MAX_DEPTH: Final = 0.006  # m, deepest press; a fingertip yields by a few mm
+MAX_SPEED: Final = 0.3  # m/s; above it `Label` gives no label
+MIN_SENSOR_TIMEOUT: Final = 0.05  # s; a fingertip is sampled every 10 ms
+MIN_WATCHDOG: Final = 0.1  # Hz
 _DIRECTIONS: Final = 8
-DEEPEST: Final = 0.006  # m beyond the first touch, that a plan may go
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedSurface:
+    """Surface of a plan, see `Surface`; without a pose it is where the arm stands at the start."""
+
+    shape: Curvature = "plane"
+    radius: Length = RADIUS
+    pose: Pose | None = None
+
+    def __post_init__(self) -> None:
+        self.located((0.0,) * 6)
+
+    def located(self, here: Pose) -> Surface:
+        """Return the surface for an arm at a pose."""
+        return Surface(self.shape, self.pose or here, self.radius)
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """Settings for pressing the fingertip onto a surface; the keys of [press] in a plan file."""
+
+    depth: Length = 0.0015
+    force: Force | None = None
+    max_depth: Length = 0.004
+    search_height: Length = 0.001
+    search_speed: Speed = 0.002
+    tare_time: Seconds = 0.2
+
+    def __post_init__(self) -> None:
+        check_between("Press", "depth", self.depth, 0, MAX_DEPTH, unit="m")
+        check_between("Press", "max_depth", self.max_depth, 0, MAX_DEPTH, unit="m")
+        for name in ("max_depth", "search_height", "search_speed", "tare_time"):
+            check_above("Press", name, getattr(self, name), 0)
+        if self.force is not None:
+            check_above("Press", "force", self.force, 0, "N")
+
+    @property
+    def deepest(self) -> float:
+        """Greatest depth that is planned, m after first contact."""
+        return self.depth if self.force is None else self.max_depth
+
+
+@dataclass(frozen=True, slots=True)
+class PathSettings:
+    """Times, speeds and heights of the path; the keys of [path] in a plan file."""
+
+    slide_time: Seconds = 0.6
+    rotation_time: Seconds = 1.2
+    rotation_speed: float = 1.0  # rad/s; paper
+    rotation_acceleration: float = 1.0  # rad/s2
+    rest: Seconds = 0.4
+    baseline: Seconds = 1.5
+    clearance: Length = 0.01
+    travel_speed: Speed = 0.1
+    press_speed: Speed = 0.02
+    acceleration: float = 0.5  # m/s2
+
+    def __post_init__(self) -> None:
+        for name in self.__slots__:
+            if name != "rest":
+                check_above("PathSettings", name, getattr(self, name), 0)
+        check_at_least("PathSettings", "rest", self.rest, 0, "s")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Safety limits, at which the arm is stopped; the keys of [limits] in a plan file."""
+
+    force: Force = 50.0
+    workspace: tuple[float, float, float, float, float, float] | None = None  # m
+    margin: Length = 0.005
+    sensor_timeout: Seconds = 0.3
+    watchdog: float = WATCHDOG  # Hz
+    require_contact: bool = True
+
+    def __post_init__(self) -> None:
+        check_above("Limits", "force", self.force, 0, "N")
+        check_above("Limits", "margin", self.margin, 0, "m")
+        check_at_least("Limits", "sensor_timeout", self.sensor_timeout, MIN_SENSOR_TIMEOUT, "s")
+        check_at_least("Limits", "watchdog", self.watchdog, MIN_WATCHDOG, "Hz")
 
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """One touch of the surface."""
+    """One contact with the surface."""
 
     direction_deg: float  # in the fingertip's plane, anticlockwise from x
     speed: float  # m/s; rad/s of a rotation, anticlockwise
-    spins: bool
+    rotates: bool
     approach: tuple[Step, ...]  # through the air, and down
     contact: tuple[Step, ...]
     retreat: tuple[Step, ...]
-    depth: float  # m beyond the first touch; the deepest where a force is sought
+    depth: float  # m after first contact; the greatest one if pressed with a force
 
     @property
     def motion(self) -> str:
-        """What a dataset calls it."""
-        return "rotation" if self.spins else "translation"
+        """Kind of motion, as datasets name it."""
+        return "rotation" if self.rotates else "translation"
 
     @property
     def axis(self) -> str:
-        """Whether it goes along an axis of the fingertip or across both."""
+        """Direction class: primary along an axis of the fingertip, oblique across both."""
         return "oblique" if self.direction_deg % 90 else "primary"
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """All of it."""
+        """All steps of the stroke."""
         return *self.approach, *self.contact, *self.retreat
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
-    """What becomes one session of the dataset: strokes over one surface at one speed."""
+class StrokeSeries:
+    """Strokes over one surface at one speed, which are recorded as one session of the dataset."""
 
     name: str
     surface: Surface
     speed: float | None  # m/s; None: rotations
-    begin: Line  # to where it begins, in the air
-    clearance: float  # m above the surface's middle, in the air
-    air: Wait  # for the baseline
+    begin: Line  # to the start, in the air
+    clearance: float  # m above the middle of the surface, in the air
+    baseline: Wait
     strokes: tuple[Stroke, ...]
     split: str
-    depth: float | None  # m, by which it presses beyond the first touch; None: with a force
-    force: float | None  # N
+    press: Press
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """Its path from anywhere; it ends in the air."""
-        return self.begin, self.air, *chain.from_iterable(stroke.steps for stroke in self.strokes)
-
-
-_POSITIVE: Final = (
-    *("time", "turn", "air", "clearance", "travel", "press", "acceleration", "spin"),
-    *("deepest", "near", "touch", "tare"),
-)
+        """Path from anywhere; it ends in the air."""
+        return self.begin, self.baseline, *chain.from_iterable(stroke.steps for stroke in self.strokes)
 
 
 @dataclass(frozen=True, slots=True)
-class StrokePlan:
-    """What to collect on each surface, and how.
+class CollectionPlan:
+    """Strokes to collect on each surface; the keys of a plan file. The defaults are the paper's.
 
     Raises:
-        ParameterError: on a value that cannot be.
+        ParameterError: on an invalid value.
 
-    >>> plan = PLANS["tiny"]
-    >>> sessions = plan.sessions([Surface("plane", (0.4, 0, 0.1, math.pi, 0, 0))], seed=0)
-    >>> [(session.name, len(session.strokes)) for session in sessions]
+    >>> plan = CollectionPlan(speeds=(0.05,), repeats=1, rotations=1, rounds=1)
+    >>> [(series.name, len(series.strokes)) for series in plan.series((0.4, 0, 0.1, math.pi, 0, 0), seed=0)]
     [('plane-050-01', 8), ('plane-rotation-01', 8)]
     """
 
-    speeds: tuple[float, ...] = (0.05, 0.075, 0.1)  # m/s; paper
-    repeats: int = 9  # sessions of each speed
-    rotations: int = 5  # sessions of turns at 1 rad/s
-    rounds: int = 2  # of eight strokes in a session
-    depth: float = 0.0015  # m, by which the fingertip is pressed beyond its first touch
-    force: float | None = None  # N, that it is pressed with instead
-    deepest: float = 0.004  # m beyond the first touch, where the force has to be felt at the latest
-    near: float = 0.001  # m above the surface, from where the force is sought
-    touch: float = 0.002  # m/s, meanwhile; the force goes on growing until the arm stands
-    tare: float = 0.2  # s in the air, to learn what force is told when nothing is touched
-    time: float = 0.6  # s at its speed that take as far as a slide
-    turn: float = 1.2  # s, of a rotation
-    rest: float = 0.4  # s, in contact before and after a slide
-    air: float = 1.5  # s, that a session begins with; the baseline takes one
-    clearance: float = 0.01  # m above the surface, in the air
-    travel: float = 0.1  # m/s through the air
-    press: float = 0.02  # m/s down and up
-    acceleration: float = 0.5  # m/s2
-    spin: float = 1.0  # rad/s; paper
-    spin_acceleration: float = 1.0  # rad/s2
+    name: str = "paper"
+    speeds: tuple[Speed, ...] = (0.05, 0.075, 0.1)
+    repeats: int = 9
+    rotations: int = 5
+    rounds: int = 2
+    label_delay: Duration = 0
+    surfaces: tuple[PlannedSurface, ...] = (PlannedSurface(),)
+    press: Press = Press()
+    path: PathSettings = PathSettings()
+    limits: Limits = Limits()
 
     def __post_init__(self) -> None:
-        for name in _POSITIVE:
-            if not getattr(self, name) > 0:
-                raise ParameterError("StrokePlan", name, getattr(self, name), "above 0")
-        for name in ("repeats", "rotations", "rounds", "depth", "rest"):
-            if not getattr(self, name) >= 0:
-                raise ParameterError("StrokePlan", name, getattr(self, name), "0 or above")
-        for name in ("depth", "deepest"):
-            if not getattr(self, name) <= DEEPEST:
-                must_be = f"at most {1000 * DEEPEST:g} mm, {DEEPEST} m: a fingertip gives way by a few mm"
-                raise ParameterError("StrokePlan", name, getattr(self, name), must_be)
-        if self.force is not None and not self.force > 0:
-            raise ParameterError("StrokePlan", "force", self.force, "above 0 N")
-        if self.near > self.clearance:
-            raise ParameterError(
-                "StrokePlan", "near", self.near, f"at most the clearance, {self.clearance} m"
-            )
-        if not all(0 < speed < 0.3 for speed in self.speeds):  # noqa: PLR2004 - the label's limit
-            raise ParameterError("StrokePlan", "speeds", self.speeds, "above 0 and below 0.3 m/s")
+        if not all(0 < speed < MAX_SPEED for speed in self.speeds):
+            raise ParameterError(self.name, "speeds", self.speeds, f"above 0 and below {MAX_SPEED} m/s")
+        for name in ("repeats", "rotations"):
+            check_at_least(self.name, name, getattr(self, name), 0)
+        check_at_least(self.name, "rounds", self.rounds, 1)
+        if not self.rotations and not (self.repeats and self.speeds):
+            raise ParameterError(self.name, "repeats", self.repeats, "1 or more, or give rotations")
+        poses = [each.pose for each in self.surfaces]
+        if not poses or len(set(poses)) < len(poses):
+            must_be = "one or more tables [[surfaces]], each with a different pose"
+            raise ParameterError(self.name, "surfaces", len(poses), must_be)
+        if self.press.search_height > self.path.clearance:
+            must_be = f"at most the clearance, {self.path.clearance} m"
+            raise ParameterError(self.name, "press.search_height", self.press.search_height, must_be)
+        if self.press.force is not None and self.press.force >= self.limits.force:
+            must_be = f"below the force limit, {self.limits.force:g} N"
+            raise ParameterError(self.name, "press.force", self.press.force, must_be)
 
-    def sessions(self, surfaces: Sequence[Surface], seed: int) -> list[Session]:
-        """All sessions, surface by surface; the order of directions, and the splits, are drawn.
+    def series(self, here: Pose, seed: int) -> list[StrokeSeries]:
+        """Return all series, surface by surface, for an arm at a pose; directions are in random order.
 
-        Like sessions (of a surface and a speed) are split by turns, so that each split has its share.
+        Each surface, speed and split appears in the same proportion (`TURNS`).
+
+        Args:
+            here: Pose of the surface that has none in the plan.
+            seed: Random seed; the same seed gives the same series.
 
         Raises:
-            ParameterError: if there is nothing to do, or a stroke goes too far over the side of a surface.
+            ParameterError: if a surface is too steep at the end of a stroke.
         """
         random = np.random.default_rng(seed)
         speeds = [speed for speed in self.speeds for _ in range(self.repeats)] + [None] * self.rotations
-        if not (surfaces and speeds and self.rounds):
-            raise ParameterError("StrokePlan", "sessions", 0, "1 or more")
-        counted, sessions, first = dict[str, int](), list[Session](), int(random.integers(len(TURNS)))
-        for surface in surfaces:
+        counted, series, first = dict[str, int](), list[StrokeSeries](), int(random.integers(len(TURNS)))
+        for surface in (each.located(here) for each in self.surfaces):
             for speed in speeds:
-                kind = "rotation" if speed is None else f"{1000 * speed:03.0f}"
-                group = f"{surface.curvature}-{kind}"
+                group = f"{surface.shape}-{'rotation' if speed is None else f'{1000 * speed:03.0f}'}"
                 counted[group] = counted.get(group, 0) + 1
-                strokes = tuple(self._strokes(surface, speed, random))
-                sessions.append(
-                    Session(
+                series.append(
+                    StrokeSeries(
                         f"{group}-{counted[group]:02d}",
                         surface,
                         speed,
                         self._through_air(surface, 0.0, 0.0),
-                        self.clearance,
-                        Wait(self.air),
-                        strokes,
-                        TURNS[(first + len(sessions)) % len(TURNS)],
-                        self.depth if self.force is None else None,
-                        self.force,
+                        self.path.clearance,
+                        Wait(self.path.baseline),
+                        tuple(self._strokes(surface, speed, random)),
+                        TURNS[(first + len(series)) % len(TURNS)],
+                        self.press,
                     )
                 )
-        return sessions
-
-    @property
-    def _deep(self) -> float:
-        """How far a stroke is planned to go beyond the first touch, m."""
-        return self.depth if self.force is None else self.deepest
+        return series
 
     def _strokes(
         self, surface: Surface, speed: float | None, random: np.random.Generator
@@ -195,84 +258,73 @@ class StrokePlan:
         for _ in range(self.rounds):
             for number, direction in enumerate(random.permutation(_DIRECTIONS).tolist()):
                 if speed is None:
-                    yield self._rotation(surface, self.spin if number % 2 else -self.spin)
+                    spin = self.path.rotation_speed
+                    yield self._rotation(surface, spin if number % 2 else -spin)
                 else:
                     yield self._translation(surface, 45.0 * direction, speed)
 
     def _rotation(self, surface: Surface, spin: float) -> Stroke:
-        slide = Slide(heading(surface.place, (0.0, 0.0, 0.0), spin), self.turn, self.spin_acceleration)
-        ramp = abs(spin) / self.spin_acceleration
-        angle = spin * (self.turn if ramp <= self.turn else self.turn**2 / ramp)
-        begin = replace(surface, place=beside(surface.place, yaw=-angle / 2))
-        end = replace(surface, place=slide.end(begin.place))
+        time, acceleration = self.path.rotation_time, self.path.rotation_acceleration
+        slide = Slide(spin_velocity(surface.pose, spin), time, acceleration)
+        ramp = abs(spin) / acceleration
+        angle = spin * (time if ramp <= time else time**2 / ramp)
+        begin = replace(surface, pose=offset_pose(surface.pose, yaw=-angle / 2))
+        end = replace(surface, pose=slide.end(begin.pose))
         return Stroke(
             0.0,
             spin,
-            spins=True,
+            rotates=True,
             approach=self._approach(begin, 0.0, 0.0),
-            contact=(Wait(self.rest), slide, Wait(self.rest)),
+            contact=(Wait(self.path.rest), slide, Wait(self.path.rest)),
             retreat=(self._retreat(end, 0.0, 0.0),),
-            depth=self._deep,
+            depth=self.press.deepest,
         )
 
     def _translation(self, surface: Surface, direction_deg: float, speed: float) -> Stroke:
-        along, half = math.radians(direction_deg), speed * self.time / 2
+        along, half = math.radians(direction_deg), speed * self.path.slide_time / 2
         x, y = half * math.cos(along), half * math.sin(along)
-        places = [surface.at(part * x, part * y, self._deep) for part in surface.bends(x, y)]
+        poses = [surface.at(part * x, part * y, self.press.deepest) for part in surface.waypoints(x, y)]
         slide: Step
-        if len(places) > 1:
-            slide = Trace(tuple(place[:3] for place in places), speed, self.acceleration)
-        else:  # by its end: the controller keeps to it, however late we are
-            slide = Line(places[0], speed, self.acceleration)
+        if len(poses) > 1:
+            slide = Trace(tuple(pose[:3] for pose in poses), speed, self.path.acceleration)
+        else:  # by its end pose: the controller reaches it, whatever our delays
+            slide = Line(poses[0], speed, self.path.acceleration)
         return Stroke(
             direction_deg,
             speed,
-            spins=False,
+            rotates=False,
             approach=self._approach(surface, -x, -y),
-            contact=(Wait(self.rest), slide, Wait(self.rest)),
+            contact=(Wait(self.path.rest), slide, Wait(self.path.rest)),
             retreat=(self._retreat(surface, x, y),),
-            depth=self._deep,
+            depth=self.press.deepest,
         )
 
     def _approach(self, surface: Surface, x: float, y: float) -> tuple[Step, ...]:
-        """Through the air to above a point beside the middle (m), and down onto it."""
+        """Return the steps through the air to above an offset (m) from the middle, and down onto it."""
+        press, path = self.press, self.path
         above = self._through_air(surface, x, y)
-        if self.force is None:
-            return above, Line(surface.at(x, y, self.depth), self.press, self.acceleration)
-        near, deepest = surface.at(x, y, -self.near), surface.at(x, y, self.deepest)
-        way: Place = deepest[0] - near[0], deepest[1] - near[1], deepest[2] - near[2]
+        if press.force is None:
+            return above, Line(surface.at(x, y, press.depth), path.press_speed, path.acceleration)
+        near, deepest = surface.at(x, y, -press.search_height), surface.at(x, y, press.max_depth)
+        down: Point = deepest[0] - near[0], deepest[1] - near[1], deepest[2] - near[2]
         return (
             above,
-            Tare(self.tare),
-            Line(near, self.press, self.acceleration),
-            Touchdown(way, self.force, self.touch, self.acceleration),
+            Tare(press.tare_time),
+            Line(near, path.press_speed, path.acceleration),
+            Touchdown(down, press.force, press.search_speed, path.acceleration),
         )
 
     def _retreat(self, surface: Surface, x: float, y: float) -> Line:
-        return replace(self._through_air(surface, x, y), speed=self.press)
+        return replace(self._through_air(surface, x, y), speed=self.path.press_speed)
 
     def _through_air(self, surface: Surface, x: float, y: float) -> Line:
-        """The way to above a point beside the middle (m), all as high: so it leads over the middle, too."""
-        return Line(beside(surface.place, (x, y, -self.clearance)), self.travel, self.acceleration)
+        """Return the move to above an offset (m) from the middle; all are at one height, above the middle."""
+        path = self.path
+        pose = offset_pose(surface.pose, (x, y, -path.clearance))
+        return Line(pose, path.travel_speed, path.acceleration)
 
 
-PLANS: Final[Mapping[str, StrokePlan]] = MappingProxyType(
-    {"paper": StrokePlan(), "tiny": StrokePlan(speeds=(0.05,), repeats=1, rotations=1, rounds=1, rest=0.3)}
-)
-
-
-def named(name: str) -> StrokePlan:
-    """A built-in plan.
-
-    Raises:
-        ParameterError: if there is none of that name.
-    """
-    if name not in PLANS:
-        raise ParameterError("collect", "plan", name, f"one of {', '.join(PLANS)}")
-    return PLANS[name]
-
-
-def extent(sessions: Sequence[Session], start: Pose | None = None) -> Extent:
-    """How far all sessions reach and how long they take, from a pose or from above the first surface."""
-    begin = sessions[0].begin.pose if start is None else start
-    return Extent.of(chain.from_iterable(session.steps for session in sessions), begin)
+def total_extent(series: Sequence[StrokeSeries], start: Pose | None = None) -> Extent:
+    """Return the extent of all series, from a pose or from above the first surface."""
+    begin = series[0].begin.pose if start is None else start
+    return Extent.of(chain.from_iterable(each.steps for each in series), begin)

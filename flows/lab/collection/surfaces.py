@@ -1,101 +1,77 @@
-"""What is slid over: a plane, a sphere, or a cylinder that lies down; where the fingertip is on it. Pure."""
+"""Geometry of the surfaces over which strokes lead: a plane, a sphere, or a horizontal cylinder. No I/O."""
 
 import math
 from dataclasses import dataclass
-from typing import Final, NamedTuple, get_args
+from typing import Final, get_args
 
 from connectors.sim.relief import drop
 from connectors.sim.scene import Curvature, Scene
-from flows.lab.collection.arm_path import Pose, beside
+from connectors.ur.control_process import Pose
+from flows.lab.collection.arm_path import offset_pose
+from operators.checks import check_between, check_choice
 from operators.errors import ParameterError
 
 RADIUS: Final = Scene().radius  # m, of curved surfaces, as in the simulated rig
-LEAST: Final = 0.001  # m, of a radius
-MOST: Final = 1.0  # m; what is flatter is a plane
-STEEPEST: Final = math.radians(45)  # of a surface, at the end of a stroke
-_FLAT: Final = 1e-6  # rad, of a slope that is none
-_BEND: Final = 0.002  # m, from place to place along an arc
+MIN_RADIUS: Final = 0.001  # m
+MAX_RADIUS: Final = 1.0  # m; a flatter surface is a plane
+STEEPEST: Final = math.radians(45)  # slope at the end of a stroke
+_FLAT: Final = 1e-6  # rad, slope below which a path is straight
+_SPACING: Final = 0.002  # m, between the points along an arc
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What is slid over.
+    """A surface at a pose.
+
+    Attributes:
+        shape: One of plane, sphere, cylinder_x, cylinder_y (axis along the fingertip's x or y).
+        pose: TCP pose at which the fingertip just touches the middle of the surface, its highest point.
+        radius: Radius of a curved surface, m.
 
     Raises:
-        ParameterError: on a curvature that there is not.
+        ParameterError: on an unknown shape, or a radius out of range.
     """
 
-    curvature: Curvature
-    place: Pose  # where the fingertip just touches it, in the middle, which is its highest point
-    radius: float = RADIUS  # m, of a curved one
+    shape: Curvature
+    pose: Pose
+    radius: float = RADIUS
 
     def __post_init__(self) -> None:
-        if self.curvature not in get_args(Curvature):
-            known = ", ".join(get_args(Curvature))
-            raise ParameterError("Surface", "curvature", self.curvature, f"one of {known}")
-        if not LEAST <= self.radius <= MOST:
-            raise ParameterError("Surface", "radius", self.radius, f"from {LEAST} to {MOST} m")
+        check_choice("Surface", "shape", self.shape, get_args(Curvature))
+        check_between("Surface", "radius", self.radius, MIN_RADIUS, MAX_RADIUS, unit="m")
 
     @property
     def curvatures(self) -> tuple[float, float]:
-        """Along the fingertip's x and along its y, 1/m."""
-        return Scene(curvature=self.curvature, radius=self.radius).curvatures
+        """Curvatures along the fingertip's x and y, 1/m."""
+        return Scene(curvature=self.shape, radius=self.radius).curvatures
 
     def at(self, x: float, y: float, depth: float = 0.0) -> Pose:
-        """Where the fingertip is when it has been pressed in by a depth (m), beside the middle (m).
+        """Return the pose of the fingertip pressed by a depth (m) at an offset (m) from the middle.
 
         >>> round(Surface("sphere", (0.4, 0, 0.1, math.pi, 0, 0), radius=0.05).at(0.03, 0.0)[2], 6)
         0.09
         """
-        return beside(self.place, (x, y, drop(self.curvatures, x, y) + depth))
+        return offset_pose(self.pose, (x, y, drop(self.curvatures, x, y) + depth))
 
-    def bends(self, x: float, y: float) -> list[float]:
-        """Where the way to a point beside the middle (m), from opposite it, bends, as parts of x and y.
+    def waypoints(self, x: float, y: float) -> list[float]:
+        """Return the waypoints from (-x, -y) to (x, y) (m) over the surface, as multiples of (x, y).
 
-        The last one is 1, the end; along a straight way it is the only one.
+        The last one is 1, the end; on a straight path it is the only one.
 
         Raises:
-            ParameterError: if it leads too far over the side.
+            ParameterError: if the surface is too steep at the end.
 
         >>> plane = Surface("plane", (0.4, 0, 0.1, math.pi, 0, 0))
-        >>> plane.bends(0.03, 0.0)
+        >>> plane.waypoints(0.03, 0.0)
         [1.0]
         """
         kx, ky = self.curvatures
         slope, half = math.hypot(kx * x, ky * y), math.hypot(x, y)  # the sine of its angle; m
         if slope > math.sin(STEEPEST):
             least = slope * self.radius / math.sin(STEEPEST)
-            must_be = f"{least:.4f} m or more for strokes that reach {half:.4f} m beside its middle"
+            must_be = f"at least {least:.4f} m for strokes of {half:.4f} m to each side of the middle"
             raise ParameterError("Surface", "radius", self.radius, must_be)
         if slope < _FLAT:
             return [1.0]
-        bends = math.ceil(2 * half / _BEND)
-        return [2 * number / bends - 1 for number in range(1, bends + 1)]
-
-
-class Spot(NamedTuple):
-    """A surface that is asked for."""
-
-    curvature: Curvature
-    place: Pose | None = None  # see `Surface`; None: where the arm is
-    radius: float = RADIUS  # m
-
-    def surface(self, here: Pose) -> Surface:
-        """It, for an arm that is here."""
-        return Surface(self.curvature, self.place or here, self.radius)
-
-
-def apart(spots: list[Spot]) -> list[Spot]:
-    """Surfaces, each of which is somewhere else.
-
-    Raises:
-        ParameterError: if two are at one place.
-    """
-    places = [spot.place for spot in spots]
-    if len(set(places)) < len(places):
-        twice = next(place for place in places if places.count(place) > 1)
-        where = "where the arm is" if twice is None else list(twice)
-        raise ParameterError(
-            "collect", "surface", where, "a place for one surface: give each its @X,Y,Z,RX,RY,RZ"
-        )
-    return spots
+        steps = math.ceil(2 * half / _SPACING)
+        return [2 * number / steps - 1 for number in range(1, steps + 1)]

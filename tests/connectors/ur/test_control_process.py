@@ -20,7 +20,7 @@ from connectors.ur.control_process import (
     Stop,
     serve,
 )
-from operators import EndpointError
+from operators import InputError
 
 POSE = (0.4, 0.0, 0.1, 3.14, 0.0, 0.0)
 FORWARD = (0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -228,8 +228,8 @@ def test_a_rejected_command_ends_the_process(pipe: tuple[Connection, Connection]
 
 def test_the_error_without_ur_rtde_names_the_pip_command(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> None:
-        raise ImportError(name)
+        assert name == "rtde_control"
 
-    monkeypatch.setattr(control_process, "import_module", missing)
-    with pytest.raises(EndpointError, match=r"pip install -e '\.\[ur\]'"):
+    monkeypatch.setattr(control_process, "find_spec", missing)
+    with pytest.raises(InputError, match=r"pip install -e '\.\[ur\]'"):
         control_process.connect("robot")

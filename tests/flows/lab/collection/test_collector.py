@@ -1,4 +1,4 @@
-"""On the virtual lab: ur-rtde commands its controller, and smbus2 reads its fingertip."""
+"""Collections on the virtual lab, whose controller is commanded by ur-rtde."""
 
 import asyncio
 import importlib.util
@@ -6,8 +6,8 @@ import json
 import math
 import os
 import signal
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -19,10 +19,16 @@ from connectors.emulators.pressing_arm import STIFFNESS
 from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
 from connectors.sim.scene import Curvature, commanded_scene
 from connectors.sim.truth import Truth
-from flows.lab.collection.arm_path import Pose
-from flows.lab.collection.collection_run import Collected, Rigging, collect, room
-from flows.lab.collection.stroke_plan import Session, StrokePlan
-from flows.lab.collection.surfaces import Spot, Surface
+from connectors.ur.control_process import Pose
+from flows.lab.collection.collector import CollectionResult, Setup, collect, workspace
+from flows.lab.collection.stroke_plan import (
+    CollectionPlan,
+    Limits,
+    PathSettings,
+    PlannedSurface,
+    Press,
+    StrokeSeries,
+)
 from operators import (
     EVERY,
     SLIP,
@@ -37,7 +43,7 @@ from operators import (
     concat,
     s,
 )
-from storage import Session as Recorded
+from storage import Session
 from tests.connectors.emulators.faulty_ur import stop_in_emergency
 
 pytestmark = pytest.mark.skipif(
@@ -46,48 +52,50 @@ pytestmark = pytest.mark.skipif(
 
 HOST = f"127.0.{os.getpid() % 250 + 1}.3"  # of this process: ur-rtde knows one port only
 PLACE: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
-QUICK = StrokePlan(
-    speeds=(0.1,),
-    repeats=1,
-    rotations=0,
-    rounds=1,
-    time=0.4,
+PATH = PathSettings(
+    slide_time=0.4,
+    rotation_time=0.4,
     rest=0.1,
-    air=1.2,
+    baseline=1.2,
     clearance=0.004,
-    travel=0.3,
-    press=0.1,
+    travel_speed=0.3,
+    press_speed=0.1,
     acceleration=1.0,
 )
+QUICK = CollectionPlan("quick", speeds=(0.1,), repeats=1, rotations=0, rounds=1, path=PATH)
 FORCE = 1.5  # N
 
 
 @dataclass(frozen=True)
-class Few(StrokePlan):
-    """A plan of which only the first strokes of each session are made."""
+class ShortPlan(CollectionPlan):
+    """Plan with the first two strokes of each series only."""
 
-    strokes: int = 2
-
-    def sessions(self, surfaces: Sequence[Surface], seed: int) -> list[Session]:
-        """Those of the plan, cut short."""
-        whole = super().sessions(surfaces, seed)
-        return [replace(each, strokes=each.strokes[: self.strokes]) for each in whole]
+    def series(self, here: Pose, seed: int) -> list[StrokeSeries]:
+        whole = CollectionPlan.series(self, here, seed)
+        return [replace(each, strokes=each.strokes[:STROKES]) for each in whole]
 
 
-TURNS = replace(Few(**asdict(QUICK)), speeds=(), rotations=1, turn=0.4)
-FELT = replace(
-    Few(**asdict(QUICK)), speeds=(0.05,), force=FORCE, deepest=0.0025, near=0.0005, touch=0.004, tare=0.1
+STROKES = 2
+ROTATIONS = ShortPlan("rotations", speeds=(), rotations=1, rounds=1, path=PATH)
+PRESSED = ShortPlan(
+    "pressed",
+    speeds=(0.05,),
+    repeats=1,
+    rotations=0,
+    rounds=1,
+    path=PATH,
+    press=Press(force=FORCE, max_depth=0.0025, search_height=0.0005, search_speed=0.004, tare_time=0.1),
 )
 
 
 class Made(NamedTuple):
-    collected: Collected
+    collected: CollectionResult
     truth: Truth
     out: Path
 
     @property
-    def session(self) -> Recorded:
-        return Recorded.open(self.out / "sessions" / self.collected.runs[0].session)
+    def session(self) -> Session:
+        return Session.open(self.out / "sessions" / self.collected.runs[0].session)
 
     @property
     def about(self) -> dict[str, Any]:
@@ -97,7 +105,7 @@ class Made(NamedTuple):
 
 def made(
     out: Path,
-    plan: StrokePlan = QUICK,
+    plan: CollectionPlan = QUICK,
     act: Callable[[VirtualLab], None] | None = None,
     *,
     pressed: bool = True,
@@ -105,7 +113,7 @@ def made(
     place: Pose = PLACE,
     limit: float = 50.0,
 ) -> Made:
-    """What was collected on a virtual lab to which something is done, once it has `pressed` for a while."""
+    """Collect on a virtual lab; call `act` 0.8 s after the first press, or at once without `pressed`."""
 
     async def do(lab: VirtualLab) -> None:
         while pressed and not cast("Any", lab.controller.box.values(["actual_TCP_pose"])[0])[2] < 0:  # noqa: ASYNC110
@@ -115,10 +123,12 @@ def made(
 
     async def main() -> Made:
         async with virtual_lab(commanded_scene(surface), host=HOST) as lab:
-            rigging = Rigging(HOST, out, lab.bus, margin=0.05, force=limit, patience=1.0, watchdog=1.0)
+            limits = Limits(force=limit, margin=0.05, sensor_timeout=1.0, watchdog=1.0)  # for a busy host
+            surfaces = (PlannedSurface(surface, pose=place),)
+            planned = replace(plan, limits=limits, surfaces=surfaces)
             acting = asyncio.create_task(do(lab))
             async with asyncio.timeout(120):
-                collected = await collect(plan, [Spot(surface, place)], rigging, name="quick", seed=1)
+                collected = await collect(planned, Setup(HOST, out, lab.bus), seed=1)
             acting.cancel()
             lab.scene.advance(lab.scene.now())  # to see that the arm stands
             return Made(collected, lab.scene.truth(), out)
@@ -136,7 +146,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Made:
     return made(tmp_path_factory.mktemp("quick") / "data")
 
 
-def test_all_strokes_are_made_and_recorded_whole(quick: Made) -> None:
+def test_all_strokes_are_recorded_completely(quick: Made) -> None:
     collected = quick.collected
     assert (collected.strokes, collected.error, collected.interrupted) == (8, "", False)
     assert quick.about["complete"]
@@ -147,7 +157,7 @@ def test_all_strokes_are_made_and_recorded_whole(quick: Made) -> None:
     assert not collected.runs[0].sources["touch"].gaps
 
 
-def test_how_the_arms_clock_stood_is_recorded(quick: Made) -> None:
+def test_the_arms_clock_is_recorded(quick: Made) -> None:
     clocks = concat(Clocks, list(quick.session.read(Clocks, EVERY)))
     motion = concat(Motion, list(quick.session.read(Motion, EVERY)))
     watch = WatchClock()
@@ -157,7 +167,7 @@ def test_how_the_arms_clock_stood_is_recorded(quick: Made) -> None:
         np.testing.assert_array_equal(getattr(clocks, name), getattr(again, name))
 
 
-def test_labels_are_those_of_the_scenes_truth_within_one_sample(quick: Made) -> None:
+def test_labels_equal_the_ground_truth_within_one_sample(quick: Made) -> None:
     labelled, truth = concat(Labelled, list(quick.session.read(Labelled, 0))), quick.truth
     newer = np.clip(truth.time.searchsorted(labelled.time), 1, len(truth) - 1)  # (n,)
     nearest = newer - (labelled.time - truth.time[newer - 1] < truth.time[newer] - labelled.time)
@@ -203,19 +213,19 @@ def turns(tmp_path_factory: pytest.TempPathFactory) -> Made:
         signal.raise_signal(signal.SIGUSR1)
         asyncio.get_running_loop().call_later(1.5, signal.raise_signal, signal.SIGUSR1)
 
-    return made(tmp_path_factory.mktemp("turns") / "data", TURNS, pause)
+    return made(tmp_path_factory.mktemp("turns") / "data", ROTATIONS, pause)
 
 
 def test_rotations_slip_too(turns: Made) -> None:
-    assert (turns.collected.strokes, turns.collected.error) == (TURNS.strokes, "")
+    assert (turns.collected.strokes, turns.collected.error) == (STROKES, "")
     labelled = concat(Labelled, list(turns.session.read(Labelled, 0)))
-    assert (labelled.label == SLIP).sum() > TURNS.strokes * 20
+    assert (labelled.label == SLIP).sum() > STROKES * 20
     assert {each["motion"] for each in turns.session.frame("episodes").to_dicts()} == {"hold", "rotation"}
 
 
-def test_sigusr1_pauses_and_goes_on(turns: Made) -> None:
-    assert (turns.collected.strokes, turns.collected.error) == (TURNS.strokes, "")
-    assert len(turns.session.frame("episodes")) - TURNS.strokes in (
+def test_sigusr1_pauses_and_resumes(turns: Made) -> None:
+    assert (turns.collected.strokes, turns.collected.error) == (STROKES, "")
+    assert len(turns.session.frame("episodes")) - STROKES in (
         1,
         2,
     )  # with the interrupted one, if there was one
@@ -228,50 +238,50 @@ def test_sigusr1_pauses_and_goes_on(turns: Made) -> None:
 
 
 @pytest.fixture(scope="module")
-def felt(tmp_path_factory: pytest.TempPathFactory) -> Made:
+def pressed(tmp_path_factory: pytest.TempPathFactory) -> Made:
     """Strokes over a sphere, at a set force."""
-    return made(tmp_path_factory.mktemp("felt") / "data", FELT, surface="sphere")
+    return made(tmp_path_factory.mktemp("pressed") / "data", PRESSED, surface="sphere")
 
 
-def test_with_a_force_every_stroke_finds_its_depth_and_keeps_it_over_a_sphere(felt: Made) -> None:
-    assert (felt.collected.strokes, felt.collected.error) == (FELT.strokes, "")
-    _, *strokes = felt.session.frame("episodes").to_dicts()
-    assert len(strokes) == FELT.strokes
+def test_a_force_is_kept_over_a_sphere(pressed: Made) -> None:
+    assert (pressed.collected.strokes, pressed.collected.error) == (STROKES, "")
+    _, *strokes = pressed.session.frame("episodes").to_dicts()
+    assert len(strokes) == STROKES
     for each in strokes:
-        inside = (felt.truth.time >= each["start"]) & (felt.truth.time < each["end"])
-        force = felt.truth.force[inside]
+        inside = (pressed.truth.time >= each["start"]) & (pressed.truth.time < each["end"])
+        force = pressed.truth.force[inside]
         assert force[0] >= 0.95 * FORCE
         assert force.min() > 0.75 * FORCE
         assert force.max() < 1.5 * FORCE
 
 
-def test_over_a_sphere_strokes_keep_their_speed_along_the_arc(felt: Made) -> None:
-    motion = concat(Motion, list(felt.session.read(Motion, -1)))
-    _, *strokes = felt.session.frame("episodes").to_dicts()
+def test_the_speed_along_an_arc_is_kept(pressed: Made) -> None:
+    motion = concat(Motion, list(pressed.session.read(Motion, -1)))
+    _, *strokes = pressed.session.frame("episodes").to_dicts()
     for each in strokes:
         inside = (motion.time >= each["start"]) & (motion.time < each["end"])
         speed = np.linalg.norm(motion.velocity[inside, :3], axis=1)  # (n,)
         assert speed.max() < 1.03 * 0.05
-        assert (speed > 0.97 * 0.05).sum() / 125 > 0.7 * FELT.time
+        assert (speed > 0.97 * 0.05).sum() / 125 > 0.7 * PATH.slide_time
         low, high = (part(motion.pose[inside, 2]) for part in (np.min, np.max))
         assert high - low > 5e-4  # down the sides: 0.8 mm at 10 mm beside its middle
 
 
-def test_session_json_says_how_it_was_pressed(quick: Made, felt: Made) -> None:
-    pressed = [made.about["sources"]["collection"] for made in (quick, felt)]
-    assert [(each["depth"], each["force"], each["radius"]) for each in pressed] == [
-        (QUICK.depth, None, None),
+def test_session_json_has_depth_and_force(quick: Made, pressed: Made) -> None:
+    about = [made.about["sources"]["collection"] for made in (quick, pressed)]
+    assert [(each["depth"], each["force"], each["radius"]) for each in about] == [
+        (QUICK.press.depth, None, None),
         (None, FORCE, 0.06),
     ]
-    planned, found = (each["pressed"] for each in pressed)
-    assert [(each["depth"], each["force"]) for each in planned] == [(QUICK.depth, None)] * 8
-    for each in found:  # of which each stroke's own depth and force are told, too
+    planned, found = (each["pressed"] for each in about)
+    assert [(each["depth"], each["force"]) for each in planned] == [(QUICK.press.depth, None)] * 8
+    for each in found:
         assert 0.9 * FORCE < each["force"] < 1.4 * FORCE
         assert each["depth"] == pytest.approx(each["force"] / STIFFNESS, abs=1e-4)
 
 
 def interrupted(done: Made, why: str) -> None:
-    """It ended early, with the arm at rest and all that there was committed."""
+    """Check that a collection ended early, with the arm at rest and the recorded part committed."""
     assert why in done.collected.error
     assert done.collected.strokes < 8
     assert not done.about["complete"]
@@ -290,11 +300,11 @@ def test_an_emergency_stop_ends_the_collection(tmp_path: Path) -> None:
     )
 
 
-def test_a_sensor_that_is_lost_stops_the_arm(tmp_path: Path) -> None:
-    interrupted(made(tmp_path / "data", act=unplug), "has given no reading for 1 s")
+def test_a_lost_sensor_stops_the_arm(tmp_path: Path) -> None:
+    interrupted(made(tmp_path / "data", act=unplug), "has given no sample for 1 s")
 
 
-def test_ctrl_c_stops_the_arm_and_commits_even_while_it_is_paused(tmp_path: Path) -> None:
+def test_ctrl_c_stops_the_arm_and_commits_during_a_pause(tmp_path: Path) -> None:
     def pause(_: VirtualLab) -> None:
         signal.raise_signal(signal.SIGUSR1)
         asyncio.get_running_loop().call_later(1.0, signal.raise_signal, signal.SIGINT)
@@ -304,31 +314,31 @@ def test_ctrl_c_stops_the_arm_and_commits_even_while_it_is_paused(tmp_path: Path
     assert done.collected.interrupted
 
 
-def test_strokes_in_the_air_are_no_slip_and_end_the_collection(tmp_path: Path) -> None:
+def test_a_stroke_in_the_air_ends_the_collection(tmp_path: Path) -> None:
     done = made(tmp_path / "data", pressed=False, place=(*PLACE[:2], 0.003, *PLACE[3:]))
-    assert "fingertip 0 felt nothing of a stroke" in done.collected.error
-    assert "fingertip 0 felt nothing of a stroke" in done.about["error"]
+    assert "fingertip 0 measured no contact in a stroke" in done.collected.error
+    assert "fingertip 0 measured no contact in a stroke" in done.about["error"]
     assert not done.about["complete"]
     assert len(done.session.frame("episodes")) == 2  # the air, and one stroke
 
 
-def test_pressed_too_deep_the_arm_is_stopped_and_what_there_is_committed(tmp_path: Path) -> None:
-    deep = replace(QUICK, depth=0.006, air=1.8)  # 6 N
+def test_too_much_force_stops_the_arm_and_commits(tmp_path: Path) -> None:
+    deep = replace(QUICK, press=Press(depth=0.006), path=replace(PATH, baseline=1.8))  # 6 N
     interrupted(made(tmp_path / "data", deep, limit=3.0), "N, more than 3 N")
 
 
-def test_without_a_sensor_there_are_no_strokes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("flows.lab.collection.collection_run.APPEAR", 0.5)
+def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("flows.lab.collection.collector.FIRST_SAMPLE", 0.5)
     with pytest.raises(EndpointError, match=VIRTUAL):
         made(tmp_path / "data", act=unplug, pressed=False)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_path_that_leaves_the_workspace_is_refused_before_anything_moves() -> None:
-    sessions = QUICK.sessions([Surface("plane", PLACE)], seed=0)
+def test_a_path_outside_the_workspace_is_refused() -> None:
+    series = QUICK.series(PLACE, seed=0)
     with pytest.raises(ParameterError, match=r"from -0\.0200 to 0\.0200 m along x"):
-        room(sessions, None, ((-0.01, -1.0, -1.0), (0.01, 1.0, 1.0)))
+        workspace(series, None, Limits(workspace=(-0.01, -1.0, -1.0, 0.01, 1.0, 1.0)))
     with pytest.raises(ParameterError, match="along z"):  # where the arm is now counts
-        room(sessions, (0, 0, 0.5, math.pi, 0, 0), ((-0.1, -0.1, -0.1), (0.1, 0.1, 0.1)))
-    low, high = room(sessions, None, None, 0.01)
+        workspace(series, (0, 0, 0.5, math.pi, 0, 0), Limits(workspace=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
+    low, high = workspace(series, None, Limits(margin=0.01))
     np.testing.assert_allclose((low, high), ((-0.03, -0.03, -0.0115), (0.03, 0.03, 0.014)), atol=1e-9)

@@ -4,17 +4,17 @@ import subprocess
 import sys
 from threading import Thread
 
-from flows.lab.collection.signal_handlers import answered
+from flows.lab.collection.signal_handlers import signal_handlers
 
 WHILE = """
 import asyncio, os, signal
-from flows.lab.collection.signal_handlers import answered
+from flows.lab.collection.signal_handlers import signal_handlers
 
 async def main():
-    asked = asyncio.Event()
-    with answered({signal.SIGUSR1: asked.set}):
+    received = asyncio.Event()
+    with signal_handlers({signal.SIGUSR1: received.set}):
         os.kill(os.getpid(), signal.SIGUSR1)
-        await asked.wait()
+        await received.wait()
     os.kill(os.getpid(), signal.SIGUSR1)
 
 signal.signal(signal.SIGUSR1, signal.SIG_IGN)
@@ -24,19 +24,19 @@ print("alive")
 """
 
 
-def test_a_signal_is_answered_in_the_block_and_ignored_again_after_it() -> None:
+def test_a_signal_is_handled_in_the_block_and_ignored_again_after_it() -> None:
     done = subprocess.run([sys.executable, "-c", WHILE], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (0, "alive\n"), done.stderr
 
 
 def test_a_loop_that_sleeps_wakes_for_a_signal() -> None:
     async def main() -> None:
-        asked = asyncio.Event()
-        with answered({signal.SIGUSR2: asked.set}):
+        received = asyncio.Event()
+        with signal_handlers({signal.SIGUSR2: received.set}):
             sending = Thread(target=signal.raise_signal, args=(signal.SIGUSR2,))
             sending.start()
             async with asyncio.timeout(10):
-                await asked.wait()
+                await received.wait()
             sending.join()
 
     before = signal.getsignal(signal.SIGUSR2)
@@ -49,7 +49,7 @@ def test_outside_of_the_main_thread_nothing_is_changed() -> None:
     seen = list[object]()
 
     async def main() -> None:
-        with answered({signal.SIGUSR2: lambda: None}):
+        with signal_handlers({signal.SIGUSR2: lambda: None}):
             seen.append(signal.getsignal(signal.SIGUSR2))
 
     thread = Thread(target=asyncio.run, args=(main(),))

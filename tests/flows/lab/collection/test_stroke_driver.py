@@ -7,13 +7,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from connectors.ur.control_process import Pose
+from connectors.ur.path_follower import Point
+from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmState
 from flows.graph.testing import run_virtually
-from flows.lab.collection.arm_path import Extent, Place, Pose, Slide, Trace
-from flows.lab.collection.contact_monitor import Felt
-from flows.lab.collection.stroke_driver import Driver
-from flows.lab.collection.stroke_plan import Session, StrokePlan
-from flows.lab.collection.surfaces import Surface
+from flows.lab.collection.arm_path import Extent, Slide, Trace
+from flows.lab.collection.contact_monitor import ContactMonitor
+from flows.lab.collection.stroke_driver import StrokeDriver
+from flows.lab.collection.stroke_plan import CollectionPlan, PlannedSurface, Press, StrokeSeries
 from flows.run.clocks import LoopClock
 from operators import EndpointError, s
 from operators.ports import Json
@@ -24,14 +26,14 @@ REST = (0.0,) * 6
 
 @dataclass
 class TestArm:
-    """Is where it is sent as soon as the time for it has passed."""
+    """Arm that reaches each target after the planned time."""
 
     __test__ = False
     state: ArmState = field(default_factory=lambda: ArmState(PLACE, REST))
     ways: list[Pose] = field(default_factory=list[Pose])
     stops: int = 0
     fault: str = ""
-    surface: float = 0.002  # m below where it is sought
+    surface: float = 0.002  # m below the start of a search
     tared: list[float] = field(default_factory=list[float])  # m, heights
 
     async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
@@ -46,20 +48,20 @@ class TestArm:
         self.state = ArmState(slide.end(here), REST)
         self.ways.append(slide.end(here))
 
-    async def trace(self, places: Sequence[Place], speed: float, acceleration: float, seconds: float) -> None:
+    async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
         await self.wait(seconds)
-        self.state = ArmState((*places[-1], *self.state.pose[3:]), REST)
-        self.ways += [cast("Pose", (*place, *self.state.pose[3:])) for place in places]
+        self.state = ArmState((*points[-1], *self.state.pose[3:]), REST)
+        self.ways += [cast("Pose", (*point, *self.state.pose[3:])) for point in points]
 
     async def tare(self, seconds: float) -> None:
         await self.wait(seconds)
         self.tared.append(self.state.pose[2])
 
-    async def touch(self, way: Place, force: float, speed: float, acceleration: float) -> float:
-        part = self.surface / math.hypot(*way)  # of the way, until it is felt
-        await self.wait(part * math.hypot(*way) / speed)
+    async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float:
+        part = self.surface / math.hypot(*path)  # of the path, until contact
+        await self.wait(part * math.hypot(*path) / speed)
         x, y, z, *turned = self.state.pose
-        self.state = ArmState((x + part * way[0], y + part * way[1], z + part * way[2], *turned), REST)
+        self.state = ArmState((x + part * path[0], y + part * path[1], z + part * path[2], *turned), REST)
         return 1.1 * force
 
     async def wait(self, seconds: float) -> None:
@@ -74,51 +76,58 @@ class TestArm:
         self.fault = why
 
 
-class Pressed(Felt):
-    """Feels what a test says."""
+class TestMonitor(ContactMonitor):
+    """Monitor with a given result."""
 
-    def __init__(self, untouched: list[int]) -> None:
+    __test__ = False
+
+    def __init__(self, without_contact: list[int]) -> None:
         super().__init__()
-        self._untouched = untouched
+        self._without_contact = without_contact
 
-    def untouched(self) -> list[int]:
-        return self._untouched
+    def without_contact(self) -> list[int]:
+        return self._without_contact
 
 
-def session(strokes: int = 2, *, rotations: bool = False, force: float | None = None) -> Session:
-    plan = StrokePlan(
-        speeds=() if rotations else (0.1,), repeats=1, rotations=int(rotations), rounds=1, force=force
+def session(strokes: int = 2, *, rotations: bool = False, force: float | None = None) -> StrokeSeries:
+    plan = CollectionPlan(
+        speeds=() if rotations else (0.1,),
+        repeats=1,
+        rotations=int(rotations),
+        rounds=1,
+        surfaces=(PlannedSurface("sphere"),),
+        press=Press(force=force),
     )
-    (whole,) = plan.sessions([Surface("sphere", PLACE)], seed=0)
+    (whole,) = plan.series(PLACE, seed=0)
     return replace(whole, strokes=whole.strokes[:strokes])
 
 
 @dataclass
 class Driven:
     arm: TestArm
-    driver: Driver
+    driver: StrokeDriver
     episodes: list[dict[str, Any]]
     seconds: float
 
 
 def drive(
-    planned: Session,
+    planned: StrokeSeries,
     *acts: tuple[float, str],
     fault: str = "",
-    untouched: Sequence[int] = (),
-    blind: bool = False,
+    without_contact: Sequence[int] = (),
+    require_contact: bool = True,
 ) -> Driven:
-    """A session that was driven; acts of the driver (or a fault of the arm) come at their seconds."""
+    """Drive a series; call methods of the driver, or set a fault of the arm, at the given seconds."""
 
     async def main() -> Driven:
         clock, arm, episodes = LoopClock(0), TestArm(), list[Json]()
-        driver = Driver(arm, clock, blind=blind)
+        driver = StrokeDriver(cast("UrArm", arm), clock, require_contact=require_contact)
         await driver.follow([planned.begin])
         loop, began = asyncio.get_running_loop(), clock.now()
         for after, act in acts:
             loop.call_later(after, getattr(driver, act) if act else lambda: setattr(arm, "fault", fault))
         try:
-            await driver.carry_out(planned, episodes, Pressed([*untouched]))
+            await driver.make_strokes(planned, episodes, TestMonitor([*without_contact]))
         except EndpointError as error:
             assert fault in error.reason  # noqa: PT017 - it may also go well
             assert fault
@@ -128,7 +137,7 @@ def drive(
 
 
 @pytest.mark.parametrize("rotations", [False, True])
-def test_a_session_takes_its_path_and_the_time_that_was_planned(rotations: bool) -> None:  # noqa: FBT001
+def test_a_series_takes_its_planned_path_and_time(rotations: bool) -> None:  # noqa: FBT001
     planned = session(rotations=rotations)
     driven = drive(planned)
     reach = Extent.of(planned.steps, planned.begin.pose)
@@ -138,13 +147,13 @@ def test_a_session_takes_its_path_and_the_time_that_was_planned(rotations: bool)
     assert not driven.arm.stops
 
 
-def test_each_contact_is_an_episode_as_datasets_have_them() -> None:
+def test_each_contact_is_an_episode() -> None:
     planned = session(3)
     air, *strokes = drive(planned).episodes
     assert (air["motion"], (air["end"] - air["start"]) / s) == ("hold", pytest.approx(1.5))
     for stroke, episode in zip(planned.strokes, strokes, strict=True):
-        told = {key: episode[key] for key in episode if key not in ("start", "end")}
-        assert told == {
+        values = {key: episode[key] for key in episode if key not in ("start", "end")}
+        assert values == {
             "motion": "translation",
             "axis": stroke.axis,
             "direction_deg": stroke.direction_deg,
@@ -160,7 +169,7 @@ def test_each_contact_is_an_episode_as_datasets_have_them() -> None:
     assert all(a["end"] <= b["start"] for a, b in zip([air, *strokes], strokes, strict=False))
 
 
-def test_a_paused_stroke_is_stopped_raised_and_made_again() -> None:
+def test_a_paused_stroke_is_stopped_and_repeated_from_above() -> None:
     planned = session(2)
     driven = drive(planned, (3.5, "pause"), (60.0, "resume"))
     assert driven.arm.stops == 1
@@ -174,47 +183,47 @@ def test_a_paused_stroke_is_stopped_raised_and_made_again() -> None:
     np.testing.assert_allclose(raised[2], 0.11)
 
 
-def test_a_pause_between_strokes_makes_none_twice() -> None:
+def test_a_pause_between_strokes_repeats_none() -> None:
     driven = drive(session(2), (0.1, "pause"), (60.0, "resume"))  # while it is in the air
     assert [each["motion"] for each in driven.episodes] == ["hold", "translation", "translation"]
     assert driven.seconds > 60
 
 
-def test_an_arm_that_had_to_be_stopped_ends_the_session_and_its_episode() -> None:
+def test_a_stopped_arm_ends_the_series_and_its_episode() -> None:
     driven = drive(session(2), (3.5, ""), fault="emergency stop")
     assert driven.driver.strokes == 0
     assert driven.episodes[-1]["end"] <= driven.seconds * s + 1.5 * s
 
 
-def test_an_arm_that_has_to_be_stopped_while_it_is_paused_ends_at_once() -> None:
+def test_an_arm_stopped_during_a_pause_ends_the_series_at_once() -> None:
     driven = drive(session(2), (3.5, "pause"), (20.0, ""), fault="interrupted")
     assert driven.arm.fault == "interrupted"
     assert 20 <= driven.seconds < 20.1
 
 
-def test_a_stroke_that_a_fingertip_does_not_feel_is_the_last() -> None:
-    driven = drive(session(2), fault="fingertip 1 felt nothing of a stroke", untouched=[1])
+def test_a_stroke_without_contact_is_the_last() -> None:
+    driven = drive(session(2), fault="fingertip 1 measured no contact in a stroke", without_contact=[1])
     assert [each["motion"] for each in driven.episodes] == ["hold", "translation"]
     assert "just touch the surface" in driven.arm.fault
     assert driven.arm.state.pose[2] == pytest.approx(0.11)  # in the air again
 
 
-def test_who_wants_to_goes_on_unfelt() -> None:
-    driven = drive(session(2), untouched=[0], blind=True)
+def test_strokes_without_contact_can_be_allowed() -> None:
+    driven = drive(session(2), without_contact=[0], require_contact=False)
     assert (driven.driver.strokes, driven.arm.fault) == (2, "")
 
 
-def test_a_stroke_with_a_force_keeps_to_the_depth_at_which_it_was_felt() -> None:
+def test_a_stroke_with_a_force_keeps_the_depth_of_contact() -> None:
     planned = session(2, force=2.0)
     driven = drive(planned)
     assert driven.driver.strokes == 2
     traces = [step for stroke in planned.strokes for step in stroke.contact if isinstance(step, Trace)]
     ways = np.array([way[:3] for way in driven.arm.ways])  # (n, 3)
     first = 3  # of the stroke's ways, after those to begin, over it and near it
-    for trace in traces:  # felt 2 of 5 mm down
-        gone = ways[first : first + len(trace.places)]
-        np.testing.assert_allclose(gone, np.add(trace.places, (0, 0, 0.003)), atol=1e-9)
-        first += len(trace.places) + 3  # up, over the next, near it
+    for trace in traces:  # contact after 2 of 5 mm
+        gone = ways[first : first + len(trace.points)]
+        np.testing.assert_allclose(gone, np.add(trace.points, (0, 0, 0.003)), atol=1e-9)
+        first += len(trace.points) + 3  # up, over the next, near it
     _, *strokes = driven.episodes
     assert [each["depth"] for each in strokes] == pytest.approx([0.001] * 2)  # 2 mm from 1 mm above it
     assert [each["force"] for each in strokes] == pytest.approx([2.2] * 2)

@@ -6,28 +6,36 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flows.lab.collection.arm_path import Extent, Line, Pose, Slide, Tare, Touchdown, Trace, beside
-from flows.lab.collection.stroke_plan import PLANS, Session, StrokePlan, extent, named
-from flows.lab.collection.surfaces import Surface
+from connectors.ur.control_process import Pose
+from flows.lab.collection.arm_path import Extent, Line, Slide, Tare, Touchdown, Trace, offset_pose
+from flows.lab.collection.plan_file import load_plan
+from flows.lab.collection.stroke_plan import (
+    CollectionPlan,
+    Limits,
+    PathSettings,
+    PlannedSurface,
+    Press,
+    StrokeSeries,
+    total_extent,
+)
 from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
-PLANE = Surface("plane", PLACE)
 
 
-def only(plan: StrokePlan, place: Pose = PLACE) -> Session:
-    (session,) = plan.sessions([Surface("plane", place)], seed=0)
-    return session
+def only(plan: CollectionPlan, surface: PlannedSurface | None = None, place: Pose = PLACE) -> StrokeSeries:
+    (series,) = replace(plan, surfaces=(surface or PlannedSurface(),)).series(place, seed=0)
+    return series
 
 
-STROKES = StrokePlan(speeds=(0.1,), repeats=1, rotations=0)
-TURNS = StrokePlan(speeds=(), rotations=1)
+STROKES = CollectionPlan(speeds=(0.1,), repeats=1, rotations=0)
+TURNS = CollectionPlan(speeds=(), rotations=1)
 
 
-def test_the_papers_plan_has_every_surface_speed_and_direction_and_rotations() -> None:
-    surfaces = [Surface("plane", PLACE), Surface("sphere", beside(PLACE, (0.2, 0, 0)))]
-    sessions = PLANS["paper"].sessions(surfaces, seed=3)
-    counted = Counter((each.surface.curvature, each.speed) for each in sessions)
+def test_the_papers_plan_has_all_surfaces_speeds_directions_and_rotations() -> None:
+    surfaces = (PlannedSurface(), PlannedSurface("sphere", pose=offset_pose(PLACE, (0.2, 0, 0))))
+    sessions = replace(load_plan("paper"), surfaces=surfaces).series(PLACE, seed=3)
+    counted = Counter((each.surface.shape, each.speed) for each in sessions)
     assert counted == {
         (surface, speed): 5 if speed is None else 9
         for surface in ("plane", "sphere")
@@ -44,14 +52,14 @@ def test_the_papers_plan_has_every_surface_speed_and_direction_and_rotations() -
 
 @pytest.mark.parametrize("place", [PLACE, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
 def test_a_stroke_slides_through_the_middle_pressed_by_its_depth(place: Pose) -> None:
-    for stroke in only(STROKES, place).strokes:
+    for stroke in only(STROKES, place=place).strokes:
         down = stroke.approach[-1].end(place)
         (slide,) = [step for step in stroke.contact if isinstance(step, Line)]
         assert slide.speed == 0.1
         assert math.dist(down[:3], slide.pose[:3]) == pytest.approx(0.06)
         middle = [(a + b) / 2 for a, b in zip(down[:3], slide.pose[:3], strict=True)]
-        np.testing.assert_allclose(middle, beside(place, (0, 0, STROKES.depth))[:3], atol=1e-12)
-        forward = beside(
+        np.testing.assert_allclose(middle, offset_pose(place, (0, 0, STROKES.press.depth))[:3], atol=1e-12)
+        forward = offset_pose(
             (0, 0, 0, *place[3:]),
             (math.cos(math.radians(stroke.direction_deg)), math.sin(math.radians(stroke.direction_deg)), 0),
         )
@@ -65,11 +73,11 @@ def test_a_stroke_begins_and_ends_in_the_air() -> None:
         for stroke in only(plan).strokes:
             begin = Extent.of(stroke.approach[:1], PLACE).end
             end = Extent.of(stroke.steps, PLACE).end
-            assert begin[2] == pytest.approx(0.1 + plan.clearance)
-            assert end[2] == pytest.approx(0.1 + plan.clearance)
+            assert begin[2] == pytest.approx(0.1 + plan.path.clearance)
+            assert end[2] == pytest.approx(0.1 + plan.path.clearance)
 
 
-def test_rotations_turn_to_and_fro_at_their_rate_without_going_anywhere() -> None:
+def test_rotations_alternate_at_their_rate_in_place() -> None:
     session = only(TURNS)
     slides = [step for stroke in session.strokes for step in stroke.contact if isinstance(step, Slide)]
     assert [round(slide.velocity[5], 9) for slide in slides] == [1.0, -1.0] * 8  # about the base's z, up
@@ -78,24 +86,20 @@ def test_rotations_turn_to_and_fro_at_their_rate_without_going_anywhere() -> Non
 
 
 def test_the_bounds_and_the_duration_of_a_plan_are_those_of_its_path() -> None:
-    reach = extent([only(STROKES)])
-    np.testing.assert_allclose(reach.low, (0.37, -0.03, 0.1 - STROKES.depth), atol=1e-12)
-    np.testing.assert_allclose(reach.high, (0.43, 0.03, 0.1 + STROKES.clearance), atol=1e-12)
-    contact = 16 * (2 * STROKES.rest + 0.6 + 0.1 / 0.5)
+    reach = total_extent([only(STROKES)])
+    np.testing.assert_allclose(reach.low, (0.37, -0.03, 0.1 - STROKES.press.depth), atol=1e-12)
+    np.testing.assert_allclose(reach.high, (0.43, 0.03, 0.1 + STROKES.path.clearance), atol=1e-12)
+    contact = 16 * (2 * STROKES.path.rest + 0.6 + 0.1 / 0.5)
     vertical = 16 * 2 * (0.0115 / 0.02 + 0.02 / 0.5)
-    air = reach.seconds - STROKES.air - contact - vertical
+    air = reach.seconds - STROKES.path.baseline - contact - vertical
     assert 0 < air < 16 * (0.06 / 0.1 + 0.1 / 0.5)
 
 
-def test_a_seed_draws_the_order_of_directions() -> None:
+def test_the_seed_determines_the_order_of_directions() -> None:
     orders = [
-        [stroke.direction_deg for stroke in STROKES.sessions([PLANE], seed)[0].strokes] for seed in (0, 0, 1)
+        [stroke.direction_deg for stroke in STROKES.series(PLACE, seed)[0].strokes] for seed in (0, 0, 1)
     ]
     assert orders[0] == orders[1] != orders[2]
-
-
-def test_the_tiny_plan_has_strokes_and_rotations() -> None:
-    assert [each.speed for each in named("tiny").sessions([PLANE], 0)] == [0.05, None]
 
 
 @pytest.mark.parametrize(
@@ -103,64 +107,74 @@ def test_the_tiny_plan_has_strokes_and_rotations() -> None:
     [
         {"speeds": (0.3,)},
         {"speeds": (0.0,)},
-        {"depth": -0.001},
-        {"clearance": 0.0},
-        {"rounds": -1},
-        {"force": 0.0},
-        {"deepest": 0.0},
-        {"near": 0.02},
+        {"speeds": ()},
+        {"rounds": 0},
+        {"surfaces": ()},
+        {"surfaces": (PlannedSurface(), PlannedSurface("sphere"))},
+        {"press": Press(search_height=0.02)},
+        {"press": Press(force=50.0)},
     ],
 )
-def test_a_plan_that_cannot_be_is_refused(change: dict[str, Any]) -> None:
+def test_an_invalid_plan_is_refused(change: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         replace(STROKES, **change)
 
 
-def test_what_there_is_not_is_named() -> None:
-    with pytest.raises(ParameterError, match="paper, tiny"):
-        named("grand")
-    with pytest.raises(ParameterError, match="1 or more"):
-        STROKES.sessions([], seed=0)
+@pytest.mark.parametrize(
+    ("settings", "change"),
+    [
+        (Press(), {"depth": -0.001}),
+        (Press(), {"depth": 0.0061}),
+        (Press(), {"force": 0.0}),
+        (Press(), {"max_depth": 0.0}),
+        (PathSettings(), {"clearance": 0.0}),
+        (Limits(), {"force": 0.0}),
+        (Limits(), {"sensor_timeout": 0.04}),
+        (Limits(), {"watchdog": 0.0}),
+    ],
+)
+def test_invalid_settings_are_refused(settings: Press, change: dict[str, Any]) -> None:
+    with pytest.raises(ParameterError, match=next(iter(change))):
+        replace(settings, **change)
 
 
 def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
-    for stroke in STROKES.sessions([Surface("sphere", PLACE, 0.06)], seed=0)[0].strokes:
+    for stroke in only(STROKES, PlannedSurface("sphere")).strokes:
         down = stroke.approach[-1].end(PLACE)
         (trace,) = [step for step in stroke.contact if isinstance(step, Trace)]
-        centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.depth)
-        for place in (down[:3], *trace.places):
-            assert math.dist(place, centre) == pytest.approx(0.06)
+        centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.press.depth)
+        for point in (down[:3], *trace.points):
+            assert math.dist(point, centre) == pytest.approx(0.06)
         assert trace.speed == 0.1
-        assert math.dist(down[:2], trace.places[-1][:2]) == pytest.approx(0.06)
+        assert math.dist(down[:2], trace.points[-1][:2]) == pytest.approx(0.06)
 
 
 def test_through_the_air_the_arm_is_above_the_highest_point() -> None:
-    for stroke in STROKES.sessions([Surface("sphere", PLACE, 0.06)], seed=0)[0].strokes:
+    for stroke in only(STROKES, PlannedSurface("sphere")).strokes:
         for step in (stroke.approach[0], *stroke.retreat):
             assert step.end(PLACE)[2] == pytest.approx(0.11)
 
 
 def test_along_a_cylinder_strokes_are_straight() -> None:
-    strokes = STROKES.sessions([Surface("cylinder_x", PLACE)], seed=0)[0].strokes
+    strokes = only(STROKES, PlannedSurface("cylinder_x")).strokes
     straight = {
         each.direction_deg for each in strokes if any(isinstance(step, Line) for step in each.contact)
     }
     assert straight == {0.0, 180.0}
 
 
-def test_with_a_force_a_stroke_weighs_the_air_and_then_seeks_it_from_just_above_the_surface() -> None:
-    plan = replace(STROKES, force=2.0, deepest=0.003)
-    for surface in (PLANE, Surface("sphere", PLACE)):
-        (session,) = plan.sessions([surface], seed=0)
-        assert (session.force, session.depth) == (2.0, None)
+def test_with_a_force_a_stroke_tares_and_then_searches_from_above_the_surface() -> None:
+    plan = replace(STROKES, press=Press(force=2.0, max_depth=0.003))
+    for surface in (PlannedSurface(), PlannedSurface("sphere")):
+        session = only(plan, surface)
         for stroke in session.strokes:
             above, tare, near, down = stroke.approach
             assert isinstance(tare, Tare)
             assert isinstance(down, Touchdown)
             assert down.force == 2.0
             start = near.end(above.end(PLACE))
-            assert down.way == pytest.approx((0.0, 0.0, -plan.near - plan.deepest))
+            assert down.path == pytest.approx((0.0, 0.0, -plan.press.search_height - plan.press.max_depth))
             (slide,) = [step for step in stroke.contact if isinstance(step, Line | Trace)]
             touching, end = down.end(start), slide.end(start)
             assert touching[2] == pytest.approx(end[2])  # as deep at both ends
-        assert extent([session]).low[2] <= 0.1 - plan.deepest + 1e-12
+        assert total_extent([session]).low[2] <= 0.1 - plan.press.max_depth + 1e-12

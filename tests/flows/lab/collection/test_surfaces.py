@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from connectors.sim.scene import Curvature, Scene
-from flows.lab.collection.arm_path import Pose
-from flows.lab.collection.surfaces import STEEPEST, Spot, Surface
+from connectors.ur.control_process import Pose
+from flows.lab.collection.stroke_plan import PlannedSurface
+from flows.lab.collection.surfaces import STEEPEST, Surface
 from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
@@ -14,7 +15,7 @@ CURVATURES: list[Curvature] = ["plane", "sphere", "cylinder_x", "cylinder_y"]
 
 
 @pytest.mark.parametrize("curvature", CURVATURES)
-def test_a_surface_is_curved_as_the_simulated_one_unless_told_otherwise(curvature: Curvature) -> None:
+def test_a_surface_is_curved_as_the_simulated_one_by_default(curvature: Curvature) -> None:
     assert Surface(curvature, PLACE).curvatures == Scene(curvature=curvature).curvatures
     assert max(Surface("sphere", PLACE, 0.1).curvatures) == pytest.approx(10.0)
 
@@ -31,36 +32,36 @@ def test_the_fingertip_stays_on_a_sphere(place: Pose) -> None:
             assert (a, b, c) == place[3:]
 
 
-def test_the_way_along_a_cylinder_is_straight_and_across_it_bends() -> None:
+def test_a_path_is_straight_along_a_cylinder_and_bent_across() -> None:
     surface = Surface("cylinder_x", PLACE)
-    assert surface.bends(0.03, 0.0) == [1.0]
-    across = surface.bends(0.0, -0.03)
+    assert surface.waypoints(0.03, 0.0) == [1.0]
+    across = surface.waypoints(0.0, -0.03)
     assert across[-1] == 1.0
     assert min(across) > -1.0
     assert np.diff(across).max() * 0.03 <= 0.002 + 1e-12
 
 
-def test_a_way_too_far_over_the_side_is_refused_with_the_least_radius() -> None:
-    Surface("sphere", PLACE, 0.03 / math.sin(STEEPEST) * 1.001).bends(0.03, 0.0)
-    with pytest.raises(ParameterError, match=r"0\.0424 m or more for strokes that reach 0\.0300 m"):
-        Surface("sphere", PLACE, 0.04).bends(0.03, 0.0)
-    with pytest.raises(ParameterError, match=r"0\.0300 m or more for strokes that reach 0\.0300 m"):
-        Surface("cylinder_y", PLACE, 0.02).bends(0.03 * math.sqrt(0.5), 0.03 * math.sqrt(0.5))
-    Surface("cylinder_x", PLACE, 0.02).bends(0.03, 0.0)  # along its axis
+def test_too_steep_a_path_is_refused_with_the_least_radius() -> None:
+    Surface("sphere", PLACE, 0.03 / math.sin(STEEPEST) * 1.001).waypoints(0.03, 0.0)
+    with pytest.raises(ParameterError, match=r"0\.0424 m for strokes of 0\.0300 m"):
+        Surface("sphere", PLACE, 0.04).waypoints(0.03, 0.0)
+    with pytest.raises(ParameterError, match=r"0\.0300 m for strokes of 0\.0300 m"):
+        Surface("cylinder_y", PLACE, 0.02).waypoints(0.03 * math.sqrt(0.5), 0.03 * math.sqrt(0.5))
+    Surface("cylinder_x", PLACE, 0.02).waypoints(0.03, 0.0)  # along its axis
 
 
-def test_a_surface_that_is_asked_for_is_where_the_arm_is_unless_it_has_a_place() -> None:
-    assert Spot("plane").surface(PLACE) == Surface("plane", PLACE)
+def test_a_planned_surface_without_a_pose_is_where_the_arm_is() -> None:
+    assert PlannedSurface("plane").located(PLACE) == Surface("plane", PLACE)
     there: Pose = (0.1, 0.2, 0.3, math.pi, 0.0, 0.0)
-    assert Spot("sphere", there, 0.1).surface(PLACE) == Surface("sphere", there, 0.1)
+    assert PlannedSurface("sphere", 0.1, there).located(PLACE) == Surface("sphere", there, 0.1)
 
 
 @pytest.mark.parametrize("radius", [0.0, -0.06, math.inf, math.nan])
-def test_a_radius_that_cannot_be_is_refused(radius: float) -> None:
+def test_an_invalid_radius_is_refused(radius: float) -> None:
     with pytest.raises(ParameterError, match="radius"):
         Surface("sphere", PLACE, radius)
 
 
-def test_a_curvature_that_there_is_not_is_refused() -> None:
+def test_an_unknown_shape_is_refused() -> None:
     with pytest.raises(ParameterError, match="cylinder_x"):
         Surface(cast("Any", "cube"), PLACE)

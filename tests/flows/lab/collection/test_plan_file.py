@@ -1,0 +1,105 @@
+from pathlib import Path
+
+import pytest
+
+from flows.lab.collection.plan_file import SHIPPED, load_plan
+from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, PlannedSurface, Press
+from operators import InputError, ParameterError
+from operators.errors import SlipflowError
+
+OWN = """
+speeds = ["10mm/s", "0.02m/s"]
+repeats = 2
+label_delay = "70ms"
+[[surfaces]]
+shape = "sphere"
+radius = "6cm"
+pose = [0.4, 0, 0.1, 3.1416, 0.0, 0.0]
+[press]
+force = "2N"
+tare_time = "300ms"
+[path]
+acceleration = 1
+[limits]
+workspace = [0.3, -0.1, 0.0, 0.5, 0.1, 0.2]
+require_contact = false
+"""
+
+
+def written(folder: Path, text: str) -> str:
+    path = folder / "mine.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def test_the_shipped_plans_can_be_read() -> None:
+    assert list(SHIPPED) == ["paper", "tiny", "wide"]
+    for name in SHIPPED:
+        assert load_plan(name).name == name
+
+
+def test_the_papers_plan_shows_the_defaults_of_all_keys() -> None:
+    assert load_plan("paper") == CollectionPlan()
+    text = SHIPPED["paper"].read_text()
+    for settings in (CollectionPlan, PlannedSurface, Press, PathSettings, Limits):
+        missing = [
+            key for key in settings.__slots__ if f"\n{key} =" not in text and f"\n# {key} =" not in text
+        ]
+        assert not set(missing) - {"surfaces", "press", "path", "limits"}
+
+
+def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
+    assert load_plan(written(tmp_path, OWN)) == CollectionPlan(
+        name="mine",
+        speeds=(0.01, 0.02),
+        repeats=2,
+        label_delay=70_000_000,
+        surfaces=(PlannedSurface("sphere", 0.06, (0.4, 0.0, 0.1, 3.1416, 0.0, 0.0)),),
+        press=Press(force=2.0, tare_time=0.3),
+        path=PathSettings(acceleration=1.0),
+        limits=Limits(workspace=(0.3, -0.1, 0.0, 0.5, 0.1, 0.2), require_contact=False),
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("speds = []", "unknown key speds; did you mean 'speeds'?"),
+        ("[press]\nfroce = '2N'", "unknown key press.froce; did you mean 'force'?"),
+        ("[limits]\nxyz = 1", "unknown key limits.xyz; known keys: force, workspace, margin"),
+        ("speeds = ['fast']", "speeds[0] is 'fast', must be a speed with its unit"),
+        ("speeds = [0.1]", "speeds[0] is 0.1, must be text with a unit"),
+        ("speeds = ['500mm/s']", "speeds is (0.5,), must be above 0 and below 0.3 m/s"),
+        ("speeds = '50mm/s'", "speeds is '50mm/s', must be a list"),
+        ("repeats = 1.5", "repeats is 1.5, must be a whole number"),
+        ("repeats = true", "repeats is True, must be a whole number"),
+        ("press = 3", "press is 3, must be a table, [press]"),
+        ("[press]\ndepth = '2m'", "press.depth is 2.0, must be from 0 to 0.006 m"),
+        ("[press]\nforce = '0N'", "press.force is 0.0, must be above 0 N"),
+        ("[press]\nforce = '60N'", "press.force is 60.0, must be below the force limit, 50 N"),
+        ("[path]\nrest = '-1s'", "path.rest is '-1s', must be a time with its unit"),
+        ("[limits]\nsensor_timeout = '20ms'", "limits.sensor_timeout is 0.02, must be at least 0.05 s"),
+        ("[limits]\nworkspace = [1, 2]", "limits.workspace is [1, 2], must be a list of 6 values"),
+        ("[[surfaces]]\nshape = 'cube'", "surfaces[0].shape is 'cube', must be one of plane, sphere"),
+        ("[[surfaces]]\nradius = '50m'", "surfaces[0].radius is 50.0, must be from 0.001 to 1 m"),
+        ("[[surfaces]]\n[[surfaces]]", "each with a different pose"),
+        ("speeds = [", "is not valid TOML"),
+    ],
+)
+def test_a_mistake_names_the_file_and_the_key(tmp_path: Path, text: str, reason: str) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(SlipflowError) as caught:
+        load_plan(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_unknown_plan_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="one of paper, tiny, wide, or a file"):
+        load_plan("grand")
+    with pytest.raises(InputError, match="cannot be read"):
+        load_plan(str(tmp_path / "none.toml"))
+    (tmp_path / "latin.toml").write_bytes(b"name = '\xe9'")
+    with pytest.raises(InputError, match="UTF-8"):
+        load_plan(str(tmp_path / "latin.toml"))
