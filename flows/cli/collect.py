@@ -83,13 +83,13 @@ def collect(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Drive the arm through a collection plan and record it into a labelled, split dataset.
+    """Drive an arm through a collection plan and record it.
 
-    Surfaces, speeds, directions, depth or force, workspace and limits are in the plan file. Unless the plan
-    gives the pose of the surface, start with the fingertip just touching it. Each stroke moves down, rests,
-    slides, rests and moves up. Ctrl-C stops the arm and then commits the recording; SIGUSR1 pauses and
-    resumes. The arm is stopped for good by a stop of its controller, at the limits of the plan, and when a
-    fingertip gives no samples or measures no contact. Needs the ur extra, except with --dry-run.
+    The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth or force, workspace
+    and limits. Unless it gives the pose of the surface, start with the fingertip just touching it. Each stroke
+    moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then commits the recording; SIGUSR1
+    pauses and resumes. The arm is stopped for good by a stop of its controller, at the limits of the plan, and
+    when a fingertip gives no samples or measures no contact. Needs the ur extra, except with --dry-run.
 
     Examples:
       slipflow collect tiny --dry-run --robot 10.0.0.2

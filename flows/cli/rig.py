@@ -55,7 +55,7 @@ def rig(
         ),
     ] = None,
 ) -> None:
-    """Serve the virtual lab: a simulated UR arm and gripper in one scene, over their own protocols.
+    """Serve the virtual lab: a simulated UR arm and gripper.
 
     Its TakkTile bus exists in this process only; `slipflow collect --virtual` runs the whole lab in one
     process. The gripper needs the gripper extra.
