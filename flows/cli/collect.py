@@ -85,11 +85,12 @@ def collect(
 ) -> None:
     """Drive an arm through a collection plan and record it.
 
-    The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth or force, workspace
-    and limits. Unless it gives the pose of the surface, start with the fingertip just touching it. Each stroke
-    moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then commits the recording; SIGUSR1
-    pauses and resumes. The arm is stopped for good by a stop of its controller, at the limits of the plan, and
-    when a fingertip gives no samples or measures no contact. Needs the ur extra, except with --dry-run.
+    The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth or force,
+    workspace and limits. Unless it gives the pose of the surface, start with the fingertip just touching
+    it. Each stroke moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then commits the
+    recording; SIGUSR1 pauses and resumes. The arm is stopped for good by a stop of its controller, at the
+    limits of the plan, and when a fingertip gives no samples or measures no contact. Needs the ur extra,
+    except with --dry-run.
 
     Examples:
       slipflow collect tiny --dry-run --robot 10.0.0.2
