@@ -1,1 +1,1 @@
-"""The live page and the metrics endpoint, served over HTTP."""
+"""Web pages and metrics: a live page of a run, a page of a recorded session, and Prometheus metrics."""

@@ -1,9 +1,10 @@
-"""Who may see what is served over HTTP."""
+"""Addresses of the web server, and access control: token, cookie and Host header."""
 
 import hmac
 import os
 import re
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from ipaddress import ip_address
@@ -11,65 +12,98 @@ from pathlib import Path
 from socket import gethostname
 from typing import Final, Self
 
-from connectors.web.address import is_loopback
 from operators.errors import InputError, ParameterError
 
+PAGE_PORT: Final = 8765
+METRICS_PORT: Final = 9464  # the default of OpenTelemetry's Prometheus exporter
 TOKEN: Final = "SLIPFLOW_PAGE_TOKEN"  # noqa: S105 - the variable's name
 TOKEN_FILE: Final = "SLIPFLOW_PAGE_TOKEN_FILE"  # noqa: S105 - the variable's name
 COOKIE: Final = "slipflow_page"
 _TOKEN: Final = re.compile(r"[A-Za-z0-9._~-]{16,256}")
-_NAMED: Final = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::[0-9]{1,5})?")
+_HOST: Final = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9._-]+))(?::[0-9]{1,5})?")
+
+
+def http_url(host: str, port: int) -> str:
+    """Return the URL of a host and port.
+
+    >>> http_url("::1", 8765)
+    'http://[::1]:8765'
+    """
+    return f"http://{f'[{host}]' if ':' in host else host}:{port}"
+
+
+def is_loopback(host: str) -> bool:
+    """Return True if only this machine can reach a server that listens on `host`.
+
+    >>> is_loopback("127.0.0.1"), is_loopback("::1"), is_loopback("localhost"), is_loopback("0.0.0.0")
+    (True, True, True, False)
+    """
+    with suppress(ValueError):
+        return ip_address(host).is_loopback
+    return host == "localhost"
+
+
+def local_host(host: str) -> str:
+    """Return the host under which a browser on this machine reaches a server that listens on `host`.
+
+    >>> local_host("0.0.0.0"), local_host("::"), local_host("10.0.0.2")
+    ('127.0.0.1', '::1', '10.0.0.2')
+    """
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - nothing listens here
 
 
 @dataclass(frozen=True)
 class Access:
-    """What a request must show.
+    """Requirements for a request.
 
-    Its Host header must be an address, localhost or this machine's name. A page elsewhere whose own name was
-    made to lead here (DNS rebinding) sends that name, and would else read what the browser's user may see.
+    The Host header must be an IP address, localhost or the name of this machine. This stops DNS rebinding: a
+    foreign page whose host name resolves to this machine sends that name, and could otherwise read the page.
 
-    Where there is a token, a request must have the cookie that is set once the token was given, as in
-    ``/?token=...``. It outlives the server, so that an open page comes back by itself.
+    With a token, a request needs the cookie that is set after the token was sent once, as ``/?token=...``.
+    The cookie stays valid after a restart, so that open pages reconnect.
     """
 
-    token: str | None = None  # 16 to 256 letters, digits, '.', '_', '~' or '-'; None: everybody may
-    any_name: bool = False  # whether the Host header may be anything: for what no browser is to read
+    token: str | None = None  # 16 to 256 letters, digits, '.', '_', '~' or '-'; None: no token needed
+    any_name: bool = False  # True: accept any Host header, for data that is not for browsers
 
     @classmethod
     def of(cls, host: str, token: str | None) -> Self:
-        """Access to a page on `host`; without `token`, with that of the environment.
+        """Return the access to a page on `host`; without `token`, use the token of the environment.
 
-        That is SLIPFLOW_PAGE_TOKEN, or in the file that SLIPFLOW_PAGE_TOKEN_FILE names.
+        It is read from SLIPFLOW_PAGE_TOKEN, or from the file named by SLIPFLOW_PAGE_TOKEN_FILE.
 
         Raises:
-            ParameterError: if the token is none, or there is none and others than this machine may come.
+            ParameterError: if the token is malformed, or missing although other machines can reach `host`.
             InputError: if the file cannot be read.
         """
-        token = token or _token_of(os.environ)
+        token = token or _environment_token(os.environ)
         if token is None and not is_loopback(host):
             must_be = (
-                f"set for a page that others can reach: in {TOKEN}, or in a file that {TOKEN_FILE} names"
+                f"set if other machines can reach the page: use {TOKEN}, or a file named by {TOKEN_FILE}"
             )
             raise ParameterError("Page", "token", None, must_be)
         if token is not None and not _TOKEN.fullmatch(token):
-            must_be = "16 to 256 letters, digits, '.', '_', '~' or '-', as of: openssl rand -hex 16"
+            must_be = (
+                "16 to 256 letters, digits, '.', '_', '~' or '-', for example from: openssl rand -hex 16"
+            )
             raise ParameterError("Page", "token", "...", must_be)
         return cls(token)
 
     @property
     def cookie(self) -> str:
-        """What the cookie must be."""
+        """The expected value of the cookie."""
         return hmac.new((self.token or "").encode(), b"slipflow page", sha256).hexdigest()
 
-    def is_named(self, host: str) -> bool:
-        """Whether a Host header is one that this machine goes by.
+    def is_own_host(self, host: str) -> bool:
+        """Return True if a Host header names this machine.
 
-        >>> [Access().is_named(host) for host in ("127.0.0.1:8765", "[::1]", "localhost:80", "evil.example")]
+        >>> hosts = "127.0.0.1:8765", "[::1]", "localhost:80", "evil.example"
+        >>> [Access().is_own_host(host) for host in hosts]
         [True, True, True, False]
         """
         if self.any_name:
             return True
-        match = _NAMED.fullmatch(host)
+        match = _HOST.fullmatch(host)
         if match is None:
             return False
         name = (match[1] or match[2]).lower().removesuffix(".")
@@ -82,18 +116,18 @@ class Access:
             return False
         return True
 
-    def knows(self, token: str) -> bool:
-        """Whether that is the token."""
+    def accepts_token(self, token: str) -> bool:
+        """Return True if `token` is the token."""
         return self.token is not None and hmac.compare_digest(token.encode(), self.token.encode())
 
-    def lets_in(self, cookie: str | None) -> bool:
-        """Whether a request with that cookie may see the page."""
+    def accepts_cookie(self, cookie: str | None) -> bool:
+        """Return True if a request with this cookie may see the page."""
         return self.token is None or (
             cookie is not None and hmac.compare_digest(cookie.encode(), self.cookie.encode())
         )
 
 
-def _token_of(environment: Mapping[str, str]) -> str | None:
+def _environment_token(environment: Mapping[str, str]) -> str | None:
     path = environment.get(TOKEN_FILE)
     if not path:
         return environment.get(TOKEN) or None

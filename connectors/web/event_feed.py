@@ -1,113 +1,167 @@
-"""Server-sent events: one stream of messages to each browser that looks on."""
+"""Server-sent events: one stream of messages for each open page.
+
+Source: https://html.spec.whatwg.org/multipage/server-sent-events.html.
+"""
 
 import asyncio
 import socket
 import struct
+from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from typing import Final
 
 from aiohttp import web
 
-from connectors.web.sse_messages import message
-from connectors.web.viewer import Viewer
+from connectors.events import encode
 from operators.ports import Json
 
-VIEWERS: Final = 32
-STALLED: Final = 10.0  # s, after which a browser that takes nothing is dropped
-RETRY: Final = 1000  # ms, after which a browser comes back
-FAREWELL: Final = 0.5  # s, for browsers to take what is left when it closes
-_BUFFER: Final = 1 << 16  # bytes, that the kernel holds for one: what waits there cannot be thinned any more
+PAGES_MAX: Final = 32
+QUEUE_MAX: Final = 1 << 20  # bytes per page
+STALL_TIMEOUT: Final = 10.0  # s, until a browser that reads nothing is disconnected
+RETRY: Final = 1000  # ms, until a disconnected browser reconnects
+CLOSE_TIMEOUT: Final = 0.5  # s, to send what is queued on close
+_SOCKET_BUFFER: Final = 1 << 16  # bytes in the kernel per page, which cannot be dropped any more
 
 
-class Feed:
-    """Tells every browser the same, each at its own pace.
+def message(name: str, document: Json) -> bytes:
+    r"""Return a message as a server-sent event.
 
-    One that is slow loses its oldest messages and is told how many; one that takes nothing for 10 s is
-    dropped. So a browser costs 2 MiB at most, whatever it does.
+    >>> message("lost", 3)
+    b'event: lost\ndata: 3\n\n'
+    """
+    return b"event: %b\ndata: %b\n\n" % (name.encode(), encode(document))
+
+
+class PageQueue:
+    """Messages for one page; drops the oldest if the browser is too slow."""
+
+    def __init__(self, limit: int = QUEUE_MAX) -> None:
+        """Hold at most `limit` bytes; a longer message is dropped."""
+        self.lost = 0  # messages
+        self.size = 0  # bytes
+        self._limit = limit
+        self._messages: deque[bytes] = deque()
+        self._changed = asyncio.Event()
+        self._ended = False
+
+    def put(self, message: bytes) -> None:
+        """Add a message; drop the oldest ones if there is no room."""
+        self._messages.append(message)
+        self.size += len(message)
+        while self.size > self._limit:
+            self.size -= len(self._messages.popleft())
+            self.lost += 1
+        self._changed.set()
+
+    def end(self) -> None:
+        """Mark the end of the messages."""
+        self._ended = True
+        self._changed.set()
+
+    async def take(self) -> bytes | None:
+        """Wait for messages and return all of them joined; None after the end."""
+        while not self._messages:
+            if self._ended:
+                return None
+            self._changed.clear()
+            await self._changed.wait()
+        messages = b"".join(self._messages)
+        self._messages.clear()
+        self.size = 0
+        return messages
+
+
+class EventFeed:
+    """Sends the same messages to every page, each at its own pace.
+
+    A slow page loses its oldest messages and receives their number; a page that reads nothing for 10 s is
+    disconnected. So each page needs at most 2 MiB.
     """
 
-    def __init__(self, hello: Callable[[], Awaitable[bytes]], *, stalled: float = STALLED) -> None:
-        """Begin each stream with `hello`, which is what the later messages add to."""
-        self._hello, self._stalled = hello, stalled
-        self._viewers: dict[Viewer, web.Request] = {}
-        self._closed, self._nobody = False, asyncio.Event()  # looks any more, once it is closed
-        self.dropped = 0  # browsers that took nothing
+    def __init__(
+        self, hello: Callable[[], Awaitable[bytes]], *, stall_timeout: float = STALL_TIMEOUT
+    ) -> None:
+        """Start each stream with `hello`, the state that later messages extend."""
+        self._hello, self._stall_timeout = hello, stall_timeout
+        self._pages: dict[PageQueue, web.Request] = {}
+        self._closed, self._empty = False, asyncio.Event()
+        self.dropped = 0  # pages disconnected because they read nothing
 
     def __len__(self) -> int:
-        return len(self._viewers)
+        return len(self._pages)
 
     @property
-    def waiting(self) -> int:
-        """Bytes that wait for all of them."""
-        return sum(viewer.size for viewer in self._viewers)
+    def queued(self) -> int:
+        """Bytes queued for all pages."""
+        return sum(page.size for page in self._pages)
 
-    def tell(self, name: str, document: Json) -> None:
-        """Send a message to all."""
-        if self._viewers:
+    def send(self, name: str, document: Json) -> None:
+        """Send a message to all pages."""
+        if self._pages:
             text = message(name, document)
-            for viewer in self._viewers:
-                viewer.put(text)
+            for page in self._pages:
+                page.put(text)
 
     async def close(self) -> None:
-        """End the streams once what waits is sent; who does not take it within 0.5 s is cut off."""
+        """End the streams after their queued messages; disconnect pages that take longer than 0.5 s."""
         self._closed = True
-        if not self._viewers:
+        if not self._pages:
             return
-        self._nobody.clear()
-        for viewer in self._viewers:
-            viewer.end()
+        self._empty.clear()
+        for page in self._pages:
+            page.end()
         with suppress(TimeoutError):
-            async with asyncio.timeout(FAREWELL):
-                await self._nobody.wait()
-        for request in self._viewers.values():
-            _cut(request)
+            async with asyncio.timeout(CLOSE_TIMEOUT):
+                await self._empty.wait()
+        for request in self._pages.values():
+            _abort(request)
 
     async def stream(self, request: web.Request) -> web.StreamResponse:
-        """One browser's stream, as long as it stays."""
-        if len(self._viewers) >= VIEWERS:
-            return web.Response(status=503, text=f"{VIEWERS} pages are open already: close one.\n")
+        """Serve the stream of one page until it disconnects."""
+        if len(self._pages) >= PAGES_MAX:
+            return web.Response(status=503, text=f"{PAGES_MAX} pages are open: close one.\n")
         if self._closed:
             return web.Response(status=503, text="The run has ended.\n")
         response = web.StreamResponse()
         response.content_type, response.charset = "text/event-stream", "utf-8"
-        viewer = Viewer()
-        self._viewers[viewer] = request
+        page = PageQueue()
+        self._pages[page] = request
         try:
             await response.prepare(request)
-            _keep_short(request)
+            _limit_buffer(request)
             await self._write(response, f"retry: {RETRY}\n\n".encode() + await self._hello())
-            await self._carry(viewer, response)
+            await self._forward(page, response)
         except TimeoutError:
             self.dropped += 1
-            _cut(request)
+            _abort(request)
         finally:
-            del self._viewers[viewer]
-            if not self._viewers:
-                self._nobody.set()
+            del self._pages[page]
+            if not self._pages:
+                self._empty.set()
         return response
 
-    async def _carry(self, viewer: Viewer, response: web.StreamResponse) -> None:
-        told = 0
-        while (messages := await viewer.take()) is not None:
-            if viewer.lost > told:
-                told = viewer.lost
-                messages += message("lost", told)
+    async def _forward(self, page: PageQueue, response: web.StreamResponse) -> None:
+        reported = 0
+        while (messages := await page.take()) is not None:
+            if page.lost > reported:
+                reported = page.lost
+                messages += message("lost", reported)
             await self._write(response, messages)
 
     async def _write(self, response: web.StreamResponse, messages: bytes) -> None:
-        async with asyncio.timeout(self._stalled):
+        async with asyncio.timeout(self._stall_timeout):
             await response.write(messages)
 
 
-def _cut(request: web.Request) -> None:
-    """Close a connection at once, and let the kernel forget what still waits in it."""
+def _abort(request: web.Request) -> None:
+    """Close a connection at once and discard what the kernel holds for it."""
     if connection := request.get_extra_info("socket"):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     if request.transport:
         request.transport.abort()
 
 
-def _keep_short(request: web.Request) -> None:
+def _limit_buffer(request: web.Request) -> None:
     if connection := request.get_extra_info("socket"):
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SOCKET_BUFFER)

@@ -1,13 +1,12 @@
-"""A run's metrics, for Prometheus."""
+"""Metrics of a run for Prometheus."""
 
 import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from connectors.web.access import Access
-from connectors.web.address import METRICS_PORT, address, is_loopback
+from connectors.web.access import METRICS_PORT, Access, http_url, is_loopback
 from operators.batch import Clocks, Faults, Slips
-from operators.errors import ParameterError
+from operators.checks import check_between
 from operators.ports import Run, Sink
 
 if TYPE_CHECKING:
@@ -17,22 +16,21 @@ PATH: Final = "/metrics"
 
 
 class Metrics(Sink[Slips | Faults | Clocks]):
-    """Serves ``/metrics`` in the Prometheus text format 0.0.4 while a run lasts.
+    """Prometheus metrics at ``/metrics`` (text format 0.0.4) while a run lasts.
 
-    Sources and sinks are those of the run, whatever comes ``to`` it. Slips give the histogram of their
-    latency, from event time to hand-over; faults the health of barometers; clocks the offset of a device's
-    clock. It may lose rows, and holds up nobody.
+    Sources and sinks are those of the run. Connect slips for counts and latency, faults for the health of
+    barometers, and clocks for the offset of the device clock. It may drop rows and never slows the run.
 
-    Only this machine reaches it, unless `host` says otherwise; then everybody who reaches the port may read
-    it: names, counts and times, no text of an error.
+    Only this machine can read the metrics unless `host` is set; then everyone who reaches the port can read
+    names, counts and times, but no error texts.
 
     Args:
-        port: Where it listens; 0: any that is free.
-        host: An address of this machine, 0.0.0.0 for all of them.
-        opened: Told the address once it can be asked.
+        port: Port to listen on; 0 for any free port.
+        host: Address of this machine to listen on, 0.0.0.0 for all.
+        opened: Called with the URL once the metrics are served.
 
     Raises:
-        ParameterError: on a port that cannot be.
+        ParameterError: if `port` is out of range.
     """
 
     lossless = False
@@ -44,48 +42,47 @@ class Metrics(Sink[Slips | Faults | Clocks]):
         *,
         opened: Callable[[str], None] | None = None,
     ) -> None:
-        if not 0 <= port < 2**16:
-            raise ParameterError("Metrics", "port", port, "from 0 to 65535")
+        check_between("Metrics", "port", port, 0, 65535)
         self._host, self._port, self._opened = host, port, opened
 
     @property
     def destination(self) -> str:
-        """Its address."""
-        return address(self._host, self._port)
+        """URL of the server."""
+        return http_url(self._host, self._port)
 
     @property
     def url(self) -> str:
-        """Where it is found on this machine, once it is open."""
+        """URL of the metrics on this machine, once they are served."""
         return self._server.url + PATH
 
     async def open(self, run: Run) -> None:
-        """Serve.
+        """Start serving.
 
         Raises:
-            EndpointError: if the address cannot be had.
+            EndpointError: if the server cannot listen on its address.
         """
-        from connectors.web.http_server import WebServer  # noqa: PLC0415 - aiohttp too
-        from connectors.web.measures import Measures  # noqa: PLC0415 - prometheus_client takes its time
+        from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - prometheus_client is slow to import
+        from connectors.web.web_server import WebServer  # noqa: PLC0415 - aiohttp too
 
-        self._run, self._measures = run, Measures(run)
+        self._run, self._metrics = run, RunMetrics(run)
         access = Access(any_name=not is_loopback(self._host))
         self._server = WebServer(self._host, self._port, access, "metrics")
-        await self._server.open({PATH: self._give})
+        await self._server.open({PATH: self._respond})
         if self._opened:
             self._opened(self.url)
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
-        """Take the rows of a batch into the numbers."""
-        self._measures.add(batch)
-        if not self._run.live:  # a replay at full speed waits for nothing else
+        """Add the rows of a batch to the metrics."""
+        self._metrics.add(batch)
+        if not self._run.live:  # a replay at full speed never yields otherwise
             await asyncio.sleep(0)
 
     async def close(self) -> None:
-        """Stop serving: from then on Prometheus sees that the run is over."""
+        """Stop serving, which shows Prometheus that the run is over."""
         await self._server.close()
 
-    async def _give(self, request: "web.Request") -> "web.Response":  # noqa: ARG002 - aiohttp's shape
-        from aiohttp import web  # noqa: PLC0415 - takes its time to import
-        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - the same
+    async def _respond(self, request: "web.Request") -> "web.Response":  # noqa: ARG002 - aiohttp's signature
+        from aiohttp import web  # noqa: PLC0415 - slow to import
+        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - as above
 
-        return web.Response(body=self._measures.text(), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4})
+        return web.Response(body=self._metrics.text(), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4})

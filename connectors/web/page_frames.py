@@ -1,61 +1,105 @@
-"""What a live page is told: frames of the rows that are new, and one of all that is kept for who comes later.
+"""Frames of the live page: new rows since the last frame, and all kept rows for a page that connects later.
 
-A frame is a JSON object. Times are ms since the start of the run; a fingertip goes by its name, as in events:
+A frame is a JSON object. Times are ms since the start of the run; fingertips have the names used in events:
 
-- ``now``: the run's clock when the frame was made
-- ``touch``: by fingertip, ``t`` (n,) and ``v`` (n, 6), counts, null where a cell did not answer, and whether
-  they are ``zeroed``; ``scores``: by fingertip, ``t`` and ``v`` (n,), probability; ``speed``: the same, mm/s
-- ``events``: onsets and ends of slips, numbered; ``latency``: ms from an event's time, that of the sample
-  that decided, to its arrival here, null in a replay at full speed, where no time passes
-- ``slipping``: the fingertips that slip now; ``faults``: by fingertip and barometer, what is wrong
+- ``now``: time of the run's clock when the frame was made
+- ``touch``: by fingertip, ``t`` (n,), ``v`` (n, 6) counts, null for invalid cells, and ``zeroed``;
+  ``scores``: by
+  fingertip, ``t`` and ``v`` (n,) probability; ``speed``: ``t`` and ``v`` (n,) mm/s
+- ``events``: numbered onsets and ends of slip; ``latency``: ms from the deciding sample to its arrival here,
+  null in a replay at full speed
+- ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
 """
 
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Generic
+
+import numpy as np
 
 from connectors.events import faults, finger_name
-from connectors.web.series import series, shown
-from connectors.web.track import Track
-from operators.batch import SLIP, Faults, Motion, Scores, Slips, Touch, Zeroed, ms
+from connectors.web.curves import curve_json, event_json, plotted_values
+from operators.batch import SLIP, AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.ports import Json, Run
+from operators.tail import Tail
 
-EVENTS: Final = 100  # that are kept
-FINGERS: Final = 32  # that are shown; more are left out
+EVENTS_KEPT: Final = 100
+FINGERS_MAX: Final = 32  # further ones are not shown
+KEPT: Final = 30 * s  # ns, of each stream
+STEP: Final = 5 * ms  # ns, of which one row is kept
+
+
+class Track(Generic[AnyBatch]):
+    """The last 30 s of a stream, thinned to the first row of each 5 ms: at most 6,000 rows.
+
+    Rows older than their predecessors are dropped.
+    """
+
+    def __init__(self, kind: type[AnyBatch]) -> None:
+        self._tail = Tail(kind)
+        self._step = int(np.iinfo(np.int64).min)  # of the newest row
+        self._new = 0  # rows not yet returned by `take`
+
+    def add(self, batch: AnyBatch) -> None:
+        """Append the rows of a batch; all batches must be of one fingertip."""
+        kept = batch[self._first_of_steps(batch.time)] if len(batch) > 1 else batch
+        if not len(kept):
+            return
+        newest: int = kept.time.item(-1)
+        if newest // STEP <= self._step:
+            return
+        self._step = newest // STEP
+        self._tail.append(kept)
+        self._tail.drop(int(np.searchsorted(self._tail.time, newest - KEPT)))
+        self._new = min(self._new + len(kept), len(self._tail))
+
+    @property
+    def rows(self) -> AnyBatch:
+        """All kept rows, as views that later rows do not change."""
+        return self._tail.rows
+
+    def take(self) -> AnyBatch | None:
+        """Return the rows added since the last call, as views; None if there are none."""
+        if not self._new:
+            return None
+        count, self._new = self._new, 0
+        return self._tail.rows[-count:]
+
+    def _first_of_steps(self, time: Times) -> Flags:
+        """Mark the rows that are the first of a later step than all rows before; (n,)."""
+        steps: Times = time // STEP
+        before: Times = np.maximum.accumulate(np.append(np.int64(self._step), steps[:-1]))
+        return steps > before
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of some streams, as views that stay true: they may be written down in a thread."""
+    """Rows of some streams, as views that another thread can encode."""
 
-    touch: Mapping[int, Touch]  # by finger, as are scores
-    scores: Mapping[int, Scores]
+    touch: Mapping[int, Touch]  # by finger
+    scores: Mapping[int, Scores]  # by finger
     motion: Motion | None
 
     def document(self, origin: int) -> dict[str, Json]:
-        """The part of a frame that tells of them; times are since `origin` (ns)."""
+        """Return the curves of a frame, with times since `origin` (ns)."""
         document: dict[str, Json] = {}
         if self.touch:
             document["touch"] = {
-                finger_name(finger): {
-                    **series(rows.time, shown(rows), origin),
-                    "zeroed": isinstance(rows, Zeroed),
-                }
+                finger_name(finger): {**_curve(rows, origin), "zeroed": isinstance(rows, Zeroed)}
                 for finger, rows in self.touch.items()
             }
         if self.scores:
             document["scores"] = {
-                finger_name(finger): series(rows.time, shown(rows), origin)
-                for finger, rows in self.scores.items()
+                finger_name(finger): _curve(rows, origin) for finger, rows in self.scores.items()
             }
         if self.motion is not None:
-            document["speed"] = series(self.motion.time, shown(self.motion), origin)
+            document["speed"] = _curve(self.motion, origin)
         return document
 
 
 class Frames:
-    """Gathers what a run gives, in bounded memory."""
+    """Collects the rows and events of a run in bounded memory."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -65,11 +109,11 @@ class Frames:
         self._motion = Track(Motion)
         self._slipping: set[str] = set()
         self._faults: dict[str, dict[str, Json]] = {}
-        self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS)
-        self._numbered = self._told = 0  # events
+        self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
+        self._numbered = self._sent = 0  # events
 
     def add(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
-        """Take the rows of a batch; a raw touch falls away once its fingertip has given a zeroed one."""
+        """Add a batch; zeroed touch of a fingertip replaces its raw touch."""
         finger = batch.finger
         if isinstance(batch, Slips):
             self._add_slips(batch)
@@ -78,9 +122,9 @@ class Frames:
         elif isinstance(batch, Motion):
             self._motion.add(batch)
         elif isinstance(batch, Scores):
-            if finger in self._scores or len(self._scores) < FINGERS:
+            if finger in self._scores or len(self._scores) < FINGERS_MAX:
                 self._scores.setdefault(finger, Track(Scores)).add(batch)
-        elif finger not in self._touch() and len(self._touch()) >= FINGERS:
+        elif finger not in self._touch() and len(self._touch()) >= FINGERS_MAX:
             return
         elif isinstance(batch, Zeroed):
             self._raw.pop(finger, None)
@@ -89,7 +133,7 @@ class Frames:
             self._raw.setdefault(finger, Track(Touch)).add(batch)
 
     def next(self) -> dict[str, Json]:
-        """The frame of what came since the one before."""
+        """Return the frame of everything added since the last one."""
         touch = {finger: track.take() for finger, track in self._touch().items()}
         scores = {finger: track.take() for finger, track in self._scores.items()}
         new = Rows(
@@ -98,26 +142,26 @@ class Frames:
             self._motion.take(),
         )
         frame = {**new.document(self._run.start), **self.state()}
-        if count := min(self._numbered - self._told, EVENTS):
+        if count := min(self._numbered - self._sent, EVENTS_KEPT):
             frame["events"] = self.events(count)
-        self._told = self._numbered
+        self._sent = self._numbered
         return frame
 
     def rows(self) -> Rows:
-        """All rows that are kept."""
+        """Return all kept rows."""
         touch = {finger: track.rows for finger, track in self._touch().items()}
         return Rows(touch, {finger: track.rows for finger, track in self._scores.items()}, self._motion.rows)
 
     def state(self) -> dict[str, Json]:
-        """The part of a frame that tells of the present."""
+        """Return the present time, slipping fingertips and faults."""
         return {
             "now": (self._run.clock.now() - self._run.start) / ms,
             "slipping": [*sorted(self._slipping)],
             "faults": {finger: {**found} for finger, found in self._faults.items() if found},
         }
 
-    def events(self, newest: int = EVENTS) -> list[Json]:
-        """The `newest` events, in their order."""
+    def events(self, newest: int = EVENTS_KEPT) -> list[Json]:
+        """Return the `newest` events, oldest first."""
         events: list[Json] = [*self._events]
         return events[-newest:]
 
@@ -126,25 +170,16 @@ class Frames:
 
     def _add_slips(self, batch: Slips) -> None:
         finger = finger_name(batch.finger)
-        rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
-        for time, state, probability in rows:
-            onset, latency = state == SLIP, self._run.latency(time)
-            (self._slipping.add if onset else self._slipping.discard)(finger)
+        for row in zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True):
+            time, state, _ = row
+            (self._slipping.add if state == SLIP else self._slipping.discard)(finger)
             self._numbered += 1
-            self._events.append(
-                {
-                    "id": self._numbered,
-                    "t": (time - self._run.start) / ms,
-                    "finger": finger,
-                    "onset": onset,
-                    "p": round(probability, 3),
-                    "latency": None if latency is None else round(latency / ms, 3),
-                }
-            )
+            latency = self._run.latency(time)
+            self._events.append(event_json(self._numbered, finger, row, self._run.start, latency))
 
     def _add_faults(self, batch: Faults) -> None:
         finger = finger_name(batch.finger)
-        if finger not in self._faults and len(self._faults) >= FINGERS:
+        if finger not in self._faults and len(self._faults) >= FINGERS_MAX:
             return
         found = self._faults.setdefault(finger, {})
         for _, fault, begins in faults(batch):
@@ -152,3 +187,7 @@ class Frames:
                 found[str(fault.barometer)] = fault.kind
             elif found.get(str(fault.barometer)) == fault.kind:
                 del found[str(fault.barometer)]
+
+
+def _curve(rows: Touch | Motion | Scores, origin: int) -> dict[str, Json]:
+    return curve_json(rows.time, plotted_values(rows), origin)

@@ -1,78 +1,228 @@
-"""Serving a recorded session to browsers that scrub through it."""
+"""Page of a recorded session: its curves in memory and their server."""
 
 import asyncio
 from collections.abc import Callable
+from math import isnan, nan
 from typing import Final
 
+import numpy as np
 from aiohttp import web
+from numpy.typing import NDArray
 
-from connectors.events import encode
-from connectors.web.page_server import PageServer
-from connectors.web.recorded_page import Recorded
-from operators.ports import Json
+from connectors.events import encode, finger_name
+from connectors.web.curves import curve_json, event_json, plotted_values, thin_curve
+from connectors.web.page_frames import FINGERS_MAX
+from connectors.web.web_server import page_server
+from operators.batch import Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
+from operators.errors import InputError
+from operators.ports import Json, Run, Sink
 
-_LONGEST: Final = 1e12  # ms
-_WIDEST: Final = 8192  # columns of a picture
+VALID_FOR: Final = 1 * s  # ns, for which a row stands for later instants
+ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
+EVENTS_MAX: Final = 20_000
+_TIME_MAX: Final = 1e12  # ms
+_COLUMNS_MAX: Final = 8192
 
 
-class Scrubber:
-    """The page of a recorded session: ``/about.json`` tells of it, ``/window`` has its curves and figures."""
+class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
+    """Sink that keeps the events and curves of a replay in memory.
+
+    Args:
+        threshold: Probability from which a sample counts as slip, marked on the page.
+        about: Further text for the page.
+        flow: Name of the flow that recorded the session.
+        dataset: Name of the dataset that contains the session.
+    """
 
     def __init__(
-        self, recorded: Recorded, port: int | None = None, host: str = "127.0.0.1", token: str | None = None
+        self,
+        *,
+        threshold: float | None = None,
+        about: str = "",
+        flow: str | None = None,
+        dataset: str | None = None,
     ) -> None:
-        """Get ready to serve it; `port`, `host` and `token` as for a `connectors.web.live_page.Page`.
+        self.threshold, self.about = threshold, about
+        self._origin: dict[str, Json] = {"flow": flow, "dataset": dataset}
+        self.start = self.end = 0  # ns, of the first and the last row
+        # by stream and fingertip: as they arrive, and joined in `close`
+        self._arriving: dict[tuple[str, str], list[tuple[Times, NDArray[np.float32]]]] = {}
+        self._curves: dict[tuple[str, str], tuple[Times, NDArray[np.float32]]] = {}
+        self._events: list[tuple[str, tuple[int, int, float]]] = []  # fingertip; time, state, probability
+        self._zeroed, self._rows = False, 0
+
+    @property
+    def destination(self) -> str:
+        """The memory of this process."""
+        return "memory"
+
+    async def open(self, run: Run) -> None:
+        """Set the session and the start of `run`."""
+        self._session, self.start = run.session, run.start
+
+    async def write(self, batch: Touch | Motion | Scores | Slips) -> None:
+        """Keep the rows of a batch.
 
         Raises:
-            ParameterError: if it needs a token, or that is not one.
+            InputError: if the session has too many rows, events or fingertips.
+        """
+        finger = finger_name(batch.finger)
+        if isinstance(batch, Slips):
+            rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
+            self._events.extend((finger, row) for row in rows)
+        else:
+            stream = (
+                "touch" if isinstance(batch, Touch) else "speed" if isinstance(batch, Motion) else "scores"
+            )
+            self._zeroed |= isinstance(batch, Zeroed)
+            values = plotted_values(batch).astype(np.float32)
+            self._arriving.setdefault((stream, finger), []).append((batch.time, values))
+        self._rows += len(batch)
+        self.end = max(self.end, int(batch.time.max(initial=self.start)))
+        fingers = len({finger for _, finger in self._arriving})
+        if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX or fingers > FINGERS_MAX:
+            most = f"{ROWS_MAX:,} rows, {EVENTS_MAX:,} events and {FINGERS_MAX} fingertips"
+            raise InputError(self._session, f"is too long for a page, which shows at most {most}")
+
+    async def close(self) -> None:
+        """Sort the events and join the curves; rows older than their predecessors are dropped."""
+        self._events.sort(key=lambda event: event[1][0])  # fingertips arrived one after the other
+        for key, parts in self._arriving.items():
+            time = np.concatenate([each for each, _ in parts])  # (n,) ns
+            values = np.concatenate([each for _, each in parts])  # (n, ...)
+            before = np.maximum.accumulate(time)[:-1]  # (n - 1,)
+            kept = np.concatenate(([True], time[1:] > before))
+            self._curves[key] = time[kept], values[kept]
+        self._arriving.clear()
+
+    def contents(self) -> dict[str, Json]:
+        """Return the document that the page loads first; times are ms since `start`."""
+        fingers = sorted({finger for stream, finger in self._curves if stream == "touch"})
+        return {
+            "session": self._session,
+            **self._origin,
+            "about": self.about,
+            "start": self.start / ms,
+            "length": (self.end - self.start) / ms,
+            "threshold": self.threshold,
+            "fingers": [*fingers],
+            "zeroed": self._zeroed,
+            "deepest": self._deepest(),
+            "events": [
+                event_json(number, finger, row, self.start, None)
+                for number, (finger, row) in enumerate(self._events, 1)
+            ],
+        }
+
+    def window(self, begin: float, end: float, columns: int) -> dict[str, Json]:
+        """Return the curves from `begin` to `end` (ms since `start`) as the streams of a frame.
+
+        They are thinned to the minimum and maximum of each of `columns` pixel columns.
+        """
+        first, last = (self.start + round(each * ms) for each in (begin, end))
+
+        def cut(time: Times, values: NDArray[np.float32]) -> dict[str, Json]:
+            rows = slice(*np.searchsorted(time, [first, last + 1]))
+            return curve_json(*thin_curve(time[rows], values[rows], first, last, columns), self.start)
+
+        return self._streams(cut)
+
+    def values_at(self, instant: float) -> dict[str, Json]:
+        """Return the newest row of each stream at an instant (ms since `start`), none if older than 1 s."""
+        at = self.start + round(instant * ms)
+
+        def newest(time: Times, values: NDArray[np.float32]) -> dict[str, Json]:
+            first, end = np.searchsorted(time, [at - VALID_FOR, at + 1])
+            rows = slice(max(first, end - 1), end)
+            return curve_json(time[rows], values[rows], self.start)
+
+        return self._streams(newest)
+
+    def _streams(self, cut: Callable[[Times, NDArray[np.float32]], dict[str, Json]]) -> dict[str, Json]:
+        """Return the streams of a frame, each curve cut by `cut`."""
+        document: dict[str, dict[str, Json]] = {"touch": {}, "scores": {}}
+        speed: Json = None
+        for (stream, finger), curve in self._curves.items():
+            if stream == "speed":
+                speed = cut(*curve)
+            else:
+                zeroed: dict[str, Json] = {"zeroed": self._zeroed} if stream == "touch" else {}
+                document[stream][finger] = {**cut(*curve), **zeroed}
+        return {**document, "speed": speed}
+
+    def _deepest(self) -> float | None:
+        """Return the minimum of all cells, which scales the pressure maps."""
+        touches = [values for (stream, _), (_, values) in self._curves.items() if stream == "touch"]
+        least = min(
+            (float(np.fmin.reduce(values, axis=None)) for values in touches if len(values)), default=nan
+        )
+        return None if isnan(least) else least
+
+
+class SessionPage:
+    """Server of the page of a recorded session: ``/about.json`` describes it, ``/window`` returns curves."""
+
+    def __init__(
+        self,
+        curves: SessionCurves,
+        port: int | None = None,
+        host: str = "127.0.0.1",
+        token: str | None = None,
+    ) -> None:
+        """Prepare to serve; `port`, `host` and `token` as in `connectors.web.live_page.Page`.
+
+        Raises:
+            ParameterError: if the token is malformed, or missing although other machines can reach `host`.
             InputError: if the file with the token cannot be read.
         """
-        self._recorded = recorded
-        self._server = PageServer(host, port, token)
+        self._curves = curves
+        self._server = page_server(host, port, token)
 
     @property
     def url(self) -> str:
-        """Where a browser on this machine finds it, once it is open."""
+        """URL for a browser on this machine, once the page is open."""
         return self._server.url
 
     @property
-    def entrance(self) -> str:
-        """The same with the token, if there is one: for nobody else to see."""
-        return self._server.entrance
+    def login_url(self) -> str:
+        """URL with the token, if there is one: keep it secret."""
+        return self._server.login_url
 
     async def open(self) -> None:
-        """Serve it.
+        """Start serving.
 
         Raises:
-            EndpointError: if the address cannot be had.
+            EndpointError: if the server cannot listen on its address.
         """
         await self._server.open({"/about.json": self._about, "/window": self._window})
 
     async def close(self) -> None:
-        """Serve it no more."""
+        """Stop serving."""
         await self._server.close()
 
-    async def _about(self, request: web.Request) -> web.Response:  # noqa: ARG002 - aiohttp's shape
-        return await _json(lambda: {"mode": "recorded", **self._recorded.contents()})
+    async def _about(self, request: web.Request) -> web.Response:  # noqa: ARG002 - aiohttp's signature
+        return await _json(lambda: {"mode": "recorded", **self._curves.contents()})
 
     async def _window(self, request: web.Request) -> web.Response:
         try:
             begin, end, at = (float(request.query[name]) for name in ("begin", "end", "at"))
             columns = int(request.query["columns"])
         except (KeyError, ValueError):
-            return _refused()
-        if not (-_LONGEST <= begin <= end <= _LONGEST and abs(at) <= _LONGEST and 0 < columns <= _WIDEST):
-            return _refused()  # as is what is no number
-        recorded = self._recorded
-        return await _json(lambda: {**recorded.window(begin, end, columns), "at": recorded.figures(at)})
+            return _bad_request()
+        if not (
+            -_TIME_MAX <= begin <= end <= _TIME_MAX and abs(at) <= _TIME_MAX and 0 < columns <= _COLUMNS_MAX
+        ):
+            return _bad_request()  # NaN as well
+        curves = self._curves
+        return await _json(lambda: {**curves.window(begin, end, columns), "at": curves.values_at(at)})
 
 
-def _refused() -> web.Response:
-    asked = "/window?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session"
-    return web.Response(status=400, text=f"{asked}; 1 to {_WIDEST} columns\n")
+def _bad_request() -> web.Response:
+    usage = "/window?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session"
+    return web.Response(status=400, text=f"{usage}; 1 to {_COLUMNS_MAX} columns\n")
 
 
 async def _json(document: Callable[[], dict[str, Json]]) -> web.Response:
-    """What is made in a thread, as it may take some ms."""
+    """Respond with a document that takes some ms to build, in a thread."""
     body = await asyncio.to_thread(lambda: encode(document()))
     return web.Response(body=body, content_type="application/json")

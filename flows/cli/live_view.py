@@ -73,7 +73,7 @@ def add_page(
     thresholds = [node.part.threshold for node in flow.nodes if isinstance(node.part, Debounce)]
 
     def announce(url: str) -> None:
-        announce_page("live page", url, page.entrance, browse=browse)
+        announce_page("live page", url, page.login_url, browse=browse)
 
     page = Page(port, host, threshold=thresholds[0] if thresholds else None, opened=opened or announce)
     for node in page_streams(flow):
@@ -110,14 +110,14 @@ def add_metrics(flow: "Flow", listen: str, opened: "Callable[[str], None] | None
     flow.add("metrics", metrics, *filter(None, inputs))
 
 
-def announce_page(title: str, url: str, entrance: str, *, browse: bool) -> None:
+def announce_page(title: str, url: str, login_url: str, *, browse: bool) -> None:
     """Print the address of a page, and open a browser if `browse` is set and a person uses this terminal.
 
-    `entrance` is the URL with the access token. It is printed on a terminal only, never into a log. The
+    `login_url` is the URL with the access token. It is printed on a terminal only, never into a log. The
     browser gets the URL without it, because all users of this machine can read the arguments of a process.
     """
-    hint = "" if entrance == url else " (asks for its token)"
-    note(f"{title}: {entrance if sys.stderr.isatty() else url + hint}")
+    hint = "" if login_url == url else " (asks for its token)"
+    note(f"{title}: {login_url if sys.stderr.isatty() else url + hint}")
     if browse:
         _open_browser(url)
 

@@ -11,7 +11,7 @@ from flows.cli.options import parse_address
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
-    from connectors.web.recorded_page import Recorded
+    from connectors.web.session_page import SessionCurves
     from operators.ports import Recording
 
 # Slow imports are inside functions: `slipflow --help` must be fast.
@@ -47,29 +47,29 @@ def show(
 
 
 async def _show(recording: "Recording", detector: str, host: str, port: int | None, *, browse: bool) -> None:
-    from connectors.web.session_page import Scrubber
+    from connectors.web.session_page import SessionPage
     from flows.run.stop_signals import signals_to
 
     note(f"{recording.name}: reading and scoring by {detector}")
-    scrubber = Scrubber(await load(recording, detector), port, host)
-    await scrubber.open()
-    announce_page("page, until Ctrl-C", scrubber.url, scrubber.entrance, browse=browse)
+    page = SessionPage(await load(recording, detector), port, host)
+    await page.open()
+    announce_page("page, until Ctrl-C", page.url, page.login_url, browse=browse)
     stop = asyncio.Event()
     try:
         with signals_to(stop.set):
             await stop.wait()
     finally:
-        await scrubber.close()
+        await page.close()
 
 
-async def load(recording: "Recording", detector: str = "tcn") -> "Recorded":
+async def load(recording: "Recording", detector: str = "tcn") -> "SessionCurves":
     """Load the data of a recording that the page shows.
 
     Raises:
         InputError: if the recording has no touch, is damaged or too long, or the detector is unknown.
     """
     from connectors import Replay
-    from connectors.web.recorded_page import Recorded
+    from connectors.web.session_page import SessionCurves
     from flows.graph import Flow
     from flows.run.replay_runner import ReplayRunner
     from operators import Debounce, Motion, Score, Slips, Touch, Zero
@@ -79,7 +79,7 @@ async def load(recording: "Recording", detector: str = "tcn") -> "Recorded":
     has_slips = bool(recording.fingers(Slips))
     source = "recorded" if has_slips else f"found by {detector} now, as none were recorded"
     about = f"Slip probability: computed now by detector {detector}. Slip events: {source}."
-    recorded = Recorded(
+    recorded = SessionCurves(
         threshold=debounce.threshold,
         about=about,
         flow=_flow_name(recording),

@@ -6,8 +6,7 @@ from threading import Thread
 from typing import Any, Self
 
 from connectors import Page
-from connectors.web.recorded_page import Recorded
-from connectors.web.session_page import Scrubber
+from connectors.web.session_page import SessionCurves, SessionPage
 from flows.run.clocks import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.ports import Run, SinkStatus, SourceStatus
@@ -93,13 +92,13 @@ class ServedPage(Served):
 class ServedRecording(Served):
     """A recorded session's page."""
 
-    def __init__(self, recorded: Coroutine[Any, Any, Recorded]) -> None:
+    def __init__(self, recorded: Coroutine[Any, Any, SessionCurves]) -> None:
         super().__init__()
         self._recorded = recorded
 
     def __enter__(self) -> Self:
         super().__enter__()
-        self._scrubber = Scrubber(self.do(self._recorded), 0)
+        self._scrubber = SessionPage(self.do(self._recorded), 0)
         self.do(self._scrubber.open())
         self.url = self._scrubber.url
         return self

@@ -11,8 +11,8 @@ SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 
 
 def test_on_this_machine_everybody_is_let_in() -> None:
-    assert Access.of("127.0.0.1", None).lets_in(None)
-    assert Access.of("localhost", None).lets_in(None)
+    assert Access.of("127.0.0.1", None).accepts_cookie(None)
+    assert Access.of("localhost", None).accepts_cookie(None)
 
 
 @pytest.mark.parametrize("host", ["::", "192.168.1.5", "rig.lab"])
@@ -26,10 +26,10 @@ def test_the_token_comes_from_the_environment_or_a_file(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv(TOKEN, SECRET)
-    assert Access.of("::", None).knows(SECRET)
+    assert Access.of("::", None).accepts_token(SECRET)
     (tmp_path / "token").write_text(f"{SECRET}-of-the-file\n")
     monkeypatch.setenv(TOKEN_FILE, str(tmp_path / "token"))
-    assert Access.of("::", None).knows(f"{SECRET}-of-the-file")
+    assert Access.of("::", None).accepts_token(f"{SECRET}-of-the-file")
     monkeypatch.setenv(TOKEN_FILE, str(tmp_path / "none"))
     with pytest.raises(InputError, match=re.escape(str(tmp_path / "none"))):
         Access.of("::", None)
@@ -44,26 +44,26 @@ def test_a_token_that_could_be_guessed_or_not_be_sent_is_refused_and_not_shown(t
 
 def test_only_the_cookie_of_the_token_opens() -> None:
     access = Access(SECRET)
-    assert access.lets_in(access.cookie)
+    assert access.accepts_cookie(access.cookie)
     assert Access(SECRET).cookie == access.cookie  # a page comes back after a restart
-    assert not access.lets_in(None)
-    assert not access.lets_in("")
-    assert not access.lets_in(SECRET)
-    assert not access.lets_in(Access(SECRET + "0").cookie)
-    assert not access.lets_in("ü")
-    assert not access.knows("ü")
+    assert not access.accepts_cookie(None)
+    assert not access.accepts_cookie("")
+    assert not access.accepts_cookie(SECRET)
+    assert not access.accepts_cookie(Access(SECRET + "0").cookie)
+    assert not access.accepts_cookie("ü")
+    assert not access.accepts_token("ü")
     assert SECRET not in access.cookie
 
 
 def test_nobody_knows_a_token_where_there_is_none() -> None:
-    assert not Access().knows("")
+    assert not Access().accepts_token("")
 
 
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:8765", "", "localhost.evil.example", "a b", "[::1"]
 )
 def test_a_name_that_is_not_ours_is_refused(host: str) -> None:
-    assert not Access().is_named(host)
+    assert not Access().is_own_host(host)
 
 
 def test_addresses_and_names_of_this_machine_are_ours() -> None:
@@ -75,8 +75,8 @@ def test_addresses_and_names_of_this_machine_are_ours() -> None:
         "LOCALHOST.",
         socket.gethostname(),
     ):
-        assert Access().is_named(host), host
+        assert Access().is_own_host(host), host
 
 
 def test_what_no_browser_is_to_read_goes_by_any_name() -> None:
-    assert Access(any_name=True).is_named("robot.example")
+    assert Access(any_name=True).is_own_host("robot.example")

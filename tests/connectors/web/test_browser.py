@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, ConsoleMessage, Page, Request, ViewportSize, expect, sync_playwright
 
-from connectors.web.recorded_page import Recorded
+from connectors.web.session_page import SessionCurves
 from flows.cli.live_view import add_page
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
@@ -134,12 +134,12 @@ def test_a_server_that_comes_back_with_another_token_asks_for_it(watched: Watche
     tab, one, other = watched.tab, "0123456789abcdef", "fedcba9876543210"
     with ServedPage(token=one) as first:
         port = int(first.url.rpartition(":")[2])
-        tab.goto(first.page.entrance)
+        tab.goto(first.page.login_url)
         first.feel(-5)
         expect(tab.locator("#link")).to_have_text("Live")
     with ServedPage(port, token=other) as second:
         expect(tab.get_by_role("heading", name="This page needs its token")).to_be_visible()
-        tab.goto(second.page.entrance)
+        tab.goto(second.page.login_url)
         second.feel(-77)
         expect(tab.locator(".count").first).to_have_text("77")
 
@@ -285,16 +285,16 @@ def test_who_lacks_the_token_is_told_what_to_do_and_may_enter_it(watched: Watche
 
 def test_the_token_in_the_address_opens_the_page_and_leaves_the_address(watched: Watched) -> None:
     with ServedPage(token="0123456789abcdef") as served:  # noqa: S106 - of this test
-        watched.tab.goto(served.page.entrance)
+        watched.tab.goto(served.page.login_url)
         served.feel(-10)
         expect(watched.tab.locator("#link")).to_have_text("Live")
         assert watched.tab.url == f"{served.url}/"
         assert watched.complaints == []
 
 
-async def a_minute(run: Run) -> Recorded:
+async def a_minute(run: Run) -> SessionCurves:
     """A recording of a minute: counts tell the second, and it slips from the 40th to the 42nd."""
-    recorded = Recorded(threshold=0.78, about="A recorded session.", flow="record", dataset="lab")
+    recorded = SessionCurves(threshold=0.78, about="A recorded session.", flow="record", dataset="lab")
     await recorded.open(run)
     for k in range(6000):
         await recorded.write(felt(run.start + k * 10 * ms, -(k // 100)))
@@ -377,7 +377,7 @@ def test_space_plays_and_stops_unless_what_has_the_focus_takes_it(watched: Watch
 def test_a_thinned_picture_of_all_keeps_the_figures_of_the_recording(watched: Watched, run: Run) -> None:
     """A row in a thousand is another; no figure may be that of its neighbours, nor its own theirs."""
     rows, odd = 200_000, 123_456
-    recorded = Recorded(threshold=0.78)
+    recorded = SessionCurves(threshold=0.78)
     time = run.start + np.arange(rows) * 10 * ms
     probability = np.full(rows, 0.25)
     probability[odd] = 0.75
@@ -386,7 +386,7 @@ def test_a_thinned_picture_of_all_keeps_the_figures_of_the_recording(watched: Wa
     onsets = np.arange(0, rows, 50)[:3000]
     state = (1 - np.arange(3000) % 2).astype(np.int8)
 
-    async def fill() -> Recorded:
+    async def fill() -> SessionCurves:
         await recorded.open(run)
         await recorded.write(Zeroed(time, counts, counts, np.ones((rows, 6), np.bool_), finger=0))
         await recorded.write(Scores(time, probability, finger=0))

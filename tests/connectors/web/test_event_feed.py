@@ -6,10 +6,8 @@ from aiohttp import ClientSession
 
 from connectors.web import event_feed as module
 from connectors.web.access import Access
-from connectors.web.event_feed import Feed
-from connectors.web.http_server import WebServer
-from connectors.web.sse_messages import message
-from connectors.web.viewer import WAITING
+from connectors.web.event_feed import QUEUE_MAX, EventFeed, PageQueue, message
+from connectors.web.web_server import WebServer
 from tests.connectors.mqtt.broker_process import PATIENCE
 from tests.connectors.web.reading import events, listening
 
@@ -18,7 +16,7 @@ async def hello() -> bytes:
     return message("hello", {})
 
 
-async def served(feed: Feed) -> WebServer:
+async def served(feed: EventFeed) -> WebServer:
     server = WebServer("127.0.0.1", 0, Access(), "a feed")
     await server.open({"/stream": feed.stream})
     return server
@@ -41,7 +39,7 @@ def test_a_browser_that_takes_nothing_is_dropped_and_costs_little_until_then() -
             asked.set()
             return await hello()
 
-        feed = Feed(greet, stalled=0.3)
+        feed = EventFeed(greet, stall_timeout=0.3)
         server = await served(feed)
         with socket.socket() as silent:
             silent.connect(("127.0.0.1", port(server)))
@@ -49,8 +47,8 @@ def test_a_browser_that_takes_nothing_is_dropped_and_costs_little_until_then() -
             async with asyncio.timeout(PATIENCE):
                 await asked.wait()
                 while feed:
-                    feed.tell("frame", "x" * 100_000)
-                    assert feed.waiting <= WAITING
+                    feed.send("frame", "x" * 100_000)
+                    assert feed.queued <= QUEUE_MAX
                     await asyncio.sleep(0.001)
                 silent.setblocking(False)  # noqa: FBT003 - socket's own
                 with pytest.raises(ConnectionResetError):  # so that the kernel keeps nothing for it either
@@ -62,10 +60,10 @@ def test_a_browser_that_takes_nothing_is_dropped_and_costs_little_until_then() -
 
 
 def test_a_browser_that_takes_nothing_holds_up_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "FAREWELL", 0.05)
+    monkeypatch.setattr(module, "CLOSE_TIMEOUT", 0.05)
 
     async def main() -> None:
-        feed = Feed(hello, stalled=PATIENCE)
+        feed = EventFeed(hello, stall_timeout=PATIENCE)
         server = await served(feed)
         async with asyncio.timeout(PATIENCE), listening(server.url) as heard:
             assert (await anext(heard))[0] == "hello"
@@ -76,9 +74,9 @@ def test_a_browser_that_takes_nothing_holds_up_no_end(monkeypatch: pytest.Monkey
                 while len(feed) < 2:  # noqa: ASYNC110 - nobody tells
                     await asyncio.sleep(0)
                 for k in range(20):
-                    feed.tell("frame", "x" * 100_000)
+                    feed.send("frame", "x" * 100_000)
                     assert await anext(heard) == ("frame", "x" * 100_000), k
-                feed.tell("end", None)
+                feed.send("end", None)
                 await feed.close()
                 assert await anext(heard) == ("end", None)  # who reads has all of it
                 await server.close()
@@ -92,7 +90,7 @@ def test_a_browser_that_takes_nothing_holds_up_no_end(monkeypatch: pytest.Monkey
 
 def test_a_browser_that_goes_is_forgotten_at_once() -> None:
     async def main() -> None:
-        feed = Feed(hello)
+        feed = EventFeed(hello)
         server = await served(feed)
         async with asyncio.timeout(PATIENCE):
             async with ClientSession() as session, session.get(f"{server.url}/stream") as response:
@@ -115,14 +113,14 @@ def test_what_is_told_meanwhile_comes_after_the_hello() -> None:
             await go.wait()
             return await hello()
 
-        feed = Feed(slow)
+        feed = EventFeed(slow)
         server = await served(feed)
         async with listening(server.url) as heard:
             await asked.wait()
-            feed.tell("frame", 1)
+            feed.send("frame", 1)
             go.set()
             assert [await anext(heard), await anext(heard)] == [("hello", {}), ("frame", 1)]
-            feed.tell("end", 2)
+            feed.send("end", 2)
             await feed.close()
             assert [each async for each in heard] == [("end", 2)]
         async with ClientSession() as session, session.get(f"{server.url}/stream") as late:
@@ -134,12 +132,12 @@ def test_what_is_told_meanwhile_comes_after_the_hello() -> None:
 
 def test_a_browser_that_lost_frames_is_told_how_many() -> None:
     async def main() -> None:
-        feed = Feed(hello)
+        feed = EventFeed(hello)
         server = await served(feed)
         async with listening(server.url) as heard:
             assert (await anext(heard))[0] == "hello"
             for k in range(15):
-                feed.tell("frame", chr(97 + k) * 100_000)
+                feed.send("frame", chr(97 + k) * 100_000)
             found = [await anext(heard) for _ in range(11)]
             assert [name for name, _ in found] == ["frame"] * 10 + ["lost"]
             assert found[-1] == ("lost", 5)
@@ -149,10 +147,10 @@ def test_a_browser_that_lost_frames_is_told_how_many() -> None:
 
 
 def test_there_is_room_for_so_many_browsers_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "VIEWERS", 1)
+    monkeypatch.setattr(module, "PAGES_MAX", 1)
 
     async def main() -> None:
-        feed = Feed(hello)
+        feed = EventFeed(hello)
         server = await served(feed)
         async with (
             listening(server.url),
@@ -161,5 +159,53 @@ def test_there_is_room_for_so_many_browsers_only(monkeypatch: pytest.MonkeyPatch
         ):
             assert second.status == 503
         await server.close()
+
+    asyncio.run(main())
+
+
+def test_messages_are_given_together_in_their_order() -> None:
+    async def main() -> None:
+        page = PageQueue()
+        page.put(b"a")
+        page.put(b"b")
+        assert await page.take() == b"ab"
+        waiting = asyncio.create_task(page.take())
+        await asyncio.sleep(0)
+        assert not waiting.done()
+        page.put(b"c")
+        assert await waiting == b"c"
+
+    asyncio.run(main())
+
+
+def test_the_oldest_messages_are_lost_and_counted() -> None:
+    async def main() -> None:
+        page = PageQueue(limit=10)
+        for k in range(10):
+            page.put(b"%d23" % k)
+        assert await page.take() == b"723823923"
+        assert page.lost == 7
+
+    asyncio.run(main())
+
+
+def test_a_message_longer_than_all_that_may_wait_is_lost() -> None:
+    async def main() -> None:
+        page = PageQueue(limit=2)
+        page.put(b"123")
+        page.put(b"4")
+        assert await page.take() == b"4"
+        assert page.lost == 1
+
+    asyncio.run(main())
+
+
+def test_the_end_comes_after_what_waits() -> None:
+    async def main() -> None:
+        page = PageQueue()
+        page.put(b"last")
+        page.end()
+        assert await page.take() == b"last"
+        assert await page.take() is None
 
     asyncio.run(main())

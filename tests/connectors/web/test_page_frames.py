@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from connectors.events import encode
-from connectors.web.page_frames import EVENTS, FINGERS, Frames
+from connectors.web.page_frames import EVENTS_KEPT, FINGERS_MAX, KEPT, STEP, Frames, Track
 from operators.batch import EVERY, Faults, Motion, Scores, Slips, Touch, Zeroed, ms, s
 from operators.health import FaultKind
 from operators.ports import Json, Run
@@ -82,11 +82,11 @@ def test_a_replay_at_full_speed_has_no_latency(frames: Frames, run: Run) -> None
 
 
 def test_the_newest_events_are_kept(frames: Frames) -> None:
-    for k in range(EVENTS + 50):
+    for k in range(EVENTS_KEPT + 50):
         frames.add(slips(START + k * ms, 1 - k % 2))
-    assert len(document(frames.next())["events"]) == EVENTS
+    assert len(document(frames.next())["events"]) == EVENTS_KEPT
     events: Any = frames.events(2)
-    assert [event["id"] for event in events] == [EVENTS + 49, EVENTS + 50]
+    assert [event["id"] for event in events] == [EVENTS_KEPT + 49, EVENTS_KEPT + 50]
 
 
 def test_faults_are_told_while_they_last(frames: Frames) -> None:
@@ -102,10 +102,65 @@ def test_faults_are_told_while_they_last(frames: Frames) -> None:
 
 
 def test_more_fingertips_than_can_be_shown_are_left_out(frames: Frames) -> None:
-    for finger in range(FINGERS + 9):
+    for finger in range(FINGERS_MAX + 9):
         frames.add(touch(Zeroed, START, -1, finger))
         frames.add(touch(Touch, START, 1, 100 + finger))
         frames.add(Scores(np.array([START]), np.array([0.5]), finger=finger))
     frame = document(frames.next())
-    assert len(frame["scores"]) == FINGERS
-    assert len(frame["touch"]) == FINGERS
+    assert len(frame["scores"]) == FINGERS_MAX
+    assert len(frame["touch"]) == FINGERS_MAX
+
+
+def scores(*times: int) -> Scores:
+    return Scores(np.array(times, np.int64), np.zeros(len(times)))
+
+
+def test_a_track_gives_what_is_new_once_and_keeps_it() -> None:
+    track = Track(Scores)
+    assert track.take() is None
+    track.add(scores(0, 10 * ms))
+    track.add(scores(20 * ms))
+    new = track.take()
+    assert new is not None
+    assert new.time.tolist() == [0, 10 * ms, 20 * ms]
+    assert track.take() is None
+    assert track.rows.time.tolist() == [0, 10 * ms, 20 * ms]
+
+
+def test_of_each_5_ms_the_first_row_is_kept_however_rows_are_cut() -> None:
+    time = range(0, s, 2 * ms)
+    whole, cut = Track(Scores), Track(Scores)
+    whole.add(scores(*time))
+    for each in time:
+        cut.add(scores(each))
+    assert whole.rows.time.tolist() == cut.rows.time.tolist()
+    assert len(whole.rows) == s // STEP
+
+
+def test_rows_older_than_one_that_came_are_left_out() -> None:
+    track = Track(Scores)
+    track.add(scores(100 * ms, 50 * ms, 110 * ms))
+    track.add(scores(70 * ms))
+    assert track.rows.time.tolist() == [100 * ms, 110 * ms]
+
+
+def test_a_track_is_bounded_even_if_nobody_takes_it() -> None:
+    track = Track(Scores)
+    for second in range(120):
+        track.add(scores(*range(second * s, (second + 1) * s, ms)))
+    assert len(track.rows) <= KEPT // STEP + 1
+    new = track.take()
+    assert new is not None
+    assert len(new) == len(track.rows)
+    assert track.rows.time[-1] - track.rows.time[0] <= KEPT
+
+
+def test_rows_that_were_given_stay_as_they_were() -> None:
+    track = Track(Scores)
+    track.add(scores(*range(0, s, 10 * ms)))
+    new = track.take()
+    assert new is not None
+    before = new.time.tolist()
+    for second in range(1, 90):
+        track.add(scores(*range(second * s, (second + 1) * s, 10 * ms)))
+    assert new.time.tolist() == before

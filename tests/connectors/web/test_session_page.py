@@ -2,8 +2,7 @@ import asyncio
 
 from aiohttp import ClientSession
 
-from connectors.web.recorded_page import Recorded
-from connectors.web.session_page import Scrubber
+from connectors.web.session_page import SessionCurves, SessionPage
 from operators.batch import ms, s
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import PATIENCE
@@ -12,13 +11,13 @@ from tests.connectors.web.reading import felt, slip
 
 def test_a_browser_is_given_the_session_and_any_window_of_it(run: Run) -> None:
     async def main() -> None:
-        recorded = Recorded()
+        recorded = SessionCurves()
         await recorded.open(run)
         for k in range(10):
             await recorded.write(felt(90 * s + k * 10 * ms, -k))
         await recorded.write(slip(90 * s + 50 * ms, 1))
         await recorded.close()
-        scrubber = Scrubber(recorded, 0)
+        scrubber = SessionPage(recorded, 0)
         await scrubber.open()
         url = scrubber.url
         async with asyncio.timeout(PATIENCE), ClientSession() as session:

@@ -51,7 +51,7 @@ def test_a_session_is_shown_with_its_slips_and_scored_again(session: Session) ->
     assert len(window["scores"]["0"]["t"]) == pytest.approx(100, abs=2)
     assert len(window["speed"]["t"]) == pytest.approx(125, abs=2)
     onset = next(event["t"] for event in contents["events"] if event["onset"])
-    seen: dict[str, Any] = {**recorded.figures(onset)}
+    seen: dict[str, Any] = {**recorded.values_at(onset)}
     assert seen["scores"]["0"]["v"][0] >= recorded.threshold
 
 

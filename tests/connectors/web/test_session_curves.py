@@ -4,8 +4,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.web import recorded_page as module
-from connectors.web.recorded_page import Recorded
+from connectors.web import session_page as module
+from connectors.web.session_page import SessionCurves
 from operators.batch import Motion, Scores, Slips, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Run
@@ -14,9 +14,9 @@ from tests.connectors.web.reading import felt, slip
 START = 90 * s
 
 
-def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips) -> Recorded:
-    async def main() -> Recorded:
-        recorded = Recorded(threshold=0.5, about="A recorded session.", flow="record", dataset="lab")
+def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips) -> SessionCurves:
+    async def main() -> SessionCurves:
+        recorded = SessionCurves(threshold=0.5, about="A recorded session.", flow="record", dataset="lab")
         await recorded.open(run)
         for batch in batches:
             await recorded.write(batch)
@@ -26,7 +26,7 @@ def kept(run: Run, *batches: Zeroed | Motion | Scores | Slips) -> Recorded:
     return asyncio.run(main())
 
 
-def cut(recorded: Recorded, begin: float, end: float) -> dict[str, Any]:
+def cut(recorded: SessionCurves, begin: float, end: float) -> dict[str, Any]:
     return {**recorded.window(begin, end, 1000)}
 
 
@@ -56,11 +56,11 @@ def test_a_long_window_is_thinned_to_the_pixels_and_keeps_its_peak(run: Run) -> 
 def test_the_figures_of_an_instant_are_those_recorded_however_the_curves_are_thinned(run: Run) -> None:
     time = START + np.arange(100_000) * 10 * ms
     recorded = kept(run, Scores(time, np.arange(100_000) % 100 / 100, finger=0), felt(START, -7))
-    seen: dict[str, Any] = {**recorded.figures(543_215)}
+    seen: dict[str, Any] = {**recorded.values_at(543_215)}
     assert seen["scores"]["0"] == {"t": [543_210], "v": [pytest.approx(0.21)]}
     assert seen["touch"]["0"]["t"] == []  # its last row is too old to tell anything
     assert seen["speed"] is None
-    before: dict[str, Any] = {**recorded.figures(-1)}
+    before: dict[str, Any] = {**recorded.values_at(-1)}
     assert before["scores"]["0"]["t"] == []
 
 
@@ -110,6 +110,6 @@ def test_a_cell_that_never_answered_scales_nothing(run: Run) -> None:
 
 
 def test_a_session_too_long_for_memory_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "ROWS", 2)
+    monkeypatch.setattr(module, "ROWS_MAX", 2)
     with pytest.raises(InputError, match="run1: is too long to be shown: a page takes 2 rows"):
         kept(run, *[felt(START + k * ms, -1) for k in range(3)])

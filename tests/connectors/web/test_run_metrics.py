@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from connectors.web.measures import Measures
+from connectors.web.run_metrics import RunMetrics
 from operators.batch import Clocks, Faults, Slips, ms, s
 from operators.health import FaultKind
 from operators.ports import ClockStep, Gap, Run, SinkStatus, SourceStatus
@@ -13,7 +13,7 @@ NOW = 100 * s
 Labels = frozenset[tuple[str, str]]
 
 
-def read(measures: Measures) -> dict[tuple[str, Labels], float]:
+def read(measures: RunMetrics) -> dict[tuple[str, Labels], float]:
     """Each sample by its name and labels."""
     return {
         (sample.name, frozenset(sample.labels.items())): sample.value
@@ -32,7 +32,7 @@ def slips(*times: int, state: int = 1, finger: int = 0) -> Slips:
 
 
 def test_sources_are_told_as_the_runner_counts_them(run: Run) -> None:
-    measures = Measures(run)
+    measures = RunMetrics(run)
     run.sources["touch"] = SourceStatus(rows=500, late=3, newest=NOW - 30 * ms, up=True)
     run.sources["motion"] = SourceStatus(failures=4, error="unplugged", gaps=[Gap(s, 3 * s, "unplugged")])
     found = read(measures)
@@ -51,7 +51,7 @@ def test_sources_are_told_as_the_runner_counts_them(run: Run) -> None:
 def test_sinks_are_told_as_the_runner_counts_them(run: Run) -> None:
     run.sinks["mqtt"] = SinkStatus(rows=7, queued=2, dropped=5, failures=3, error="mqtt://host: refused")
     run.sinks["dataset"] = SinkStatus(rows=9)
-    measures = Measures(run)
+    measures = RunMetrics(run)
     found = read(measures)
     assert at(found, "slipflow_sink_rows_total", sink="mqtt") == 7
     assert at(found, "slipflow_sink_queued_batches", sink="mqtt") == 2
@@ -62,7 +62,7 @@ def test_sinks_are_told_as_the_runner_counts_them(run: Run) -> None:
 
 
 def test_the_latency_of_slips_is_a_histogram_by_finger(run: Run) -> None:
-    measures = Measures(run)
+    measures = RunMetrics(run)
     measures.add(slips(NOW - 3 * ms, NOW - 15 * ms, NOW - 9 * s))
     measures.add(slips(NOW - 4 * ms, state=0))
     measures.add(slips(NOW, finger=2))
@@ -80,7 +80,7 @@ def test_the_latency_of_slips_is_a_histogram_by_finger(run: Run) -> None:
 
 def test_what_is_replayed_has_events_but_no_latency(run: Run) -> None:
     run.live = False
-    measures = Measures(run)
+    measures = RunMetrics(run)
     measures.add(slips(s))
     found = read(measures)
     assert at(found, "slipflow_slip_events_total", finger="0", state="onset") == 1
@@ -92,7 +92,7 @@ def test_a_fault_is_one_while_it_lasts(run: Run) -> None:
         kind = np.full(1, FaultKind.STUCK, np.int8)
         return Faults(np.array([s]), np.array([3], np.int8), kind, np.array([active]), finger=1)
 
-    measures, labels = Measures(run), {"finger": "1", "barometer": "3", "kind": "stuck"}
+    measures, labels = RunMetrics(run), {"finger": "1", "barometer": "3", "kind": "stuck"}
     measures.add(fault(active=True))
     assert at(read(measures), "slipflow_barometer_fault", **labels) == 1
     measures.add(fault(active=False))
@@ -100,7 +100,7 @@ def test_a_fault_is_one_while_it_lasts(run: Run) -> None:
 
 
 def test_clocks_are_told_by_their_newest_row(run: Run) -> None:
-    measures = Measures(run)
+    measures = RunMetrics(run)
     assert at(read(measures), "slipflow_host_clock_offset_seconds") == 0
     measures.add(Clocks(np.array([s, 2 * s]), np.array([3 * s, 4 * s]), np.full(2, 5e-5), np.full(2, 4e-3)))
     measures.add(Clocks.empty())
@@ -115,16 +115,16 @@ def test_clocks_are_told_by_their_newest_row(run: Run) -> None:
 
 def test_a_name_with_quotes_and_line_ends_is_read_back(run: Run) -> None:
     run.sources['a "b"\n\\c'] = SourceStatus(rows=1)
-    assert at(read(Measures(run)), "slipflow_source_rows_total", source='a "b"\n\\c') == 1
+    assert at(read(RunMetrics(run)), "slipflow_source_rows_total", source='a "b"\n\\c') == 1
     assert (
-        at(read(Measures(run)), "slipflow_run_info", session="run1", flow="live", live="true", recording="")
+        at(read(RunMetrics(run)), "slipflow_run_info", session="run1", flow="live", live="true", recording="")
         == 1
     )
 
 
 def test_a_replay_says_what_of_and_measures_no_latency_though_it_is_paced(run: Run) -> None:
     run.recording = "stroke-9"
-    measures = Measures(run)
+    measures = RunMetrics(run)
     measures.add(slips(NOW - 10 * ms))
     found = read(measures)
     assert at(found, "slipflow_slip_events_total", finger="0", state="onset") == 1

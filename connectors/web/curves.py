@@ -1,0 +1,88 @@
+"""Curves of a page: plotted values, thinning to pixels, and JSON."""
+
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from operators.batch import SLIP, Motion, Reals, Scores, Times, Touch, ms
+from operators.ports import Json
+
+Real = TypeVar("Real", bound=np.floating[Any])
+GAP: Final = 250 * ms  # ns; a longer pause is drawn as a gap, as the page does for live rows
+
+
+def plotted_values(batch: Touch | Motion | Scores) -> Reals:
+    """Return the plotted values of a batch.
+
+    Returns:
+        (n, 6) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,) probability of
+        scores.
+    """
+    if isinstance(batch, Touch):
+        return np.where(batch.valid, batch.counts, np.nan)
+    if isinstance(batch, Motion):
+        speed: Reals = 1000 * np.sqrt(np.square(batch.velocity[:, :3]).sum(axis=1))
+        return speed
+    return batch.probability
+
+
+def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> dict[str, Json]:
+    """Return rows as JSON: times in ms since `origin` (ns), values rounded to 3 decimals.
+
+    >>> curve_json(np.array([1_500_000, 2_000_000]), np.array([0.12345, 1.0]), 1_000_000)
+    {'t': [0.5, 1.0], 'v': [0.123, 1.0]}
+    """
+    return {"t": ((time - origin) / ms).round(3).tolist(), "v": values.astype(np.float64).round(3).tolist()}
+
+
+def event_json(
+    number: int, finger: str, row: tuple[int, int, float], origin: int, latency: int | None
+) -> dict[str, Json]:
+    """Return a slip event as JSON; `row` is its time (ns), state and probability; `latency` is in ns."""
+    time, state, probability = row
+    return {
+        "id": number,
+        "t": (time - origin) / ms,
+        "finger": finger,
+        "onset": state == SLIP,
+        "p": round(probability, 3),
+        "latency": None if latency is None else round(latency / ms, 3),
+    }
+
+
+def thin_curve(
+    time: Times, values: NDArray[Real], begin: int, end: int, columns: int
+) -> tuple[Times, NDArray[Real]]:
+    """Reduce rows to the minimum and maximum of each pixel column, which draw the same picture.
+
+    A row of NaN marks each pause of more than 250 ms, so that no line crosses it.
+
+    >>> time, values = thin_curve(np.arange(8), np.array([0.0, 1, 9, 1, 0, 0, -5, 0]), 0, 7, 2)
+    >>> time.tolist(), values.tolist()
+    ([0, 3, 4, 7], [0.0, 9.0, -5.0, 0.0])
+
+    Args:
+        time: (n,) ns, increasing, from `begin` to `end`.
+        values: (n, ...); each column is reduced separately, and NaN remains only without other values.
+        begin: Left edge of the picture, ns.
+        end: Right edge of the picture, ns.
+        columns: Width of the picture, pixels.
+
+    Returns:
+        At most two rows per pixel column and as many of NaN; all rows if they are fewer.
+    """
+    thinned = len(time) > 2 * columns
+    if thinned:
+        edges = np.linspace(0, end - begin, columns, endpoint=False)  # (columns,) ns since `begin`
+        starts = np.unique(np.searchsorted(time - begin, edges))  # first row of each column that has one
+        starts = starts[starts < len(time)]
+        ends = np.append(starts[1:], len(time)) - 1
+        least, greatest = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+        time = np.stack((time[starts], time[ends]), axis=1).reshape(-1)
+        values = np.stack((least, greatest), axis=1).reshape(-1, *values.shape[1:])
+    pauses = np.diff(time)  # (rows - 1,) ns
+    if thinned:
+        pauses[::2] = 0  # between the two rows of a column
+    gaps = np.flatnonzero(pauses > GAP) + 1
+    return np.insert(time, gaps, time[gaps - 1] + 1), np.insert(values, gaps, np.nan, axis=0)

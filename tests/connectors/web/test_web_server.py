@@ -1,0 +1,197 @@
+import asyncio
+import re
+import socket
+from collections.abc import AsyncGenerator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+from aiohttp import ClientResponse, ClientSession, CookieJar, web
+
+from connectors.web.access import Access
+from connectors.web.web_server import STATIC, WebServer, page_server
+from operators.errors import EndpointError
+
+SECRET = "0123456789abcdef"  # noqa: S105 - of tests
+
+
+async def answer(_: web.Request) -> web.Response:
+    return web.Response(text="felt")
+
+
+@asynccontextmanager
+async def served(access: Access) -> AsyncGenerator[tuple[ClientSession, str]]:
+    """A browser with cookies at a server."""
+    server = WebServer("127.0.0.1", 0, access, "numbers")
+    await server.open({"/data": answer})
+    async with ClientSession(cookie_jar=CookieJar(unsafe=True)) as session:
+        yield session, server.url
+    await server.close()
+
+
+async def get(session: ClientSession, url: str, **headers: str) -> tuple[int, str, ClientResponse]:
+    async with session.get(url, headers=headers, allow_redirects=False) as response:
+        return response.status, await response.text(), response
+
+
+def test_every_answer_forbids_what_comes_from_elsewhere() -> None:
+    async def main() -> None:
+        async with served(Access()) as (session, url):
+            for path in ("/data", "/nothing"):
+                headers = (await get(session, url + path))[2].headers
+                assert headers["Content-Security-Policy"].startswith("default-src 'self';")
+                assert "unsafe" not in headers["Content-Security-Policy"]
+                assert headers["X-Content-Type-Options"] == "nosniff"
+                assert headers["Referrer-Policy"] == "no-referrer"  # the token may be in the address
+                assert headers["Cache-Control"] == "no-store"
+                assert "Access-Control-Allow-Origin" not in headers
+
+    asyncio.run(main())
+
+
+def test_a_name_made_to_lead_here_is_refused() -> None:
+    async def main() -> None:
+        async with served(Access()) as (session, url):
+            assert (await get(session, f"{url}/data", Host="evil.example"))[0] == 421
+            assert (await get(session, f"{url}/data", Host="localhost:1"))[0] == 200
+
+    asyncio.run(main())
+
+
+def test_without_the_token_a_line_says_what_to_do() -> None:
+    async def main() -> None:
+        async with served(Access(SECRET)) as (session, url):
+            status, text, _ = await get(session, f"{url}/data")
+            assert status == 401
+            assert text == ("Access to numbers needs its token: append /?token=... to the address.\n")
+
+    asyncio.run(main())
+
+
+def test_the_entrance_has_the_token_and_the_address_has_not() -> None:
+    async def main() -> None:
+        server = WebServer("127.0.0.1", 0, Access(SECRET), "numbers")
+        await server.open({"/data": answer})
+        async with ClientSession(cookie_jar=CookieJar(unsafe=True)) as session:
+            assert SECRET not in server.url
+            assert (await get(session, server.login_url))[0] == 303
+            assert (await get(session, f"{server.url}/data"))[1] == "felt"
+        await server.close()
+
+    asyncio.run(main())
+
+
+def test_a_port_that_is_taken_is_told_unless_a_spare_one_may_be() -> None:
+    async def main() -> None:
+        with socket.create_server(("127.0.0.1", 0)) as taken:
+            port = taken.getsockname()[1]
+            with pytest.raises(EndpointError) as caught:
+                await WebServer("127.0.0.1", port, Access(), "numbers").open({})
+            assert str(caught.value) == (
+                f"http://127.0.0.1:{port}: cannot serve numbers there: Address already in use; "
+                "choose another port"
+            )
+            server = WebServer("127.0.0.1", port, Access(), "numbers", any_port=True)
+            await server.open({})
+            assert server.url.startswith("http://127.0.0.1:")
+            assert server.url != f"http://127.0.0.1:{port}"
+            await server.close()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 80), ("nowhere.invalid", 0)])
+def test_a_place_that_is_not_ours_is_refused(host: str, port: int) -> None:
+    with pytest.raises(
+        EndpointError, match=rf"http://{host}:{port}: cannot serve numbers there: .*choose an"
+    ):
+        asyncio.run(WebServer(host, port, Access(), "numbers", any_port=True).open({}))
+
+
+def page_served(use: Callable[[ClientSession, str], Awaitable[None]], token: str | None = None) -> None:
+    """A browser with cookies at a server."""
+
+    async def main() -> None:
+        server = page_server("127.0.0.1", 0, token)
+        await server.open({"/data": answer})
+        async with ClientSession(cookie_jar=CookieJar(unsafe=True)) as session:
+            await use(session, server.url)
+        await server.close()
+
+    asyncio.run(main())
+
+
+def test_the_page_and_all_that_it_names_is_served() -> None:
+    async def use(session: ClientSession, url: str) -> None:
+        status, page, response = await get(session, f"{url}/")
+        assert (status, response.content_type) == (200, "text/html")
+        names = re.findall(r'(?:src|href)="([^"]+)"', page)
+        names += [
+            f"{name}.js"
+            for path in STATIC.glob("*.js")
+            for name in re.findall(r'from "\./(\w+)\.js"', path.read_text())
+        ]
+        assert len(names) > 8
+        for name in names:
+            status, text, response = await get(session, f"{url}/{name}")
+            assert status == 200
+            assert text
+            kinds = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
+            assert response.content_type == kinds[Path(name).suffix]
+        assert (await get(session, f"{url}/data"))[1] == "felt"
+        assert "Leon Sorokin" in (await get(session, f"{url}/uplot/LICENSE"))[1]
+
+    page_served(use)
+
+
+@pytest.mark.parametrize(
+    "path", ["/../server.py", "/..%2fserver.py", "/static/", "/uplot/../../page.py", "/uplot"]
+)
+def test_nothing_else_is_served(path: str) -> None:
+    async def use(_: ClientSession, url: str) -> None:
+        port = int(url.rpartition(":")[2])
+        reader, writer = await asyncio.open_connection("127.0.0.1", port)
+        writer.write(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n".encode())
+        assert b" 404 " in await reader.readline()
+        writer.close()
+        await writer.wait_closed()
+
+    page_served(use)
+
+
+def test_with_a_token_only_its_cookie_opens() -> None:
+    async def use(session: ClientSession, url: str) -> None:
+        for path in ("/", "/data", "/page.js", "/nothing", "/?token=wrong", "/?token=", f"/?token={SECRET}x"):
+            status, text, response = await get(session, url + path)
+            assert status == 401
+            assert "token" in text
+            assert "Set-Cookie" not in response.headers
+        status, _, response = await get(session, f"{url}/?token={SECRET}")
+        assert (status, response.headers["Location"]) == (303, "/")
+        cookie = response.headers["Set-Cookie"]
+        assert "HttpOnly" in cookie
+        assert "SameSite=Lax" in cookie
+        assert SECRET not in cookie
+        assert (await get(session, f"{url}/data"))[1] == "felt"
+
+    page_served(use, SECRET)
+
+
+def test_people_without_the_token_are_asked_for_it_and_programs_get_a_line() -> None:
+    async def use(session: ClientSession, url: str) -> None:
+        browser = "text/html,application/xhtml+xml,*/*;q=0.8"
+        for path in ("/", "/locked.html", "/nothing"):
+            status, page, response = await get(session, url + path, Accept=browser)
+            assert (status, response.content_type) == (401, "text/html")
+            assert "SLIPFLOW_PAGE_TOKEN" in page
+            assert '<p id="wrong" hidden>' in page
+        for name in re.findall(r'(?:src|href)="(/[^"]+)"', page):
+            status, text, _ = await get(session, url + name)
+            assert status == 200
+            assert text
+        assert '<p id="wrong">' in (await get(session, f"{url}/?token=wrong", Accept=browser))[1]
+        for program in ("text/event-stream", "application/json", "*/*"):
+            status, text, response = await get(session, f"{url}/data", Accept=program)
+            assert (status, response.content_type, text.count("\n")) == (401, "text/plain", 1)
+
+    page_served(use, SECRET)
