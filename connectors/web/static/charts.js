@@ -1,19 +1,19 @@
-// Three curves over one axis: counts of each barometer, probability of slip, speed of the TCP.
+// Three charts over one time axis: counts of each barometer, slip probability, TCP speed.
 
 /* global uPlot */
 
-const LEFT = 52, RIGHT = 10; // px, the same for all, so that instants stand below each other
+const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times align
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-// Barometers by their place: a hue for each column of the pad; the upper row (5 4 3) is dotted.
+// Colour of each barometer: one hue per column of the pad; the upper row (5 4 3) is dotted.
 export const HUES = ["--left", "--middle", "--right", "--right", "--middle", "--left"];
 
 class Chart {
   constructor(id, series, range, extra = () => {}) {
-    this.named = id === "counts"; // whose bands say what they are
+    this.named = id === "counts"; // labels its slip bands
     this.host = document.getElementById(id);
-    this.carries = this.host.classList.contains("last"); // the instants, for all
+    this.carries = this.host.classList.contains("last"); // shows the time axis of all charts
     this.series = series;
     this.range = range;
     this.extra = extra;
@@ -23,10 +23,10 @@ class Chart {
     new ResizeObserver(() => this.#resize()).observe(this.host);
   }
 
-  // Carry the instants, or leave them to another.
+  // Show the time axis in this chart, or not.
   set last(last) {
     this.carries = last;
-    this.host.classList.toggle("last", last); // whose size is another: it is drawn anew
+    this.host.classList.toggle("last", last); // changes the size, which triggers a redraw
   }
 
   draw(data, view) {
@@ -57,7 +57,7 @@ class Chart {
           y: { range: (_, low, high) => this.range(low, high) },
         },
         axes: [
-          { ...axis, size: () => (this.carries ? 24 : 5), gap: 4, splits: () => this.#instants(), values: (_, at) => at.map((t) => (this.carries ? this.#label(t) : "")) },
+          { ...axis, size: () => (this.carries ? 24 : 5), gap: 4, splits: () => this.#times(), values: (_, at) => at.map((t) => (this.carries ? this.#label(t) : "")) },
           { ...axis, size: LEFT, gap: 6, space: 24 },
         ],
         series: [
@@ -76,24 +76,24 @@ class Chart {
     this.plot.setSize({ width: this.host.clientWidth, height: this.host.clientHeight });
   }
 
-  #instants() {
+  #times() {
     const { begin, end } = this.view, span = end - begin;
     const steps = [1000, 2000, 5000, 10000, 30000, 60000, 120000, 300000, 600000, 1800000];
     const step = steps.find((each) => span / each <= (this.host.clientWidth < 480 ? 5 : 10)) ?? steps.at(-1);
-    const instants = [];
-    if (this.view.whole) for (let t = begin; t <= end; t += step) instants.push(t);
-    else for (let t = end; t >= begin - 1; t -= step) instants.unshift(t);
-    return instants;
+    const times = [];
+    if (this.view.whole) for (let t = begin; t <= end; t += step) times.push(t);
+    else for (let t = end; t >= begin - 1; t -= step) times.unshift(t);
+    return times;
   }
 
-  // Seconds before the end; of a whole session, since its beginning.
+  // Seconds before the end; for a whole session, since its start.
   #label(t) {
     if (this.view.whole) return t === this.view.begin ? "0 s" : String(Math.round((t - this.view.begin) / 1000));
     const seconds = Math.round((t - this.view.end) / 1000);
     return seconds === 0 ? "0 s" : `−${-seconds}`;
   }
 
-  // Where it slipped, behind the curves.
+  // Slip bands behind the curves.
   #bands(plot) {
     const { ctx, bbox } = plot, { begin, end, at, slips } = this.view;
     ctx.save();
@@ -114,7 +114,7 @@ class Chart {
         }
       }
     }
-    if (at < end) { // the instant chosen, within what is shown
+    if (at < end) { // the chosen time
       ctx.fillStyle = colour("--soft");
       ctx.fillRect(plot.valToPos(at, "x", true), bbox.top, devicePixelRatio, bbox.height);
     }
@@ -122,7 +122,7 @@ class Chart {
   }
 }
 
-// A range that follows what is drawn, in steps, and shrinks only when it is far too large.
+// A range that follows the data in steps and shrinks only below half.
 export function settling(least) {
   let top = least, bottom = 0;
   return (low, high) => {
@@ -146,20 +146,20 @@ export class Charts {
     const pressure = settling(60);
     const cells = HUES.map((hue, cell) => ({ hue, dash: cell > 2 ? [2, 3] : undefined }));
     this.counts = new Chart("counts", cells, (low, high) => (this.raw ? [0, 1023] : pressure(low, high)));
-    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => this.#mark(plot));
+    this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => this.#drawThreshold(plot));
     this.motion = new Chart("motion", [{ hue: "--probability" }], settling(10));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
   }
 
-  // Whether there is motion to draw; else the chart above has the instants.
-  set moves(moves) {
+  // Show the TCP speed if there is motion; else the chart above has the time axis.
+  set hasMotion(shown) {
     const figure = this.motion.host.closest("figure");
-    if (figure.hidden !== moves) return;
-    figure.hidden = !moves;
-    this.scores.last = !moves;
+    if (figure.hidden !== shown) return;
+    figure.hidden = !shown;
+    this.scores.last = !shown;
   }
 
-  // How many pixels wide the curves are.
+  // Width of the curves, pixels.
   get columns() {
     return Math.max(100, Math.round((this.counts.host.clientWidth - LEFT - RIGHT) * devicePixelRatio));
   }
@@ -174,8 +174,8 @@ export class Charts {
     for (const chart of [this.counts, this.scores, this.motion]) chart.rebuild();
   }
 
-  // The threshold, dashed across.
-  #mark(plot) {
+  // Threshold as a dashed line.
+  #drawThreshold(plot) {
     if (this.threshold === null) return;
     const { ctx, bbox } = plot, y = plot.valToPos(this.threshold, "y", true);
     ctx.save();

@@ -1,9 +1,9 @@
-// Tables: slip events, and how sources and sinks do.
+// Tables of slip events, sources and sinks.
 
 import { element, write } from "./pad.js";
 
-const SHOWN = 100; // events
-const LISTED = 1000; // of a recording
+const LIVE_MAX = 100; // events
+const LISTED_MAX = 1000; // events of a recording
 const number = new Intl.NumberFormat("en");
 
 export class Events {
@@ -11,7 +11,7 @@ export class Events {
     this.body = document.getElementById("events");
     this.none = document.getElementById("no-events");
     this.some = document.getElementById("some-events");
-    this.all = []; // in the order of their numbers
+    this.all = []; // in the order of their ids
     this.changed = false;
   }
 
@@ -21,8 +21,8 @@ export class Events {
     this.none.hidden = false;
   }
 
-  // Take events, of which some may be there already; gives those that are new.
-  add(events, most = SHOWN) {
+  // Add events, some of which may be known; return the new ones.
+  add(events, most = LIVE_MAX) {
     const known = new Set(this.all.map((event) => event.id));
     const fresh = (events ?? []).filter((event) => !known.has(event.id));
     if (!fresh.length) return fresh;
@@ -33,7 +33,7 @@ export class Events {
     return fresh;
   }
 
-  // Spans [from, to] in which a fingertip slipped, as far as these events tell; `end` where one is open.
+  // Return the spans [from, to] in which a fingertip slipped; an open one ends at `end`.
   spans(finger, end) {
     const spans = [];
     let open = null;
@@ -46,17 +46,17 @@ export class Events {
     return spans;
   }
 
-  // Whether a fingertip began or ceased to slip up to an instant.
-  tell(finger, end) {
+  // True if there is an event of a fingertip up to a time.
+  any(finger, end) {
     return this.all.some((event) => event.t <= end && (event.finger === finger || event.finger === "every"));
   }
 
-  // Write the table anew if there is something new, the newest first; `go`: what an event's time does.
+  // Rebuild the table if events were added: newest first, or in order with `go`, called on a click on a time.
   show(when, go = null) {
     if (!this.changed) return;
     this.changed = false;
     this.none.hidden = this.all.length > 0;
-    const shown = go ? this.all.slice(0, LISTED) : this.all.slice().reverse();
+    const shown = go ? this.all.slice(0, LISTED_MAX) : this.all.slice().reverse();
     this.some.hidden = shown.length === this.all.length;
     write(this.some, `The first ${number.format(shown.length)} of ${number.format(this.all.length)} events are listed.`);
     this.body.replaceChildren(...shown.map((event) => row(event, when(event.t), go)));
@@ -76,8 +76,8 @@ function row(event, time, go) {
   tr.append(
     first,
     cell(event.finger),
-    cell(event.onset ? "slip begins" : "slip ends", event.onset ? "onset" : ""),
-    cell(event.p === null ? "–" : event.p.toFixed(2), "number sure"),
+    cell(event.onset ? "slip onset" : "slip end", event.onset ? "onset" : ""),
+    cell(event.p === null ? "–" : event.p.toFixed(2), "number probability"),
     cell(event.latency === null ? "–" : `${event.latency.toFixed(1)} ms`, "number latency"),
   );
   return tr;
@@ -109,7 +109,7 @@ export class Health {
     this.sinks.replaceChildren(
       ...Object.entries(sinks).map(([name, sink]) => line(
         cell(name),
-        sink.error ? cell(sink.error, "bad text") : cell("works"),
+        sink.error ? cell(sink.error, "bad text") : cell("ok"),
         cell(number.format(sink.rows), "number"),
         cell(number.format(sink.queued), "number"),
         cell(number.format(sink.dropped), sink.dropped ? "number bad" : "number"),
@@ -117,7 +117,7 @@ export class Health {
     );
   }
 
-  // The run is over: what its sinks have is final.
+  // Show the final counts at the end of the run.
   end({ sinks, recorders }) {
     this.#showSinks(sinks);
     this.#record(recorders, sinks, true);
@@ -130,16 +130,16 @@ export class Health {
     const failed = recorders.find((sink) => sink.error);
     this.recording.hidden = false;
     this.recording.className = failed || dropped ? "bad" : recorders.length && !ended ? "on" : "";
-    const does = ended ? "Recorded" : "Recording";
-    const text = failed ? `${ended ? "Recording failed" : "Recording fails"}: ${failed.error}` : dropped
-      ? `${does}, ${number.format(dropped)} rows lost`
-      : recorders.length ? `${does}, ${number.format(rows)} rows` : ended ? "Not recorded" : "Not recording";
+    const verb = ended ? "Recorded" : "Recording";
+    const text = failed ? `${ended ? "Recording failed" : "Recording is failing"}: ${failed.error}` : dropped
+      ? `${verb}, ${number.format(dropped)} rows lost`
+      : recorders.length ? `${verb}, ${number.format(rows)} rows` : ended ? "Not recorded" : "Not recording";
     write(this.recording, text);
   }
 }
 
 function state(source, error) {
-  return source.state === "stale" ? "gives nothing" : error ? `down: ${error}` : "down";
+  return source.state === "stale" ? "no data" : error ? `down: ${error}` : "down";
 }
 
 function line(...cells) {

@@ -1,10 +1,10 @@
-// A flow as it runs: frames come as server-sent events; when they stop, the page asks again by itself.
+// Live page: frames arrive as server-sent events; the page reconnects by itself.
 
 import { Health } from "./lists.js";
 import { title, write } from "./pad.js";
 
-const SILENCE = 4000; // ms without a message, of which there is one a second at least: the link is dead
-const AGAIN = 1000; // ms between two tries
+const SILENCE = 4000; // ms without a message until the connection counts as lost; a report arrives every second
+const RETRY = 1000; // ms between attempts
 const $ = (id) => document.getElementById(id);
 
 export function live(view) {
@@ -19,19 +19,19 @@ export function live(view) {
   pause.addEventListener("click", () => {
     paused = paused ? null : still(view);
     pause.setAttribute("aria-pressed", String(paused !== null));
-    write(pause, paused ? "Go on" : "Pause");
-    tellLink();
+    write(pause, paused ? "Resume" : "Pause");
+    showLink();
     view.dirty();
   });
 
-  function tellLink() {
+  function showLink() {
     const lost = document.body.dataset.link === "lost", at = paused?.end;
     const text = ended ? "Ended" : lost ? "Not connected" : paused ? "Paused" : hello?.recording === null ? "Live" : "Replay";
     write($("link"), text);
     $("link").className = ended || paused ? "" : lost ? "bad" : "on";
-    const notice = lost && !ended ? "No flow is connected. This page asks again every second and goes on by itself."
-      : ended ? `The run has ended${ended.error ? `: ${ended.error}` : ""}. This page waits for the next one.`
-      : paused && at !== null ? `The picture is held at ${when(at)}. Slips are still listed.` : "";
+    const notice = lost && !ended ? "No flow is connected. The page reconnects every second."
+      : ended ? `The run has ended${ended.error ? `: ${ended.error}` : ""}. The page waits for the next run.`
+      : paused && at !== null ? `Paused at ${when(at)}. New slips are still listed.` : "";
     $("notice").hidden = !notice;
     write($("notice"), notice);
   }
@@ -41,11 +41,11 @@ export function live(view) {
     document.body.dataset.link = state;
     if (state === "lost" && !ended) {
       $("state").dataset.slip = false;
-      write($("felt"), "No flow is connected");
-      $("felt").dataset.said = "";
-      view.entitle("Not connected");
+      write($("heading"), "No flow is connected");
+      $("heading").dataset.shown = "";
+      view.setTitle("Not connected");
     }
-    tellLink();
+    showLink();
   }
 
   function begin(document_) {
@@ -61,20 +61,20 @@ export function live(view) {
     }
     view.threshold = hello.threshold;
     view.name = hello.flow;
-    $("felt").dataset.said = ""; // the title names the flow
+    $("heading").dataset.shown = ""; // the title names the flow
     const replay = hello.recording === null ? "" : ` · replay of ${hello.recording}`;
     write($("session"), `Flow ${hello.flow} · session ${hello.session}${replay}`);
     link("live");
-    tellLink();
+    showLink();
     frame(hello, false);
   }
 
-  function frame(document_, told = true) {
+  function frame(document_, announced = true) {
     view.take(document_);
     view.slipping = new Set(document_.slipping);
     view.faults = document_.faults;
     const fresh = view.events.add(document_.events);
-    if (told) for (const each of fresh) announce(`${each.onset ? "slip begins" : "slip ends"}: ${title(each.finger).toLowerCase()}`);
+    if (announced) for (const each of fresh) announce(`${each.onset ? "slip onset" : "slip end"}: ${title(each.finger).toLowerCase()}`);
     view.events.show(when);
     view.dirty();
   }
@@ -100,14 +100,14 @@ export function live(view) {
     });
     on("lost", (count) => {
       $("lost").hidden = false;
-      write($("lost"), `This browser was too slow for ${count} frames, which it has not been sent.`);
+      write($("lost"), `This browser was too slow: ${count} messages were dropped.`);
     });
     on("end", (each) => {
       ended = each;
       view.slipping.clear();
       health.end(each);
       view.dirty();
-      tellLink();
+      showLink();
     });
   }
 
@@ -117,35 +117,35 @@ export function live(view) {
     if (!ended || performance.now() - heard > SILENCE) link("lost");
     if (source.readyState === EventSource.CLOSED) askForToken();
     if (source.readyState === EventSource.CLOSED || performance.now() - heard > SILENCE) open();
-  }, AGAIN);
+  }, RETRY);
   open();
 }
 
-// A server that came back with another token says so to a page that is opened anew.
+// If the server restarted with another token, reload the page, which then asks for it.
 async function askForToken() {
   const answer = await fetch("about.json", { cache: "no-store" }).catch(() => null);
   if (answer?.status === 401) location.reload();
 }
 
-// The picture as it is, whatever comes.
+// Copy of the streams as they are now.
 function still({ streams, newest }) {
   const copy = streams.copy();
   return { streams: copy, figures: copy, end: newest };
 }
 
-// Say something to who cannot see it: not more often than it can be heard.
+// Announce text to screen readers, at most every 3 s.
 function announcer(pause = 3000) {
-  const waiting = [];
+  const queued = [];
   let due = 0, timer = null;
   const say = () => {
     timer = null;
     due = performance.now() + pause;
-    const text = waiting.length > 2 ? `${waiting.at(-1)}, ${waiting.length} events` : waiting.join(", ");
-    waiting.length = 0;
+    const text = queued.length > 2 ? `${queued.at(-1)}, ${queued.length} events` : queued.join(", ");
+    queued.length = 0;
     write(document.getElementById("announce"), text);
   };
   return (text) => {
-    waiting.push(text);
+    queued.push(text);
     timer ??= setTimeout(say, Math.max(0, due - performance.now()));
   };
 }

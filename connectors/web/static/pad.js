@@ -1,9 +1,9 @@
-// The pressure map of each fingertip, in the layout of its sensor; choosing one chooses its curves.
+// Pressure map of each fingertip in the layout of the sensor; a click selects the fingertip for the curves.
 
 import { HUES } from "./charts.js";
 
 const LAYOUT = [[5, 4, 3], [0, 1, 2]]; // sensor frame: x right, y up
-const READABLE = 100; // ms between two figures in a cell: faster ones cannot be read
+const READABLE = 100; // ms between updates of the figures, so that they can be read
 
 export class Pads {
   constructor(host, chosen) {
@@ -13,33 +13,33 @@ export class Pads {
     host.addEventListener("change", ({ target }) => chosen(target.value));
   }
 
-  // Have a map for each of these fingertips, in their order; tell which one is chosen.
-  have(fingers, selected) {
+  // Rebuild the maps if the fingertips changed; `selected` is checked.
+  update(fingers, selected) {
     if (fingers.length === this.pads.size && fingers.every((finger) => this.pads.has(finger))) return;
     this.pads.clear();
     this.host.replaceChildren(...fingers.map((finger) => this.#pad(finger, finger === selected)));
     this.host.classList.toggle("many", fingers.length > 1);
   }
 
-  // Show values (6, null: no answer), each as its share of the ramp, what is wrong with cells, and whether it slips.
-  show(finger, values, share, faults, said) {
+  // Show 6 values (null: invalid), their shares of the colour ramp, the faults of cells, and the slip state.
+  show(finger, values, share, faults, state) {
     const pad = this.pads.get(finger);
     if (!pad) return;
-    pad.box.classList.toggle("slips", said === "slip");
-    write(pad.now, said === "not known" ? "–" : said);
-    if (!pad.due) return; // a figure and its shade are of one instant
+    pad.box.classList.toggle("slips", state === "slip");
+    write(pad.now, state === "unknown" ? "–" : state);
+    if (!pad.due) return; // update figures and shades together
     pad.cells.forEach((cell, k) => {
       const value = values?.[k] ?? null, silent = values !== null && value === null;
       const part = value === null ? 0 : Math.min(Math.max(share(value), 0), 1);
       cell.td.style.setProperty("--share", part.toFixed(3));
       cell.td.classList.toggle("deep", part > this.deep);
       cell.td.classList.toggle("fault", k in faults || silent);
-      write(cell.fault, faults[k] ?? (silent ? "no answer" : ""));
+      write(cell.fault, faults[k] ?? (silent ? "no reading" : ""));
       write(cell.count, value === null ? "–" : String(Math.round(value)).replace("-", "−"));
     });
   }
 
-  // Let cells change if their last figures could be read; gives whether they may.
+  // Return true, and allow updates, if the last figures were shown long enough.
   tick(now) {
     const due = now - this.written >= READABLE;
     if (due) {

@@ -1,4 +1,4 @@
-// The page: what a flow feels, as it runs, or a recorded session. Each way has a module of its own.
+// The page of a running flow (live.js) or of a recorded session (recorded.js).
 
 import { Charts, nice } from "./charts.js";
 import { Events } from "./lists.js";
@@ -10,7 +10,7 @@ import { Streams } from "./rows.js";
 const $ = (id) => document.getElementById(id);
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
-// What both ways share: streams, what is chosen, and drawing them.
+// State and drawing shared by both modes.
 class View {
   constructor() {
     this.charts = new Charts();
@@ -18,14 +18,14 @@ class View {
     this.pads = new Pads($("fingers"), (finger) => this.choose(finger));
     this.window = 10000; // ms
     this.finger = null;
-    this.deepest = 100; // counts, the end of the ramp
+    this.deepest = 100; // counts, the end of the colour ramp
     this.drawn = 0;
     this.onchange = () => this.dirty();
     $("window").addEventListener("change", ({ target }) => {
       this.window = 1000 * Number(target.value);
       this.onchange();
     });
-    this.name = ""; // of the flow, or of the recorded session
+    this.name = ""; // flow or recorded session
     this.clear();
   }
 
@@ -35,7 +35,7 @@ class View {
     this.slipping = new Set();
     this.events.clear();
     this.deepest = 100;
-    this.moves = false; // whether there was motion
+    this.hasMotion = false;
   }
 
   choose(finger) {
@@ -43,21 +43,21 @@ class View {
     this.onchange();
   }
 
-  // Take the streams of a frame; `put` is "push" or "replace".
+  // Add the streams of a frame; `put` is "push" or "replace".
   take(frame, put = "push") {
     this.streams.take(frame, put);
-    if (frame.speed) this.moves ||= frame.speed.t.length > 0 || put === "replace";
+    if (frame.speed) this.hasMotion ||= frame.speed.t.length > 0 || put === "replace";
     const fingers = [...this.streams.touch.keys()].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
     if (!this.streams.touch.has(this.finger)) this.finger = fingers[0] ?? null;
-    this.pads.have(fingers, this.finger);
+    this.pads.update(fingers, this.finger);
   }
 
   set threshold(value) {
     this.charts.threshold = value;
-    write($("scores-unit"), value === null ? "" : `dashed: the threshold of a slip, ${value}`);
+    write($("scores-unit"), value === null ? "" : `dashed: threshold, ${value}`);
   }
 
-  // The newest instant of the chosen fingertip, ms; of the arm where there is none.
+  // Time (ms) of the newest sample of the chosen fingertip, else of the arm.
   get newest() {
     return this.streams.touch.get(this.finger)?.newest ?? this.streams.speed.newest;
   }
@@ -66,18 +66,18 @@ class View {
     return this.slipping.has(finger) || this.slipping.has("every");
   }
 
-  // Whether anything tells if a fingertip slips: a score, or an event; in a recording, up to its instant.
+  // True if a score or an event shows whether a fingertip slips, in a recording up to the chosen time.
   knows(finger, { figures, end, at = end, span }) {
     const score = figures.scoring(finger)?.at(at ?? -Infinity)?.[0] ?? null;
-    return score !== null || this.slips(finger) || this.events.tell(finger, span ? end : Infinity);
+    return score !== null || this.slips(finger) || this.events.any(finger, span ? end : Infinity);
   }
 
-  // Draw before the next frame of the screen, unless that is asked for already.
+  // Request a redraw on the next animation frame.
   dirty() {
-    if (this.asked) return;
-    this.asked = true;
+    if (this.requested) return;
+    this.requested = true;
     requestAnimationFrame((now) => {
-      this.asked = false;
+      this.requested = false;
       const wait = STILL.matches ? 500 : 30; // ms
       if (now - this.drawn < wait) {
         this.redraw(wait - (now - this.drawn));
@@ -93,9 +93,9 @@ class View {
     this.later = setTimeout(() => this.dirty(), wait);
   }
 
-  // Override: what is drawn, and up to when; what has the figures, as curves may be thinned, and `at` which
-  // instant, unless that is the end; `span`: [begin, end] of the curves, unless it is the window before the end,
-  // and whether that is the `whole` session.
+  // Overridden by both modes. Returns the drawn `streams`, their `end` (ms), and the streams of the `figures`, which
+  // are not thinned. Optional: `at`, the time of the figures, else `end`; `span`, [begin, end] of the curves, else the
+  // window before `end`; `whole`, true if that is the whole session.
   scene() {
     return { streams: this.streams, figures: this.streams, end: this.newest };
   }
@@ -103,24 +103,24 @@ class View {
   draw(now) {
     const scene = this.scene(), { streams, figures, end, at = end } = scene;
     this.showState(scene);
-    this.charts.moves = this.moves;
-    $("speed").parentElement.hidden = !this.moves;
+    this.charts.hasMotion = this.hasMotion;
+    $("speed").parentElement.hidden = !this.hasMotion;
     if (end === null) return;
     const raw = streams.zeroed.get(this.finger) === false;
     if (raw !== this.charts.raw) {
       this.charts.raw = raw;
       write($("counts-title"), raw ? "Reading of each barometer" : "Pressure of each barometer");
-      write($("counts-unit"), raw ? "raw counts, which fall as pressure rises" : "counts below unloaded");
-      write($("unit"), raw ? "Raw counts: they fall as pressure rises." : "Counts below the unloaded fingertip.");
+      write($("counts-unit"), raw ? "raw counts, which fall with pressure" : "counts below the unloaded reading");
+      write($("unit"), raw ? "Raw counts, which fall with pressure." : "Counts below the unloaded reading.");
     }
     const readable = this.pads.tick(now);
-    if (!readable) this.redraw(100); // so that the last figures are written too
+    if (!readable) this.redraw(100); // to write the last figures
     for (const finger of streams.touch.keys()) {
       const values = figures.touch.get(finger)?.at(at) ?? null, zeroed = streams.zeroed.get(finger);
       const deep = zeroed ? Math.max(0, ...(values ?? [])) : 0;
       if (deep > this.deepest) this.deepest = nice(deep);
       const share = zeroed ? (v) => v / this.deepest : (v) => (1023 - v) / 1023;
-      this.pads.show(finger, values, share, this.faults[finger] ?? {}, this.said(finger, scene));
+      this.pads.show(finger, values, share, this.faults[finger] ?? {}, this.stateOf(finger, scene));
     }
     write($("ramp-from"), raw ? "1023" : "0");
     write($("ramp-to"), raw ? "0" : String(this.deepest));
@@ -129,39 +129,39 @@ class View {
     const { touch, speed } = streams;
     const shown = { touch: touch.get(this.finger), scores: streams.scoring(this.finger), speed };
     this.charts.draw(shown, { begin: from, end: to, at: end, slips, whole });
-    if (readable) this.#tell(figures, at);
+    if (readable) this.#showFigures(figures, at);
   }
 
-  said(finger, scene) {
-    return this.slips(finger) ? "slip" : this.knows(finger, scene) ? "no slip" : "not known";
+  stateOf(finger, scene) {
+    return this.slips(finger) ? "slip" : this.knows(finger, scene) ? "no slip" : "unknown";
   }
 
   showState(scene) {
     if (this.finger === null) {
-      this.entitle();
+      this.setTitle();
       return;
     }
-    const said = this.said(this.finger, scene), heading = $("felt");
-    $("state").dataset.slip = said === "slip";
-    const state = said[0].toUpperCase() + said.slice(1);
-    if (heading.dataset.said !== state + this.finger) {
-      heading.dataset.said = state + this.finger;
+    const state = this.stateOf(this.finger, scene), heading = $("heading");
+    $("state").dataset.slip = state === "slip";
+    const text = state[0].toUpperCase() + state.slice(1);
+    if (heading.dataset.shown !== text + this.finger) {
+      heading.dataset.shown = text + this.finger;
       const small = document.createElement("small");
       small.textContent = title(this.finger);
-      heading.replaceChildren(small, state);
-      this.entitle(state, title(this.finger));
+      heading.replaceChildren(small, text);
+      this.setTitle(text, title(this.finger));
     }
   }
 
-  // Name the page: what is felt first, then `name`, of what it shows, the program last.
-  entitle(...felt) {
-    const text = [...felt, this.name, "slipflow"].filter(Boolean).join(" · ");
+  // Set the title of the tab: state, fingertip, flow or session, slipflow.
+  setTitle(...parts) {
+    const text = [...parts, this.name, "slipflow"].filter(Boolean).join(" · ");
     if (document.title !== text) document.title = text;
   }
 
-  #tell(figures, instant) {
+  #showFigures(figures, time) {
     const near = (rows, digits) => {
-      const at = rows?.at(instant)?.[0] ?? null;
+      const at = rows?.at(time)?.[0] ?? null;
       return at === null ? "–" : at.toFixed(digits);
     };
     write($("probability"), near(figures.scoring(this.finger), 2));
@@ -169,18 +169,18 @@ class View {
   }
 }
 
-async function contents() {
+async function load() {
   for (;;) {
     try {
       const answer = await fetch("about.json", { cache: "no-store" });
       if (answer.ok) return await answer.json();
-    } catch { /* it is not there yet */ }
+    } catch { /* the server is not up yet */ }
     await new Promise((resolve) => setTimeout(resolve, 1000));
   }
 }
 
 const view = new View();
-const about = await contents();
+const about = await load();
 document.body.dataset.mode = about.mode;
 if (about.mode === "live") live(view);
 else recorded(view, about);

@@ -1,16 +1,16 @@
-// A recorded session: a slider chooses an instant; the window before it is drawn, or all.
+// Recorded session: a slider chooses a time; the page draws the window before it, or the whole session.
 
 import { write } from "./pad.js";
 import { Streams } from "./rows.js";
 
 const $ = (id) => document.getElementById(id);
 const STRIDES = { PageUp: 10000, PageDown: -10000 }; // ms, by key
-const STEP = 100; // ms, of the arrows; ten times that with shift
-const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabindex]"; // what does something with it
+const STEP = 100; // ms, of the arrow keys; ten times that with Shift
+const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabindex]"; // elements that use the space key
 
 export function recorded(view, about) {
   const slider = $("instant"), play = $("play"), canvas = $("overview");
-  let asking = false, again = false, playing = null;
+  let loading = false, again = false, playing = null;
 
   document.body.dataset.link = "recorded";
   $("scrub").hidden = false;
@@ -33,9 +33,9 @@ export function recorded(view, about) {
   const begun = new Date(about.start);
   const clock = (t) => new Date(begun.getTime() + t).toISOString().slice(11, 22);
   const instant = () => Number(slider.value);
-  let figures = new Streams(); // of the newest instant that was asked for; curves are thinned to their pixels
+  let figures = new Streams(); // at the requested time; the curves are thinned to pixels
   view.scene = () => ({ streams: view.streams, figures, at: Infinity, end: instant(), span: span(), whole: view.window === Infinity });
-  // What the curves show: the window before the instant, or the whole session.
+  // Time span of the curves: the window before the chosen time, or the whole session.
   const span = () => (view.window === Infinity ? [0, about.length] : [instant() - view.window, instant()]);
   view.onchange = () => refresh();
   view.events.show((t) => elapsed(t), (t) => go(t + 1000));
@@ -44,32 +44,32 @@ export function recorded(view, about) {
     const t = instant();
     write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
     view.slipping = slipping(about.events, t);
-    tellInstant(t);
-    write($("axis"), view.window === Infinity ? "seconds since the session began" : "seconds before the instant chosen");
+    showTime(t);
+    write($("axis"), view.window === Infinity ? "seconds since the start of the session" : "seconds before the chosen time");
     view.dirty();
-    again = asking;
-    if (asking) return;
-    asking = true;
+    again = loading;
+    if (loading) return;
+    loading = true;
     try {
-      const answer = await ask(...span(), t, view.charts.columns);
+      const answer = await load(...span(), t, view.charts.columns);
       figures = new Streams();
       figures.take(answer.at);
       view.take(answer, "replace");
-      tellInstant(instant()); // now it is known of which fingertip
+      showTime(instant()); // the fingertip is known now
       $("notice").hidden = !about.about;
       write($("notice"), about.about);
       view.dirty();
     } catch {
       stop();
       $("notice").hidden = false;
-      write($("notice"), "The server of this recording does not answer. Start it again: slipflow show SESSION");
+      write($("notice"), "The server does not respond. Restart it: slipflow show SESSION");
     } finally {
-      asking = false;
+      loading = false;
       if (again) refresh();
     }
   }
 
-  function tellInstant(t) {
+  function showTime(t) {
     slider.setAttribute("aria-valuetext", `${elapsed(t)}${view.slips(view.finger) ? ", slip" : ""}`);
   }
 
@@ -88,7 +88,7 @@ export function recorded(view, about) {
   document.addEventListener("keydown", (event) => {
     if (event.key !== " " || event.ctrlKey || event.altKey || event.metaKey || event.shiftKey) return;
     if (event.target.closest(TAKES_SPACE)) return;
-    event.preventDefault(); // nothing scrolls
+    event.preventDefault(); // do not scroll
     if (!event.repeat) toggle();
   });
 
@@ -96,7 +96,7 @@ export function recorded(view, about) {
     if (playing !== null) return stop();
     write(play, "Stop");
     if (instant() >= about.length) go(0);
-    let then = performance.now(), at = instant(); // the slider knows steps only
+    let then = performance.now(), at = instant(); // the slider rounds to its step
     const step = (now) => {
       at += now - then;
       then = now;
@@ -117,10 +117,10 @@ export function recorded(view, about) {
     go(instant() + stride);
   });
 
-  // The whole session above its slider: how hard it was pressed, and where it slipped.
+  // Overview of the whole session above the slider: pressure and slips.
   async function draw() {
     const style = getComputedStyle(document.documentElement), ratio = devicePixelRatio;
-    const width = canvas.clientWidth, height = canvas.clientHeight, edge = 8; // px; the thumb's half
+    const width = canvas.clientWidth, height = canvas.clientHeight, edge = 8; // px, half the thumb of the slider
     canvas.width = width * ratio;
     canvas.height = height * ratio;
     const pen = canvas.getContext("2d"), x = (t) => edge + ((width - 2 * edge) * t) / about.length;
@@ -140,15 +140,15 @@ export function recorded(view, about) {
 
   let whole = { touch: {} };
   refresh().then(async () => {
-    whole = await ask(0, about.length, 0, Math.max(1, canvas.clientWidth));
+    whole = await load(0, about.length, 0, Math.max(1, canvas.clientWidth));
     new ResizeObserver(draw).observe(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
     $("fingers").addEventListener("change", draw);
   });
 }
 
-// The curves between two instants in so many columns of pixels, and the figures at an instant.
-async function ask(begin, end, at, columns) {
+// Load the curves between two times, thinned to pixel columns, and the figures at a time.
+async function load(begin, end, at, columns) {
   const answer = await fetch(`window?${new URLSearchParams({ begin, end, at, columns })}`);
   if (!answer.ok) throw new Error(await answer.text());
   return answer.json();
@@ -166,10 +166,10 @@ function slipping(events, t) {
 
 const first = (events) => (events.find((event) => event.onset)?.t ?? 0) + 1000;
 
-// Rounded up to a hundred counts.
+// Round up to a multiple of 100 counts.
 const nearest = (value) => Math.ceil(value / 100) * 100;
 
-// Time since the beginning of the session, as m:ss.t.
+// Format a time since the start of the session as m:ss.t.
 function elapsed(t) {
   const tenths = Math.round(t / 100);
   return `${Math.floor(tenths / 600)}:${String(Math.floor(tenths / 10) % 60).padStart(2, "0")}.${tenths % 10}`;

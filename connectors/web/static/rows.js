@@ -1,7 +1,7 @@
-// The streams of a run. Rows of one: times (ms since the start of the run) and, for each column, values to draw.
+// Streams of a run. `Rows`: times (ms since the start of the run) and the plotted values of each column.
 
 const KEPT = 31000; // ms
-const PAUSE = 250; // ms; a longer one is drawn as a gap
+const PAUSE = 250; // ms; a longer pause is drawn as a gap
 
 export class Rows {
   constructor(columns) {
@@ -13,7 +13,7 @@ export class Rows {
     return this.t.length ? this.t[this.t.length - 1] : null;
   }
 
-  // Append rows as a frame has them; those that are there already fall away.
+  // Append the rows of a frame; skip known ones.
   push({ t, v }, sign = 1) {
     let last = this.newest ?? -Infinity;
     for (let row = 0; row < t.length; row++) {
@@ -25,23 +25,23 @@ export class Rows {
     this.#trim(last - KEPT);
   }
 
-  // Everything anew, from a recording, which says itself where nothing came.
+  // Replace all rows by those of a recording, which marks its gaps itself.
   replace(rows, sign = 1) {
     this.t = [];
     for (const column of this.columns) column.length = 0;
     for (let row = 0; row < rows.t.length; row++) this.#append(rows.t[row], rows.v[row], sign);
   }
 
-  // [t, ...columns] between two instants, and one row beyond each, so that lines leave the picture.
+  // Return [t, ...columns] between two times, with one row beyond each, so that lines reach the edges.
   between(begin, end) {
     const from = Math.max(0, lowest(this.t, begin) - 1);
     const to = lowest(this.t, end) + 1;
     return [this.t, ...this.columns].map((values) => values.slice(from, to));
   }
 
-  // The row at an instant, the newest up to it: a value for each column, or null.
-  at(instant) {
-    const row = lowest(this.t, instant + 0.001) - 1;
+  // Return the newest row up to a time, one value per column, or null.
+  at(time) {
+    const row = lowest(this.t, time + 0.001) - 1;
     return row < 0 ? null : this.columns.map((column) => column[row]);
   }
 
@@ -62,7 +62,7 @@ export class Rows {
   }
 
   #trim(before) {
-    if (!this.t.length || this.t[0] > before - KEPT / 2) return; // not each time: it moves all
+    if (!this.t.length || this.t[0] > before - KEPT / 2) return; // not each time, as it moves all rows
     const old = lowest(this.t, before);
     this.t.splice(0, old);
     for (const column of this.columns) column.splice(0, old);
@@ -73,15 +73,15 @@ export class Rows {
 export class Streams {
   constructor() {
     this.touch = new Map();
-    this.zeroed = new Map(); // by fingertip: whether its touch is
+    this.zeroed = new Map(); // by fingertip
     this.scores = new Map();
     this.speed = new Rows(1);
   }
 
-  // Take the streams of a frame; `put` is "push" or "replace".
+  // Add the streams of a frame; `put` is "push" or "replace".
   take({ touch, scores, speed }, put = "push") {
     for (const [finger, rows] of Object.entries(touch ?? {})) {
-      if (this.zeroed.get(finger) !== rows.zeroed) this.touch.delete(finger); // raw until now
+      if (this.zeroed.get(finger) !== rows.zeroed) this.touch.delete(finger); // it was raw until now
       this.zeroed.set(finger, rows.zeroed);
       if (!this.touch.has(finger)) this.touch.set(finger, new Rows(6));
       this.touch.get(finger)[put](rows, rows.zeroed ? -1 : 1);
@@ -93,7 +93,7 @@ export class Streams {
     if (speed) this.speed[put](speed);
   }
 
-  // The scores that tell of a fingertip.
+  // Return the scores of a fingertip.
   scoring(finger) {
     return this.scores.get(finger) ?? this.scores.get("every");
   }
@@ -104,7 +104,7 @@ export class Streams {
   }
 }
 
-// The first index whose value is at least `value`.
+// Return the first index whose value is at least `value`.
 function lowest(sorted, value) {
   let low = 0, high = sorted.length;
   while (low < high) {

@@ -120,7 +120,7 @@ def test_the_page_comes_back_by_itself_when_its_server_does(watched: Watched) ->
         assert watched.complaints == []
     expect(tab.locator("#link")).to_have_text("Ended")
     expect(tab.locator("#recording")).to_have_text("Recorded, 1,234 rows")
-    expect(tab.locator("#notice")).to_contain_text("waits for the next one")
+    expect(tab.locator("#notice")).to_contain_text("waits for the next run")
     with ServedPage(port, "second") as second:
         second.feel(-77)
         expect(tab.locator("#session")).to_have_text("Flow demo · session second")
@@ -138,7 +138,7 @@ def test_a_server_that_comes_back_with_another_token_asks_for_it(watched: Watche
         first.feel(-5)
         expect(tab.locator("#link")).to_have_text("Live")
     with ServedPage(port, token=other) as second:
-        expect(tab.get_by_role("heading", name="This page needs its token")).to_be_visible()
+        expect(tab.get_by_role("heading", name="Token required")).to_be_visible()
         tab.goto(second.page.login_url)
         second.feel(-77)
         expect(tab.locator(".count").first).to_have_text("77")
@@ -185,7 +185,7 @@ def test_every_control_is_reached_and_used_by_the_keyboard(watched: Watched) -> 
         expect(tab.locator("h1")).to_have_text("Fingertip 1Slip")
         tab.keyboard.press("Shift+Tab")
         tab.keyboard.press("Enter")
-        expect(tab.get_by_role("button", name="Go on")).to_have_attribute("aria-pressed", "true")
+        expect(tab.get_by_role("button", name="Resume")).to_have_attribute("aria-pressed", "true")
         served.feel(-99, finger=1)
         served.slip(0, finger=1)
         expect(tab.locator("h1")).to_have_text("Fingertip 1No slip")  # which is told in a pause, too
@@ -201,13 +201,13 @@ def test_a_slip_is_said_aloud_and_named_in_the_title(watched: Watched) -> None:
         expect(tab).to_have_title("demo · slipflow")  # before anything is felt
         served.feel(-10)
         served.write(moved(served.run.clock.now()))
-        expect(tab).to_have_title("Not known · Fingertip 0 · demo · slipflow")
+        expect(tab).to_have_title("Unknown · Fingertip 0 · demo · slipflow")
         served.write(scored(served.run.start, 0.1))
         expect(tab).to_have_title("No slip · Fingertip 0 · demo · slipflow")
         served.slip(1)
-        expect(tab.locator("[aria-live=polite]")).to_have_text("slip begins: fingertip 0")
+        expect(tab.locator("[aria-live=polite]")).to_have_text("slip onset: fingertip 0")
         expect(tab).to_have_title("Slip · Fingertip 0 · demo · slipflow")
-        for name in ("Pressure of each barometer", "Slip probability", "Speed of the tool centre point"):
+        for name in ("Pressure of each barometer", "Slip probability", "TCP speed"):
             expect(tab.get_by_role("img", name=name)).to_be_visible()
         expect(tab.get_by_role("table", name="Pressure of fingertip 0")).to_be_visible()
 
@@ -264,14 +264,14 @@ def test_who_lacks_the_token_is_told_what_to_do_and_may_enter_it(watched: Watche
     token, tab = "0123456789abcdef", watched.tab
     with ServedPage(token=token) as served:
         tab.goto(served.url)
-        expect(tab.get_by_role("heading", name="This page needs its token")).to_be_visible()
+        expect(tab.get_by_role("heading", name="Token required")).to_be_visible()
         expect(tab.locator("body")).to_have_css("background-color", "rgb(239, 241, 242)")  # the house's style
-        expect(tab.get_by_text("That is not its token.")).to_be_hidden()
+        expect(tab.get_by_text("Wrong token.")).to_be_hidden()
         field = tab.get_by_label("Token", exact=True)
         expect(field).to_be_focused()
         field.fill("no token at all")
         tab.keyboard.press("Enter")
-        expect(tab.get_by_text("That is not its token.")).to_be_visible()
+        expect(tab.get_by_text("Wrong token.")).to_be_visible()
         refused = "the server responded with a status of 401"  # that is what it is
         assert [text for text in watched.complaints if refused not in text] == []
         watched.complaints.clear()
@@ -313,18 +313,18 @@ def test_a_recorded_session_is_scrubbed_by_slider_keys_and_events(watched: Watch
         expect(tab.locator("#session")).to_have_text("Flow record · dataset lab · session run1")
         expect(tab).to_have_title("Slip · Fingertip 0 · run1 · slipflow")
         expect(tab.locator("#events-count")).to_have_text("1 slip")
-        slider, count = tab.get_by_role("slider", name="Instant of the session"), tab.locator(".count").first
+        slider, count = tab.get_by_role("slider", name="Time in the session"), tab.locator(".count").first
         expect(tab.locator("#instant-text")).to_contain_text("0:41.0")  # a second into the first slip
         expect(tab.locator("h1")).to_have_text("Fingertip 0Slip")
         expect(slider).to_have_attribute("aria-valuetext", "0:41.0, slip")
         slider.press("Home")
         expect(slider).to_have_attribute("aria-valuetext", "0:00.0")
-        expect(tab.locator("h1")).to_have_text("Fingertip 0Not known")  # before the first score
+        expect(tab.locator("h1")).to_have_text("Fingertip 0Unknown")  # before the first score
         expect(count).to_have_text("0")
         with tab.expect_request(lambda request: "window?begin=0&end=59990&at=0&" in request.url):
             tab.get_by_role("combobox", name="Window").select_option(label="all")
         expect(tab.locator("#no-events")).to_have_text("None.")  # hidden here; no more will come
-        expect(tab.locator("#axis")).to_have_text("seconds since the session began")
+        expect(tab.locator("#axis")).to_have_text("seconds since the start of the session")
         expect(count).to_have_text("0")  # of the instant chosen, still
         tab.get_by_role("combobox", name="Window").select_option(label="10 s")
         slider.press("PageUp")
@@ -347,8 +347,8 @@ def test_space_plays_and_stops_unless_what_has_the_focus_takes_it(watched: Watch
     with ServedRecording(a_minute(run)) as served:
         tab.goto(served.url)
         play, stop = (tab.get_by_role("button", name=name, exact=True) for name in ("Play", "Stop"))
-        slider = tab.get_by_role("slider", name="Instant of the session")
-        expect(slider).to_have_accessible_description(re.compile("^Space plays and stops"))
+        slider = tab.get_by_role("slider", name="Time in the session")
+        expect(slider).to_have_accessible_description(re.compile("^Space: play or stop"))
         expect(play).to_have_attribute("aria-keyshortcuts", "Space")
         expect(tab.locator("#instant-text")).to_contain_text("0:41.0")
         tab.keyboard.press("Space")  # nothing has the focus

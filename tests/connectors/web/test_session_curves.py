@@ -111,5 +111,5 @@ def test_a_cell_that_never_answered_scales_nothing(run: Run) -> None:
 
 def test_a_session_too_long_for_memory_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROWS_MAX", 2)
-    with pytest.raises(InputError, match="run1: is too long to be shown: a page takes 2 rows"):
+    with pytest.raises(InputError, match="run1: is too long for a page, which shows at most 2 rows"):
         kept(run, *[felt(START + k * ms, -1) for k in range(3)])
