@@ -1,4 +1,4 @@
-"""Connectors carry batches between flows and the world; what they import heavily is imported on first use."""
+"""Sources and sinks that connect flows to devices, files and networks; slow imports happen on first use."""
 
 from connectors.console import Console
 from connectors.events import Event

@@ -1,4 +1,4 @@
-"""Printing slip events, for people or as JSON."""
+"""Printed slip events, as text or JSON."""
 
 import sys
 from collections.abc import Mapping
@@ -7,13 +7,13 @@ from typing import Literal, TextIO
 
 from connectors.events import encode, faults, finger_name, timestamp
 from operators.batch import SLIP, Faults, Slips, ms
-from operators.errors import ParameterError
+from operators.checks import check_choice
 from operators.ports import Json, Run, Sink
 
 
 @dataclass(eq=False)
 class Console(Sink[Slips | Faults]):
-    """Prints one line per event to a stream, in colour where that is a terminal: time (UTC), finger, what.
+    """Slip events and faults as lines of a stream, coloured on a terminal: time (UTC), fingertip, event.
 
     >>> import asyncio
     >>> import numpy as np
@@ -21,25 +21,24 @@ class Console(Sink[Slips | Faults]):
     >>> asyncio.run(Console().write(Slips(time, onset, time, probability, finger=0)))
     1970-01-01 00:00:05.000  finger 0  slip onset  p 0.93
 
-    In the format json an event is one object, times in UTC, latency in ms, null where a number is unknown;
-    in a replay it names the recording:
+    With ``format="json"`` each line is an object, with latency in ms, null for unknown numbers, and the name
+    of the recording in replays:
 
     >>> asyncio.run(Console(format="json").write(Slips(time, onset, time, probability, finger=0)))
     {"time":"1970-01-01T00:00:05.000000000Z","event":"slip_onset","finger":"0","p":0.93}
 
     Raises:
-        ParameterError: on a format that is neither text nor json.
+        ParameterError: if `format` is neither text nor json.
     """
 
-    shared = True  # a parallel replay sorts the lines of its processes
+    shared = True  # a parallel replay sorts the lines of all processes
 
     stream: TextIO = field(default_factory=lambda: sys.stdout, repr=False)
     format: Literal["text", "json"] = "text"
     _run: Run | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.format not in ("text", "json"):
-            raise ParameterError("Console", "format", self.format, "text or json")
+        check_choice("Console", "format", self.format, ("text", "json"))
 
     @property
     def destination(self) -> str:
@@ -47,7 +46,7 @@ class Console(Sink[Slips | Faults]):
         return str(getattr(self.stream, "name", "console"))
 
     async def open(self, run: Run) -> None:
-        """Tell latencies by the clock of this run."""
+        """Use the clock of this run for latencies."""
         self._run = run
 
     async def write(self, batch: Slips | Faults) -> None:
@@ -56,8 +55,8 @@ class Console(Sink[Slips | Faults]):
             for time, fault, begins in faults(batch):
                 ends = "begins" if begins else "ends"
                 if self.format == "json":
-                    about: dict[str, Json] = {"barometer": fault.barometer, "fault": fault.kind}
-                    self._tell(time, batch.finger, f"fault_{ends}", about)
+                    details: dict[str, Json] = {"barometer": fault.barometer, "fault": fault.kind}
+                    self._print_json(time, batch.finger, f"fault_{ends}", details)
                 else:
                     self._print(
                         time, batch.finger, f"barometer {fault.barometer} {fault.kind} {ends}", "yellow"
@@ -68,22 +67,30 @@ class Console(Sink[Slips | Faults]):
             latency = self._run.latency(time) if self._run else None
             if self.format == "json":
                 known: dict[str, Json] = {} if latency is None else {"latency_ms": round(latency / ms, 3)}
-                what = "slip_onset" if state == SLIP else "slip_end"
-                self._tell(time, batch.finger, what, {"p": probability, **known})
+                name = "slip_onset" if state == SLIP else "slip_end"
+                self._print_json(time, batch.finger, name, {"p": probability, **known})
                 continue
             late = "" if latency is None else f"  {latency / ms:.1f} ms"
-            what, style = ("slip onset", "bold red") if state == SLIP else ("slip end  ", "green")
-            self._print(time, batch.finger, f"{what}  p {probability:.2f}{late}", style)
+            text, style = ("slip onset", "bold red") if state == SLIP else ("slip end  ", "green")
+            self._print(time, batch.finger, f"{text}  p {probability:.2f}{late}", style)
 
-    def _tell(self, time: int, finger: int, event: str, about: Mapping[str, Json]) -> None:
+    def _print_json(self, time: int, finger: int, event: str, details: Mapping[str, Json]) -> None:
         recording = self._run.recording if self._run else None
-        whose: dict[str, Json] = {} if recording is None else {"recording": recording}
-        document = {"time": timestamp(time), "event": event, **whose, "finger": finger_name(finger), **about}
-        self.stream.write(f"{encode(document).decode()}\n")  # at once: others may print lines there
+        source: dict[str, Json] = {} if recording is None else {"recording": recording}
+        document = {
+            "time": timestamp(time),
+            "event": event,
+            **source,
+            "finger": finger_name(finger),
+            **details,
+        }
+        self.stream.write(
+            f"{encode(document).decode()}\n"
+        )  # one write per line, as other processes may print there
         self.stream.flush()
 
-    def _print(self, time: int, finger: int, what: str, style: str) -> None:
-        line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {what}"
+    def _print(self, time: int, finger: int, text: str, style: str) -> None:
+        line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}"
         if self.stream.isatty():
             from rich.console import Console as Terminal  # noqa: PLC0415 - for terminals only
 

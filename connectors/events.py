@@ -1,6 +1,6 @@
-"""Slip events on the wire: CloudEvents 1.0 in structured JSON, as ``slip-event.schema.json`` describes them.
+"""Slip events as CloudEvents 1.0 in structured JSON, described by ``slip-event.schema.json``.
 
-Pure: nothing here reads a clock or talks to anybody. Source: https://github.com/cloudevents/spec, v1.0.2.
+This module does no I/O and reads no clock. Source: https://github.com/cloudevents/spec, v1.0.2.
 """
 
 import json
@@ -19,15 +19,15 @@ from operators.ports import Json
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A barometer that could not be trusted at the time of an event."""
+    """A faulty barometer at the time of an event."""
 
     barometer: int  # 0..5
-    kind: str  # what is wrong with it, such as stuck
+    kind: str  # kind of fault, such as stuck
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One onset or end of slip, as it is published.
+    """One onset or end of slip.
 
     >>> event = Event("lab", "ur10", "0", "s1", 7, onset=True, time=1_500_000_000, probability=0.9, latency=8)
     >>> Event.decode(event.encode()) == event
@@ -44,31 +44,31 @@ class Event:
     site: str
     rig: str
     finger: str
-    epoch: str  # the outbox that numbered it
-    seq: int  # counts from 1 in each epoch, over all runs; a gap is an event that is yet to come, or lost
+    epoch: str  # series of numbers of the rig's outbox
+    seq: int  # counts from 1 in each epoch, over all runs; a gap is a late or lost event
     onset: bool = field(kw_only=True)  # False: the end of a slip
-    time: int = field(kw_only=True)  # ns since 1970-01-01 UTC, the sample that decided
-    probability: float | None = field(kw_only=True)  # of slip, 0..1; None: not known
-    latency: float | None = field(kw_only=True)  # ms, from the sample to when it was made; None: a replay
-    threshold: float | None = field(default=None, kw_only=True)  # of the probability; None: not known
-    consecutive: int | None = field(default=None, kw_only=True)  # samples that decide; None: not known
+    time: int = field(kw_only=True)  # ns since 1970-01-01 UTC, of the deciding sample
+    probability: float | None = field(kw_only=True)  # of slip, 0..1; None: unknown
+    latency: float | None = field(kw_only=True)  # ms from the sample to the event; None: replay
+    threshold: float | None = field(default=None, kw_only=True)  # of the probability; None: unknown
+    consecutive: int | None = field(default=None, kw_only=True)  # samples that decide an onset; None: unknown
     model: str = field(default="unknown", kw_only=True)  # identifier of the detector
-    sha256: str | None = field(default=None, kw_only=True)  # of the detector's weights; None: not known
+    sha256: str | None = field(default=None, kw_only=True)  # of the detector's weights; None: unknown
     degraded: tuple[Fault, ...] = field(default=(), kw_only=True)
-    session: str | None = field(default=None, kw_only=True)  # the run that raised it; None: not known
+    session: str | None = field(default=None, kw_only=True)  # run that raised the event; None: unknown
 
     @property
     def state(self) -> str:
-        """Onset or end."""
+        """``onset`` or ``end``."""
         return "onset" if self.onset else "end"
 
     @property
     def identifier(self) -> str:
-        """The same for every copy of an event, different between events."""
+        """Identifier of the event, the same in every copy."""
         return f"{self.epoch}-{self.seq}"
 
     def encode(self) -> bytes:
-        """The event as a CloudEvent in JSON."""
+        """Return the event as a CloudEvent in JSON."""
         return encode(
             {
                 "specversion": "1.0",
@@ -97,16 +97,16 @@ class Event:
 
     @classmethod
     def decode(cls, payload: bytes, where: str = "event") -> "Event":
-        """Read what `encode` writes; fields that it does not know are ignored.
+        """Parse the output of `encode`; unknown fields are ignored.
 
         Raises:
-            InputError: naming `where`, and the field that is missing or wrong; or if it is over 64 KiB.
+            InputError: naming `where` and the field that is missing or wrong, or if it is larger than 64 KiB.
         """
         return cls.read(Fields.parse(payload, where))
 
     @classmethod
     def read(cls, event: Fields) -> "Event":
-        """Read a document that is JSON already.
+        """Read an event from a JSON object.
 
         Raises:
             InputError: naming the field that is missing or wrong.
@@ -114,10 +114,10 @@ class Event:
         data = event.object("data")
         model = data.object("model")
         degraded = [
-            Fault(fault.whole("barometer", 0, BAROMETERS - 1), fault.text("kind"))
+            Fault(fault.integer("barometer", 0, BAROMETERS - 1), fault.text("kind"))
             for fault in data.objects("degraded")
         ]
-        epoch, seq, state = data.text("epoch"), data.whole("seq"), data.text("state")
+        epoch, seq, state = data.text("epoch"), data.integer("seq"), data.text("state")
         if state not in ("onset", "end"):
             data.fail("state", "'onset' or 'end'")
         site, rig, finger = _source(event)
@@ -132,20 +132,20 @@ class Event:
             epoch,
             seq,
             onset=state == "onset",
-            time=data.whole("sample_time_ns", -INT64),
-            probability=data.maybe(data.share, "p"),
-            latency=data.maybe(data.number, "latency_ms"),
-            threshold=data.maybe(data.share, "threshold"),
-            consecutive=data.maybe(data.whole, "consecutive"),
+            time=data.integer("sample_time_ns", -INT64),
+            probability=data.nullable(data.fraction, "p"),
+            latency=data.nullable(data.number, "latency_ms"),
+            threshold=data.nullable(data.fraction, "threshold"),
+            consecutive=data.nullable(data.integer, "consecutive"),
             model=model.text("id"),
-            sha256=model.maybe(model.text, "sha256"),
+            sha256=model.nullable(model.text, "sha256"),
             degraded=tuple(degraded),
             session=data.optional(data.text, "session"),
         )
 
 
 def encode(document: Json) -> bytes:
-    """Compact JSON; numbers that JSON does not have become null.
+    """Return compact JSON; NaN and infinity become null.
 
     >>> encode({"p": float("nan"), "rates": [100.0, float("inf")]})
     b'{"p":null,"rates":[100.0,null]}'
@@ -154,7 +154,7 @@ def encode(document: Json) -> bytes:
 
 
 def timestamp(time: int) -> str:
-    """RFC 3339, UTC, of ns since 1970.
+    """Return a time (ns since 1970) in the format of RFC 3339, UTC.
 
     >>> timestamp(1_600_000_000_123_456_789)
     '2020-09-13T12:26:40.123456789Z'
@@ -163,7 +163,7 @@ def timestamp(time: int) -> str:
 
 
 def finger_name(finger: int) -> str:
-    """What a fingertip is called in topics and events.
+    """Return the name of a fingertip in topics and events.
 
     >>> finger_name(2), finger_name(EVERY)
     ('2', 'every')
@@ -172,7 +172,7 @@ def finger_name(finger: int) -> str:
 
 
 def faults(batch: Faults) -> Iterator[tuple[int, Fault, bool]]:
-    """The rows of a batch: when (ns), what, and whether it begins."""
+    """Yield the rows of a batch: time (ns), fault, and True if it begins, False if it ends."""
     rows = (batch.time.tolist(), batch.barometer.tolist(), batch.kind.tolist(), batch.active.tolist())
     for time, barometer, kind, active in zip(*rows, strict=True):
         yield time, Fault(barometer, FaultKind(kind).name.lower()), active

@@ -1,4 +1,4 @@
-"""Reading the fields of a JSON document from the wire or the disk, by name and type."""
+"""Typed access to the fields of a JSON document."""
 
 import json
 from collections.abc import Callable, Mapping
@@ -11,15 +11,15 @@ from operators.ports import Json
 T = TypeVar("T")
 
 INT64 = 2**63 - 1
-LARGEST = 64 * 1024  # bytes, of a message
+MESSAGE_MAX = 64 * 1024  # bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """A JSON object whose fields are read by name and type; what is wrong raises an InputError.
+    """A JSON object whose fields are read by name and type; a wrong field raises an InputError.
 
     >>> document = Fields.parse(b'{"seq": 7}', "message")
-    >>> document.whole("seq")
+    >>> document.integer("seq")
     7
     >>> document.text("epoch")
     Traceback (most recent call last):
@@ -27,18 +27,18 @@ class Fields:
     """
 
     values: Mapping[str, Json]
-    where: str  # the message that it belongs to
-    path: str = ""  # to it, in that message
+    where: str  # message or file, for errors
+    path: str = ""  # of the object within the message
 
     @classmethod
-    def parse(cls, payload: bytes, where: str, *, largest: int = LARGEST) -> "Fields":
-        """Read a document.
+    def parse(cls, payload: bytes, where: str, *, largest: int = MESSAGE_MAX) -> "Fields":
+        """Parse a JSON document.
 
         Raises:
-            InputError: naming `where`, if it is more than `largest` bytes, no JSON, or no object.
+            InputError: naming `where`, if it is larger than `largest` bytes or is not a JSON object.
         """
         if len(payload) > largest:
-            raise InputError(where, f"is {len(payload)} bytes, at most {largest} are read")
+            raise InputError(where, f"is {len(payload)} bytes long; the limit is {largest}")
         try:
             document: Json = json.loads(payload, parse_constant=_refuse)
         except (ValueError, RecursionError) as error:
@@ -46,76 +46,76 @@ class Fields:
         return cls({"": document}, where).object("")
 
     def fail(self, name: str, must_be: str) -> NoReturn:
-        """Refuse a field.
+        """Reject a field.
 
         Raises:
-            InputError: always, naming it.
+            InputError: always, naming the field.
         """
         found = f"is {self.values[name]!r:.60}" if name in self.values else "is missing"
         raise InputError(self.where, f"{self.path}{name} {found}, must be {must_be}".lstrip())
 
     def expect(self, name: str, value: str) -> None:
-        """Refuse anything but `value`."""
+        """Require that a field has a value."""
         if self.values.get(name) != value:
             self.fail(name, repr(value))
 
     def text(self, name: str) -> str:
-        """Printable text."""
+        """Return a field of printable text."""
         value = self.values.get(name)
         if not isinstance(value, str) or not value.isprintable():
             self.fail(name, "printable text")
         return value
 
     def number(self, name: str) -> float:
-        """A number that is finite."""
+        """Return a field with a finite number."""
         value = self.values.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= INT64:
             self.fail(name, "a number")
         return float(value)
 
-    def share(self, name: str) -> float:
-        """A number from 0 to 1."""
+    def fraction(self, name: str) -> float:
+        """Return a field with a number from 0 to 1."""
         value = self.number(name)
         if not 0 <= value <= 1:
             self.fail(name, "from 0 to 1")
         return value
 
-    def whole(self, name: str, least: int = 1, greatest: int = INT64) -> int:
-        """A whole number in a range."""
+    def integer(self, name: str, least: int = 1, greatest: int = INT64) -> int:
+        """Return a field with an integer from `least` to `greatest`."""
         value = self.values.get(name)
         if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= greatest:
-            self.fail(name, f"a whole number from {least} to {greatest}")
+            self.fail(name, f"an integer from {least} to {greatest}")
         return value
 
-    def maybe(self, read: Callable[[str], T], name: str) -> T | None:
-        """What `read` gives; None for null."""
+    def nullable(self, read: Callable[[str], T], name: str) -> T | None:
+        """Return a field read by `read`; None for null."""
         return None if self.values.get(name, 0) is None else read(name)
 
     def optional(self, read: Callable[[str], T], name: str) -> T | None:
-        """What `read` gives; None for null and where the field is missing."""
+        """Return a field read by `read`; None for null or a missing field."""
         return None if self.values.get(name) is None else read(name)
 
     def object(self, name: str) -> "Fields":
-        """An object within."""
+        """Return a field with an object."""
         value = self.values.get(name)
         if not isinstance(value, dict):
             self.fail(name, "an object")
         return Fields(value, self.where, f"{self.path}{name}.".lstrip("."))
 
     def objects(self, name: str) -> list["Fields"]:
-        """A list of objects."""
+        """Return a field with a list of objects."""
         items = self._items(name)
         return [items.object(item) for item in items.values]
 
     def ranges(self, name: str) -> list[tuple[int, int]]:
-        """A list of ranges ``[first, last]`` of numbers from 1 on."""
+        """Return a field with a list of ranges ``[first, last]`` of integers from 1."""
         items, found = self._items(name), list[tuple[int, int]]()
         for item, value in items.values.items():
             if not isinstance(value, list) or len(value) != len(("first", "last")):
                 items.fail(item, "[first, last]")
             ends = Fields({"first": value[0], "last": value[1]}, self.where, f"{items.path}{item}.")
-            first = ends.whole("first")
-            found.append((first, ends.whole("last", first)))
+            first = ends.integer("first")
+            found.append((first, ends.integer("last", first)))
         return found
 
     def _items(self, name: str) -> "Fields":
@@ -126,4 +126,4 @@ class Fields:
 
 
 def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number of JSON")
+    raise ValueError(f"{constant} is not a JSON number")

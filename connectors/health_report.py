@@ -1,4 +1,4 @@
-"""How a run is doing, as it is reported while it lasts."""
+"""Health reports of a run: state of sources, sinks and clocks."""
 
 from dataclasses import asdict
 from typing import Final
@@ -6,14 +6,13 @@ from typing import Final
 from operators.batch import Clocks, ms, s
 from operators.ports import Json, Run
 
-_STEPS: Final = 10  # of the host's clock, the newest, that a report tells of
+_STEPS_MAX: Final = 10  # newest steps of the host clock in a report
 
 
 class HealthReports:
-    """Reports of one run.
+    """Health reports of one run.
 
-    Rates are those since the report before, and not known in the first that tells of rows: nothing says when
-    these began to come.
+    Rates are since the previous report; the first report with rows has none, as their start is unknown.
     """
 
     def __init__(self, run: Run) -> None:
@@ -21,9 +20,9 @@ class HealthReports:
         self._time, self._rows = run.start, dict.fromkeys(run.sources, 0)
 
     def next(self) -> dict[str, Json]:
-        """Report the present state.
+        """Return the report of the present state.
 
-        A source is up, stale (up, but it gave nothing since the report before) or down.
+        A source is ``up``, ``stale`` (up, but without rows since the previous report) or ``down``.
         """
         run, now = self._run, self._run.clock.now()
         elapsed = (now - self._time) / s
@@ -54,12 +53,12 @@ class HealthReports:
                 }
                 for name, sink in run.sinks.items()
             },
-            "clock_steps": [asdict(step) for step in run.clock_steps[-_STEPS:]],
+            "clock_steps": [asdict(step) for step in run.clock_steps[-_STEPS_MAX:]],
         }
 
 
 def clock_report(clocks: Clocks) -> dict[str, Json]:
-    """How a device's clock stood to the host's, as the newest row (there is one at least) tells.
+    """Return the newest row of `clocks`, which must have one: offset and drift of the device clock.
 
     >>> import numpy as np
     >>> clock_report(Clocks(np.array([5 * s]), np.array([3 * s]), np.array([5e-05]), np.array([0.004])))

@@ -1,4 +1,4 @@
-"""Giving a recorded stream again, as fast as possible or paced like the original."""
+"""Source that replays a recorded stream, at full speed or paced."""
 
 from collections.abc import AsyncIterator, Iterator
 from heapq import merge
@@ -6,27 +6,25 @@ from pathlib import PurePath
 from typing import Generic, TypeVar
 
 from operators.batch import Batch
-from operators.errors import InputError, ParameterError
+from operators.checks import check_above
+from operators.errors import InputError
 from operators.ports import Clock, Description, Recording, Source
 
 Given = TypeVar("Given", bound=Batch)
 
 
 class Replay(Source[Given], Generic[Given]):
-    """A recorded stream as a source; rows keep their recorded stamps.
+    """Recorded stream as a source; rows keep their recorded timestamps.
 
     Args:
-        recording: where it is.
-        kind: the type of its batches.
-        fingers: the fingertips to give, by default all that were recorded.
-        pace: recorded seconds per second of the clock, each row on its own when it is due; None: in batches
-            of 1000 rows, never waiting.
-        origin: recorded time (ns) that stands for the start of the run. Streams of one recording must share
-            it to keep their distance in time; by default it is the first stamp of this stream.
+        recording: Recording to replay. kind: Type of the batches. fingers: Fingertips to replay; default: all
+            recorded ones. pace: Recorded seconds per second of the clock, one row per batch; None for full
+            speed, 1000 rows per batch. origin: Recorded time (ns) of the start of the run, default: the first
+            timestamp of this stream. Streams of one recording need the same origin to stay in step.
 
     Raises:
-        InputError: if the recording holds no such stream.
-        ParameterError: on a pace that is not above 0.
+        InputError: if the recording has no such stream.
+        ParameterError: if `pace` is not above 0.
     """
 
     def __init__(
@@ -38,14 +36,14 @@ class Replay(Source[Given], Generic[Given]):
         pace: float | None = 1.0,
         origin: int | None = None,
     ) -> None:
-        if pace is not None and not pace > 0:
-            raise ParameterError("Replay", "pace", pace, "above 0, or None for as fast as possible")
+        if pace is not None:
+            check_above("Replay", "pace", pace, 0)
         held = recording.fingers(kind)
         for finger in fingers or held or (None,):
             if finger not in held:
                 which = "" if finger is None else f" of finger {finger}"
                 others = f"; its fingers are {', '.join(map(str, held))}" if held else ""
-                raise InputError(recording.name, f"holds no {kind.__name__} stream{which}{others}")
+                raise InputError(recording.name, f"has no {kind.__name__} stream{which}{others}")
         self._recording, self._kind, self._fingers = recording, kind, fingers or held
         self._pace, self._origin = pace, origin
 
@@ -61,11 +59,11 @@ class Replay(Source[Given], Generic[Given]):
 
     @property
     def recording(self) -> str:
-        """What the recording is called: of a path the last part, for others are told this name."""
+        """Name of the recording; for a path the last part, as the name is published."""
         return PurePath(self._recording.name).name
 
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
-        """Give all of the stream, from its beginning; fingertips take turns in the order of their stamps."""
+        """Yield the whole stream, with the fingertips merged in the order of their timestamps."""
         start, origin = clock.now(), self._origin
         streams = [self._recording.read(self._kind, finger) for finger in self._fingers]
         for batch in merge(*streams if self._pace is None else map(_rows, streams), key=_first):
@@ -76,7 +74,7 @@ class Replay(Source[Given], Generic[Given]):
             yield batch
 
     def describe(self) -> Description:
-        """What the recording says of itself."""
+        """Return the description of the recording."""
         return self._recording.describe()
 
     def __str__(self) -> str:
@@ -84,7 +82,7 @@ class Replay(Source[Given], Generic[Given]):
 
 
 def _rows(batches: Iterator[Given]) -> Iterator[Given]:
-    """Each row as a batch of its own."""
+    """Yield each row as a batch."""
     return (batch[row : row + 1] for batch in batches for row in range(len(batch)))
 
 

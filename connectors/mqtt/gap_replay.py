@@ -51,8 +51,8 @@ class GapRequest:
             InputError: naming the field that is missing or wrong.
         """
         fields = Fields.parse(payload, f"{topic}/replay/request")
-        first = fields.whole("from")
-        request = cls(fields.text("epoch"), first, fields.whole("to", first), fields.text("reply_to"))
+        first = fields.integer("from")
+        request = cls(fields.text("epoch"), first, fields.integer("to", first), fields.text("reply_to"))
         name = request.reply_to.removeprefix(f"{topic}/replay/")
         own = request.reply_to == f"{topic}/replay/{name}" and name not in ("", "request", "event")
         if not own or set(name) & set("/+#") or len(request.reply_to) > TOPIC_MAX:
@@ -90,8 +90,8 @@ class GapAnswer:
         Raises:
             InputError: naming the field that is missing or wrong.
         """
-        first = fields.whole("from")
-        last = fields.whole("to", first)
+        first = fields.integer("from")
+        last = fields.integer("to", first)
         missing = tuple(fields.ranges("missing"))
         if any(not first <= low <= high <= last for low, high in missing):
             raise InputError(fields.where, f"missing exceeds the range {first} to {last}")

@@ -142,10 +142,10 @@ class Position:
             InputError: naming `where` and the field that is missing or wrong.
         """
         position, fields = cls(everything=everything), Fields.parse(payload, where, largest=FILE_MAX)
-        fields.whole("format", FORMAT, FORMAT)
+        fields.integer("format", FORMAT, FORMAT)
         for rig in fields.objects("rigs"):
             epochs = position._rigs.setdefault((rig.text("site"), rig.text("rig")), {})
-            epochs[rig.text("epoch")] = _Epoch(RangeSet(rig.ranges("seen")), rig.whole("head", 0))
+            epochs[rig.text("epoch")] = _Epoch(RangeSet(rig.ranges("seen")), rig.integer("head", 0))
         return position
 
     def _add(self, rig: RigId) -> dict[str, _Epoch]:
@@ -172,7 +172,7 @@ def read_heads(fields: Fields) -> dict[str, int]:
     before = fields.objects("before") if "before" in fields.values else []
     if len(before) >= EPOCHS_MAX:
         fields.fail("before", f"a list of fewer than {EPOCHS_MAX}")
-    return {each.text("epoch"): each.whole("last_seq", 0) for each in (*before, fields)}
+    return {each.text("epoch"): each.integer("last_seq", 0) for each in (*before, fields)}
 
 
 def lock_position(path: Path) -> int:

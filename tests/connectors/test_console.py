@@ -126,5 +126,5 @@ def test_as_json_a_replay_names_its_recording(run: Run) -> None:
 
 
 def test_a_format_that_is_none_is_refused() -> None:
-    with pytest.raises(ParameterError, match="text or json"):
+    with pytest.raises(ParameterError, match="one of text, json"):
         Console(format=cast("Literal['json']", "xml"))

@@ -1,12 +1,14 @@
 import pytest
 
-from connectors.fields import LARGEST, Fields
+from connectors.fields import MESSAGE_MAX, Fields
 from operators.errors import InputError
 
 
 def test_what_is_too_large_is_refused_unread() -> None:
-    payload = b'{"a": "' + b"x" * LARGEST + b'"}'
-    with pytest.raises(InputError, match=rf"^here: is {len(payload)} bytes, at most {LARGEST} are read$"):
+    payload = b'{"a": "' + b"x" * MESSAGE_MAX + b'"}'
+    with pytest.raises(
+        InputError, match=rf"^here: is {len(payload)} bytes long; the limit is {MESSAGE_MAX}$"
+    ):
         Fields.parse(payload, "here")
     assert Fields.parse(payload, "here", largest=len(payload)).text("a")
 
@@ -31,4 +33,4 @@ def test_an_optional_field_may_be_missing_or_null() -> None:
     fields = Fields({"a": None, "b": "x"}, "here")
     assert [fields.optional(fields.text, name) for name in "abc"] == [None, "x", None]
     with pytest.raises(InputError, match="c is missing"):
-        fields.maybe(fields.text, "c")
+        fields.nullable(fields.text, "c")

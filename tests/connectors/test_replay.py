@@ -136,11 +136,9 @@ def test_a_second_connection_gives_the_stream_again() -> None:
 
 def test_what_was_not_recorded_cannot_be_replayed() -> None:
     recording: Recording = Recorded({0: [0]})
-    with pytest.raises(InputError, match=r"^recorded: holds no Motion stream$"):
+    with pytest.raises(InputError, match=r"^recorded: has no Motion stream$"):
         Replay(recording, Motion)
-    with pytest.raises(
-        InputError, match=r"^recorded: holds no Scores stream of finger 3; its fingers are 0$"
-    ):
+    with pytest.raises(InputError, match=r"^recorded: has no Scores stream of finger 3; its fingers are 0$"):
         Replay(recording, Scores, (0, 3))
 
 

@@ -129,7 +129,7 @@ async def test_what_is_malformed_is_reported_in_one_line_and_left_out(broker: Te
     )
     assert f"ignoring malformed message: {UR10}/0/event: data is missing, must be an object" in reports
     assert f"ignoring malformed message: {UR10}/2/event: has an event of lab/ur10/0" in reports
-    assert f"ignoring malformed message: {UR10}/3/event: is 100000 bytes, at most 65536 are read" in reports
+    assert f"ignoring malformed message: {UR10}/3/event: is 100000 bytes long; the limit is 65536" in reports
 
 
 async def test_a_copy_of_an_event_is_not_given_again(broker: TestBroker) -> None:
