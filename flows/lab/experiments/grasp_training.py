@@ -1,4 +1,4 @@
-"""A detector that has learnt from grasps as well as from strokes: `slipflow experiment learn`."""
+"""Training of the grasp detector, on simulated grasps and strokes: `slipflow experiment learn`."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,7 +14,7 @@ from connectors.sim.paper_plan import Collection
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.truth import STICK
 from connectors.sim.variety import varied
-from flows.lab.experiments.grasp_recordings import by_sliding, handled
+from flows.lab.experiments.grasp_recordings import grasp_recordings, sliding_labels
 from flows.learn.labelled_recordings import LabelledRecording, by_split, simulated_recordings
 from flows.learn.onsets import runs
 from flows.learn.training.learning_curve import Check
@@ -24,18 +24,18 @@ from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import GraspTcn
 from operators.errors import ParameterError
 
-GRASPS: Final = 4000  # recordings, of up to 5 s
+GRASPS: Final = 4000  # recordings of up to 5 s
 STROKES: Final = Collection(repeats=3, rotations=2, parameters=Parameters(noise=0.6))  # 44 recordings
 RECIPE: Final = Recipe(filters=24, steps=2600, batch=40, crop=412)
-THRESHOLD: Final = 0.79  # of a slip decision; chosen on trials of other seeds than those that are reported
-LASTS: Final = 6  # samples that a slip lasts at least, as learnt: one of 20 ms is over before it is felt
-FADES: Final = 6  # samples behind so short a slip of which nobody says what they are
-FLOORED: Final = 2  # cells that read their least for a second: from so many on a recording is a hard one
-AGAIN: Final = 3  # times that what is hard in one is learnt from once more
-RINGS: Final = 20  # samples behind a slip that are not asked for once more; those up to a second are
-_VALIDATES: Final = 10  # every so many recordings one validates, and the next tests
+THRESHOLD: Final = 0.79  # of a slip decision; chosen on other seeds than the reported ones
+LASTS: Final = 6  # samples, shortest slip in training: one of 20 ms ends before it can be detected
+FADES: Final = 6  # samples with unknown label after a lengthened slip
+FLOORED: Final = 2  # floored cells from which a recording counts as hard
+AGAIN: Final = 3  # further repetitions of the hard parts of a recording
+RINGS: Final = 20  # samples after a slip that are not repeated; the rest of the second is
+_SPLIT_CYCLE: Final = 10  # recordings of strokes, of which one validates and one tests
 _SECOND: Final = 100  # samples
-_LOW: Final = -200  # counts; cells floor 420 to 502 below their rest, what is loaded stands higher
+_LOW: Final = -200  # counts; cells floor at 420 to 502 below rest, loaded ones stay higher
 
 
 def learn(
@@ -48,16 +48,16 @@ def learn(
     log: Callable[[str], object] = lambda _: None,
     progress: Callable[[int, int, Check | None], object] = lambda _done, _all, _check: None,
 ) -> Model:
-    """Train our network on grasps and strokes, all labelled by what truly slides.
+    """Train the network on grasps and strokes, labelled by true sliding.
 
     Args:
-        out: The model file, .safetensors; its card stands beside it as .json.
-        seed: Of all recordings.
-        grasps: How many recordings of grasps.
-        strokes: The plan of strokes; it is simulated once as it is, and once with varied scenes.
-        recipe: Of the network.
+        out: Model file, .safetensors; its card is the .json next to it.
+        seed: Random seed of all recordings.
+        grasps: Number of recordings of grasps.
+        strokes: Plan of strokes, simulated as it is and with varied scenes.
+        recipe: Training recipe of the network.
         log: Called with each step of the work.
-        progress: Told how far the training is.
+        progress: Called with the steps done, their total, and the newest check.
 
     Raises:
         ParameterError: if `out` does not end in .safetensors, or there are too few recordings.
@@ -68,16 +68,17 @@ def learn(
         raise ParameterError("learn", "out", str(out), "a path that ends in .safetensors")
     log(f"simulating {grasps} grasps and two plans of strokes")
     kinds = {
-        "grasps": list(handled(grasps, seed)),
+        "grasps": list(grasp_recordings(grasps, seed)),
         "strokes": _split(simulated_recordings(strokes, seed + 1)),
         "varied strokes": _split(simulated_recordings(replace(strokes, vary=varied), seed + 2)),
     }
-    learnt = {**kinds, "grasps": [replace(t, label=lasting(t.label)) for t in kinds["grasps"]]}
-    parts = by_split(chain.from_iterable(learnt.values()))
+    lengthened_grasps = [replace(each, label=lengthened(each.label)) for each in kinds["grasps"]]
+    training = {**kinds, "grasps": lengthened_grasps}
+    parts = by_split(chain.from_iterable(training.values()))
     hard = [
-        replace(trial, label=hardest(trial.label))
-        for trial in parts["train"]
-        if floored(trial.counts) >= FLOORED
+        replace(recording, label=hard_parts(recording.label))
+        for recording in parts["train"]
+        if floored_cells(recording.counts) >= FLOORED
     ]
     from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
 
@@ -88,24 +89,12 @@ def learn(
         checkpoint=out.with_name(f"{out.stem}.checkpoint.safetensors"),
         progress=lambda done, check: progress(done, recipe.steps, check),
     )
-    detector = GraspTcn(trained.arrays)
-    card: dict[str, Any] = {
-        "detector": GraspTcn.name,
-        "software": f"slipflow {version('slipflow')}",
-        "data": [
-            {
-                "simulated": kind,
-                "seed": seed + number,
-                "recordings": dict(Counter(trial.split for trial in found)),
-                "samples": sum(map(len, found)),
-            }
-            for number, (kind, found) in enumerate(kinds.items())
-        ],
-        "label": "true sliding above 3 mm/s; sticks of less than 50 ms (strokes: 150 ms) are a part of it",
+    card = {
+        **_data_card(kinds, seed),
         "seed": recipe.seed,
         "recipe": asdict(recipe),
         "scores": {
-            kind: label_scores(detector, [trial for trial in found if trial.split == "test"])
+            kind: label_scores(GraspTcn(trained.arrays), [each for each in found if each.split == "test"])
             for kind, found in kinds.items()
         },
         "debounce": {"threshold": THRESHOLD, "consecutive": 2, "release": 5},
@@ -114,13 +103,31 @@ def learn(
     return write_model(out, trained.arrays, card, trained.curve)
 
 
-def lasting(label: Codes, least: int = LASTS, fades: int = FADES) -> Codes:
-    """Labels (n,) in which each slip lasts `least` samples; what follows a short one is unknown.
+def _data_card(kinds: dict[str, list[LabelledRecording]], seed: int) -> dict[str, Any]:
+    """Return the part of the model card about the training data."""
+    return {
+        "detector": GraspTcn.name,
+        "software": f"slipflow {version('slipflow')}",
+        "data": [
+            {
+                "simulated": kind,
+                "seed": seed + number,
+                "recordings": dict(Counter(recording.split for recording in found)),
+                "samples": sum(map(len, found)),
+            }
+            for number, (kind, found) in enumerate(kinds.items())
+        ],
+        "label": "true sliding above 3 mm/s; sticks shorter than 50 ms (strokes: 150 ms) count as slip",
+    }
 
-    A blow moves an object within 20 to 40 ms: that is over before the cells tell it from a harmless one.
-    A network that has to call the next sample static again learns to be unsure of both.
 
-    >>> lasting(np.array([0, 1, 0, 0, 0, 0], np.int8), least=3, fades=1)
+def lengthened(label: Codes, least: int = LASTS, fades: int = FADES) -> Codes:
+    """Lengthen each slip in labels (n,) to `least` samples; `fades` samples after a short one become unknown.
+
+    A blow moves an object within 20 to 40 ms, which ends before the signal differs from that of a harmless
+    one. A network that must call the next sample static learns to be unsure of both.
+
+    >>> lengthened(np.array([0, 1, 0, 0, 0, 0], np.int8), least=3, fades=1)
     array([ 0,  1,  1,  1, -1,  0], dtype=int8)
     """
     longer = label.copy()
@@ -131,42 +138,42 @@ def lasting(label: Codes, least: int = LASTS, fades: int = FADES) -> Codes:
     return longer
 
 
-def hardest(label: Codes) -> Codes:
-    """Labels (n,) of what a network with floored cells gets wrong, the rest unknown.
+def hard_parts(label: Codes) -> Codes:
+    """Return labels (n,) of the parts that floored cells make hard, the rest unknown.
 
-    These are short slips, and the rest behind a slip, where the shaking hand goes on.
+    These are short slips, and the static second after a slip, in which the gripper still vibrates.
 
-    >>> hardest(np.array([0, 1, 1, *[0] * 120], np.int8)).tolist().count(0)
+    >>> hard_parts(np.array([0, 1, 1, *[0] * 120], np.int8)).tolist().count(0)
     80
     """
     chosen = np.full_like(label, UNKNOWN)
     for first, end in runs(label == SLIP).tolist():
-        behind = slice(end + RINGS, end + _SECOND)
-        chosen[behind] = label[behind]
+        after = slice(end + RINGS, end + _SECOND)
+        chosen[after] = label[after]
         if end - first <= LASTS + 2:
             chosen[first:end] = SLIP
     return chosen
 
 
-def floored(counts: Counts) -> int:
-    """How many cells of zeroed counts (n, 6) stood at their floor for a second: these feel nothing there.
+def floored_cells(counts: Counts) -> int:
+    """Count the cells of zeroed counts (n, 6) that stay at their floor for a second, without a signal.
 
-    >>> floored(np.repeat(np.array([[-450, -450, -40, 0, 0, 0]], np.int16), 100, axis=0))
+    >>> floored_cells(np.repeat(np.array([[-450, -450, -40, 0, 0, 0]], np.int16), 100, axis=0))
     2
     """
     least = counts.min(axis=0)  # (6,)
     return int((((counts == least).sum(axis=0) >= _SECOND) & (least < _LOW)).sum())
 
 
-def _split(trials: Sequence[LabelledRecording]) -> list[LabelledRecording]:
-    """Labelled by their true sliding; recordings take turns at the splits."""
+def _split(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording]:
+    """Label recordings by true sliding and assign their splits in turn."""
     roles = {0: "validation", 1: "test"}
     return [
-        replace(trial, label=_label(trial), split=roles.get(number % _VALIDATES, "train"))
-        for number, trial in enumerate(trials)
+        replace(recording, label=_label(recording), split=roles.get(number % _SPLIT_CYCLE, "train"))
+        for number, recording in enumerate(recordings)
     ]
 
 
-def _label(trial: LabelledRecording) -> Codes:
-    assert trial.sliding is not None, "simulated trials know it"
-    return by_sliding(trial.sliding, STICK)
+def _label(recording: LabelledRecording) -> Codes:
+    assert recording.sliding is not None, "simulated recordings have it"
+    return sliding_labels(recording.sliding, STICK)
