@@ -5,7 +5,7 @@ from heapq import merge
 from pathlib import PurePath
 from typing import Generic, TypeVar
 
-from operators.batch import Batch
+from operators.batch import ANNOTATIONS, Batch
 from operators.checks import check_above
 from operators.errors import InputError
 from operators.ports import Clock, Description, Recording, Source
@@ -17,10 +17,14 @@ class Replay(Source[Given], Generic[Given]):
     """Recorded stream as a source; rows keep their recorded timestamps.
 
     Args:
-        recording: Recording to replay. kind: Type of the batches. fingers: Fingertips to replay; default: all
-            recorded ones. pace: Recorded seconds per second of the clock, one row per batch; None for full
-            speed, 1000 rows per batch. origin: Recorded time (ns) of the start of the run, default: the first
-            timestamp of this stream. Streams of one recording need the same origin to stay in step.
+        recording: Recording to replay.
+        kind: Type of the batches.
+        fingers: Fingertips to replay, default: all recorded ones; none for annotations (episodes, truth) that
+            the recording lacks.
+        pace: Recorded seconds per second of the clock, one row per batch; None for full speed, 1000 rows per
+            batch.
+        origin: Recorded time (ns) of the start of the run, default: the first timestamp of this stream.
+            Streams of one recording need the same origin to stay in step.
 
     Raises:
         InputError: if the recording has no such stream.
@@ -39,7 +43,7 @@ class Replay(Source[Given], Generic[Given]):
         if pace is not None:
             check_above("Replay", "pace", pace, 0)
         held = recording.fingers(kind)
-        for finger in fingers or held or (None,):
+        for finger in fingers or held or (() if kind in ANNOTATIONS else (None,)):
             if finger not in held:
                 which = "" if finger is None else f" of finger {finger}"
                 others = f"; its fingers are {', '.join(map(str, held))}" if held else ""

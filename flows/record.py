@@ -22,7 +22,7 @@ def record(
 
 
 def declare_recording(flow: Flow, rig: SimulatedRig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
-    """Declare how both streams of a rig, and the samples labelled from them, come into a dataset.
+    """Declare how the streams of a rig, and the samples labelled from them, come into a dataset.
 
     Returns:
         The zeroed touch, for what else is to be made of it.
@@ -35,4 +35,6 @@ def declare_recording(flow: Flow, rig: SimulatedRig, label: Label, dataset: Data
     touch.to(dataset)
     motion.to(dataset)
     samples.to(dataset)
+    flow.source(rig.episodes).to(dataset)
+    flow.source(rig.truth).to(dataset)
     return zeroed

@@ -28,4 +28,6 @@ def relabel(
 
     samples.to(dataset)
     slips.to(dataset)
+    flow.source(rig.episodes).to(dataset)  # as recorded, if they were
+    flow.source(rig.truth).to(dataset)
     return flow

@@ -25,6 +25,8 @@ EVERY: Final = -1  # finger of a batch that belongs to all fingertips alike, as 
 SLIP: Final = 1
 STATIC: Final = 0
 UNKNOWN: Final = -1
+MOTIONS: Final = ("translation", "rotation", "hold", "tap", "lift")
+SURFACES: Final = ("plane", "sphere", "cylinder_x", "cylinder_y")
 us: Final = 1_000  # ns
 ms: Final = 1_000_000  # ns
 s: Final = 1_000_000_000  # ns
@@ -32,16 +34,19 @@ s: Final = 1_000_000_000  # ns
 
 @dataclass(frozen=True)
 class Column:
-    """What one field of a batch holds: element type, shape of one row (-1: any length), unit."""
+    """Element type, shape of one row (-1: any length) and unit of one field of a batch."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
     unit: str
+    names: tuple[str, ...] = ()  # of the codes 0, 1, ...: files store the names; empty: values are no codes
 
 
-def column(dtype: DTypeLike, *shape: int, unit: str = "") -> Mapping[str, Column]:
-    """Metadata of a batch field, from which checks, empty batches and Arrow schemas are derived."""
-    return MappingProxyType({"column": Column(np.dtype(dtype), shape, unit)})
+def column(
+    dtype: DTypeLike, *shape: int, unit: str = "", names: tuple[str, ...] = ()
+) -> Mapping[str, Column]:
+    """Return the metadata of a batch field; checks, empty batches and Arrow schemas are derived from it."""
+    return MappingProxyType({"column": Column(np.dtype(dtype), shape, unit, names)})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,3 +284,32 @@ class Clocks(Batch):
     offset: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) host minus device, at `time`
     drift: Reals = field(metadata=column(np.float64, unit="s/s"))  # (n,) what the offset gains
     residual: Reals = field(metadata=column(np.float64, unit="s"))  # (n,) by which rows came late, mean
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episodes(Batch):
+    """Motions of the arm, such as one stroke over a surface; `time` is the start."""
+
+    end: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first instant after it
+    motion: Codes = field(metadata=column(np.int8, names=MOTIONS))  # (n,)
+    surface: Codes = field(metadata=column(np.int8, names=SURFACES))  # (n,)
+    # (n,) of a translation or tap, in the fingertip's plane, anticlockwise from x
+    direction: Reals = field(metadata=column(np.float64, unit="rad"))
+    speed: Reals = field(metadata=column(np.float64, unit="m/s"))  # (n,) along the direction
+    angular_speed: Reals = field(metadata=column(np.float64, unit="rad/s"))  # (n,) anticlockwise
+    depth: Reals = field(metadata=column(np.float64, unit="m"))  # (n,) beyond first contact; NaN unknown
+    force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal, at the start; NaN unknown
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth(Batch):
+    """State of the simulated contact at the true instant of each touch sample, for tests and evaluation."""
+
+    # (n,) mean over the pad since the last row
+    sliding: Reals = field(metadata=column(np.float64, unit="m/s"))
+    force: Reals = field(metadata=column(np.float64, unit="N"))  # (n,) normal
+    # (n, 3) arm at the pad's centre, with its vibration: x, y, about the normal
+    velocity: Reals = field(metadata=column(np.float64, 3, unit="m/s, rad/s"))
+
+
+ANNOTATIONS: Final[tuple[type[Batch], ...]] = (Episodes, Truth)  # streams that a recording may lack

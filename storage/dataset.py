@@ -2,22 +2,24 @@
 
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from operators.batch import Clocks, Faults, Labelled, Motion, Slips, Touch, s
+from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
 from operators.errors import ParameterError
 from operators.ports import Run, Sink
 
 if TYPE_CHECKING:
     from storage.writer import SessionWriter
 
+Rows: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
 
-class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
+
+class Dataset(Sink[Rows]):
     """A folder of recordings; each run becomes a session of it, as storage.layout lays it out.
 
     Every row that `write` took is committed, whole parts at a time, in the order of arrival; a reader sees
     only whole parts. A batch goes to the table of its type: Touch as received, or Zeroed (not both in one
-    session), to touch; Labelled to samples; Motion, Slips, Faults and Clocks to their own.
+    session), to touch; Labelled to samples; every other type to the table of its name.
 
     The rows of a live run go to a journal at once, and parts are committed behind its back: what is killed
     loses at most the last 10 rows of a table, a power cut about a second; `storage.recover` puts the journal
@@ -72,7 +74,7 @@ class Dataset(Sink[Touch | Motion | Labelled | Slips | Faults | Clocks]):
         """
         self._writer = await asyncio.to_thread(self._begin, run)
 
-    async def write(self, batch: Touch | Motion | Labelled | Slips | Faults | Clocks) -> None:
+    async def write(self, batch: Rows) -> None:
         """Take one batch; while the disk is slow, wait until all but 10 rows of its table are in the journal.
 
         Raises:

@@ -17,7 +17,7 @@ from storage import files
 from storage.layout import DATASET, SESSION, SESSIONS, TABLES, Table
 from storage.lock import lock
 
-VERSION: Final = 1  # of the layout
+VERSION: Final = 2  # of the layout; 1 had episodes in the descriptions of sources, and no truth
 
 
 def describe_dataset(root: Path) -> None:
@@ -66,8 +66,7 @@ def describe_session(
 ) -> None:
     """Write session.json, when a run begins and again when it has `ended`: it is complete if nothing failed.
 
-    The sources' descriptions are taken from the run each time: what is learnt on the way, such as a baseline,
-    may be added to them. `tables` are those that may get rows.
+    `tables` are those that may get rows.
 
     Raises:
         InputError: if a source's description cannot be JSON.
@@ -83,10 +82,8 @@ def describe_session(
         "host": platform.node() if host is None else host,
         "declaration": list(run.declaration),
         "tables": [table.name for table in tables],
-        "sources": {
-            name: {key: value for key, value in each.items() if key != "episodes"}  # a table of their own
-            for name, each in run.describe.items()
-        },
+        "sources": {name: dict(each) for name, each in run.describe.items()},
+        "split": _split(run.describe.values()),
         "units": {
             table.name: {name: column.unit for name, column in table.columns.items() if column.unit}
             for table in TABLES
@@ -164,16 +161,20 @@ def read_session(folder: Path) -> Description:
 def recorders(about: Description) -> tuple[str, ...]:
     """The sinks that kept the rows of a session, by name; none before it is closed.
 
-    Sessions of older versions do not say so of a sink: there it is one that is called dataset.
-
-    >>> recorders({"sinks": {"lab": {"records": True}, "mqtt": {"records": False}, "dataset": {}}})
-    ('lab', 'dataset')
+    >>> recorders({"sinks": {"lab": {"records": True}, "mqtt": {"records": False}}})
+    ('lab',)
 
     Raises:
         AttributeError: if it says of its sinks what no session does.
     """
     sinks = cast("dict[str, dict[str, Any]]", about.get("sinks", {}))
-    return tuple(name for name, sink in sinks.items() if sink.get("records", name.startswith("dataset")))
+    return tuple(name for name, sink in sinks.items() if sink.get("records"))
+
+
+def _split(descriptions: Iterable[Description]) -> str | None:
+    """Return the split that the sources name, None if none does."""
+    named = [split for each in descriptions if isinstance(split := each.get("split"), str)]
+    return named[0] if named else None
 
 
 def _tellable(description: Description) -> bool:
@@ -186,8 +187,8 @@ def _tellable(description: Description) -> bool:
 
 def _check_version(path: Path, about: Description) -> None:
     if about.get("version") != VERSION:
-        reason = f"is of version {about.get('version')!r}, this slipflow knows {VERSION}"
-        raise InputError(str(path), f"{reason}: use the slipflow that wrote it")
+        reason = f"has version {about.get('version')!r}, this slipflow reads version {VERSION}"
+        raise InputError(str(path), f"{reason}: read it with the slipflow that wrote it, or record it again")
 
 
 def _rfc3339(time: int) -> str:

@@ -1,4 +1,4 @@
-"""The frames of a journal: rows and episodes, as bytes that cannot be taken for anything else.
+"""The frames of a journal: rows as bytes that cannot be taken for anything else.
 
 .. code-block:: text
 
@@ -27,13 +27,11 @@ from numpy.typing import NDArray
 
 from operators.batch import Batch, columns
 from operators.errors import InputError
-from operators.ports import Json
 from storage import files
 from storage.layout import TABLE_OF
 
 # of what bodies hold: raise it when that changes; other versions then refuse the segment and name it
-VERSION: Final = 2  # 1 told of all episodes each time
-EPISODE_LOG: Final = -1  # number of the segment that tells of episodes
+VERSION: Final = 3  # 2 had frames of episodes
 SINGLE_LOG: Final = -2  # of the one that has the rows of tables of one file
 LIMIT: Final = 64 * files.MiB  # bytes of a body, looked at before any are read
 WHOLE: Final = 8192 * files.MiB  # bytes of a segment, the same
@@ -48,8 +46,6 @@ _PLACE: Final = Struct("<QI")
 _KINDS: Final = tuple(TABLE_OF)  # a frame's code is a batch type's place here
 _CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
 _DESCRIPTION: Final = 255  # code; JSON follows
-_EPISODES: Final = 254  # code; JSON follows
-_TOLD: Final = 1000  # episodes in a frame
 _SEARCHED: Final = 256 * files.MiB  # bytes, which a search for a frame may hash
 _UNREAD: Final = "; move it away, and the rest can be recovered"
 SALT_SIZE: Final = len(_PREAMBLE) + 8  # bytes, with which a segment begins
@@ -60,15 +56,6 @@ class Rows(NamedTuple):
 
     first: int
     batch: Batch
-
-
-@dataclass(frozen=True)
-class Change:
-    """How a source's list of episodes reads from one of them on, to its end."""
-
-    source: str
-    first: int  # number, within the list, of the first that is given here
-    episodes: list[Json]
 
 
 @dataclass(frozen=True)
@@ -85,7 +72,6 @@ class Segment:
     """What a segment holds, up to where it is damaged."""
 
     rows: list[Rows]
-    changes: list[Change]  # of episodes, as the sources described them
     damage: Damage | None
 
 
@@ -98,19 +84,6 @@ def describe(session: str, number: int) -> bytes:
     """The body of a segment's first frame."""
     kinds = [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
     return _note(_DESCRIPTION, {"version": VERSION, "session": session, "segment": number, "kinds": kinds})
-
-
-def episodes(change: Change) -> Iterator[bytes]:
-    """The bodies of the frames that tell of a change: one, unless it is of many episodes.
-
-    Raises:
-        TypeError: if an episode cannot be JSON.
-        ValueError: the same.
-    """
-    for start in range(0, max(len(change.episodes), 1), _TOLD):
-        listed = change.episodes[start : start + _TOLD]
-        told = {"source": change.source, "first": change.first + start, "episodes": listed}
-        yield _note(_EPISODES, told)
 
 
 def bodies(rows: Iterable[Rows]) -> Iterator[bytes]:
@@ -170,19 +143,17 @@ def read_segment(data: bytes, where: str, session: str, number: int) -> Segment:
     salt, offset = data[:SALT_SIZE], SALT_SIZE
     body = _body(data, salt, offset) if salt.startswith(_PREAMBLE) else None
     if body is None:
-        return Segment([], [], Damage(0, len(data), more=len(data) > SALT_SIZE))
+        return Segment([], Damage(0, len(data), more=len(data) > SALT_SIZE))
     kinds = _described(body, where, session, number)
-    rows, changes = list[Rows](), list[Change]()
+    rows = list[Rows]()
     while offset < len(data):
         body = _body(data, salt, offset)
         if body is None:
-            return Segment(rows, changes, Damage(offset, len(data) - offset, _more(data, salt, offset + 1)))
-        if body[0] == _EPISODES:
-            changes.append(_change(body, where))
-        elif body[0] != _DESCRIPTION:
+            return Segment(rows, Damage(offset, len(data) - offset, _more(data, salt, offset + 1)))
+        if body[0] != _DESCRIPTION:
             rows.append(_rows(body, kinds, where))
         offset += _PREFIX.size + len(body)
-    return Segment(rows, changes, None)
+    return Segment(rows, None)
 
 
 def _checksum(body: bytes, salt: bytes, offset: int) -> int:
@@ -254,8 +225,9 @@ def _described(body: bytes, where: str, session: str, number: int) -> dict[int, 
 
 
 def _layout(kind: type[Batch]) -> list[list[Any]]:
-    """Name, element type with its byte order, and shape of each column."""
-    return [[name, each.dtype.str, list(each.shape)] for name, each in columns(kind).items()]
+    """Return name, element type with its byte order, shape and names of the codes of each column."""
+    found = columns(kind).items()
+    return [[name, each.dtype.str, [*each.shape], [*each.names]] for name, each in found]
 
 
 def _row_size(kind: type[Batch]) -> int:
@@ -272,15 +244,6 @@ _sizes: Final[dict[type[Batch], int]] = {}  # bytes of a row
 
 def _note(code: int, content: object) -> bytes:
     return _HEAD.pack(code, 0, 0, 0) + json.dumps(content).encode()
-
-
-def _change(body: bytes, where: str) -> Change:
-    told: Any = _json(body, where)
-    match told:
-        case {"source": str(source), "first": int(first), "episodes": list()} if first >= 0:
-            return Change(source, first, told["episodes"])
-        case _:
-            raise InputError(where, f"tells of episodes as no slipflow does{_UNREAD}")
 
 
 def _json(body: bytes, where: str) -> object:

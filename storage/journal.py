@@ -1,19 +1,17 @@
 """The journal of a session: its rows on their way to Parquet, so that a crash costs only the last."""
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Iterable
 from contextlib import contextmanager, suppress
 from itertools import chain
 from pathlib import Path
 from threading import Condition, Event, RLock, Thread
 from typing import Final
 
-from operators.ports import Description
 from storage import frames, steps
-from storage.episode_log import EpisodeLog
 from storage.files import SCRATCH, make_folder, sync
 from storage.frames import Rows
-from storage.layout import JOURNAL, TABLE_OF, episode_log, segment_file, segments, single_log
+from storage.layout import JOURNAL, TABLE_OF, segment_file, segments, single_log
 from storage.segment import OpenSegment
 
 SOON: Final = 5  # rows of a table that wait, at which they are appended
@@ -29,13 +27,12 @@ class Journal:
     Rows of tables of one file, written when the session ends, have a segment of their own until then.
     """
 
-    def __init__(self, folder: Path, session: str, describe: Mapping[str, Description]) -> None:
+    def __init__(self, folder: Path, session: str) -> None:
         """Begin the journal in a session's folder.
 
         Args:
             folder: The session's.
             session: Its name.
-            describe: What its sources say of themselves, the episodes as they begin.
 
         Raises:
             OSError: if it cannot be written.
@@ -44,7 +41,6 @@ class Journal:
         make_folder(folder / JOURNAL)
         self._single = OpenSegment(single_log(folder), session, frames.SINGLE_LOG)  # there before all others
         self._segment = OpenSegment(folder / segment_file(0), session, 0)
-        self._episodes = EpisodeLog(folder, session, describe)
         self._disk = RLock()  # held while frames are appended
         self._syncing = RLock()  # held while the segment is made durable; taken before _disk
         self._more = Condition()  # guards what follows; never held while the disk works
@@ -127,14 +123,6 @@ class Journal:
                 old.sync()
             old.close()
 
-    def keep_episodes(self) -> None:
-        """Have the episodes that are described by now durable, unless they are not as they must be.
-
-        Raises:
-            OSError: some may never become so; it may be tried again.
-        """
-        self._episodes.keep()
-
     def sync(self) -> None:
         """Make durable what was appended.
 
@@ -171,9 +159,8 @@ class Journal:
         self._end.set()
         for thread in self._threads:
             thread.join()
-        for work in (self.append, self.keep_episodes):
-            with suppress(OSError):
-                work()
+        with suppress(OSError):
+            self.append()
 
     def remove(self) -> None:
         """Delete the journal, which has been stopped: all its rows are in parts.
@@ -192,7 +179,6 @@ class Journal:
     def _close(self) -> None:
         self._segment.close()
         self._single.close()
-        self._episodes.close()
 
     def _write(self, rows: list[Rows]) -> None:
         """Append rows that belong to one segment."""
@@ -221,8 +207,6 @@ class Journal:
 
     def _sync_often(self) -> None:
         while not self._end.wait(SYNC):
-            with suppress(OSError):  # as above
-                self.keep_episodes()
             with suppress(OSError):  # then it is suspect
                 self.sync()
 
@@ -256,7 +240,6 @@ def drop_journal(folder: Path) -> None:
     for path in [
         *segments(folder).values(),
         single_log(folder),
-        episode_log(folder),
         *place.glob("*" + SCRATCH),
     ]:
         steps.reach("drop segment")

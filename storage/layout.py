@@ -6,14 +6,14 @@
     sessions/<session>/session.json                 what the recording says of itself; written first
     sessions/<session>/touch/part-000000.parquet    rows as received; motion alike
     sessions/<session>/samples/part-000000.parquet  derived rows, which can be rebuilt
-    sessions/<session>/episodes.parquet             what was done when; complete once the session has ended
     sessions/<session>/slips.parquet                the events that were raised; faults.parquet alike
     sessions/<session>/clocks.parquet               how a device's clock stood to the host's
+    sessions/<session>/episodes.parquet             motions of the arm
+    sessions/<session>/truth/part-000000.parquet    state of a simulated contact at each touch row
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
     sessions/<session>/journal/000000.wal           rows that no file above has yet: while recording, or after
                                                     the recorder was killed; see storage.frames
-    sessions/<session>/journal/episodes.wal         the episodes, until they are in their file at the end
-    sessions/<session>/journal/single.wal           rows of tables of one file, the same
+    sessions/<session>/journal/single.wal           rows of tables of one file, until the session ends
     sessions/<session>/damaged/                     what a recovery could not read
 """
 
@@ -24,14 +24,26 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from operators.batch import Batch, Clocks, Column, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns
+from operators.batch import (
+    Batch,
+    Clocks,
+    Column,
+    Episodes,
+    Faults,
+    Labelled,
+    Motion,
+    Slips,
+    Touch,
+    Truth,
+    Zeroed,
+    columns,
+)
 from operators.errors import InputError, ParameterError, os_error_reason
 
 DATASET: Final = "dataset.json"
 SESSIONS: Final = "sessions"
 SESSION: Final = "session.json"
 MANIFEST: Final = "MANIFEST.json"
-EPISODES: Final = "episodes.parquet"
 JOURNAL: Final = "journal"
 DAMAGED: Final = "damaged"
 
@@ -74,7 +86,9 @@ SAMPLES: Final = Table("samples", Labelled, frozenset({"temperature", "pose", "m
 SLIPS: Final = Table("slips", Slips, parted=False)
 FAULTS: Final = Table("faults", Faults, parted=False)
 CLOCKS: Final = Table("clocks", Clocks, finger=False, parted=False)
-TABLES: Final = (TOUCH, MOTION, SAMPLES, SLIPS, FAULTS, CLOCKS)
+EPISODES: Final = Table("episodes", Episodes, finger=False, parted=False)
+TRUTH: Final = Table("truth", Truth)
+TABLES: Final = (TOUCH, MOTION, SAMPLES, SLIPS, FAULTS, CLOCKS, EPISODES, TRUTH)
 TABLE_OF: Final[Mapping[type[Batch], Table]] = MappingProxyType(
     {table.kind: table for table in TABLES} | {Zeroed: TOUCH}
 )
@@ -120,7 +134,7 @@ def headless_names(root: Path) -> list[str]:
 
 def headless(folder: Path) -> bool:
     """Whether a folder holds what a session does, but not what it says of itself."""
-    patterns = (MANIFEST, EPISODES, "journal/*.wal", *(table.pattern for table in TABLES))
+    patterns = (MANIFEST, "journal/*.wal", *(table.pattern for table in TABLES))
     return not may_be(folder / SESSION) and any(any(folder.glob(each)) for each in patterns)
 
 
@@ -164,15 +178,6 @@ def segment_file(number: int) -> str:
     'journal/000007.wal'
     """
     return f"{JOURNAL}/{number:06d}.wal"
-
-
-def episode_log(folder: Path) -> Path:
-    """Where the journal of a session keeps the episodes; it may not be there.
-
-    Raises:
-        InputError: if it leads out of the session.
-    """
-    return inside(folder, folder / JOURNAL / "episodes.wal")
 
 
 def single_log(folder: Path) -> Path:

@@ -12,14 +12,12 @@ from typing import Any, Final, cast
 
 from operators.errors import InputError
 from storage import files
-from storage.layout import EPISODES, MANIFEST, TABLES, may_be
+from storage.layout import MANIFEST, TABLES, may_be
 
 VERSION: Final = 2  # 1 had no sha256 of its own
 
 _FILE: Final = re.compile(
     "|".join(rf"{t.name}/part-\d{{6,}}\.parquet" if t.parted else re.escape(t.file(0)) for t in TABLES)
-    + "|"
-    + re.escape(EPISODES)
 )
 _MENDED: Final = "slipflow recover makes the manifest anew"
 _SHA256: Final = re.compile("[0-9a-f]{64}")

@@ -37,7 +37,6 @@ def commit_part(
     folder: Path,
     path: str,
     table: pa.Table,
-    times: tuple[str, str] = ("time", "time"),
     put: files.Put = files.put,
 ) -> Part:
     """Write a table as a file of the session in `folder`; give what the manifest is to say of it.
@@ -46,22 +45,21 @@ def commit_part(
         folder: The session's.
         path: Within it.
         table: The rows.
-        times: The columns whose least and greatest value are its time range.
         put: How to write it.
 
     Raises:
         OSError: the file is not there, or is whole.
         InputError: if a link leads out of the session.
     """
-    return described(path, table, write_part(inside(folder, folder / path), table, put), times)
+    return described(path, table, write_part(inside(folder, folder / path), table, put))
 
 
-def described(path: str, table: pa.Table, sha256: str, times: tuple[str, str] = ("time", "time")) -> Part:
+def described(path: str, table: pa.Table, sha256: str) -> Part:
     """What the manifest says of a file that holds these rows."""
     if not len(table):
         return Part(path, 0, 0, 0, sha256)
-    first, last = (table[name].to_numpy() for name in times)
-    return Part(path, len(table), int(first.min()), int(last.max()), sha256)
+    time = table["time"].to_numpy()
+    return Part(path, len(table), int(time.min()), int(time.max()), sha256)
 
 
 def hash_part(path: Path) -> str:
@@ -73,9 +71,7 @@ def hash_part(path: Path) -> str:
     return hashlib.sha256(files.read(path)).hexdigest()
 
 
-def inspect_part(
-    folder: Path, path: str, schema: pa.Schema, times: tuple[str, str] = ("time", "time")
-) -> Part:
+def inspect_part(folder: Path, path: str, schema: pa.Schema) -> Part:
     """What a manifest would say of a file of the session in `folder`, which is read for it.
 
     Raises:
@@ -83,7 +79,7 @@ def inspect_part(
     """
     place = inside(folder, folder / path)
     sha256 = hash_part(place)
-    return described(path, read_part(place, schema, sha256), sha256, times)
+    return described(path, read_part(place, schema, sha256), sha256)
 
 
 def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:

@@ -10,21 +10,17 @@ import pyarrow as pa
 from operators.batch import Batch, Zeroed
 from operators.errors import InputError
 from operators.ports import Description
-from storage import episodes, files, frames
+from storage import files, frames
 from storage.description import describe_recovery
-from storage.episodes import Episodes
-from storage.following import put_together
 from storage.journal import drop_journal
 from storage.layout import (
     DAMAGED,
-    EPISODES,
     JOURNAL,
     MANIFEST,
     TABLE_OF,
     TABLES,
     TOUCH,
     Table,
-    episode_log,
     inside,
     segments,
     single_log,
@@ -74,7 +70,6 @@ class Salvage:
         self._rows: dict[str, list[Batch]] = {}  # from the journal, by table
         self._empty = list[Table]()  # tables of one file that got no row, and still lack it
         self._read_journal()
-        self._changes, self._log_whole = self._read_episodes()
         self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
         self._look_for_gone()
 
@@ -85,16 +80,13 @@ class Salvage:
             OSError: it may be tried again.
         """
         before = {table.name: self._count(self._known(table)) for table in TABLES}
-        told = self._commit_episodes()
         for table in TABLES:
             rows = self._rows.get(table.name, [table.kind.empty()] if table in self._empty else [])
             if rows:
-                self._commit(table, to_arrow(table, rows, told))
+                self._commit(table, to_arrow(table, rows))
         after = {name: self._count(parts) for name, parts in self._parts.items()}
         found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
         parts = [part for each in self._parts.values() for part in each]
-        if EPISODES in self._listed:
-            parts.append(self._listed[EPISODES])
         rewritten = self._mend or {part.path: part for part in parts} != self._were
         if rewritten and not found:
             self._done.append("its manifest was made anew")
@@ -200,16 +192,6 @@ class Salvage:
         wired = cast("list[str]", self._about.get("tables", []))
         return not table.parted and not known and name in wired
 
-    def _read_episodes(self) -> tuple[list[frames.Change], bool]:
-        """What the journal tells of episodes, and whether it can all be read."""
-        path = episode_log(self._folder)
-        if not path.exists():
-            return [], False
-        data = files.read(path, frames.WHOLE)
-        segment = frames.read_segment(data, str(path), self._session, frames.EPISODE_LOG)
-        self._look_at(path, segment.damage, last=True)
-        return segment.changes, segment.damage is None
-
     def _look_at(self, path: Path, damage: frames.Damage | None, *, last: bool) -> None:
         """Tell of the damage to a segment, the last of its kind or not."""
         if damage:
@@ -217,41 +199,6 @@ class Salvage:
             self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {behind}")
             self._aside += [path] if damage.more else []
             self._cut += self._lost[-1:] if last and not damage.more else []
-
-    def _commit_episodes(self) -> Episodes:
-        """The episodes, those that only the journal knows included."""
-        found, told, unread = Episodes.described({}), Episodes.described({}), list[str]()
-        try:
-            found = self._committed_episodes()
-        except InputError as error:
-            unread.append(f"episodes: {error}")
-        try:
-            told = Episodes.described(put_together(self._changes, str(episode_log(self._folder))))
-        except InputError as error:  # as the source described them
-            self._lost += [*unread, f"episodes: {error}"]
-            return found
-        knows_all = self._log_whole and self._changes  # it has told of them, since the session began
-        self._lost += [] if knows_all else unread  # else its file was just being replaced, or is not needed
-        if (len(told.table) < len(found.table) and not knows_all) or told.table.equals(found.table):
-            return found
-        if len(told.table):
-            self._listed[EPISODES] = commit_part(self._folder, EPISODES, told.table, episodes.TIMES)
-        return told
-
-    def _committed_episodes(self) -> Episodes:
-        """Those in their file; it is listed from now on.
-
-        Raises:
-            InputError: if it cannot be read.
-        """
-        there, listed = self._folder / EPISODES, self._listed.get(EPISODES)
-        if not there.exists():
-            return Episodes.described({})
-        rows = read_part(inside(self._folder, there), episodes.SCHEMA, listed.sha256 if listed else None)
-        self._listed[EPISODES] = listed or inspect_part(
-            self._folder, EPISODES, episodes.SCHEMA, episodes.TIMES
-        )
-        return Episodes(rows)
 
     def _commit(self, table: Table, rows: pa.Table) -> None:
         parts = self._parts[table.name]

@@ -1,4 +1,7 @@
-"""Batches as Arrow tables and back: arrays are FixedSizeList columns, units stand in the field metadata."""
+"""Batches as Arrow tables and back: arrays are FixedSizeLists, codes with names dictionaries of strings.
+
+Units are in the metadata of the fields.
+"""
 
 from collections.abc import Sequence
 from typing import Any, Final, cast
@@ -8,8 +11,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from operators.batch import EVERY, Batch, Column, columns
-from storage.episodes import Numbering
-from storage.layout import SAMPLES, TABLE_OF, Table
+from operators.errors import BatchError
+from storage.layout import TABLE_OF, Table
 from storage.parts import flat
 
 _KINDS: Final = {kind.__name__: kind for kind in TABLE_OF}
@@ -36,17 +39,16 @@ def holders(table: Table) -> pa.Schema:
     return pa.schema([field for field in _fields(table) if field.name == name])
 
 
-def to_arrow(table: Table, batches: Sequence[Batch], episodes: Numbering) -> pa.Table:
-    """The rows of one or more batches of one type, in the order given; `episodes` numbers the samples'."""
+def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
+    """Return the rows of one or more batches of one type, in the order given."""
     values: dict[str, NDArray[Any]] = {
         name: np.concatenate([getattr(batch, name) for batch in batches]) for name in table.columns
     }
     fingers = np.array([batch.finger for batch in batches], np.int16)
     values["finger"] = np.repeat(fingers, [len(batch) for batch in batches])
-    if table is SAMPLES:
-        values["episode"] = episodes.at(values["time"])
-    target = schema(table, type(batches[0]))
-    return pa.Table.from_arrays([_array(values[name]) for name in target.names], schema=target)
+    target, kept = schema(table, type(batches[0])), table.columns
+    arrays = [_array(values[name], kept[name].names if name in kept else ()) for name in target.names]
+    return pa.Table.from_arrays(arrays, schema=target)
 
 
 def batch_type(rows: pa.Table) -> type[Batch] | None:
@@ -71,7 +73,10 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
     values: dict[str, NDArray[Any]] = {}
     for name, each in columns(kind).items():
         if name in table.columns:
-            values[name] = _values(rows, name).reshape(-1, *each.shape)
+            if each.names:
+                values[name] = _codes(kind, name, each.names, rows)
+            else:
+                values[name] = _values(rows, name).reshape(-1, *each.shape)
         elif name == "matched":
             values[name] = np.logical_not(np.isnan(values["velocity"]).all(axis=1))
         else:
@@ -93,19 +98,21 @@ def _fields(table: Table) -> "list[pa.Field[Any]]":
     fields = [_field(name, each) for name, each in table.columns.items()]
     if table.finger:
         fields.insert(1, pa.field("finger", pa.int16(), nullable=False))
-    if table is SAMPLES:
-        fields.append(pa.field("episode", pa.int32(), nullable=False))
     return fields
 
 
 def _field(name: str, column: Column) -> "pa.Field[Any]":
-    element = pa.from_numpy_dtype(column.dtype)
+    element: pa.DataType = pa.from_numpy_dtype(column.dtype)
+    if column.names:
+        element = pa.dictionary(cast("Any", element), pa.string())
     kind = pa.list_(element, *column.shape) if column.shape else element
     return pa.field(name, kind, nullable=False, metadata={"unit": column.unit} if column.unit else None)
 
 
-def _array(values: NDArray[Any]) -> "pa.Array[Any]":
+def _array(values: NDArray[Any], names: Sequence[str]) -> "pa.Array[Any]":
     array: pa.Array[Any] = pa.array(values.reshape(-1))
+    if names:
+        array = cast("Any", pa.DictionaryArray).from_arrays(array, pa.array(names))
     if values.ndim > 1:
         array = cast("Any", pa.FixedSizeListArray).from_arrays(array, values.shape[1])
     return array
@@ -113,3 +120,19 @@ def _array(values: NDArray[Any]) -> "pa.Array[Any]":
 
 def _values(rows: pa.Table, name: str) -> NDArray[Any]:
     return flat(rows[name]).to_numpy(zero_copy_only=False)
+
+
+def _codes(kind: type[Batch], column: str, names: tuple[str, ...], rows: pa.Table) -> NDArray[Any]:
+    """Return the codes (n,) of a column that is stored by name.
+
+    Raises:
+        BatchError: if a name has no code.
+    """
+    array: Any = flat(rows[column])
+    stored: list[str] = array.dictionary.to_pylist()
+    if unknown := set(stored) - set(names):
+        reason = f"holds {', '.join(map(repr, sorted(unknown)))}, must be one of {', '.join(names)}"
+        raise BatchError(kind.__name__, column, reason)
+    code = np.array([names.index(each) for each in stored], columns(kind)[column].dtype)
+    codes: NDArray[Any] = code[array.indices.to_numpy()]
+    return codes

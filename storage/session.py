@@ -13,7 +13,6 @@ from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Description, SomeBatch
 from storage.description import read_session
 from storage.layout import (
-    EPISODES,
     JOURNAL,
     SESSION,
     SESSIONS,
@@ -97,10 +96,7 @@ class Session:
     @property
     def tables(self) -> tuple[str, ...]:
         """The tables that it holds."""
-        found = [table.name for table in TABLES if self._paths(table)]
-        if self._has_episodes:
-            found.append("episodes")
-        return tuple(found)
+        return tuple(table.name for table in TABLES if self._paths(table))
 
     def files(self, kind: type[Batch]) -> dict[str, str | None]:
         """The files that hold its rows of `kind`, in order, with the sha256 that the manifest has of each."""
@@ -151,11 +147,9 @@ class Session:
         import polars as pl  # noqa: PLC0415 - takes its time to import
         import pyarrow as pa  # noqa: PLC0415 - the same
 
-        from storage import episodes, schema  # noqa: PLC0415 - they import pyarrow
+        from storage import schema  # noqa: PLC0415 - it imports pyarrow
 
         parts: list[pa.Table] = []
-        if table == "episodes" and table in self.tables:
-            parts.append(self._rows(EPISODES, episodes.SCHEMA))
         for each in TABLES:
             if each.name == table:
                 parts += [self._rows(path, schema.schema(each)) for path in self._paths(each)]
@@ -165,21 +159,8 @@ class Session:
         return cast("pl.DataFrame", cast("Any", pl).from_arrow(pa.concat_tables(parts)))
 
     def describe(self) -> Description:
-        """What session.json says, and the episodes.
-
-        Raises:
-            InputError: as `read`.
-        """
-        if not self._has_episodes:
-            return self.about
-        from storage import episodes  # noqa: PLC0415 - it imports pyarrow
-
-        rows: list[Any] = self._rows(EPISODES, episodes.SCHEMA).to_pylist()
-        return {**self.about, "episodes": rows}
-
-    @property
-    def _has_episodes(self) -> bool:
-        return EPISODES in self.listed or (self.folder / EPISODES).exists()
+        """Return what session.json says."""
+        return self.about
 
     def _parts(self, kind: type[Batch]) -> Iterator[_Rows]:
         """The parts whose rows are of `kind`."""

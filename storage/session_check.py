@@ -11,14 +11,12 @@ from storage.description import read_session, recorders
 from storage.findings import Finding, Weight
 from storage.layout import (
     DAMAGED,
-    EPISODES,
     JOURNAL,
     MANIFEST,
     SAMPLES,
     SESSION,
     TABLES,
     Table,
-    episode_log,
     headless,
     inside,
     segments,
@@ -127,11 +125,8 @@ class SessionCheck:
         self._find("repairable", "has a journal that waits: slipflow recover puts it into parts")
         for text in unlisted.missing_segments(self.folder, self.about):
             self._find("lost" if self.listed or segments(self.folder) else "lossy", text)
-        logs = {
-            frames.SINGLE_LOG: single_log(self.folder),
-            frames.EPISODE_LOG: episode_log(self.folder),
-        }
-        waiting = [*segments(self.folder).items(), *(each for each in logs.items() if each[1].exists())]
+        waiting, single = [*segments(self.folder).items()], single_log(self.folder)
+        waiting += [(frames.SINGLE_LOG, single)] if single.exists() else []
         for number, path in waiting:
             try:
                 segment = frames.read_segment(
@@ -150,15 +145,13 @@ class SessionCheck:
 
     def _check_part(self, path: str, part: Part) -> int:
         """Give its rows."""
-        from storage import episodes, parts, schema  # noqa: PLC0415 - they import pyarrow
+        from storage import parts, schema  # noqa: PLC0415 - they import pyarrow
 
         table = _table(path)
-        times = episodes.TIMES if table is None else ("time", "time")
-        columns = episodes.SCHEMA if table is None else schema.schema(table)
-        rows = parts.read_part(inside(self.folder, self.folder / path), columns, part.sha256)
-        if parts.described(path, rows, part.sha256, times) != part:
+        rows = parts.read_part(inside(self.folder, self.folder / path), schema.schema(table), part.sha256)
+        if parts.described(path, rows, part.sha256) != part:
             raise InputError(str(self.folder / path), "has other rows or times than the manifest says")
-        if table and table is SAMPLES:
+        if table is SAMPLES:
             for finger, batch in schema.from_arrow(table, table.kind, rows).items():
                 if (batch.time[1:] < batch.time[:-1]).any():
                     self._find("lossy", f"{path}: rows of finger {finger} are not in the order of time")
@@ -181,8 +174,6 @@ class SessionCheck:
         from storage import unlisted  # noqa: PLC0415 - it imports pyarrow
 
         there = list[str]()
-        if (self.folder / EPISODES).exists():
-            there.append(EPISODES)
         for table in TABLES:
             found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]
             paths = sorted(found, key=unlisted.part_number)
@@ -201,12 +192,10 @@ class SessionCheck:
 
     def _check_readable(self, path: str) -> None:
         """A file that the manifest does not list: a recovery lists it, if it can be read."""
-        from storage import episodes, parts, schema  # noqa: PLC0415 - they import pyarrow
+        from storage import parts, schema  # noqa: PLC0415 - they import pyarrow
 
-        table = _table(path)
-        columns = schema.schema(table) if table else episodes.SCHEMA
         try:
-            parts.read_part(inside(self.folder, self.folder / path), columns)
+            parts.read_part(inside(self.folder, self.folder / path), schema.schema(_table(path)))
         except InputError as error:
             self._find("lost", f"{error}; it is not in the manifest")
         else:
@@ -227,6 +216,6 @@ class SessionCheck:
                 self._find("lost", text)
 
 
-def _table(path: str) -> Table | None:
-    """The table that a file is of; None: the episodes."""
-    return next((table for table in TABLES if path.startswith((f"{table.name}/", f"{table.name}."))), None)
+def _table(path: str) -> Table:
+    """Return the table that a file belongs to."""
+    return next(table for table in TABLES if path.startswith((f"{table.name}/", f"{table.name}.")))

@@ -11,7 +11,7 @@ from operators.batch import EVERY, s
 from operators.errors import InputError
 from operators.ports import Description
 from storage.description import recorders
-from storage.layout import EPISODES, JOURNAL, TABLES, Table, inside, segment_file, segments, single_log
+from storage.layout import JOURNAL, TABLES, Table, inside, segment_file, segments, single_log
 from storage.manifest import Part
 from storage.parts import flat, inspect_part, read_part
 from storage.schema import schema
@@ -104,7 +104,7 @@ def shortfall(about: Description, parts: Iterable[Part]) -> str:
         written = [sinks[name]["rows"] for name in recorders(about)]
     except (AttributeError, LookupError, TypeError):  # who reads the description says so
         return ""
-    there = sum(part.rows for part in parts if part.path != EPISODES)
+    there = sum(part.rows for part in parts)
     if len(written) != 1 or there >= written[0]:  # of several, each is another dataset
         return ""
     return f"{written[0] - there:,} of the {written[0]:,} rows that were recorded are in no part"

@@ -16,16 +16,14 @@ from operators.ports import Run
 from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
-from storage.episodes import TIMES, Episodes
 from storage.frames import Rows
 from storage.growing import Growing
 from storage.journal import Journal
-from storage.layout import EPISODES, SESSIONS, TABLE_OF, TABLES, TOUCH, Table, session_folder
+from storage.layout import SESSIONS, TABLE_OF, TABLES, TOUCH, Table, session_folder
 from storage.lock import lock
 from storage.manifest import Part, write_manifest
 from storage.parts import commit_part
 from storage.schema import to_arrow
-from storage.timeline import Timeline
 from storage.unsettled import Unsettled
 
 
@@ -49,8 +47,6 @@ class SessionWriter:
         self.folder = session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
-        self._episodes = Timeline(run.describe)
-        self._unwritten = False  # episodes of which their file does not tell
         kinds = run.sink_types.get(str(root), ())
         self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # that may get rows
         self._buffers: dict[str, Buffer | Growing] = {
@@ -81,10 +77,9 @@ class SessionWriter:
             try:
                 held = lock(self.folder)
                 describe_session(self.folder, run, host=host, tables=self._tables, put=self._put)
-                self._commit_episodes()
                 write_manifest(self.folder, self._parts, self._put)
                 if run.live:
-                    self._journal = Journal(self.folder, run.session, run.describe)
+                    self._journal = Journal(self.folder, run.session)
             except BaseException:
                 rmtree(self.folder, ignore_errors=True)
                 if held is not None:
@@ -174,12 +169,11 @@ class SessionWriter:
 
         Raises:
             EndpointError: what could not be committed is kept for the next try.
-            InputError: if a source's episodes are not as they must be; the same.
         """
         with self._writing, self._reporting():
             try:
                 self.take(final=final)
-                self._commit_taken(final=final)
+                self._commit_taken()
             except BaseException:
                 self._behind = True
                 raise
@@ -225,13 +219,12 @@ class SessionWriter:
             kept = [buffer for buffer in self._buffers.values() if isinstance(buffer, form)]
             return [rows for buffer in kept for rows in buffer.numbered()]
 
-    def _commit_taken(self, *, final: bool) -> None:
+    def _commit_taken(self) -> None:
         """In this order, so that at each step all rows are in a listed part or in the journal."""
         assert self._taken is not None, "take comes first"
         if self._journal and not self._rotated:
             self._journal.rotate(partial(self._kept, Buffer), partial(self._kept, Growing))
             self._rotated = True
-        self._commit_episodes(final=final)
         for table in TABLES:
             if buffer := self._taken.get(table.name):
                 self._commit_rows(table, buffer)
@@ -242,7 +235,7 @@ class SessionWriter:
         self._taken = None
 
     def _commit_rows(self, table: Table, buffer: Buffer | Growing) -> None:
-        rows = to_arrow(table, buffer.batches or [buffer.kind.empty()], self._episodes)
+        rows = to_arrow(table, buffer.batches or [buffer.kind.empty()])
         parts, some = list[Part](), max(len(rows), 1)
         size = self._part_rows if table.parted else some
         if table.parted:
@@ -252,21 +245,6 @@ class SessionWriter:
             parts.append(commit_part(self.folder, path, rows.slice(start, size), put=self._put))
         self._parts += parts
         self._numbers[table.name] += len(parts)
-
-    def _commit_episodes(self, *, final: bool = False) -> None:
-        """Have them durable: in their file, unless the journal has them until the end."""
-        self._unwritten |= self._episodes.look()  # a source may tell of them as they begin
-        if self._journal and not final:
-            self._journal.keep_episodes()
-        elif self._unwritten or final:  # at the end, those that were changed later than they may be, too
-            table = Episodes.described(self._run.describe).table
-            if len(table):
-                others = [each for each in self._parts if each.path != EPISODES]
-                if len(others) < len(self._parts):  # so that none is ever listed as what it is not
-                    write_manifest(self.folder, others, self._put)
-                part = commit_part(self.folder, EPISODES, table, TIMES, self._put)
-                self._parts = [*others, part]
-            self._unwritten = False
 
     @contextmanager
     def _reporting(self) -> Generator[None]:

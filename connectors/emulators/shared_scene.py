@@ -5,7 +5,9 @@ a controller looks at its arm when its cycle comes. All who ask share one arm, s
 dragged by the motion that is reported and commanded.
 """
 
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from threading import Lock
 from time import time_ns
 from typing import Final
@@ -15,8 +17,7 @@ import numpy as np
 from connectors.sim.arm_motion import Arm, in_base
 from connectors.sim.hand import Orders
 from connectors.sim.scene import Scene, commanded_scene
-from connectors.sim.truth import Memory, Truth
-from operators.batch import Commands, Counts, Reals, Touch, s
+from operators.batch import Commands, Counts, Reals, Touch, Truth, concat, s
 from operators.errors import ParameterError
 
 STRETCH: Final = s // 2  # ns of the scene at a time, when nobody has asked for long
@@ -60,7 +61,8 @@ class SharedScene:
         self._skin = {finger: Finger(self.scene, seed, finger, orders=self.orders) for finger in fingers}
         self._arm = Arm(self.scene, seed, orders=self.orders)
         self._least = round(self.scene.parameters.step * s)  # ns between two readings that differ
-        self._memory = {finger: Memory(max(1, int(remember * self.scene.touch.rate))) for finger in fingers}
+        rows = max(1, int(remember * self.scene.touch.rate))
+        self._truth = {finger: deque[Truth](maxlen=rows) for finger in fingers}  # a row each
         self._newest: dict[int, Touch] = {}  # by fingertip, stamped from the beginning
         self._ended: set[int] = set()  # fingertips whose plan has ended
         self._seen = -1  # ns, from the beginning, of the newest motion
@@ -126,7 +128,8 @@ class SharedScene:
     def truth(self, finger: int | None = None) -> Truth:
         """What really happened to a fingertip (the first one) whenever it was asked what it felt."""
         with self._lock:
-            return self._memory[self.fingers[0] if finger is None else finger].recall(self._origin)
+            truth = concat(Truth, self._truth[self.fingers[0] if finger is None else finger])
+            return replace(truth, time=truth.time + self._origin)
 
     def _reach(self, finger: int, instant: int) -> None:
         """Have a fingertip feel all up to an instant (ns since the beginning)."""
@@ -138,4 +141,4 @@ class SharedScene:
                 self._ended.add(finger)
                 return
             self._newest[finger], truth = sensed
-            self._memory[finger].add(truth)
+            self._truth[finger].append(truth)

@@ -208,10 +208,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         document: dict[str, Json] = {
             "flow": self._run.flow,
             "recording": self._run.recording,
-            "sources": {
-                name: {key: value for key, value in description.items() if key != "episodes"}  # grows
-                for name, description in self._run.describe.items()
-            },
+            "sources": {name: dict(description) for name, description in self._run.describe.items()},
             "model": {"id": self._model, "sha256": self._sha256},
             "threshold": self.threshold,
             "consecutive": self.consecutive,

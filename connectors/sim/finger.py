@@ -13,8 +13,7 @@ from connectors.sim.pad_sensor import grid
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import Move, Moves, Scene, Vibration
 from connectors.sim.timing import Sampler
-from connectors.sim.truth import Truth
-from operators.batch import Counts, Flags, Reals, Touch, s
+from operators.batch import Counts, Flags, Reals, Touch, Truth, s
 
 
 def law(scene: Scene) -> contact.Law:
@@ -100,14 +99,17 @@ class Finger:
         self._sampler = Sampler(scene.touch, timing)
 
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
-        """The next samples, stamped from the run's start; fewer where the plan ends, None after it."""
+        """Return the next samples, stamped from the run's start, and the truth of each.
+
+        Fewer where the plan ends or samples are lost, None after the plan's end.
+        """
         t = self._sampler.instants(samples)  # (k,) s
         if (felt := self._feel(t, 1 / (self._scene.touch.rate * self._p.creep_time))) is None:
             return None
         counts, temperature, valid, happened = felt
         time, arrive = self._sampler.stamp(len(counts))
         touch = Touch(time, counts, temperature, valid, finger=self._finger)
-        return (touch if arrive.all() else touch[arrive]), happened
+        return (touch, happened) if arrive.all() else (touch[arrive], happened[arrive])
 
     def sense(self, instant: float) -> tuple[Touch, Truth] | None:
         """One sample at an instant of one's own choice (s since the run began), stamped with it.
@@ -146,7 +148,8 @@ class Finger:
         velocity = np.zeros((len(t), 3))
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
-        happened = Truth(np.rint(t * s).astype(np.int64), truth[:, 0], truth[:, 1], velocity)
+        time = np.rint(t * s).astype(np.int64)
+        happened = Truth(time, truth[:, 0], truth[:, 1], velocity, finger=self._finger)
         return counts, temperature, valid, happened
 
     def _drive(self, steps: int) -> Reals:

@@ -4,14 +4,14 @@ import asyncio
 from collections.abc import AsyncIterator, Iterator
 from dataclasses import fields, is_dataclass, replace
 from itertools import count
-from math import inf
-from typing import Any, Final, cast
+from math import inf, nan, radians
+from typing import Any, Final, Generic, cast
+
+import numpy as np
 
 from connectors.sim.hand import Orders
-from connectors.sim.moved import Moved
 from connectors.sim.scene import Move, Scene, Timing
-from connectors.sim.truth import Memory, Truth
-from operators.batch import Commands, Motion, Touch, s
+from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Commands, Episodes, Motion, Touch, Truth, s
 from operators.errors import ParameterError
 from operators.ports import Clock, Description, Json, Run, Sink, Source
 
@@ -19,17 +19,19 @@ STRETCH: Final = 5.0  # s in one batch of a run that is not paced; joins keep mo
 
 
 class SimulatedRig:
-    """A scene as two sources, `touch` and `motion`, that run on one time, and a sink, `hand`, for commands.
+    """A scene as sources that share one time, and a sink, `hand`, for commands.
 
-    A run begins when the first of the two is asked for its batches, and again when one is asked anew; the
-    same seed then gives the same bytes, stamped from the new beginning.
+    `touch` and `motion` are what the hardware gives, `episodes` the moves of the arm, each at its start, and
+    `truth` what really happens at each touch sample. The last two need `touch` in the same flow.
+
+    A run begins when the first source is asked for its batches, and again when one is asked a second time;
+    the same seed then gives the same bytes, stamped from the new beginning.
 
     Args:
         scene: What happens; the default presses and strokes for ever.
         seed: Of the plan, of the cells' individuality and of all noise.
         pace: Simulated seconds per second of the clock; None: as fast as it goes, in large batches.
         fingers: Fingertips that feel the same motion, each with noise and cells of its own.
-        remember: Seconds that `truth` reaches back, at least.
 
     Raises:
         ParameterError: on a pace that is not above 0, or without fingertips.
@@ -46,7 +48,6 @@ class SimulatedRig:
         *,
         pace: float | None = 1.0,
         fingers: tuple[int, ...] = (0,),
-        remember: float = 600.0,
     ) -> None:
         if pace is not None and not pace > 0:
             raise ParameterError("SimulatedRig", "pace", pace, "above 0, or None for as fast as it goes")
@@ -58,28 +59,20 @@ class SimulatedRig:
         self.motion = RigMotion(self)
         self.hand = RigHand(self)
         self.orders = Orders()
-        self._memory = {finger: Memory(int(remember * self.scene.touch.rate)) for finger in fingers}
-        self._moved = Moved(self.scene.curvature)
+        self.episodes = RigAnnotation(self, Episodes, (EVERY,))
+        self.truth = RigAnnotation(self, Truth, fingers)
         self._origin = 0  # ns
         self._running: set[Source[Any]] = set()
         self._given: dict[Source[Any], float] = {}  # batches that each source has given, if not paced
         self._advanced = asyncio.Event()
 
-    def truth(self, finger: int | None = None) -> Truth:
-        """What really happened to a fingertip (the first one) in this run, up to its newest touch sample."""
-        return self._memory[self.fingers[0] if finger is None else finger].recall(self._origin)
-
     def describe(self) -> Description:
-        """What a recording should say of the rig.
-
-        ``episodes`` is alive: a move is added when it begins, with absolute times (ns); read it at the end.
-        """
+        """Return what a recording says of the rig."""
         return {
             "rig": "simulated",
             "seed": self.seed,
             "fingers": list(self.fingers),
             "scene": _json(self.scene),
-            "episodes": self._moved,
         }
 
     def begin(self, source: Source[Any], clock: Clock) -> int:
@@ -88,9 +81,8 @@ class SimulatedRig:
             self._running, self._given, self._advanced = set(), {}, asyncio.Event()
             self._origin = clock.now()
             self.orders.begin(self._origin)
-            self._moved.clear()
-            for memory in self._memory.values():
-                memory.clear()
+            for each in (self.episodes, self.truth):
+                each.restart()
         self._running.add(source)
         return self._origin
 
@@ -108,23 +100,29 @@ class SimulatedRig:
         self._advanced.set()
         await asyncio.sleep(0)  # at the beginning the other one has yet to be asked
         least = given + (source is self.touch)
-        while any(self._given.get(other, 0) < least for other in self._running - {source}):
+        others = self._running & {self.touch, self.motion} - {source}
+        while any(self._given.get(other, 0) < least for other in others):
             self._advanced.clear()
             await self._advanced.wait()
 
     def end(self, source: Source[Any]) -> None:
-        """Nobody need wait for this source any more."""
+        """End the waiting for this source; after the touch, annotations end too."""
         self._given[source] = inf
         self._advanced.set()
+        if source is self.touch:
+            self.episodes.end()
+            self.truth.end()
 
-    def remember(self, finger: int, truth: Truth) -> None:
-        """Keep what really happened to a fingertip."""
-        self._memory[finger].add(truth)
+    def add_truth(self, truth: Truth) -> None:
+        """Give what really happened to a fingertip, stamped from the run's start."""
+        if self.truth in self._running and len(truth):
+            self.truth.add(replace(truth, time=truth.time + self._origin))
 
-    def note(self, move: Move, start: float) -> None:
-        """Write down a move that begins `start` seconds after the run."""
-        begin, end = (self._origin + round(at * s) for at in (start, start + move.seconds))
-        self._moved.add(move, begin, end)
+    def add_move(self, move: Move, start: float) -> None:
+        """Give a move that begins `start` seconds after the run as an episode."""
+        if self.episodes in self._running:
+            begin, end = (self._origin + round(at * s) for at in (start, start + move.seconds))
+            self.episodes.add(episode(move, begin, end, self.scene))
 
 
 class RigTouch(Source[Touch]):
@@ -132,20 +130,6 @@ class RigTouch(Source[Touch]):
 
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
-
-    def truth(self) -> Truth:
-        """Return the true state of the first fingertip, as `SimulatedRig.truth` does."""
-        return self._rig.truth()
-
-    @property
-    def kind(self) -> type[Touch]:
-        """Raw counts."""
-        return Touch
-
-    @property
-    def fingers(self) -> tuple[int, ...]:
-        """The rig's fingertips."""
-        return self._rig.fingers
 
     async def prepare(self) -> None:
         """Compile the physics: seconds the first time, then a fraction of one."""
@@ -157,21 +141,22 @@ class RigTouch(Source[Touch]):
         """Samples of each fingertip in turn: one at a time when paced."""
         rig = self._rig
         origin = rig.begin(self, clock)
+        await asyncio.sleep(0)  # the annotations begin too, before the first move does
         from connectors.sim.finger import Finger  # noqa: PLC0415 - loads numba: only to run
 
-        notes = [rig.note, *[None] * len(rig.fingers)]
+        moves = [rig.add_move, *[None] * len(rig.fingers)]
         fingers = [
-            Finger(rig.scene, rig.seed, finger, note, rig.orders)
-            for finger, note in zip(rig.fingers, notes, strict=False)
+            Finger(rig.scene, rig.seed, finger, begun, rig.orders)
+            for finger, begun in zip(rig.fingers, moves, strict=False)
         ]
         try:
             for due, samples in rig.schedule(rig.scene.touch):
                 await (rig.turn(self) if rig.pace is None else clock.sleep_until(due))
-                for finger, simulation in zip(rig.fingers, fingers, strict=True):
+                for simulation in fingers:
                     if (taken := simulation.take(samples)) is None:
                         return
                     touch, truth = taken
-                    rig.remember(finger, truth)
+                    rig.add_truth(truth)
                     if len(touch):
                         yield replace(touch, time=touch.time + origin)
         finally:
@@ -219,6 +204,56 @@ class RigMotion(Source[Motion]):
         """The arm, and the timing of this stream."""
         rig = self._rig
         return {"arm": "UR10, simulated", "rate_hz": rig.scene.motion.rate, "seed": rig.seed}
+
+
+class RigAnnotation(Source[AnyBatch], Generic[AnyBatch]):
+    """Ground truth of the simulated rig, as its touch source simulates it; made by `SimulatedRig`."""
+
+    def __init__(self, rig: SimulatedRig, kind: type[AnyBatch], fingers: tuple[int, ...]) -> None:
+        self._rig, self._kind, self._fingers = rig, kind, fingers
+        self.restart()
+
+    @property
+    def kind(self) -> type[AnyBatch]:
+        """Episodes or Truth."""
+        return self._kind
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """The rig's fingertips, or EVERY for episodes."""
+        return self._fingers
+
+    async def batches(self, clock: Clock) -> AsyncIterator[AnyBatch]:
+        """Give rows until the touch source ends."""
+        self._rig.begin(self, clock)
+        rows = self._rows
+        while (batch := await rows.get()) is not None:
+            yield batch
+
+    def restart(self) -> None:
+        """Drop what an earlier run left."""
+        self._rows = asyncio.Queue[AnyBatch | None]()
+
+    def add(self, batch: AnyBatch) -> None:
+        """Give a batch."""
+        self._rows.put_nowait(batch)
+
+    def end(self) -> None:
+        """End the stream."""
+        self._rows.put_nowait(None)
+
+
+def episode(move: Move, start: int, end: int, scene: Scene) -> Episodes:
+    """Return a move as a row; `start` and `end` in ns."""
+    speed, angular_speed = (0.0, move.speed) if move.motion == "rotation" else (move.speed, 0.0)
+    force = nan if move.force is None else move.force
+    return Episodes(
+        np.array([start]),
+        np.array([end]),
+        np.array([MOTIONS.index(move.motion)], np.int8),
+        np.array([SURFACES.index(scene.curvature)], np.int8),
+        *(np.array([value]) for value in (radians(move.direction_deg), speed, angular_speed, nan, force)),
+    )
 
 
 class RigHand(Sink[Commands]):

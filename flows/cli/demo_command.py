@@ -68,7 +68,7 @@ def demo(
     with separate_result(as_json=as_json, log=log):
         done = asyncio.run(execute(flow, log=log, limit=limit))
     summary = Summary.of(done)
-    found = demo_summary.summarize(flow, done, out, broker)
+    found = demo_summary.summarize(done, out, broker)
     if as_json:
         typer.echo(json.dumps({**summary.as_dict(), **found}))
     elif log is Format.TEXT:

@@ -2,16 +2,14 @@
 
 import socket
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from connectors.sim.simulated_rig import RigTouch
-from flows.graph import Flow
+from connectors.sim.truth import true_slips
 from flows.learn.onsets import match_onsets
-from operators import SLIP, Run, Slips, concat, ms
+from operators import SLIP, Run, Slips, Truth, concat, ms
 from storage import Session
 
 
@@ -24,11 +22,12 @@ def local_broker() -> str | None:
     return "mqtt://127.0.0.1"
 
 
-def summarize(flow: Flow, run: Run, out: Path, broker: str | None) -> dict[str, Any]:
+def summarize(run: Run, out: Path, broker: str | None) -> dict[str, Any]:
     """Compare the slips of a demo run, recorded in the dataset `out`, with the simulated truth."""
-    slips = concat(Slips, list(Session.open(out / "sessions" / run.session).read(Slips, 0)))
+    session = Session.open(out / "sessions" / run.session)
+    slips = concat(Slips, list(session.read(Slips, 0)))
     onsets = slips.time[slips.state == SLIP]
-    found = match_onsets(onsets, _true_slips(flow, run))
+    found = match_onsets(onsets, true_slips(concat(Truth, list(session.read(Truth, 0)))))
     delays = found.delays / ms  # (caught,) ms
     return {
         "samples": run.sources["touch"].rows,
@@ -69,9 +68,3 @@ def report(found: dict[str, Any], run: Run) -> str:
         f"  {python} -c \"import polars; print(polars.read_parquet('{session}/samples/*.parquet'))\"",
     ]
     return "\n".join(lines)
-
-
-def _true_slips(flow: Flow, run: Run) -> Sequence[tuple[int, int]]:
-    """Return start and end (ns) of the true slips that began before the run's last touch sample."""
-    [touch] = [node.part for node in flow.nodes if isinstance(node.part, RigTouch)]
-    return [(start, end) for start, end in touch.truth().slips if start < run.sources["touch"].newest]

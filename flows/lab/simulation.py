@@ -29,9 +29,9 @@ from flows.run.clocks import EventClock
 from flows.run.processes import process_map
 from flows.run.replay_runner import ReplayRunner
 from operators import Label, Source
-from operators.batch import SLIP, STATIC, Batch, Labelled, Motion, Touch, concat, s
+from operators.batch import SLIP, STATIC, Batch, Labelled, concat, s
 from operators.errors import ParameterError
-from operators.ports import Description, Json, SomeBatch
+from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.layout import session_folder
@@ -217,16 +217,14 @@ async def _run(root: Path, delay: int, planned: Planned) -> None:
     """Play a scene to its end, then run the recording flow over it; described as a live run would."""
     rig = SimulatedRig(planned.scene, planned.seed, pace=None)
     clock = EventClock(planned.start)
-    played = _Played(planned.session, await _all(rig.touch, clock), await _all(rig.motion, clock))
+    streams: tuple[Source[Any], ...] = (rig.touch, rig.motion, rig.episodes, rig.truth)
+    played = _Played(planned.session, await asyncio.gather(*(_all(each, clock) for each in streams)))
     flow = Flow("simulate")
     dataset = Dataset(root, part_span=_WHOLE, host="simulated")
     declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
-    runner = ReplayRunner(flow, played, planned.session, rows=len(played.motion))
-    about = rig.touch.describe()
-    episodes: list[Json] = [
-        {**episode, "split": planned.split} for episode in cast("list[dict[str, Json]]", about["episodes"])
-    ]
-    runner.run.describe |= {"touch": {**about, "episodes": episodes}, "motion": rig.motion.describe()}
+    runner = ReplayRunner(flow, played, planned.session, rows=max(map(len, played.streams)))
+    about = {**rig.touch.describe(), "split": planned.split}
+    runner.run.describe |= {"touch": about, "motion": rig.motion.describe()}
     await runner.execute()
 
 
@@ -239,14 +237,13 @@ class _Played:
     """A scene that was played to its end, as a recording of the rig."""
 
     name: str
-    touch: Touch
-    motion: Motion
+    streams: Sequence[Batch]
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        return tuple(batch.finger for batch in (self.touch, self.motion) if isinstance(batch, kind))
+        return tuple(batch.finger for batch in self.streams if isinstance(batch, kind))
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
-        for batch in (self.touch, self.motion):
+        for batch in self.streams:
             if isinstance(batch, kind) and batch.finger == finger:
                 for start in range(0, len(batch), rows):
                     yield batch[start : start + rows]

@@ -11,17 +11,21 @@ from numpy.typing import NDArray
 from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import Collection
-from connectors.sim.scene import Move, Scene, Timing
-from connectors.sim.truth import SLIDING, Truth
+from connectors.sim.scene import Move, Scene
+from connectors.sim.truth import SLIDING
 from flows.graph.flow import Flow
 from flows.learn.in_memory import BatchSink, BatchSource, run_in_memory
 from flows.learn.splits import SPLITS, TURNS
 from operators import Align, Health, Label, Zero, ms
 from operators.batch import (
     BAROMETERS,
+    EVERY,
+    MOTIONS,
     SLIP,
+    SURFACES,
     Codes,
     Counts,
+    Episodes,
     Faults,
     Flags,
     Labelled,
@@ -29,6 +33,7 @@ from operators.batch import (
     Reals,
     Times,
     Touch,
+    Truth,
     concat,
     s,
 )
@@ -41,6 +46,7 @@ PERIOD: Final = 10 * ms  # ns from one sample to the next
 WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
 _CHUNK: Final = 3000  # samples simulated at once
 _STROKES: Final = ("translation", "rotation")
+_ALONG: Final = 1e-6  # sine of twice the angle to an axis of the fingertip, up to which a stroke is along it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,7 +98,7 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
     taken = list(iter(lambda: finger.take(_CHUNK), None))
     motion = concat(Motion, list(iter(lambda: controller.take(_CHUNK), None)))
     touch = concat(Touch, [sensed for sensed, _ in taken])
-    truth = _of_samples(concat(Truth, [happened for _, happened in taken]), touch, scene.touch)
+    truth = concat(Truth, [happened for _, happened in taken])
     labelled, faults = _label(touch, motion)
     strokes = [(start, move) for start, move in moves if move.motion in _STROKES]
     starts = np.array([start for start, _ in strokes]) * s
@@ -147,24 +153,23 @@ def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[Labelled
 
 def _of_session(session: Session, finger: int) -> LabelledRecording:
     labelled = concat(Labelled, list(session.read(Labelled, finger)))
-    surface, split, speed, oblique = "", "", None, None
-    if "episodes" in session.tables:
-        episodes = session.frame("episodes").to_dicts()
-        strokes = [each for each in episodes if each["motion"] in _STROKES]
-        speeds = [each["speed"] for each in strokes if each["motion"] == "translation"]
-        surface, split = (str(episodes[0][key] or "") for key in ("curvature", "split"))
-        speed = speeds[0] if speeds else None
-        starts = np.array([each["start"] for each in strokes])
-        oblique = _latest([each["axis"] == "oblique" for each in strokes], starts, labelled.time)
+    truth = concat(Truth, list(session.read(Truth, finger)))
+    known = len(truth) == len(labelled)  # a row for each touch row, where it was simulated
+    episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
+    strokes = episodes[np.isin(episodes.motion, [MOTIONS.index(each) for each in _STROKES])]
+    speeds = strokes.speed[strokes.motion == MOTIONS.index("translation")]
+    oblique = np.abs(np.sin(2 * strokes.direction)) > _ALONG
     return LabelledRecording(
         _filled(labelled),
         labelled.label,
-        surface,
-        speed,
-        oblique,
+        SURFACES[episodes.surface[0]] if len(episodes) else "",
+        float(speeds[0]) if len(speeds) else None,
+        _latest(oblique.tolist(), strokes.time, labelled.time) if len(episodes) else None,
         labelled.valid,
+        truth.force if known else None,
+        truth.sliding > SLIDING if known else None,
         name=session.name,
-        split=split,
+        split=str(session.about.get("split") or ""),
     )
 
 
@@ -176,14 +181,6 @@ def _label(touch: Touch, motion: Motion) -> tuple[Labelled, Faults]:
     (raw | Health()).to(sink)
     run_in_memory(flow, sink)
     return sink.rows(Labelled), sink.rows(Faults)
-
-
-def _of_samples(truth: Truth, touch: Touch, timing: Timing) -> Truth:
-    """Return the truth rows of the samples that arrived, found by their stamps if some were lost."""
-    if len(truth) == len(touch):
-        return truth
-    t = (touch.time / s - timing.latency - timing.offset) / (1 + timing.drift)  # (n,) s
-    return truth[np.rint(t * timing.rate).astype(np.intp).clip(0, len(truth) - 1)]
 
 
 def _degraded(faults: Faults, time: Times) -> Flags:

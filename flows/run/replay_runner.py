@@ -13,7 +13,7 @@ from flows.graph.drawing import streams
 from flows.graph.node import Node, Part
 from flows.run import log_events
 from flows.run.clocks import EventClock
-from operators.batch import Batch, Motion, Touch
+from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.operator import LateRowFilter
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
@@ -43,7 +43,7 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
         fingers = recording.fingers(kind)
         if sum(cast("type[Batch]", other.kind) is kind for other in sources) > 1:
             fingers = tuple(finger for finger in fingers if finger in part.fingers)
-        if not fingers:
+        if not fingers and kind not in ANNOTATIONS:
             reason = f"has no {kind.__name__.lower()} stream, which source {node.name!r} needs"
             raise InputError(recording.name, f"{reason} (flow {flow.name!r})")
         return Replay(recording, kind, fingers, origin=origin)

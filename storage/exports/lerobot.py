@@ -22,8 +22,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from operators.batch import EVERY, Episodes, concat
 from operators.errors import InputError, ParameterError
-from operators.ports import Description
 from storage.exports.grid import Holdings, frames, holdings
 from storage.exports.lerobot_features import doing, features, values
 from storage.exports.lerobot_files import (
@@ -90,12 +90,13 @@ def export(
     tasks, splits, episodes = dict[str, int](), Counter[str](), list[dict[str, Any]]()
     samples, gaps = 0, 0
     with partial_folder(out) as folder, DataFiles(folder, declared) as data:
-        for done, (split, session, about) in enumerate(_ordered(sessions)):
+        for done, (split, session) in enumerate(_ordered(sessions)):
             progress(done, session.name)
             cut = frames(session, rate, held)
             samples, gaps = samples + cut.samples, gaps + max(len(cut.stretches) - 1, 0)
+            episodes_of = concat(Episodes, list(session.read(Episodes, EVERY)))
             for stretch in cut.stretches:
-                words = doing(stretch, about) if task is None else [task] * len(stretch)
+                words = doing(stretch, episodes_of) if task is None else [task] * len(stretch)
                 numbers = np.array([tasks.setdefault(each, len(tasks)) for each in words])
                 first, number = data.rows, len(episodes)
                 rows = values(stretch, held, rate, episode=number, index=first, tasks=numbers)
@@ -159,16 +160,16 @@ def _common(sessions: Sequence[Session]) -> Holdings:
     return Holdings(held[0].fingers, all(each.velocity for each in held), all(each.pose for each in held))
 
 
-def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session, Description]]:
-    """The sessions with split and description, those of one split together."""
-    told = [(_split(about), session, about) for session in sessions for about in [session.describe()]]
-    return sorted(told, key=lambda each: (SPLITS.index(each[0]), each[1].name))
+def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:
+    """The sessions with their split, those of one split together."""
+    return sorted(
+        ((_split(each), each) for each in sessions), key=lambda each: (SPLITS.index(each[0]), each[1].name)
+    )
 
 
-def _split(about: Description) -> str:
-    episodes: Any = about.get("episodes") or [{}]
-    split = episodes[0].get("split")
-    return split if split in SPLITS else SPLITS[0]
+def _split(session: Session) -> str:
+    split = session.about.get("split")
+    return split if isinstance(split, str) and split in SPLITS else SPLITS[0]
 
 
 def _ranges(splits: Mapping[str, int]) -> dict[str, str]:

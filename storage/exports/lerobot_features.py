@@ -6,8 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import BAROMETERS
-from operators.ports import Description
+from operators.batch import BAROMETERS, MOTIONS, Episodes
 from storage.exports.grid import Frames, Holdings
 
 STATE: Final = "observation.state"  # zeroed counts of all fingertips
@@ -78,13 +77,11 @@ def values(
     return found
 
 
-def doing(frames: Frames, about: Description) -> list[str]:
+def doing(frames: Frames, episodes: Episodes) -> list[str]:
     """What the arm does at each frame, in words, as the recording's episodes say of its motion; (n,)."""
-    episodes: Any = about.get("episodes") or []
-    starts = np.array([episode["start"] for episode in episodes], np.int64)
-    ends = np.array([*(episode["end"] for episode in episodes), np.iinfo(np.int64).min])
-    words = [*(_DOING.get(episode["motion"], _OTHERWISE) for episode in episodes), _OTHERWISE]
-    number = starts.searchsorted(frames.time, "right") - 1  # (n,) -1: before the first
+    words = [*(_DOING.get(MOTIONS[code], _OTHERWISE) for code in episodes.motion.tolist()), _OTHERWISE]
+    ends = np.append(episodes.end, np.iinfo(np.int64).min)
+    number = episodes.time.searchsorted(frames.time, "right") - 1  # (n,) -1: before the first
     number = np.where(frames.time < ends[number], number, -1)
     return [words[each] for each in number.tolist()]
 

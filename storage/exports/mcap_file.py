@@ -56,7 +56,7 @@ def export(
             for table in TABLES
             for finger in session.fingers(table.kind)
         ]
-        rows = merge(*streams, _episodes(session, channels), key=itemgetter(0))
+        rows = merge(*streams, key=itemgetter(0))
         sequences = Counter[int]()
         for done in iter(lambda: list(islice(rows, _OFTEN)), []):
             for time, channel, data in done:
@@ -98,13 +98,6 @@ def _rows(session: Session, channels: _Channels, table: Table, finger: int) -> I
 def _channel(channels: _Channels, table: Table, batch: Batch) -> int:
     schema = mcap_messages.schema(table, type(batch))
     return channels.number(mcap_messages.topic(table, batch.finger), schema)
-
-
-def _episodes(session: Session, channels: _Channels) -> Iterator[_Message]:
-    listed: Any = session.describe().get("episodes") or []
-    for episode in listed:
-        time, data = mcap_messages.episode_message(episode)
-        yield time, channels.number(mcap_messages.EPISODES, mcap_messages.episode_schema()), data
 
 
 def _text(value: object) -> str:

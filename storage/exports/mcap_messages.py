@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from operators.batch import EVERY, Batch, Column, s
 from operators.errors import InputError
-from storage.layout import CLOCKS, FAULTS, MOTION, SAMPLES, SLIPS, TOUCH, Table
+from storage.layout import CLOCKS, EPISODES, FAULTS, MOTION, SAMPLES, SLIPS, TOUCH, TRUTH, Table
 
 TOPICS: Final[Mapping[str, str]] = MappingProxyType(
     {
@@ -25,24 +25,15 @@ TOPICS: Final[Mapping[str, str]] = MappingProxyType(
         SLIPS.name: "/slip/{finger}",
         FAULTS.name: "/faults",
         CLOCKS.name: "/clocks",
+        EPISODES.name: "/episodes",
+        TRUTH.name: "/truth/{finger}",
     }
 )
-EPISODES: Final = "/episodes"
 
 _JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # made once: that takes its time
 _INT64: Final = np.dtype(np.int64)
 _STAMP: Final[Mapping[str, Any]] = MappingProxyType(
     {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-)
-_EPISODE: Final[Mapping[str, str]] = MappingProxyType(
-    {
-        "motion": "translation, rotation, hold, tap or lift",
-        "axis": "primary or oblique",
-        "direction_deg": "deg",
-        "speed": "m/s",
-        "curvature": "plane, sphere, cylinder_x or cylinder_y",
-        "split": "train, validation or test",
-    }
 )
 
 
@@ -70,19 +61,6 @@ def schema(table: Table, kind: type[Batch]) -> dict[str, Any]:
     return _object(kind.__name__, (kind.__doc__ or "").partition("\n")[0], properties)
 
 
-def episode_schema() -> dict[str, Any]:
-    """The JSON schema of what was done when."""
-    properties: dict[str, Any] = {
-        "timestamp": {**_STAMP, "title": "time", "description": "its first instant"},
-        "end": {**_STAMP, "title": "time", "description": "the first instant after it"},
-        "episode": {"type": "integer", "description": "number, in the order of time"},
-    }
-    for name, unit in _EPISODE.items():
-        kind = "number" if name in ("direction_deg", "speed") else "string"
-        properties[name] = {"type": kind, "description": unit}
-    return _object("Episode", "What the arm did for a while.", properties)
-
-
 def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
     """Each row's event time, ns, and its message.
 
@@ -100,17 +78,6 @@ def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
             message["finger"] = batch.finger
         message |= {name: values[row] for name, values in columns if values[row] is not None}
         yield time, encode(message)
-
-
-def episode_message(episode: Mapping[str, Any]) -> tuple[int, bytes]:
-    """The start of an episode, ns, and its message.
-
-    Raises:
-        InputError: as `messages`.
-    """
-    start = _logged("episodes", int(episode["start"]))
-    told = {name: episode[name] for name in ("episode", *_EPISODE) if episode.get(name) is not None}
-    return start, encode({"timestamp": _stamp(start), "end": _stamp(int(episode["end"])), **told})
 
 
 def encode(content: Any) -> bytes:  # noqa: ANN401 - whatever JSON can tell
@@ -131,6 +98,8 @@ def _property(name: str, column: Column) -> dict[str, Any]:
     if _is_span(column):
         title = "duration" if name == "offset" else "time"
         return {**_STAMP, "title": title, "description": column.unit}
+    if column.names:
+        return {"type": "string", "enum": [*column.names]}
     types = {"b": "boolean", "i": "integer", "f": "number"}
     unknown = "; null or left out: unknown" if column.dtype.kind == "f" else ""
     description = f"{column.unit}{unknown}".removeprefix("; ")
@@ -154,6 +123,8 @@ def _values(values: NDArray[Any], column: Column) -> list[Any]:
     """What each row has of a column; None where it has nothing finite."""
     if _is_span(column):
         return [_stamp(value) for value in values.tolist()]
+    if column.names:
+        return [column.names[code] for code in values.tolist()]
     listed: list[Any] = values.tolist()
     if column.dtype.kind != "f" or (finite := np.isfinite(values)).all():
         return listed

@@ -40,7 +40,6 @@ from operators.batch import concat, s
 from operators.ports import Description
 from storage import Dataset, Session, load_debounce, load_detector
 from storage.description import describe_dataset, describe_session
-from storage.episodes import Episodes
 from storage.layout import TOUCH, session_folder
 from storage.manifest import Part, write_manifest
 from storage.parts import described, write_part
@@ -198,11 +197,11 @@ def tiled(paths: Sequence[Path], out: Path, hours: int) -> Path:
     describe_dataset(out)
     start = int(touch.time[0])
     describe_session(folder, Run(folder.name, "tiled", EventClock(start), start, live=False))
-    parts, tiles, none = list[Part](), len(touch) // BLOCK, Episodes.described({})
+    parts, tiles = list[Part](), len(touch) // BLOCK
     for number in range(hours * 60):
         first = number % tiles * BLOCK
         time_ = start + (number * BLOCK + np.arange(BLOCK)) * (s // RATE)
-        rows = to_arrow(TOUCH, [replace(touch[first : first + BLOCK], time=time_)], none)
+        rows = to_arrow(TOUCH, [replace(touch[first : first + BLOCK], time=time_)])
         parts.append(described(TOUCH.file(number), rows, write_part(folder / TOUCH.file(number), rows)))
     write_manifest(folder, parts)
     return folder

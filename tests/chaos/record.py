@@ -20,19 +20,17 @@ from operators import (
     EVERY,
     Align,
     Batch,
-    Clocks,
-    Faults,
     Label,
     Labelled,
     Motion,
     Sink,
-    Slips,
     Touch,
     Zero,
     ms,
     s,
 )
 from storage import Dataset
+from storage.dataset import Rows
 from tests.chaos.numbered import Numbered, motion, touch
 
 SESSION = "killed"
@@ -49,7 +47,7 @@ class Counted(Dataset):
         super().__init__(path, part_span=PART)
         self._taken = counts[TAKEN]
 
-    async def write(self, batch: Touch | Motion | Labelled | Slips | Faults | Clocks) -> None:
+    async def write(self, batch: Rows) -> None:
         """Take one batch, and count it."""
         await super().write(batch)
         self._taken[KINDS.index(type(batch))] += len(batch)

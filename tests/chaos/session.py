@@ -58,11 +58,7 @@ def row(kind: type[Batch], number: int) -> Batch:
 
 def begin(root: Path, *, part_rows: int = 1000, live: bool = True) -> SessionWriter:
     """A session, to which nobody else writes."""
-    episodes: list[Json] = [
-        {"start": START + turn * 100 * ms, "end": START + (turn + 1) * 100 * ms, "motion": "translation"}
-        for turn in range(4)
-    ]
-    about: dict[str, Json] = {"sensor": "made of numbers", "rate_hz": 100, "episodes": episodes}
+    about: dict[str, Json] = {"sensor": "made of numbers", "rate_hz": 100}
     run = Run(NAME, "chaos", Still(), START, live=live, describe={"touch": about})
     return SessionWriter(root, run, part_span=1000 * s, part_rows=part_rows)
 

@@ -33,5 +33,5 @@ def test_a_changed_label_changes_the_samples_and_keeps_the_counts(tiny: Path, tm
 
 def test_relabelling_writes_what_is_derived_and_nothing_else(tiny: Path, tmp_path: Path) -> None:
     session = replayed(tiny, tmp_path, 0.003)
-    assert set(session.tables) - {"episodes"} == {"samples", "slips"}
+    assert set(session.tables) == {"samples", "slips", "episodes", "truth"}
     assert session.fingers(Slips) == (0,)

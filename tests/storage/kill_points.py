@@ -20,10 +20,11 @@ from traceback import print_exc
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Motion, Slips, Touch, ms, s
-from operators.ports import Json, Run
+from operators.batch import BAROMETERS, Batch, Episodes, Motion, Slips, Touch, ms
+from operators.ports import Run
 from storage import journal, recovery, steps
 from storage.writer import SessionWriter
+from tests.storage.made import new_episodes
 
 ROWS = 45  # of each stream
 STROKE = 4  # rows of an episode
@@ -48,9 +49,9 @@ def row(kind: type[Touch | Motion | Slips], number: int) -> Touch | Motion | Sli
     return Slips(time, np.array([number % 2], np.int8), time, np.array([number / 100]), finger=0)
 
 
-def stroke(number: int) -> dict[str, Json]:
-    """An episode, when it is over."""
-    return {"start": number * STROKE * 10 * ms, "end": (number + 1) * STROKE * 10 * ms, "motion": "tap"}
+def stroke(number: int) -> Episodes:
+    """Return the episode that ends with row `number` of the streams."""
+    return new_episodes(((number + 1 - STROKE) * 10 * ms, (number + 1) * 10 * ms, "tap"))
 
 
 def record(root: Path, *, live: bool) -> None:
@@ -58,16 +59,14 @@ def record(root: Path, *, live: bool) -> None:
     root.mkdir()
     (root / ".taken").write_bytes(b"")
     journal.SYNC = 0.001  # type: ignore[misc] # s
-    episodes: list[Json] = []
-    run = Run("one", "slip", Clock(), 0, live=live, describe={"arm": {"episodes": episodes}})
+    run = Run("one", "slip", Clock(), 0, live=live)
     writer = SessionWriter(root, run, part_span=100 * ms, part_rows=8)
     with (root / ".taken").open("ab", buffering=0) as taken:
         for number in range(ROWS):
-            if number % STROKE == 0:  # one begins, which it is not known yet how long it takes
-                episodes[-1:] = [stroke(number // STROKE - 1)] if number else []
-                episodes.append({**stroke(number // STROKE), "end": 3600 * s})
-            for kind in (Touch, Motion, Slips):
-                batch = row(kind, number)
+            batches: list[Batch] = [row(kind, number) for kind in (Touch, Motion, Slips)]
+            if number % STROKE == STROKE - 1:
+                batches.append(stroke(number))
+            for batch in batches:
                 while writer.full(batch):
                     writer.commit()
                 if not writer.add(batch):

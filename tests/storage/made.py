@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from operators.batch import (
     EVERY,
+    MOTIONS,
     AnyBatch,
     Batch,
     Clocks,
+    Episodes,
     Labelled,
     Motion,
     Slips,
@@ -58,10 +60,20 @@ def new_batch(
         shape = (rows, *column.shape)
         if column.dtype == np.bool_:
             values.append(random.random(shape) < 0.5)
+        elif column.names:
+            values.append(random.integers(len(column.names), size=shape, dtype=np.int8))
         else:
             bits = random.bytes(int(np.prod(shape)) * column.dtype.itemsize)
             values.append(np.frombuffer(bits, column.dtype).reshape(shape).copy())
-    return kind(*values, finger=EVERY if issubclass(kind, Motion | Clocks) else finger)
+    return kind(*values, finger=EVERY if issubclass(kind, Motion | Clocks | Episodes) else finger)
+
+
+def new_episodes(*rows: tuple[int, int, str]) -> Episodes:
+    """Return episodes with a start (ns), an end (ns) and a motion each, on a plane."""
+    start, end = (np.array([row[k] for row in rows], np.int64) for k in (0, 1))
+    motion = np.array([MOTIONS.index(row[2]) for row in rows], np.int8)
+    zero, unknown = np.zeros(len(rows)), np.full(len(rows), np.nan)
+    return Episodes(start, end, motion, np.zeros_like(motion), zero, zero, zero, unknown, unknown)
 
 
 def new_samples(time: Sequence[int] | NDArray[Any], finger: int = 0) -> Labelled:
@@ -84,14 +96,12 @@ def new_samples(time: Sequence[int] | NDArray[Any], finger: int = 0) -> Labelled
     )
 
 
-def record(
-    root: Path, batches: Sequence[Any], session: str = "one", episodes: Sequence[Mapping[str, Any]] = ()
-) -> Session:
+def record(root: Path, batches: Sequence[Any], session: str = "one", split: str | None = None) -> Session:
     """Write batches as a session of a dataset, in parts of 20 rows, and open it."""
 
     async def main() -> None:
         sink = Dataset(root, part_rows=20)
-        await sink.open(new_run(session, {"touch": {"episodes": [dict(each) for each in episodes]}}))
+        await sink.open(new_run(session, {"touch": {"split": split}}))
         for batch in batches:
             await sink.write(batch)
         await sink.close()
@@ -136,7 +146,7 @@ def leave(root: Path, run: Run, batches: Sequence[Batch]) -> Path:
 
 def two_sessions(root: Path, batches: Sequence[Batch]) -> Path:
     """A dataset of the sessions one, of all the batches, and two, of the first five."""
-    write(root, new_run(describe={"rig": {"episodes": [{"start": 0, "end": 9}]}}), batches).close()
+    write(root, new_run(), [*batches, new_episodes((0, 9, "hold"))]).close()
     write(root, new_run("two"), batches[:5]).close()
     return root
 

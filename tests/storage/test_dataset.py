@@ -134,16 +134,14 @@ async def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again
 
 
 async def test_what_the_session_says_of_itself_is_written_first_and_completed_last(tmp_path: Path) -> None:
-    rig: dict[str, Json] = {"seed": 7, "episodes": [{"start": 0, "end": 20 * ms, "motion": "hold"}]}
-    run, baseline = new_run(describe={"rig": rig}), list[Json]([500] * 6)
+    run = new_run(describe={"rig": {"seed": 7, "split": "test"}})
     dataset = Dataset(tmp_path)
     await dataset.open(run)
     before = Session.open(tmp_path)
     assert before.about["complete"] is False
-    assert before.about["sources"] == {"rig": {"seed": 7}}
-    assert before.frame("episodes")["motion"].to_list() == ["hold"]
+    assert before.about["sources"] == {"rig": {"seed": 7, "split": "test"}}
+    assert before.about["split"] == "test"
     await dataset.write(new_batch(Labelled))
-    run.describe["rig"] = {**rig, "baseline": baseline}
     run.sources["rig"] = SourceStatus(rows=5, late=2, gaps=[Gap(1, 2, "unplugged")])
     run.sinks["mqtt"] = SinkStatus(rows=5, dropped=1, failures=3)
     run.clock_steps.append(ClockStep(7, -3_600_000_000_000))
@@ -155,12 +153,11 @@ async def test_what_the_session_says_of_itself_is_written_first_and_completed_la
     assert (about["start_ns"], about["end_ns"]) == (run.start, 1_700_000_060 * s)
     assert (about["session"], about["flow"], about["zeroed"]) == ("one", "slip", False)
     assert about["units"]["samples"]["velocity"] == "m/s, rad/s"
-    assert about["sources"]["rig"] == {"seed": 7, "baseline": baseline}
+    assert (about["sources"], about["split"]) == (before.about["sources"], "test")
     gap = {"start": 1, "end": 2, "reason": "unplugged"}
     assert about["streams"]["rig"] == {"rows": 5, "late": 2, "gaps": [gap]}
     assert about["sinks"]["mqtt"] == {"rows": 5, "dropped": 1, "failures": 3, "records": False}
     assert about["clock_steps"] == [{"time": 7, "offset": -3_600_000_000_000}]
-    assert session.frame("samples")["episode"].to_list() == [0, 0, -1, -1, -1]
 
 
 async def test_a_session_whose_run_failed_is_not_complete_and_says_why(tmp_path: Path) -> None:
@@ -175,20 +172,6 @@ async def test_a_session_whose_run_failed_is_not_complete_and_says_why(tmp_path:
     assert (session.about["complete"], session.about["error"]) == (False, "Press: ZeroDivisionError")
     assert session.about["declaration"] == ["scores = TestSource(Scores)"]
     assert len(session.frame("samples")) == 5
-
-
-async def test_episodes_that_a_source_tells_of_as_they_begin_are_kept(tmp_path: Path) -> None:
-    told = list[Json]()
-    run = new_run(describe={"rig": {"episodes": told}})
-    dataset = Dataset(tmp_path)
-    await dataset.open(run)
-    told.append({"start": 0, "end": 20 * ms, "motion": "hold"})
-    await dataset.write(new_batch(Labelled))
-    told.append({"start": 20 * ms, "end": 40 * ms, "motion": "tap"})
-    await dataset.close()
-    session = Session.open(tmp_path)
-    assert session.frame("episodes")["motion"].to_list() == ["hold", "tap"]
-    assert session.frame("samples")["episode"].to_list() == [0, 0, 1, 1, -1]
 
 
 def test_zeroed_counts_come_back_as_zeroed(tmp_path: Path) -> None:
@@ -264,8 +247,10 @@ def test_a_folder_of_sessions_that_leads_elsewhere_is_refused(tmp_path: Path) ->
 
 
 def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path) -> None:
-    (tmp_path / "dataset.json").write_text('{"version": 2}')
-    with pytest.raises(InputError, match=r"dataset\.json: is of version 2, this slipflow knows 1"):
+    (tmp_path / "dataset.json").write_text('{"version": 1}')
+    with pytest.raises(
+        InputError, match=r"dataset\.json: has version 1, this slipflow reads version 2: read it with"
+    ):
         record(Dataset(tmp_path), new_run(), [])
     assert [path.name for path in tmp_path.iterdir()] == ["dataset.json"]
 

@@ -32,7 +32,7 @@ def test_of_several_processes_that_begin_a_dataset_one_describes_it(
     def beaten(root: Path, *, wait: bool) -> None:
         """By a process that held the lock when we asked for it."""
         assert wait
-        files.put_json(root / "dataset.json", {"format": "slipflow dataset", "version": 1, "by": "another"})
+        files.put_json(root / "dataset.json", {"format": "slipflow dataset", "version": 2, "by": "another"})
 
     monkeypatch.setattr(description, "lock", beaten)
     describe_dataset(tmp_path)

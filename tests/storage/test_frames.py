@@ -9,15 +9,26 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns, concat
+from operators.batch import (
+    Batch,
+    Clocks,
+    Episodes,
+    Faults,
+    Labelled,
+    Motion,
+    Slips,
+    Touch,
+    Truth,
+    Zeroed,
+    columns,
+    concat,
+)
 from operators.errors import InputError
-from operators.ports import Json
 from storage import frames
-from storage.following import put_together
-from storage.frames import Change, Damage, Rows, read_segment
+from storage.frames import Damage, Rows, read_segment
 from tests.storage.made import new_batch
 
-KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
+KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
 
 
 def segment(bodies: Sequence[bytes], salt: bytes | None = None) -> bytes:
@@ -80,11 +91,11 @@ def test_rows_come_back_bit_for_bit(drawn: list[tuple[type[Batch], int, int]]) -
 
 
 def test_a_large_batch_becomes_several_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frames, "LIMIT", 1500)
-    batch = new_batch(Motion, 100)
+    monkeypatch.setattr(frames, "LIMIT", 3000)
+    batch = new_batch(Motion, 200)
     found = read(segment(list(frames.bodies([Rows(7, batch)]))))
     assert len(found.rows) > 5
-    assert [rows.first for rows in found.rows] == [7 + 13 * n for n in range(len(found.rows))]
+    assert [rows.first for rows in found.rows] == [7 + 26 * n for n in range(len(found.rows))]
     assert concat(Motion, [cast("Motion", rows.batch) for rows in found.rows]).velocity.tobytes() == (
         batch.velocity.tobytes()
     )
@@ -104,36 +115,6 @@ def test_rows_that_follow_on_each_other_share_a_frame() -> None:
     ]
     felt = [rows.batch for rows in found if isinstance(rows.batch, Touch)]
     assert b"".join(each.counts.tobytes() for each in felt) == b"".join(t.counts.tobytes() for t in touch)
-
-
-def test_changes_of_episodes_come_back_in_order_and_an_unknown_time_is_kept() -> None:
-    changes = [
-        Change("rig", 0, [{"start": 1, "end": 2, "direction_deg": None}]),
-        Change("arm", 7, []),
-        Change("rig", 1, [{"start": 2, "end": 3}, {"start": 3, "end": 4}]),
-    ]
-    bodies = [body for change in changes for body in frames.episodes(change)]
-    assert len(bodies) == 3
-    assert read(segment(bodies)).changes == changes
-    assert read(segment([])).changes == []
-
-
-def test_many_episodes_become_several_frames_that_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frames, "_TOLD", 10)
-    listed: list[Json] = [{"start": number, "end": number + 1} for number in range(25)]
-    found = read(segment(list(frames.episodes(Change("rig", 0, listed))))).changes
-    assert [(each.first, len(each.episodes)) for each in found] == [(0, 10), (10, 10), (20, 5)]
-    assert put_together(found, "") == {"rig": {"episodes": listed}}
-
-
-@pytest.mark.parametrize(
-    "told",
-    [[], {}, {"source": "rig", "first": -1, "episodes": []}, {"source": 1, "first": 0, "episodes": []}],
-)
-def test_episodes_told_as_no_slipflow_does_are_refused(told: object) -> None:
-    body = bytes([254]) + bytes(14) + json.dumps(told).encode()
-    with pytest.raises(InputError, match="tells of episodes as no slipflow does"):
-        read(segment([body]))
 
 
 def test_wherever_it_is_cut_a_prefix_is_left(data: bytes, written: list[Rows]) -> None:
@@ -217,7 +198,7 @@ def said(**changes: object) -> bytes:
 CHANGES: list[tuple[dict[str, Any], str]] = [
     (
         {"version": 1},
-        "is of version 1, this slipflow knows 2: recover it with the slipflow that session.json",
+        "is of version 1, this slipflow knows 3: recover it with the slipflow that session.json",
     ),
     ({"session": "two"}, "is segment 3 of session 'two'; put it back there"),
     ({"segment": 4}, "is segment 4 of session 'one'"),

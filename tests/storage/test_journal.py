@@ -6,12 +6,10 @@ from pathlib import Path
 import pytest
 
 from operators.batch import Batch, Motion, Slips, Touch
-from operators.ports import Json
 from storage import frames, steps
-from storage.following import put_together
 from storage.frames import Rows, read_segment
 from storage.journal import MOST, SOON, Journal
-from storage.layout import episode_log, segments, single_log
+from storage.layout import segments, single_log
 from tests.storage.made import new_batch
 
 
@@ -45,7 +43,7 @@ def step(monkeypatch: pytest.MonkeyPatch) -> Steps:
 
 @pytest.fixture
 def journal(tmp_path: Path, step: Steps) -> Iterator[Journal]:
-    made = Journal(tmp_path, "one", {})
+    made = Journal(tmp_path, "one")
     yield made
     step.go_on.set()
     step.failing = False
@@ -78,7 +76,7 @@ def test_rows_that_wait_are_appended_at_once_when_there_are_some(
     tmp_path: Path, step: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
-    journal = Journal(tmp_path, "one", {})
+    journal = Journal(tmp_path, "one")
     for number in range(SOON):
         assert journal.add(Rows(number, new_batch(Touch, 1)))
     step.wait()
@@ -141,7 +139,7 @@ def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
-    journal, touch = Journal(tmp_path, "one", {}), [new_batch(Touch, 1) for _ in range(3)]
+    journal, touch = Journal(tmp_path, "one"), [new_batch(Touch, 1) for _ in range(3)]
     for number in range(3):
         assert journal.add(Rows(number, touch[number]))
     journal.rotate(lambda: [Rows(2, touch[2])], list)  # the others are to be committed, and may not be yet
@@ -181,7 +179,7 @@ def test_a_slow_fsync_does_not_hold_up_what_is_appended(
 
     monkeypatch.setattr("storage.journal.SYNC", 0.001)
     monkeypatch.setattr(os, "fsync", slow)
-    journal = Journal(tmp_path, "one", {})
+    journal = Journal(tmp_path, "one")
     journal.append(Rows(0, new_batch(Touch, 1)))
     assert syncing.wait(60)
     for number in range(1, 50):
@@ -201,7 +199,7 @@ def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr("storage.journal.SYNC", 0.001)
-    journal = Journal(tmp_path, "one", {})
+    journal = Journal(tmp_path, "one")
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fail)
         journal.append(Rows(0, new_batch(Touch, 1)))
@@ -213,34 +211,9 @@ def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
     journal.leave()
 
 
-def test_episodes_are_kept_as_they_begin_and_outlive_the_segments(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    listed, synced = list[Json](), threading.Semaphore(0)
-
-    def reach(step: str) -> None:
-        if step == "sync frames":
-            synced.release()
-
-    monkeypatch.setattr("storage.journal.SYNC", 0.001)
-    monkeypatch.setattr(steps, "reach", reach)
-    journal = Journal(tmp_path, "one", {"rig": {"episodes": listed}})
-    for start in range(3):
-        listed.append({"start": start, "end": start + 1})
-        assert synced.acquire(timeout=60)
-        journal.rotate(list, list)
-        journal.drop()
-    journal.leave()
-    data = episode_log(tmp_path).read_bytes()
-    changes = read_segment(data, "", "one", frames.EPISODE_LOG).changes
-    assert put_together(changes, "") == {"rig": {"episodes": listed}}
-    journal.remove()
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_its_threads_end_with_it_and_what_waited_is_there(tmp_path: Path) -> None:
     before = threading.active_count()
-    journal, batch = Journal(tmp_path, "one", {}), list[Batch]([new_batch(Touch, 1)])
+    journal, batch = Journal(tmp_path, "one"), list[Batch]([new_batch(Touch, 1)])
     assert threading.active_count() == before + 2
     assert journal.add(Rows(0, batch[0]))
     journal.leave()

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from operators.batch import Motion, Touch
 from operators.errors import InputError
-from storage.episodes import Episodes
 from storage.layout import MOTION, TOUCH, Table
 from storage.parts import read_part, write_part
 from storage.schema import schema, to_arrow
@@ -22,7 +21,7 @@ from tests.storage.made import new_batch
 
 @pytest.fixture(scope="session")
 def rows() -> pa.Table:
-    return to_arrow(TOUCH, [new_batch(Touch, 10)], Episodes.described({}))
+    return to_arrow(TOUCH, [new_batch(Touch, 10)])
 
 
 @pytest.fixture(scope="session")
@@ -123,7 +122,7 @@ def test_times_are_delta_packed_and_all_is_zstd(
     tmp_path: Path, table: Table, kind: type[Touch | Motion]
 ) -> None:
     path = tmp_path / "x.parquet"
-    sha256 = write_part(path, to_arrow(table, [new_batch(kind, 1000)], Episodes.described({})))
+    sha256 = write_part(path, to_arrow(table, [new_batch(kind, 1000)]))
     assert sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     group = pq.ParquetFile(path).metadata.row_group(0)
     columns = [group.column(number) for number in range(group.num_columns)]

@@ -3,19 +3,33 @@ from typing import Any, cast
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, columns, concat
-from storage.episodes import Episodes
-from storage.layout import SAMPLES, TABLE_OF, TABLES, Table
+from operators.batch import (
+    EVERY,
+    Batch,
+    Clocks,
+    Episodes,
+    Faults,
+    Labelled,
+    Motion,
+    Slips,
+    Touch,
+    Truth,
+    Zeroed,
+    columns,
+    concat,
+)
+from operators.errors import BatchError
+from storage.layout import EPISODES, SAMPLES, TABLE_OF, TABLES, Table
 from storage.parts import read_part, write_part
 from storage.schema import batch_type, from_arrow, schema, to_arrow
-from tests.storage.made import new_batch, same
+from tests.storage.made import new_batch, new_episodes, same
 
-KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks]
-NONE = Episodes.described({})
+KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -26,7 +40,7 @@ def test_batches_come_back_bit_for_bit(
 ) -> None:
     batches = [new_batch(kind, rows, finger=finger, seed=rows) for finger, rows in cuts]
     table, path = TABLE_OF[kind], tmp_path_factory.getbasetemp() / "round.parquet"
-    write_part(path, to_arrow(table, batches, NONE))
+    write_part(path, to_arrow(table, batches))
     rows = read_part(path, schema(table))
     assert batch_type(rows) is kind
     found = from_arrow(table, kind, rows)
@@ -39,16 +53,20 @@ def test_columns_stand_in_the_order_that_the_dataset_promises() -> None:
     assert {table.name: schema(table).names for table in TABLES} == {
         "touch": ["time", "finger", "counts", "temperature", "valid"],
         "motion": ["time", "device_time", "velocity", "pose"],
-        "samples": ["time", "finger", "counts", "valid", "velocity", "speed", "label", "episode"],
+        "samples": ["time", "finger", "counts", "valid", "velocity", "speed", "label"],
         "slips": ["time", "finger", "state", "start", "probability"],
         "faults": ["time", "finger", "barometer", "kind", "active"],
         "clocks": ["time", "offset", "drift", "residual"],
+        "episodes": [
+            *("time", "end", "motion", "surface", "direction", "speed", "angular_speed", "depth", "force")
+        ],
+        "truth": ["time", "finger", "sliding", "force", "velocity"],
     }
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
 def test_units_stand_in_the_field_metadata_of_the_file(tmp_path: Path, table: Table) -> None:
-    write_part(tmp_path / "x.parquet", to_arrow(table, [new_batch(table.kind)], NONE))
+    write_part(tmp_path / "x.parquet", to_arrow(table, [new_batch(table.kind)]))
     found = read_part(tmp_path / "x.parquet", schema(table)).schema
     for name, column in table.columns.items():
         metadata: dict[bytes, bytes] = cast("Any", found).field(name).metadata or {}
@@ -59,25 +77,40 @@ def test_units_stand_in_the_field_metadata_of_the_file(tmp_path: Path, table: Ta
 @pytest.mark.parametrize("kind", KINDS)
 def test_polars_reads_arrays_with_their_width(tmp_path: Path, kind: type[Batch]) -> None:
     table, batch = TABLE_OF[kind], new_batch(kind)
-    write_part(tmp_path / "x.parquet", to_arrow(table, [batch], NONE))
+    write_part(tmp_path / "x.parquet", to_arrow(table, [batch]))
     frame = pl.read_parquet(tmp_path / "x.parquet")
-    for name in table.columns:
+    for name, column in table.columns.items():
         expected: Any = getattr(batch, name)
+        if column.names:
+            assert frame[name].to_list() == [column.names[code] for code in expected]
+            continue
         assert frame[name].to_numpy().tobytes() == expected.tobytes()
 
 
-def test_samples_carry_the_number_of_their_episode() -> None:
-    batch = new_batch(Labelled, 6)
-    episodes = Episodes.described(
-        {"rig": {"episodes": [{"start": int(batch.time[1]), "end": int(batch.time[3])}]}}
+def test_codes_are_stored_by_name_and_come_back_whatever_codes_the_file_uses() -> None:
+    batch = new_episodes((0, 1, "hold"), (1, 2, "tap"), (2, 3, "hold"))
+    rows: Any = to_arrow(EPISODES, [batch])
+    assert rows["motion"].to_pylist() == ["hold", "tap", "hold"]
+    [motion] = (
+        rows["motion"].cast(pa.string()).dictionary_encode().cast(rows.schema.field("motion").type).chunks
     )
-    assert to_arrow(SAMPLES, [batch], episodes)["episode"].to_pylist() == [-1, 0, 0, -1, -1, -1]
+    assert motion.indices.to_pylist() == [0, 1, 0]
+    rows = rows.set_column(2, rows.schema.field("motion"), motion)
+    same(from_arrow(EPISODES, Episodes, rows)[EVERY], batch)
+
+
+def test_a_name_without_a_code_is_refused() -> None:
+    rows: Any = to_arrow(EPISODES, [new_episodes((0, 1, "hold"))])
+    field = rows.schema.field("motion")
+    rows = rows.set_column(2, field, pa.array(["dance"]).dictionary_encode().cast(field.type))
+    with pytest.raises(BatchError, match=r"Episodes\.motion: holds 'dance', must be one of translation"):
+        from_arrow(EPISODES, Episodes, rows)
 
 
 def test_what_samples_do_not_keep_comes_back_as_unknown() -> None:
     batch = new_batch(Labelled, 3)
     batch.velocity[1] = np.nan
-    found = from_arrow(SAMPLES, Labelled, to_arrow(SAMPLES, [batch], NONE))[0]
+    found = from_arrow(SAMPLES, Labelled, to_arrow(SAMPLES, [batch]))[0]
     assert isinstance(found, Labelled)
     assert (found.temperature == -1).all()
     assert np.isnan(found.pose).all()

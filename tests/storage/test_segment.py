@@ -6,22 +6,24 @@ from pathlib import Path
 
 import pytest
 
+from operators import Clocks
 from storage import frames
-from storage.frames import Change, Segment, read_segment
+from storage.frames import Rows, Segment, read_segment
 from storage.segment import OpenSegment
+from tests.storage.made import new_batch
 
 
 def read(path: Path) -> Segment:
     return read_segment(path.read_bytes(), str(path), "one", 0)
 
 
-def body(number: int) -> bytes:
-    [told] = frames.episodes(Change("rig", number, []))
-    return told
+def body(number: int, rows: int = 1) -> bytes:
+    [data] = frames.bodies([Rows(number, new_batch(Clocks, rows))])
+    return data
 
 
 def told(segment: Segment) -> list[int]:
-    return [change.first for change in segment.changes]
+    return [rows.first for rows in segment.rows]
 
 
 def test_frames_are_there_in_order_as_soon_as_they_are_appended(tmp_path: Path) -> None:
@@ -78,7 +80,7 @@ def test_where_it_cannot_be_taken_back_the_next_frames_are_written_over_it(
         patch.setattr(os, "ftruncate", fail)
         with pytest.raises(OSError, match="No space left"):
             segment.append([body(n) for n in range(9)])
-    segment.append([body(99)])
+    segment.append([body(99, 2)])
     found = read(segment.path)
     assert told(found) == [99]
     assert found.damage is not None
@@ -90,14 +92,16 @@ def test_a_file_that_may_not_grow_keeps_whole_frames_only(tmp_path: Path) -> Non
     code = f"""
 import resource, signal
 from pathlib import Path
+from operators import Clocks
 from storage import frames
 from storage.segment import OpenSegment
+from tests.storage.made import new_batch
 signal.signal({signal.SIGXFSZ.value}, signal.SIG_IGN)
 segment, took = OpenSegment(Path({str(tmp_path / "000000.wal")!r}), "one", 0), 0
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
     while True:
-        segment.append(frames.episodes(frames.Change("rig", took, [])))
+        segment.append(frames.bodies([frames.Rows(took, new_batch(Clocks, 1))]))
         took += 1
 except OSError as error:
     print(took, error.strerror)
@@ -130,7 +134,7 @@ def test_it_may_begin_with_frames_in_place_of_another(tmp_path: Path) -> None:
     path = tmp_path / "000000.wal"
     for number in range(2):
         segment = OpenSegment(path, "one", 0, [body(10 * number), body(10 * number + 1)])
-        segment.append([body(99)])
+        segment.append([body(99, 2)])
         segment.close()
         assert told(read(path)) == [10 * number, 10 * number + 1, 99]
     assert [each.name for each in tmp_path.iterdir()] == [path.name]

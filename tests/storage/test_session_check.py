@@ -128,7 +128,7 @@ def test_what_may_not_be_looked_into_is_lost_and_the_check_goes_on(
 
 
 @pytest.mark.parametrize("name", ["dataset.json", "sessions/one/session.json"])
-@pytest.mark.parametrize("content", ["{", '{"version": 9}', '{"version": 1, "session": "one", "sinks": [3]}'])
+@pytest.mark.parametrize("content", ["{", '{"version": 9}', '{"version": 2, "session": "one", "sinks": [3]}'])
 def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, content: str) -> None:
     if name == "dataset.json" and "sinks" in content:
         content = "[]"

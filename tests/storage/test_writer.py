@@ -8,15 +8,14 @@ from threading import Lock
 import polars as pl
 import pytest
 
-from operators.batch import Batch, Faults, Labelled, Touch, ms
+from operators.batch import EVERY, Batch, Episodes, Faults, Touch, concat, ms
 from operators.errors import EndpointError
-from operators.ports import Json, Run
-from storage.following import put_together
-from storage.frames import EPISODE_LOG, read_segment
-from storage.layout import episode_log
+from operators.ports import Run
+from storage.frames import SINGLE_LOG, read_segment
+from storage.layout import single_log
 from storage.session import Session
 from storage.writer import SessionWriter
-from tests.storage.made import STREAMS, new_batch, new_run, rows, side_by_side
+from tests.storage.made import STREAMS, new_episodes, new_run, rows, same, side_by_side
 
 SIX: list[tuple[type[Batch], int]] = [*STREAMS, (Faults, 1)]
 BATCHES = side_by_side(4, SIX)
@@ -185,50 +184,20 @@ def test_a_disk_that_stays_full_keeps_no_more_in_memory_and_loses_nothing_that_w
     assert rows_found(tmp_path, taken) == sum(map(len, taken))
 
 
-def recorded(writer: SessionWriter, told: list[Json]) -> list[int]:
-    """Tell of an episode and commit its rows, four times; give how many their file has each time."""
-    there = list[int]()
-    for number in range(1, 5):
-        told.append({"start": number * 100 * ms, "end": (number + 1) * 100 * ms})
-        writer.add(new_batch(Labelled, 10, start=number * 100 * ms))
+def test_episodes_of_a_live_run_are_in_the_journal_until_the_session_ends(tmp_path: Path) -> None:
+    writer = _open(tmp_path, new_run())
+    written = [new_episodes((n * 100 * ms, (n + 1) * 100 * ms, "tap")) for n in range(4)]
+    for episode in written:
+        writer.add(episode)
         writer.commit()
-        there.append(len(Session.open(writer.folder).frame("episodes")))
-    return there
-
-
-@pytest.mark.parametrize(("live", "there"), [(True, [1, 1, 1, 1]), (False, [2, 3, 4, 5])])
-def test_episodes_of_a_live_run_are_in_their_file_at_the_end_and_in_the_journal_until_then(
-    tmp_path: Path, there: list[int], *, live: bool
-) -> None:
-    told: list[Json] = [{"start": 0, "end": 100 * ms}]
-    writer = _open(tmp_path, new_run(describe={"rig": {"episodes": told}}, live=live))
-    assert recorded(writer, told) == there
-    if live:
-        data = episode_log(writer.folder).read_bytes()
-        changes = read_segment(data, "", "one", EPISODE_LOG).changes
-        assert put_together(changes, "") == {"rig": {"episodes": told}}
+    assert Session.open(writer.folder).tables == ()
+    found = read_segment(single_log(writer.folder).read_bytes(), "", "one", SINGLE_LOG)
+    assert [(rows.first, rows.batch.time.item()) for rows in found.rows] == [
+        (n, n * 100 * ms) for n in range(4)
+    ]
     writer.close()
-    session = Session.open(tmp_path)
-    assert session.frame("episodes")["episode"].to_list() == [0, 1, 2, 3, 4]
-    assert session.frame("samples")["episode"].to_list() == [n for n in range(1, 5) for _ in range(10)]
-
-
-def test_a_commit_of_a_live_run_never_puts_all_episodes_together(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object) -> None:
-        raise AssertionError
-
-    told = list[Json]()
-    writer = _open(tmp_path, new_run(describe={"rig": {"episodes": told}}))
-    with monkeypatch.context() as patch:
-        patch.setattr("storage.episodes.Episodes.described", refuse)
-        for number in range(4):
-            told.append({"start": number * 100 * ms, "end": (number + 1) * 100 * ms})
-            writer.add(new_batch(Labelled, 10, start=number * 100 * ms))
-            writer.commit()
-    writer.close()
-    assert len(Session.open(tmp_path).frame("episodes")) == 4
+    [episodes] = Session.open(tmp_path).read(Episodes, EVERY)
+    same(episodes, concat(Episodes, written))
 
 
 def _open(root: Path, run: Run) -> SessionWriter:

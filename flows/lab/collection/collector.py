@@ -18,12 +18,26 @@ from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmStateReader, Bounds
 from flows.graph import Flow
 from flows.lab.collection.contact_monitor import ContactMonitor
+from flows.lab.collection.episode_source import EpisodeSource
 from flows.lab.collection.signal_handlers import signal_handlers
 from flows.lab.collection.stroke_driver import StrokeDriver
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, StrokeSeries, total_extent
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
-from operators import Align, DeviceClock, Label, MaskLifted, Motion, Source, Touch, WatchClock, Zero, ms, s
+from operators import (
+    Align,
+    DeviceClock,
+    Episodes,
+    Label,
+    MaskLifted,
+    Motion,
+    Source,
+    Touch,
+    WatchClock,
+    Zero,
+    ms,
+    s,
+)
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.ports import Clock, Json, Run
 from storage import Dataset
@@ -160,6 +174,7 @@ def declare_collection(
     motion: Source[Motion],
     surface: Pose,
     *,
+    episodes: Source[Episodes],
     dataset: Dataset,
     monitor: ContactMonitor,
     delay: int = 0,
@@ -170,6 +185,7 @@ def declare_collection(
         touch: The fingertips.
         motion: The arm.
         surface: Pose at which the fingertip just touches the surface.
+        episodes: Motions of the arm.
         dataset: Dataset for all streams.
         monitor: Second sink of the touch stream.
         delay: Delay of the arm's motion relative to the touch, ns; see `Label`.
@@ -182,6 +198,7 @@ def declare_collection(
     moved.to(dataset)
     (moved | WatchClock()).to(dataset)
     (samples | label | MaskLifted(surface)).to(dataset)
+    flow.source(episodes, "collection").to(dataset)
     touched.to(monitor)
     return flow
 
@@ -250,19 +267,18 @@ class Collector:
         self.arm.fail("interrupted")
 
     async def _record(self, series: StrokeSeries, name: str) -> None:
-        monitor, episodes = ContactMonitor(), list[Json]()
+        monitor, episodes = ContactMonitor(), EpisodeSource({**self.about, **_describe(series)})
         flow = declare_collection(
             self.touch,
             self.motion,
             series.surface.pose,
+            episodes=episodes,
             dataset=self.dataset(),
             monitor=monitor,
             delay=self.plan.label_delay,
         )
         # signals are handled by the collection, which stops the arm first
         runner = self._runner = LiveRunner(flow, name, clock=self.clock, signals=False)
-        about: dict[str, Json] = {**self.about, **_describe(series), "episodes": episodes}
-        runner.run.describe["collection"] = about
         self.runs.append(runner.run)
         running = asyncio.create_task(runner.execute())
         driving = asyncio.create_task(self._drive(series, monitor, episodes))
@@ -275,7 +291,7 @@ class Collector:
                 runner.run.error = error.reason if isinstance(error, EndpointError) else str(error)
         finally:
             driving.cancel()
-            about["pressed"] = [_pressed(each) for each in episodes[1:]]
+            await asyncio.wait({driving})  # the last episode has been emitted
             runner.stop()
             recorded = await asyncio.gather(running, return_exceptions=True)
             self._runner = None
@@ -283,11 +299,11 @@ class Collector:
             raise recorded[0]
         await driving
 
-    async def _drive(self, series: StrokeSeries, monitor: ContactMonitor, episodes: list[Json]) -> None:
+    async def _drive(self, series: StrokeSeries, monitor: ContactMonitor, episodes: EpisodeSource) -> None:
         watching = asyncio.create_task(self._watch(monitor))
         try:
             await self._first_samples(monitor)
-            await self.driver.make_strokes(series, episodes, monitor)
+            await self.driver.make_strokes(series, episodes.emit, monitor)
         finally:
             watching.cancel()
             await asyncio.gather(watching, return_exceptions=True)
@@ -316,12 +332,6 @@ class Collector:
                     )
                     self.arm.fail(reason)
             await self.clock.sleep_until(now + round(_POLL * s))
-
-
-def _pressed(episode: Json) -> Json:
-    """Return the start, the depth (m after first contact) and, if pressed with a force, the force (N)."""
-    assert isinstance(episode, dict)
-    return {key: episode[key] for key in ("start", "depth", "force")}
 
 
 def _describe(series: StrokeSeries) -> dict[str, Json]:

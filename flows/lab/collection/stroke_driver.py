@@ -2,8 +2,10 @@
 
 import asyncio
 import math
-from collections.abc import Sequence
-from typing import Final, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple, TypeAlias
+
+import numpy as np
 
 from connectors.ur.control_process import Pose
 from connectors.ur.path_follower import Point
@@ -22,10 +24,12 @@ from flows.lab.collection.arm_path import (
 )
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_plan import Stroke, StrokeSeries
-from operators.batch import s
-from operators.ports import Clock, Json
+from operators.batch import MOTIONS, SURFACES, Episodes
+from operators.ports import Clock
 
 _POLL: Final = 0.05  # s
+
+Emit: TypeAlias = Callable[[Episodes], None]
 
 
 class Contact(NamedTuple):
@@ -68,23 +72,23 @@ class StrokeDriver:
         """Continue."""
         self._pause.clear()
 
-    async def make_strokes(self, series: StrokeSeries, episodes: list[Json], monitor: ContactMonitor) -> None:
+    async def make_strokes(self, series: StrokeSeries, emit: Emit, monitor: ContactMonitor) -> None:
         """Stay in the air for the baseline, then make each stroke.
 
         Args:
             series: The strokes.
-            episodes: Receives an episode for the baseline and for each stroke, as it begins.
+            emit: Called with an episode at the end of the baseline and of each stroke.
             monitor: Monitor of the fingertips.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
         monitor.restart()
-        await self._follow_as_episode(series, None, [series.baseline], episodes)
+        await self._follow_as_episode(series, None, [series.baseline], emit)
         monitor.set_baseline()
         for stroke in series.strokes:
             await self._resumed()
-            while not await self._make_unless_paused(series, stroke, episodes, monitor):
+            while not await self._make_unless_paused(series, stroke, emit, monitor):
                 await self._resumed()
                 up = raise_pose(_pose(self._arm.state), series.surface.pose, series.clearance)
                 await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
@@ -125,10 +129,10 @@ class StrokeDriver:
             await self._arm.wait(_POLL)
 
     async def _make_unless_paused(
-        self, series: StrokeSeries, stroke: Stroke, episodes: list[Json], monitor: ContactMonitor
+        self, series: StrokeSeries, stroke: Stroke, emit: Emit, monitor: ContactMonitor
     ) -> bool:
         """Make a stroke; return False if it was interrupted by a pause, with the arm at rest."""
-        work = asyncio.create_task(self._make(series, stroke, episodes, monitor))
+        work = asyncio.create_task(self._make(series, stroke, emit, monitor))
         pause = asyncio.create_task(self._pause.wait())
         try:
             await asyncio.wait({work, pause}, return_when=asyncio.FIRST_COMPLETED)
@@ -143,13 +147,11 @@ class StrokeDriver:
                 await self._arm.stop()
         return False
 
-    async def _make(
-        self, series: StrokeSeries, stroke: Stroke, episodes: list[Json], monitor: ContactMonitor
-    ) -> None:
+    async def _make(self, series: StrokeSeries, stroke: Stroke, emit: Emit, monitor: ContactMonitor) -> None:
         contact = await self.follow(stroke.approach)
         monitor.restart()
         steps = shift_steps(stroke.contact, contact.shortfall)
-        await self._follow_as_episode(series, stroke, steps, episodes, contact)
+        await self._follow_as_episode(series, stroke, steps, emit, contact)
         without_contact = monitor.without_contact()
         await self.follow(stroke.retreat)
         if without_contact and self._require_contact:
@@ -164,31 +166,35 @@ class StrokeDriver:
         series: StrokeSeries,
         stroke: Stroke | None,
         steps: Sequence[Step],
-        episodes: list[Json],
+        emit: Emit,
         contact: Contact = Contact(),  # noqa: B008 - immutable
     ) -> None:
-        """Follow steps and note them as an episode; None stands for the baseline."""
-        start, pose = self._clock.now(), series.surface.pose
-        longest = sum(2 * step.seconds(pose) + 2 for step in steps)  # s, the arm's own time limit
-        episode: dict[str, Json] = {
-            "start": start,
-            "end": start + round(longest * s),
-            "motion": stroke.motion if stroke else "hold",
-            "axis": stroke.axis if stroke else "primary",
-            "direction_deg": stroke.direction_deg if stroke else 0.0,
-            "speed": stroke.speed if stroke else 0.0,
-            "curvature": series.surface.shape,
-            "split": series.split,
-            "depth": stroke.depth - math.hypot(*contact.shortfall)
-            if stroke
-            else None,  # m after first contact
-            "force": contact.force,  # N at its beginning, if pressed with a force
-        }
-        episodes.append(episode)
+        """Follow steps and emit them as an episode; None stands for the baseline."""
+        start = self._clock.now()
         try:
             await self.follow(steps)
         finally:
-            episode["end"] = max(self._clock.now(), start + 1)
+            emit(_episode(series, stroke, contact, start, max(self._clock.now(), start + 1)))
+
+
+def _episode(series: StrokeSeries, stroke: Stroke | None, contact: Contact, start: int, end: int) -> Episodes:
+    """Return an episode from `start` to `end` (ns) as a row; None stands for the baseline."""
+    spins = stroke is not None and stroke.motion == "rotation"
+    speed = stroke.speed if stroke else 0.0
+    values = (
+        math.radians(stroke.direction_deg) if stroke else 0.0,
+        0.0 if spins else speed,
+        speed if spins else 0.0,
+        stroke.depth - math.hypot(*contact.shortfall) if stroke else math.nan,
+        math.nan if contact.force is None else contact.force,
+    )
+    return Episodes(
+        np.array([start]),
+        np.array([end]),
+        np.array([MOTIONS.index(stroke.motion if stroke else "hold")], np.int8),
+        np.array([SURFACES.index(series.surface.shape)], np.int8),
+        *(np.array([value]) for value in values),
+    )
 
 
 def _pose(state: ArmState) -> Pose:

@@ -16,7 +16,6 @@ from flows.learn.evaluation.label_changes import LabelChanges
 from flows.learn.evaluation.methods import Method, methods
 from flows.learn.evaluation.motion_metrics import Cells
 from flows.learn.evaluation.sample_metrics import Confusion, Reliability, Roc, known
-from flows.learn.evaluation.simulated_truth import with_truth
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from operators import Debounce
@@ -122,8 +121,6 @@ def evaluate(
         name: [recording for recording in recordings if recording.split == name]
         for name in ("train", "validation")
     }
-    told("simulating again what truly happened, where the session says how")
-    judged = [with_truth(dataset, recording) for recording in judged]
     chosen, missing = methods(parts["train"], models, names, told)
     if not chosen:
         raise InputError("evaluate", "; ".join(f"{name}: {reason}" for name, reason in missing.items()))

@@ -1,16 +1,16 @@
 import asyncio
 import json
-from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from connectors.sim.scene import Move, Moves, Scene
+from connectors.sim.scene import Move, Moves, Scene, Timing
 from connectors.sim.simulated_rig import SimulatedRig
-from operators.batch import Batch, Motion, Touch, concat
+from connectors.sim.truth import true_slips
+from operators.batch import MOTIONS, SURFACES, Batch, Episodes, Motion, Touch, Truth, concat, ms
 from operators.errors import ParameterError
-from operators.ports import Json, Source
+from operators.ports import Source
 
 ORIGIN = 1_700_000_000_000_000_000
 PLAN = Moves(
@@ -93,54 +93,72 @@ def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
     np.testing.assert_array_equal(first[1][0].time + 500, second[1][0].time)
 
 
-def test_episodes_are_filled_in_while_the_rig_runs() -> None:
-    rig = SimulatedRig(Scene(PLAN), pace=None)
-    described = rig.touch.describe()
-    run(rig)
-    episodes = cast("list[dict[str, Any]]", described["episodes"])
-    assert [episode["motion"] for episode in episodes] == ["hold", "hold", "translation"]
-    assert episodes[-1] == {
-        "start": ORIGIN + 1_000_000_000,
-        "end": ORIGIN + 1_900_000_000,
-        "motion": "translation",
-        "axis": "oblique",
-        "direction_deg": 45.0,
-        "speed": 0.1,
-        "curvature": "plane",
-    }
+def annotations(rig: SimulatedRig, at_most: int = 100_000) -> tuple[Touch, Episodes, Truth]:
+    """Return touch, episodes and truth of a run."""
+
+    async def main() -> list[list[Batch]]:
+        clock, sources = Virtual(), (rig.touch, rig.episodes, rig.truth)
+        return await asyncio.gather(*(gather(cast("Any", each), clock, at_most) for each in sources))
+
+    touch, episodes, truth = asyncio.run(main())
+    return (
+        concat(Touch, cast("Any", touch)),
+        concat(Episodes, cast("Any", episodes)),
+        concat(Truth, cast("Any", truth)),
+    )
+
+
+@pytest.mark.parametrize("pace", [None, 1.0])
+def test_each_move_is_an_episode(pace: float | None) -> None:
+    _, episodes, _ = annotations(SimulatedRig(Scene(PLAN), pace=pace))
+    assert [MOTIONS[code] for code in episodes.motion] == ["hold", "hold", "translation"]
+    assert (episodes.time - ORIGIN).tolist() == [0, 500 * ms, 1000 * ms]
+    assert (episodes.end - ORIGIN).tolist() == [500 * ms, 1000 * ms, 1900 * ms]
+    assert SURFACES[episodes.surface[2]] == "plane"
+    assert episodes.direction[2] == pytest.approx(np.pi / 4)
+    assert (episodes.speed[2], episodes.angular_speed[2]) == (0.1, 0.0)
+    assert episodes.force[:2].tolist() == [0.0, 2.0]
+    assert np.isnan([episodes.force[2], *episodes.depth]).all()
+
+
+def test_a_rotation_has_an_angular_speed() -> None:
+    plan = Moves((Move("rotation", 0.9, 0.3, speed=-1.0),))
+    _, episodes, _ = annotations(SimulatedRig(Scene(plan), pace=None))
+    assert (episodes.speed.item(), episodes.angular_speed.item()) == (0.0, -1.0)
 
 
 def test_episodes_follow_each_other_without_gap_or_overlap() -> None:
-    rig = SimulatedRig(pace=None)
-    run(rig, at_most=30_000)
-    episodes = cast("list[dict[str, Any]]", rig.describe()["episodes"])
-    assert len(episodes) > 100
-    assert [episode["end"] for episode in episodes[:-1]] == [episode["start"] for episode in episodes[1:]]
+    async def main() -> Episodes:
+        rig, clock = SimulatedRig(pace=None), Virtual()
+        _, episodes = await asyncio.gather(gather(rig.touch, clock, 30_000), gather(rig.episodes, clock, 100))
+        return concat(Episodes, cast("list[Episodes]", episodes))
+
+    episodes = asyncio.run(main())
+    assert len(episodes) == 100
+    assert (episodes.end[:-1] == episodes.time[1:]).all()
 
 
 def test_descriptions_are_plain_data() -> None:
     rig = SimulatedRig(seed=4)
     for source in (rig.touch, rig.motion):
-        about = dict(source.describe())
-        listed = cast("Sequence[Json]", about.pop("episodes", ()))  # alive, and made when asked for
-        described = json.loads(json.dumps({**about, "episodes": [*listed]}))
-        assert described["seed"] == 4
+        assert json.loads(json.dumps(dict(source.describe())))["seed"] == 4
 
 
-def test_the_truth_is_stamped_as_the_run_is() -> None:
+def test_the_truth_has_a_row_for_each_touch_row() -> None:
+    touch, _, truth = annotations(SimulatedRig(Scene(PLAN), pace=None))
+    np.testing.assert_array_equal(truth.time, touch.time)
+    assert len(true_slips(truth)) == 1
+    lossy = Scene(PLAN, touch=Timing(100.0, latency=0.004, dropped=0.2))
+    touch, _, truth = annotations(SimulatedRig(lossy, pace=None))
+    assert len(touch) < 180
+    np.testing.assert_array_equal(truth.time + 4 * ms, touch.time)
+
+
+def test_a_second_run_begins_with_its_own_episodes() -> None:
     rig = SimulatedRig(Scene(PLAN), pace=None)
-    touch, _ = run(rig)
-    np.testing.assert_array_equal(rig.truth().time, touch[0].time)
-    assert len(rig.truth().slips) == 1
-
-
-def test_the_default_scene_goes_on_and_remembers_a_bounded_stretch() -> None:
-    rig = SimulatedRig(pace=None, remember=10.0)
-    touch, _ = run(rig, at_most=10_000)
-    assert sum(map(len, touch)) == 10_000
-    truth = rig.truth()
-    assert 1000 <= len(truth) <= 2000
-    assert truth.time[-1] == touch[-1].time[-1]
+    first, second = annotations(rig), annotations(rig)
+    assert first[1].time.tolist() == second[1].time.tolist()
+    assert len(first[2]) == len(second[2])
 
 
 def test_several_fingertips_feel_the_same_motion_with_noise_of_their_own() -> None:

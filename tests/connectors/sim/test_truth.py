@@ -1,7 +1,7 @@
 import numpy as np
 
-from connectors.sim.truth import Memory, Truth
-from operators.batch import ms
+from connectors.sim.truth import true_slips
+from operators.batch import Truth, ms
 
 
 def truth(sliding: list[float], start: int = 0) -> Truth:
@@ -12,24 +12,8 @@ def truth(sliding: list[float], start: int = 0) -> Truth:
 
 def test_a_slip_goes_on_through_short_sticks_and_ends_at_a_long_one() -> None:
     sliding = [0.0] * 5 + [0.05] * 3 + [0.0] * 10 + [0.05] * 2 + [0.0] * 20 + [0.05] + [0.0]
-    assert truth(sliding).slips == [(50 * ms, 190 * ms), (400 * ms, 400 * ms)]
+    assert true_slips(truth(sliding)) == [(50 * ms, 190 * ms), (400 * ms, 400 * ms)]
 
 
 def test_creeping_is_no_slip() -> None:
-    assert truth([0.002] * 100).slips == []
-
-
-def test_memory_keeps_the_newest_rows_in_bounded_space() -> None:
-    memory = Memory(10)
-    for start in range(0, 100, 7):
-        memory.add(truth([float(start + row) for row in range(7)], start))
-    recalled = memory.recall(5)
-    assert 10 <= len(recalled) <= 20
-    np.testing.assert_array_equal(recalled.time, recalled.sliding * 10 * ms + 5)
-    assert recalled.sliding[-1] == 104
-
-
-def test_more_rows_than_memory_holds_leave_the_newest() -> None:
-    memory = Memory(10)
-    memory.add(truth([float(row) for row in range(50)]))
-    assert memory.recall(0).sliding.tolist() == [float(row) for row in range(40, 50)]
+    assert true_slips(truth([0.002] * 100)) == []

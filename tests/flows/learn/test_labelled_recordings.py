@@ -20,6 +20,7 @@ from flows.learn.labelled_recordings import (
 from flows.learn.splits import SPLITS, TURNS
 from operators.batch import Flags
 from operators.errors import InputError
+from storage.files import put_checked, read_checked
 
 SCENE = Scene(
     Moves(
@@ -78,12 +79,8 @@ def test_a_fault_degrades_a_trial_from_when_it_can_be_told(faults: Faults, after
 def test_recordings_without_splits_take_turns_by_session(tmp_path: Path) -> None:
     simulate(tmp_path / "tiny", "tiny", seed=0, jobs=1)
     told = [each.split for each in load(tmp_path / "tiny")]
-    for episodes in (tmp_path / "tiny").glob("sessions/*/episodes.parquet"):
-        episodes.unlink()
-        manifest = episodes.with_name("MANIFEST.json")
-        lines = manifest.read_text().splitlines()
-        listed = [line.rstrip(",") for line in lines if '"path"' in line and "episodes" not in line]
-        manifest.write_text('{"version": 1, "parts": [\n' + ",\n".join(listed) + "\n]}\n")
+    for path in (tmp_path / "tiny").glob("sessions/*/session.json"):
+        put_checked(path, {**read_checked(path), "split": None})
     turns = [each.split for each in load(tmp_path / "tiny")]
     assert turns == list((TURNS * 2)[: len(turns)]) != told
 

@@ -13,7 +13,7 @@ from operators.batch import EVERY, Motion, ms
 from operators.errors import EndpointError, InputError, ParameterError
 from storage import Session
 from storage.exports.lerobot import export
-from tests.storage.made import new_samples, record
+from tests.storage.made import new_episodes, new_samples, record
 
 
 @dataclass
@@ -143,9 +143,8 @@ def test_a_gap_makes_two_episodes_that_say_when_they_began(tmp_path: Path) -> No
 def test_splits_are_kept_and_their_episodes_stand_together(tmp_path: Path) -> None:
     sessions = list[Session]()
     for name, split in (("a", "test"), ("b", "train"), ("c", None), ("d", "validation"), ("e", "test")):
-        episode = {"start": 0, "end": 100 * ms, "motion": "hold", "split": split}
         samples = new_samples(np.arange(10) * 10 * ms)
-        sessions.append(record(tmp_path, [samples], name, [episode]))
+        sessions.append(record(tmp_path, [samples], name, split))
     export(sessions, tmp_path / "out")
     found = Read.open(tmp_path / "out")
     found.check()
@@ -154,11 +153,8 @@ def test_splits_are_kept_and_their_episodes_stand_together(tmp_path: Path) -> No
 
 
 def test_tasks_are_what_the_arm_did_or_what_is_told(tmp_path: Path) -> None:
-    episodes = [
-        {"start": 0, "end": 50 * ms, "motion": "hold"},
-        {"start": 50 * ms, "end": 90 * ms, "motion": "translation"},
-    ]
-    session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)], "one", episodes)
+    episodes = new_episodes((0, 50 * ms, "hold"), (50 * ms, 90 * ms, "translation"))
+    session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms), episodes])
     export([session], tmp_path / "done")
     found = Read.open(tmp_path / "done")
     found.check()

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from operators.batch import s
+from operators.batch import Episodes, s
 from storage.exports.grid import Frames, Holdings
 from storage.exports.lerobot_features import doing, features, values
+from tests.storage.made import new_episodes
 
 
 def some(count: int, fingers: int = 1) -> Frames:
@@ -44,15 +45,11 @@ def test_elements_are_named_by_fingertip_and_barometer() -> None:
 
 
 def test_the_task_is_what_the_arm_does_at_the_instant() -> None:
-    episodes: Any = [
-        {"start": s, "end": 2 * s, "motion": "translation"},
-        {"start": 2 * s, "end": 3 * s, "motion": "rotation"},
-        {"start": 4 * s, "end": 5 * s, "motion": None},
-    ]
+    episodes = new_episodes((s, 2 * s, "translation"), (2 * s, 3 * s, "rotation"))
     slides, turns, otherwise = (
         "slide the fingertip over the surface",
         "turn the fingertip on the surface",
         "feel slip",
     )
-    assert doing(some(5), {"episodes": episodes}) == [otherwise, slides, turns, otherwise, otherwise]
-    assert doing(some(2), {}) == [otherwise] * 2
+    assert doing(some(5), episodes) == [otherwise, slides, turns, otherwise, otherwise]
+    assert doing(some(2), Episodes.empty()) == [otherwise] * 2

@@ -11,7 +11,20 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from operators.batch import Batch, Clocks, Faults, Labelled, Motion, Slips, Touch, Zeroed, ms, s
+from operators.batch import (
+    Batch,
+    Clocks,
+    Episodes,
+    Faults,
+    Labelled,
+    Motion,
+    Slips,
+    Touch,
+    Truth,
+    Zeroed,
+    ms,
+    s,
+)
 from operators.errors import EndpointError, InputError
 from storage import Session
 from storage.exports import mcap_file
@@ -111,10 +124,9 @@ def test_every_row_of_every_table_is_a_message_in_the_order_of_time(tmp_path: Pa
 def test_every_message_keeps_the_schema_that_stands_in_the_file(tmp_path: Path) -> None:
     from mcap.reader import make_reader  # noqa: PLC0415 - an extra
 
-    kinds = (Touch, Motion, Labelled, Slips, Faults, Clocks)
+    kinds = (Touch, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth)
     path, checked = tmp_path / "one.mcap", set[str]()
-    episode = {"start": s, "end": 2 * s, "motion": "hold"}
-    export(record(tmp_path, [new_batch(kind, 9, start=s) for kind in kinds], episodes=[episode]), path)
+    export(record(tmp_path, [new_batch(kind, 9, start=s) for kind in kinds]), path)
     with path.open("rb") as file:
         for stored, _, message in make_reader(file).iter_messages():
             assert stored is not None
@@ -131,7 +143,7 @@ def test_every_message_keeps_the_schema_that_stands_in_the_file(tmp_path: Path) 
             validator: Any = Draft202012Validator(lenient(schema))
             validator.validate(content)
             checked.add(stored.name)
-    assert checked == {f"slipflow.{kind.__name__}" for kind in kinds} | {"slipflow.Episode"}
+    assert checked == {f"slipflow.{kind.__name__}" for kind in kinds}
 
 
 def lenient(schema: dict[str, Any]) -> dict[str, Any]:
@@ -154,15 +166,6 @@ def test_late_rows_come_in_their_place(tmp_path: Path) -> None:
     times = [time for _, time, _ in read(path)]
     assert times == sorted(times)
     assert alike([each for each in read(path) if each[0] == "/touch/0"]) == alike(rows(late))
-
-
-def test_episodes_are_messages_at_their_begin(tmp_path: Path) -> None:
-    episode = {"start": s + 1, "end": 2 * s, "motion": "translation", "split": "test"}
-    path = tmp_path / "one.mcap"
-    export(record(tmp_path, [new_batch(Touch, 5, start=s)], episodes=[episode]), path)
-    ((time, found),) = [(time, found) for name, time, found in read(path) if name == "/episodes"]
-    assert time == s + 1
-    assert (found["episode"], found["motion"], found["end"]) == (0, "translation", {"sec": 2, "nsec": 0})
 
 
 def test_the_file_says_what_the_session_says_and_counts_what_is_in_it(tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 
-from operators.batch import EVERY, Clocks, Motion, Slips, Zeroed, s
+from operators.batch import EVERY, Clocks, Episodes, Motion, Slips, Zeroed, s
 from operators.errors import InputError
-from storage.exports.mcap_messages import episode_message, episode_schema, messages, schema, topic
-from storage.layout import CLOCKS, MOTION, SLIPS, TABLES, TOUCH, Table
-from tests.storage.made import new_batch
+from storage.exports.mcap_messages import messages, schema, topic
+from storage.layout import CLOCKS, EPISODES, MOTION, SLIPS, TABLES, TOUCH, Table
+from tests.storage.made import new_batch, new_episodes
 
 SIMPLE = {"object", "array", "number", "integer", "boolean", "string"}
 
@@ -75,7 +75,9 @@ def test_what_is_unknown_is_left_out() -> None:
 
 def test_topics_are_by_fingertip_where_that_helps() -> None:
     found = [topic(table, 3 if table.finger else EVERY) for table in TABLES]
-    assert found == ["/touch/3", "/motion", "/samples/3", "/slip/3", "/faults", "/clocks"]
+    assert found == [
+        *("/touch/3", "/motion", "/samples/3", "/slip/3", "/faults", "/clocks", "/episodes", "/truth/3")
+    ]
 
 
 def test_zeroed_counts_have_a_schema_of_their_own() -> None:
@@ -85,23 +87,20 @@ def test_zeroed_counts_have_a_schema_of_their_own() -> None:
 def test_a_row_of_before_1970_is_refused() -> None:
     with pytest.raises(InputError, match="motion, a row at -1 ns: is of before 1970"):
         list(messages(MOTION, new_batch(Motion, 1, start=-1)))
-    with pytest.raises(InputError, match="episodes, a row at -5 ns: is of before 1970"):
-        episode_message({"episode": 0, "start": -5, "end": 5})
 
 
-def test_an_episode_tells_what_it_knows() -> None:
-    time, data = episode_message(
-        {"episode": 3, "start": s, "end": 2 * s + 1, "motion": "tap", "axis": None, "speed": 0.1}
-    )
+def test_codes_are_written_as_their_names() -> None:
+    [(time, data)] = messages(EPISODES, new_episodes((s, 2 * s + 1, "tap")))
     assert time == s
     message = json.loads(data)
     assert message == {
         "timestamp": {"sec": 1, "nsec": 0},
         "end": {"sec": 2, "nsec": 1},
-        "episode": 3,
         "motion": "tap",
-        "speed": 0.1,
+        "surface": "plane",
+        "direction": 0.0,
+        "speed": 0.0,
+        "angular_speed": 0.0,
     }
-    validator: Any = Draft202012Validator(episode_schema())
+    validator: Any = Draft202012Validator(schema(EPISODES, Episodes))
     validator.validate(message)
-    assert set(types(episode_schema())) <= SIMPLE

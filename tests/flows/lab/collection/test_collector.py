@@ -18,7 +18,6 @@ from connectors.emulators.i2c_bus import VIRTUAL
 from connectors.emulators.pressing_arm import STIFFNESS
 from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
 from connectors.sim.scene import Curvature, commanded_scene
-from connectors.sim.truth import Truth
 from connectors.ur.control_process import Pose
 from flows.lab.collection.collector import CollectionResult, Setup, collect, workspace
 from flows.lab.collection.stroke_plan import (
@@ -39,6 +38,7 @@ from operators import (
     Motion,
     ParameterError,
     Touch,
+    Truth,
     WatchClock,
     concat,
     s,
@@ -185,14 +185,13 @@ def test_labels_equal_the_ground_truth_within_one_sample(quick: Made) -> None:
 def test_episodes_tell_of_every_stroke(quick: Made) -> None:
     air, *strokes = quick.session.frame("episodes").to_dicts()
     assert air["motion"] == "hold"
-    assert sorted(each["direction_deg"] for each in strokes) == [45.0 * k for k in range(8)]
+    assert sorted(each["direction"] for each in strokes) == pytest.approx([k * math.pi / 4 for k in range(8)])
     for each in strokes:
-        assert (each["motion"], each["speed"], each["curvature"]) == ("translation", 0.1, "plane")
-        assert each["axis"] == ("oblique" if each["direction_deg"] % 90 else "primary")
-        assert each["split"] in ("train", "validation", "test")
+        assert (each["motion"], each["speed"], each["surface"]) == ("translation", 0.1, "plane")
+    assert quick.about["split"] in ("train", "validation", "test")
     labelled = concat(Labelled, list(quick.session.read(Labelled, 0)))
     for each in strokes:
-        inside = (labelled.time >= each["start"]) & (labelled.time < each["end"])
+        inside = (labelled.time >= each["time"]) & (labelled.time < each["end"])
         assert (labelled.label[inside] == SLIP).sum() > 30
         assert (labelled.label[inside] == UNKNOWN).sum() == 0
 
@@ -248,7 +247,7 @@ def test_a_force_is_kept_over_a_sphere(pressed: Made) -> None:
     _, *strokes = pressed.session.frame("episodes").to_dicts()
     assert len(strokes) == STROKES
     for each in strokes:
-        inside = (pressed.truth.time >= each["start"]) & (pressed.truth.time < each["end"])
+        inside = (pressed.truth.time >= each["time"]) & (pressed.truth.time < each["end"])
         force = pressed.truth.force[inside]
         assert force[0] >= 0.95 * FORCE
         assert force.min() > 0.75 * FORCE
@@ -259,7 +258,7 @@ def test_the_speed_along_an_arc_is_kept(pressed: Made) -> None:
     motion = concat(Motion, list(pressed.session.read(Motion, -1)))
     _, *strokes = pressed.session.frame("episodes").to_dicts()
     for each in strokes:
-        inside = (motion.time >= each["start"]) & (motion.time < each["end"])
+        inside = (motion.time >= each["time"]) & (motion.time < each["end"])
         speed = np.linalg.norm(motion.velocity[inside, :3], axis=1)  # (n,)
         assert speed.max() < 1.03 * 0.05
         assert (speed > 0.97 * 0.05).sum() / 125 > 0.7 * PATH.slide_time
@@ -273,9 +272,10 @@ def test_session_json_has_depth_and_force(quick: Made, pressed: Made) -> None:
         (QUICK.press.depth, None, None),
         (None, FORCE, 0.06),
     ]
-    planned, found = (each["pressed"] for each in about)
-    assert [(each["depth"], each["force"]) for each in planned] == [(QUICK.press.depth, None)] * 8
-    for each in found:
+    planned, found = (made.session.frame("episodes")[1:] for made in (quick, pressed))
+    assert planned["depth"].to_list() == [QUICK.press.depth] * 8
+    assert planned["force"].is_nan().all()
+    for each in found.to_dicts():
         assert 0.9 * FORCE < each["force"] < 1.4 * FORCE
         assert each["depth"] == pytest.approx(each["force"] / STIFFNESS, abs=1e-4)
 

@@ -17,8 +17,8 @@ from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_driver import StrokeDriver
 from flows.lab.collection.stroke_plan import CollectionPlan, PlannedSurface, Press, StrokeSeries
 from flows.run.clocks import LoopClock
-from operators import EndpointError, s
-from operators.ports import Json
+from operators import EndpointError, Episodes, s
+from operators.batch import MOTIONS, SURFACES, columns
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 REST = (0.0,) * 6
@@ -76,6 +76,13 @@ class TestArm:
         self.fault = why
 
 
+def row(episode: Episodes) -> dict[str, Any]:
+    """Return an episode's values by column, codes as names; `time` as `start`."""
+    values = {name: getattr(episode, name).item() for name in columns(Episodes)}
+    names = {"motion": MOTIONS[values["motion"]], "surface": SURFACES[values["surface"]]}
+    return {"start": values.pop("time"), **values, **names}
+
+
 class TestMonitor(ContactMonitor):
     """Monitor with a given result."""
 
@@ -120,18 +127,18 @@ def drive(
     """Drive a series; call methods of the driver, or set a fault of the arm, at the given seconds."""
 
     async def main() -> Driven:
-        clock, arm, episodes = LoopClock(0), TestArm(), list[Json]()
+        clock, arm, episodes = LoopClock(0), TestArm(), list[Episodes]()
         driver = StrokeDriver(cast("UrArm", arm), clock, require_contact=require_contact)
         await driver.follow([planned.begin])
         loop, began = asyncio.get_running_loop(), clock.now()
         for after, act in acts:
             loop.call_later(after, getattr(driver, act) if act else lambda: setattr(arm, "fault", fault))
         try:
-            await driver.make_strokes(planned, episodes, TestMonitor([*without_contact]))
+            await driver.make_strokes(planned, episodes.append, TestMonitor([*without_contact]))
         except EndpointError as error:
             assert fault in error.reason  # noqa: PT017 - it may also go well
             assert fault
-        return Driven(arm, driver, cast("list[dict[str, Any]]", episodes), (clock.now() - began) / s)
+        return Driven(arm, driver, [row(each) for each in episodes], (clock.now() - began) / s)
 
     return run_virtually(main())
 
@@ -152,17 +159,16 @@ def test_each_contact_is_an_episode() -> None:
     air, *strokes = drive(planned).episodes
     assert (air["motion"], (air["end"] - air["start"]) / s) == ("hold", pytest.approx(1.5))
     for stroke, episode in zip(planned.strokes, strokes, strict=True):
-        values = {key: episode[key] for key in episode if key not in ("start", "end")}
+        values = {key: episode[key] for key in episode if key not in ("start", "end", "force")}
         assert values == {
             "motion": "translation",
-            "axis": stroke.axis,
-            "direction_deg": stroke.direction_deg,
+            "surface": "sphere",
+            "direction": math.radians(stroke.direction_deg),
             "speed": 0.1,
-            "curvature": "sphere",
-            "split": planned.split,
+            "angular_speed": 0.0,
             "depth": 0.0015,
-            "force": None,
         }
+        assert math.isnan(episode["force"])
         arc = 2 * 0.06 * math.asin(0.03 / 0.06)  # m, but for the chords
         seconds = 2 * 0.4 + arc / 0.1 + 0.1 / 0.5
         assert (episode["end"] - episode["start"]) / s == pytest.approx(seconds, abs=1e-3)
@@ -176,7 +182,7 @@ def test_a_paused_stroke_is_stopped_and_repeated_from_above() -> None:
     assert driven.driver.strokes == 2
     assert 60 < driven.seconds < 60 + Extent.of(planned.steps, planned.begin.pose).seconds
     interrupted, again = driven.episodes[1:3]
-    assert interrupted["direction_deg"] == again["direction_deg"]
+    assert interrupted["direction"] == again["direction"]
     assert interrupted["end"] - interrupted["start"] < again["end"] - again["start"]
     assert again["start"] > 60 * s
     raised = driven.arm.ways[3]  # begin, over it, down, and after the pause

@@ -62,10 +62,10 @@ def test_the_summary_has_every_number_that_is_promised(found: Evaluation) -> Non
 def test_nobody_knows_the_truth_of_what_was_not_simulated(
     tiny: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def unknown(_dataset: Path, recorded: LabelledRecording) -> LabelledRecording:
-        return recorded
+    def unknown(dataset: Path) -> list[LabelledRecording]:
+        return [replace(each, sliding=None) for each in load(dataset)]
 
-    monkeypatch.setattr(module, "with_truth", unknown)
+    monkeypatch.setattr(module, "load", unknown)
     found = evaluate(tiny, names=["psd"])
     assert found.label is None
     assert found["psd"].sliding is None
