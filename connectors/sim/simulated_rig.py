@@ -131,6 +131,16 @@ class RigTouch(Source[Touch]):
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
+    @property
+    def kind(self) -> type[Touch]:
+        """Raw counts."""
+        return Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """The rig's fingertips."""
+        return self._rig.fingers
+
     async def prepare(self) -> None:
         """Compile the physics: seconds the first time, then a fraction of one."""
         from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run

@@ -36,6 +36,7 @@ def test_a_dataset_becomes_a_file_for_each_session_or_one_session_one_file(
         "/touch/0",
         "/samples/0",
         "/episodes",
+        "/truth/0",
         "/motion",
     ]
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "out" / f"{names[0]}.mcap").read_bytes()
