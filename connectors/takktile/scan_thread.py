@@ -1,4 +1,4 @@
-"""The thread that scans TakkTile fingertips on schedule, and hands the scans to an event loop."""
+"""Thread that scans TakkTile fingertips on schedule, and passes the scans to an event loop."""
 
 import asyncio
 import logging
@@ -12,29 +12,30 @@ from time import monotonic_ns
 from typing import Final
 
 from connectors.takktile.i2c_access import I2cBus
+from connectors.takktile.scanner import Scan, Scanner, i2c_reason
 from connectors.takktile.takktile_protocol import Coefficients
-from connectors.takktile.takktile_scan import Scan, Scanner, reason
 from operators.batch import ms, s
 from operators.errors import EndpointError
 
 log = logging.getLogger("slipflow")
 
-PERSISTENCE: Final = 250 * ms  # without a reading, and three scans, after which the sensor is lost
-PATIENCE: Final = 3.0  # s, for the thread to say something or to end
-BACKLOG: Final = 1000  # scans that may wait for the event loop
+LOST_AFTER: Final = 250 * ms  # without a sample; at least three scans
+TIMEOUT: Final = 3.0  # s, for a scan, and for the thread to end
+BACKLOG: Final = 1000  # scans that wait for the event loop
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """What to scan, and when.
+    """Fingertips to scan, and the times of the scans.
 
     Attributes:
         bus: The bus.
-        rows: Of the fingertips.
-        conversion: Wait for a conversion, ns.
-        period: From scan to scan, ns.
-        counted: Scans that were made, of these the ones in which nobody answered (silent) and that began
-            more than a tenth of the period after they were due (late); and those that were missed.
+        rows: Rows of the fingertips.
+        conversion: Waiting time for a conversion, ns.
+        period: Time from scan to scan, ns.
+        counted: Receives the numbers of scans: made, of these silent (no cell answered) and late (began more
+            than a tenth of the period after they were due), and missed.
+        coefficients: Receives the coefficients of each cell, as in `Scanner`.
     """
 
     bus: I2cBus
@@ -42,135 +43,126 @@ class Schedule:
     conversion: int
     period: int
     counted: dict[str, int]
+    coefficients: Sequence[list[Coefficients | None]]
 
 
 class ScanThread:
-    """Scans a sensor until it is lost or the thread is told to end; for a task of the running event loop.
+    """Thread that scans until the sensor is lost or `end` is called; for a task of the running event loop.
 
     Args:
-        schedule: What to scan, and when.
-        now: The clock to stamp with, ns.
-        learn: Told of what each cell says of itself, as by `Scanner`.
+        schedule: Schedule of the scans.
+        now: Clock of the samples, ns.
     """
 
-    def __init__(
-        self,
-        schedule: Schedule,
-        now: Callable[[], int],
-        learn: Callable[[int, int, Coefficients | None], None],
-    ) -> None:
-        self._schedule, self._now, self._learn = schedule, now, learn
+    def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
+        self._schedule, self._now, self._path = schedule, now, schedule.bus.path
         self._loop = asyncio.get_running_loop()
         self._scans = deque[Scan]()
         self._error: EndpointError | None = None
-        self._news, self._ended = asyncio.Event(), asyncio.Event()
+        self._changed, self._ended = asyncio.Event(), asyncio.Event()
         self._ending, self._blocked = Event(), False
-        self._thread = Thread(target=self._run, name=f"takktile {schedule.bus.path}", daemon=True)
+        self._thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
         self._thread.start()
 
     @property
     def alive(self) -> bool:
-        """Whether it has not ended yet."""
+        """True until the thread has ended."""
         return self._thread.is_alive()
 
     async def scans(self) -> AsyncGenerator[Scan]:
-        """The scans, as they are made.
+        """Yield the scans as they are made.
 
         Raises:
-            EndpointError: when the sensor is lost, or nothing has been heard of the thread for long: the
-                operating system has not come back to it.
+            EndpointError: if the sensor is lost, or a scan takes too long because the bus hangs.
         """
-        patience = PATIENCE + self._schedule.period / s
+        timeout = TIMEOUT + self._schedule.period / s
         while True:
-            error = self._error  # first: the scans before it count
+            error = self._error  # read first: scans before the error are still yielded
             while self._scans:
                 yield self._scans.popleft()
             if error is not None:
                 raise error
-            self._news.clear()
+            self._changed.clear()
             try:
-                async with asyncio.timeout(patience):
-                    await self._news.wait()
+                async with asyncio.timeout(timeout):
+                    await self._changed.wait()
             except TimeoutError:
                 if not self._scans:
                     self._blocked = True
-                    raise EndpointError(
-                        self._schedule.bus.path, f"is blocked for {patience:.0f} s: reset its adapter"
-                    ) from None
+                    reason = f"is blocked for {timeout:.0f} s: reset its adapter"
+                    raise EndpointError(self._path, reason) from None
 
     async def end(self) -> None:
-        """Have it disconnect all cells, close the bus and end; leave it behind if it is blocked."""
+        """Disconnect all cells, close the bus and end the thread; abandon the thread if it is blocked."""
         self._ending.set()
         try:
-            async with asyncio.timeout(0 if self._blocked else PATIENCE):
+            async with asyncio.timeout(0 if self._blocked else TIMEOUT):
                 await self._ended.wait()
-            self._thread.join()  # saying so was the last thing it had to do
+            self._thread.join()  # setting the event was its last action
         except TimeoutError:
-            log.warning("%s: left a thread behind that is blocked", self._schedule.bus.path)
+            log.warning("%s: abandoned a blocked thread", self._path)
 
     def _run(self) -> None:
         schedule, scanner = self._schedule, None
         try:
-            scanner = Scanner(schedule.bus, schedule.rows, schedule.conversion, self._now, self._learn)
+            scanner = Scanner(
+                schedule.bus, schedule.rows, schedule.conversion, self._now, schedule.coefficients
+            )
             self._scan(scanner)
         except OSError as error:
-            self._error = EndpointError(schedule.bus.path, reason(error))
-        except Exception as error:  # noqa: BLE001 - a thread that fails says so, whatever it is
-            self._error = EndpointError(schedule.bus.path, f"{type(error).__name__}: {error}")
+            self._error = EndpointError(self._path, i2c_reason(error))
+        except Exception as error:  # noqa: BLE001 - reported to the event loop
+            self._error = EndpointError(self._path, f"{type(error).__name__}: {error}")
             self._error.__cause__ = error
         finally:
-            self._tell(self._news)
+            self._set(self._changed)
             if scanner is not None:
                 scanner.close()
-            self._tell(self._ended)
+            self._set(self._ended)
 
     def _scan(self, scanner: Scanner) -> None:
         """Scan on schedule.
 
         Raises:
-            OSError: when the sensor is lost.
+            OSError: if the sensor is lost.
         """
         period, counted = self._schedule.period, self._schedule.counted
-        heard, answered = monotonic_ns(), False
-        due = heard
+        sampled, answered = monotonic_ns(), False
+        due = sampled
         while not self._ending.wait(max(0, due - monotonic_ns()) / s):
             if len(self._scans) < BACKLOG:
                 counted["late"] += monotonic_ns() - due > period // 10
                 scan = scanner.scan()
                 counted["made"] += 1
                 if scan.valid.any():
-                    heard, answered = monotonic_ns(), True
+                    sampled, answered = monotonic_ns(), True
                 else:
                     counted["silent"] += 1
-                    if monotonic_ns() - heard > max(PERSISTENCE, 3 * period) or _gone(scan.error):
+                    gone = scan.error is not None and scan.error.errno == ENODEV  # retrying is useless
+                    if monotonic_ns() - sampled > max(LOST_AFTER, 3 * period) or gone:
                         raise scan.error or OSError(EREMOTEIO, strerror(EREMOTEIO))
-                if answered:  # a sensor that is silent from the start is not back
+                if answered:  # a sensor that is silent from the start is still lost
                     self._scans.append(scan)
-                    self._tell(self._news)
+                    self._set(self._changed)
             else:
                 counted["missed"] += 1
-            due, missed = following(due, monotonic_ns(), period)
+            due, missed = next_scan(due, monotonic_ns(), period)
             counted["missed"] += missed
 
-    def _tell(self, event: asyncio.Event) -> None:
+    def _set(self, event: asyncio.Event) -> None:
         try:
             self._loop.call_soon_threadsafe(event.set)
-        except RuntimeError:  # the loop is closed: nobody will tell us to end
+        except RuntimeError:  # the loop is closed, so `end` will not be called
             self._ending.set()
 
 
-def following(due: int, now: int, period: int) -> tuple[int, int]:
-    """When the next scan is due, once one that was due at `due` is done, and how many have been missed.
+def next_scan(due: int, now: int, period: int) -> tuple[int, int]:
+    """Return when the next scan is due after one that was due at `due`, and the number of missed ones.
 
-    A scan that can still begin within its own period is late, and not missed.
+    A scan that can still begin within its own period is late, but not missed.
 
-    >>> following(100, 105, 10), following(100, 119, 10), following(100, 137, 10)
+    >>> next_scan(100, 105, 10), next_scan(100, 119, 10), next_scan(100, 137, 10)
     ((110, 0), (110, 0), (130, 2))
     """
     missed = max(0, now - due - period) // period
     return due + (1 + missed) * period, missed
-
-
-def _gone(error: OSError | None) -> bool:
-    """Whether there is no point in trying again with what is open."""
-    return error is not None and error.errno == ENODEV

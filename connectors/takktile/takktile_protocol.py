@@ -1,8 +1,9 @@
-"""What TakkTile fingertips say over I2C and what it means, without any input or output.
+"""I2C protocol of TakkTile fingertips: addresses, readings and their compensation. No I/O.
 
-A fingertip is six MPL115A2 barometers, which all have the address 0x60, behind an ATtiny that listens to the
-addresses of the cells: a write to one connects its barometer to the bus, a read disconnects it. Sources:
-TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Linux driver.
+A fingertip is six MPL115A2 barometers, all at address 0x60, behind an ATtiny with one address per cell: a write
+to it connects that barometer to the bus, a read disconnects it.
+
+Sources: TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Linux driver.
 
 >>> datasheet = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
 >>> round(datasheet.pressure(410, 507), 3)
@@ -19,20 +20,20 @@ from operators.batch import Counts, Reals
 
 BAROMETER: Final = 0x60  # address of every barometer
 ALL: Final = 0x06  # address of all cells of all fingertips
-ROWS: Final = 8  # fingertips that one bus can tell apart
+ROWS: Final = 8  # fingertips per bus
 
 DATA: Final = 0x00  # register: pressure and temperature, 4 bytes
 COEFFICIENTS: Final = 0x04  # register: 8 bytes
 CONVERT: Final = 0x12  # register: writing to it starts a conversion
 
-TURN: Final = 1024  # counts, of the 10-bit converter
+RANGE: Final = 1024  # counts, of the 10-bit converter
 HIGHEST: Final = 850  # counts at 65 kPa, 3,600 m up, of a cell that reads 560 at sea level
-COLDEST: Final = 875  # counts, beyond -40 degC
-HOTTEST: Final = 40  # counts, beyond 105 degC
+COLDEST: Final = 875  # counts, below -40 degC
+HOTTEST: Final = 40  # counts, above 105 degC
 
 
 def cell_address(row: int, cell: int) -> int:
-    """Address at which an ATtiny listens for one of its cells; `cell` 6: for all of them.
+    """Return the ATtiny's address for a cell; `cell` 6 stands for all of them.
 
     >>> [hex(cell_address(row, cell)) for row, cell in ((0, 0), (0, 5), (1, 0), (7, 5))]
     ['0x0', '0x5', '0x8', '0x3d']
@@ -41,14 +42,14 @@ def cell_address(row: int, cell: int) -> int:
 
 
 class Reading(NamedTuple):
-    """What one conversion found, 10 bits each."""
+    """Result of one conversion, 10 bits each."""
 
     pressure: int  # counts, which fall as pressure rises
     temperature: int  # counts, which fall as temperature rises
 
     @classmethod
     def decode(cls, data: bytes) -> "Reading":
-        """The 4 bytes from `DATA` on.
+        """Return the reading in the 4 bytes of register `DATA`.
 
         >>> Reading.decode(bytes.fromhex("6680 7EC0"))
         Reading(pressure=410, temperature=507)
@@ -57,17 +58,16 @@ class Reading(NamedTuple):
         return cls(pressure >> 6, temperature >> 6)
 
     @property
-    def converted(self) -> bool:
-        """Whether a barometer can have converted this.
+    def plausible(self) -> bool:
+        """True if the temperature is in the barometer's operating range.
 
-        Both are 0 before the first conversion and of a broken cell, both full where nobody drives the bus: no
-        barometer works at such temperatures.
+        A broken cell, or one before its first conversion, reads 0; a bus without a barometer reads 1023.
         """
         return HOTTEST < self.temperature < COLDEST
 
 
 class Coefficients(NamedTuple):
-    """What a barometer knows of itself, set when it was made."""
+    """Calibration of a barometer, set by its maker."""
 
     a0: float  # counts
     b1: float
@@ -76,18 +76,18 @@ class Coefficients(NamedTuple):
 
     @classmethod
     def decode(cls, data: bytes) -> "Coefficients | None":
-        """The 8 bytes from `COEFFICIENTS` on; None where they are no barometer's.
+        """Return the coefficients in the 8 bytes of their register; None if no barometer has sent them.
 
         >>> Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
         Coefficients(a0=2009.75, b1=-2.3758544921875, b2=-0.92047119140625, c12=0.0007901191711425781)
         """
-        if len(set(data)) == 1:  # nobody spoke
+        if len(set(data)) == 1:  # all 0x00 or 0xFF
             return None
         a0, b1, b2, c12 = struct.unpack(">4h", data)
         return cls(a0 / 2**3, b1 / 2**13, b2 / 2**14, (c12 >> 2) / 2**22)
 
     def pressure(self, pressure: float, temperature: float) -> float:
-        """Absolute pressure (kPa) of raw counts."""
+        """Return the absolute pressure (kPa) of raw counts, as in the datasheet."""
         compensated = self.a0 + (self.b1 + self.c12 * temperature) * pressure + self.b2 * temperature
         return compensated * 65 / 1023 + 50
 
@@ -96,7 +96,7 @@ UNKNOWN: Final = Coefficients(np.nan, np.nan, np.nan, np.nan)
 
 
 def compensate(counts: Counts, temperature: Counts, coefficients: list[Coefficients | None]) -> Reals:
-    """Absolute pressure (kPa) of a fingertip's raw counts (n, 6); NaN where coefficients are unknown.
+    """Return the absolute pressure (kPa) of a fingertip's raw counts (n, 6); NaN for unknown coefficients.
 
     >>> datasheet = Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
     >>> raw = np.full((2, 6), 410, np.int16)
@@ -111,7 +111,7 @@ def compensate(counts: Counts, temperature: Counts, coefficients: list[Coefficie
 
 
 def celsius(temperature: Counts) -> Reals:
-    """Temperature (degC) of raw counts, uncertain by 5 degC: the Linux driver takes 472 for 25 degC.
+    """Return the temperature (degC) of raw counts, within 5 degC; the Linux driver takes 472 for 25 degC.
 
     >>> celsius(np.array([498, 605], np.int16)).tolist()
     [25.0, 5.0]
@@ -120,26 +120,26 @@ def celsius(temperature: Counts) -> Reals:
 
 
 @dataclass
-class Converter:
-    """Follows one cell past the end of its converter, where the count wraps (modulo 1024).
+class OverloadDetector:
+    """Detector of counts of one cell that have wrapped (modulo 1024) past the end of its converter.
 
-    Beyond about 148 kPa the count would be negative. It comes as one near 1023, which reads as less pressure
-    than there is where people work; deeper in, as one that only a jump of half the range could reach.
+    Above about 148 kPa the count would be negative. It is sent as a count near 1023, which stands for less
+    pressure than people live in; at higher pressure it is recognised by a jump of half the range.
     """
 
-    _last: int | None = None  # counts, below 0 while wrapped
+    _last: int | None = None  # counts, negative while wrapped
 
-    def believe(self, count: int | None) -> bool:
-        """Whether the next count, None: there was none, means what it says.
+    def valid(self, count: int | None) -> bool:
+        """Take the next count, or None for a missing one; return whether it is valid.
 
-        >>> cell = Converter()
-        >>> [cell.believe(count) for count in (400, 30, 1010, 800, 1020, 25, None, 400)]
+        >>> cell = OverloadDetector()
+        >>> [cell.valid(count) for count in (400, 30, 1010, 800, 1020, 25, None, 400)]
         [True, True, False, False, False, True, False, True]
         """
         if count is None:
             self._last = None
             return False
-        jumped = self._last is not None and count - self._last > TURN // 2
-        wrapped = count >= TURN // 2 and (count > HIGHEST or jumped)
-        self._last = count - TURN if wrapped else count
+        jumped = self._last is not None and count - self._last > RANGE // 2
+        wrapped = count >= RANGE // 2 and (count > HIGHEST or jumped)
+        self._last = count - RANGE if wrapped else count
         return not wrapped

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.takktile.i2c_access import LinuxI2cBus
-from connectors.takktile.scan_thread import ScanThread, Schedule, following
+from connectors.takktile.scan_thread import ScanThread, Schedule, next_scan
+from connectors.takktile.scanner import Scan, Scanner
 from connectors.takktile.takktile_protocol import Coefficients
-from connectors.takktile.takktile_scan import Scan, Scanner
 from operators import EndpointError, ms, us
 from operators.batch import Counts
 from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
@@ -26,7 +26,7 @@ class Skin:
 
 
 class Counted(dict[str, int]):
-    """Tells when scans have been missed again and again without one that was made."""
+    """Counts of scans; `enough` is set after ten missed scans in a row."""
 
     def __init__(self) -> None:
         super().__init__(made=0, silent=0, late=0, missed=0)
@@ -50,24 +50,22 @@ def bus() -> Iterator[FaultyI2cBus]:
 
 
 def begin(counted: Counted) -> ScanThread:
-    """Scan 500 times a second."""
+    """Start a thread that scans 500 times per second."""
 
-    def learn(fingertip: int, cell: int, coefficients: Coefficients | None) -> None:
-        """Nothing."""
-
-    return ScanThread(Schedule(LinuxI2cBus(PATH), (0,), 100 * us, 2 * ms, counted), time_ns, learn)
+    cells: list[list[Coefficients | None]] = [[None] * 6]
+    return ScanThread(Schedule(LinuxI2cBus(PATH), (0,), 100 * us, 2 * ms, counted, cells), time_ns)
 
 
 @given(st.integers(0, 10**12), st.integers(0, 10**10), st.integers(1, 10**9))
 def test_the_schedule_skips_and_never_drifts(due: int, took: int, period: int) -> None:
-    then, missed = following(due, due + took, period)
+    then, missed = next_scan(due, due + took, period)
     assert then - due == (1 + missed) * period
     assert missed >= 0
     assert then > due + took - period  # it can still begin within its own period
-    assert missed == 0 or then <= due + took  # none is missed that need not be
+    assert missed == 0 or then <= due + took  # none is missed without need
 
 
-def test_scans_that_nobody_takes_are_missed_at_last(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scans_beyond_the_backlog_are_missed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("connectors.takktile.scan_thread.BACKLOG", 5)
 
     async def main() -> None:
@@ -81,7 +79,7 @@ def test_scans_that_nobody_takes_are_missed_at_last(monkeypatch: pytest.MonkeyPa
     asyncio.run(main())
 
 
-def test_a_thread_that_fails_says_so_after_what_it_had_scanned(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_of_a_thread_comes_after_its_scans(monkeypatch: pytest.MonkeyPatch) -> None:
     made, scan = list[Scan](), Scanner.scan
 
     def broken(scanner: Scanner) -> Scan:
@@ -108,7 +106,7 @@ def test_a_thread_that_fails_says_so_after_what_it_had_scanned(monkeypatch: pyte
     asyncio.run(main())
 
 
-def test_a_thread_whose_loop_is_gone_ends() -> None:
+def test_a_thread_without_its_loop_ends() -> None:
     async def main() -> ScanThread:
         return begin(Counted())
 

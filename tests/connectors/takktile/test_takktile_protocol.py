@@ -8,7 +8,7 @@ from connectors.takktile.takktile_protocol import (
     BAROMETER,
     UNKNOWN,
     Coefficients,
-    Converter,
+    OverloadDetector,
     Reading,
     cell_address,
     celsius,
@@ -28,30 +28,30 @@ def test_counts_fall_as_pressure_rises(count: int, kpa: float) -> None:
     assert DATASHEET.pressure(count, 507) == pytest.approx(kpa, abs=0.1)
 
 
-def test_the_coefficients_are_signed_and_c12_has_two_bits_that_do_not_count() -> None:
+def test_coefficients_are_signed_and_c12_has_two_unused_bits() -> None:
     assert Coefficients.decode(bytes.fromhex("0008 2000 4000 0007")) == (1.0, 1.0, 1.0, 2**-22)
     assert Coefficients.decode(bytes.fromhex("FFF8 E000 C000 FFFC")) == (-1.0, -1.0, -1.0, -(2**-22))
 
 
 @pytest.mark.parametrize("octet", [0x00, 0xFF])
-def test_what_nobody_says_is_no_coefficient(octet: int) -> None:
+def test_the_bytes_of_an_idle_bus_are_no_coefficients(octet: int) -> None:
     assert Coefficients.decode(bytes([octet] * 8)) is None
 
 
 @given(st.integers(0, 1023), st.integers(0, 1023), st.integers(0, 63))
-def test_a_reading_is_two_unsigned_numbers_of_10_bits_to_the_left(p: int, t: int, rest: int) -> None:
+def test_a_reading_is_two_left_aligned_unsigned_10_bit_numbers(p: int, t: int, rest: int) -> None:
     data = (p << 6 | rest).to_bytes(2, "big") + (t << 6 | rest).to_bytes(2, "big")
     assert Reading.decode(data) == (p, t)
 
 
-def test_what_no_barometer_can_have_converted_is_told() -> None:
-    assert Reading(410, 507).converted
-    assert Reading(0, 498).converted  # overloaded, not dead
+def test_an_implausible_temperature_is_detected() -> None:
+    assert Reading(410, 507).plausible
+    assert Reading(0, 498).plausible  # overloaded, not dead
     for pressure, temperature in ((0, 0), (1023, 1023), (410, 0), (410, 1023)):
-        assert not Reading(pressure, temperature).converted
+        assert not Reading(pressure, temperature).plausible
 
 
-def test_each_cell_has_an_address_that_no_other_device_here_has() -> None:
+def test_the_addresses_of_all_cells_differ() -> None:
     addresses = [cell_address(row, cell) for row in range(8) for cell in range(6)]
     assert len(set(addresses)) == 48
     assert not {ALL, BAROMETER} & set(addresses)
@@ -79,24 +79,22 @@ def test_room_temperature_is_498_counts() -> None:
 
 
 @given(st.lists(st.integers(0, 511)))
-def test_counts_that_a_fingertip_can_have_are_believed(counts: list[int]) -> None:
-    cell = Converter()
-    assert all(map(cell.believe, counts))
+def test_counts_in_the_usual_range_are_valid(counts: list[int]) -> None:
+    cell = OverloadDetector()
+    assert all(map(cell.valid, counts))
 
 
 @given(st.integers(380, 511), st.lists(st.integers(-450, 450), max_size=100))
-def test_a_pressure_that_moves_less_than_half_the_range_at_once_is_followed_beyond_its_end(
-    start: int, steps: list[int]
-) -> None:
-    cell, true = Converter(), start
-    assert cell.believe(start)
+def test_an_overload_is_detected_if_steps_are_below_half_the_range(start: int, steps: list[int]) -> None:
+    cell, true = OverloadDetector(), start
+    assert cell.valid(start)
     for step in steps:
         true = min(max(true + step, -400), 511)
-        assert cell.believe(true % 1024) == (true >= 0)
+        assert cell.valid(true % 1024) == (true >= 0)
 
 
-def test_a_cell_that_was_silent_is_judged_by_its_count_alone() -> None:
-    cell = Converter()
-    assert [cell.believe(count) for count in (10, 1000, 700)] == [True, False, False]
-    assert not cell.believe(None)
-    assert [cell.believe(count) for count in (700, 1000)] == [True, False]
+def test_after_a_missing_count_only_the_count_itself_is_judged() -> None:
+    cell = OverloadDetector()
+    assert [cell.valid(count) for count in (10, 1000, 700)] == [True, False, False]
+    assert not cell.valid(None)
+    assert [cell.valid(count) for count in (700, 1000)] == [True, False]

@@ -1,4 +1,4 @@
-"""The source scans the emulated bus: unmodified smbus2, a real thread, runs of flows."""
+"""The source on an emulated bus, through an unmodified smbus2, in a real thread, and in flows."""
 
 import asyncio
 import json
@@ -30,7 +30,7 @@ SILENT = f"{PATH}: no fingertip answers: is the power on, are the rows right? (e
 
 
 class Skin:
-    """Cells that read by finger and cell; something may happen at a conversion."""
+    """Counts that depend on finger and cell; functions can be called at given conversions."""
 
     def __init__(self) -> None:
         self.conversions = 0
@@ -50,7 +50,7 @@ def pressure(finger: int) -> Counts:
 
 
 class Rig:
-    """Fingers 0, 1 and 2 at rows 0, 1 and 5 of a bus."""
+    """Bus with the fingers 0, 1 and 2 at rows 0, 1 and 5."""
 
     def __init__(self) -> None:
         self.skin = Skin()
@@ -68,8 +68,8 @@ class Rig:
 
 @pytest.fixture
 def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
-    """With a source that looks often for what is lost; no thread stays behind."""
-    monkeypatch.setattr("connectors.takktile.takktile_source.LOOK_AGAIN", 0.01)
+    """Yield a bus whose source retries often; check that no thread is left."""
+    monkeypatch.setattr("connectors.takktile.takktile_source.RETRY", 0.01)
     rig = Rig()
     with served(rig.bus, PATH):
         yield rig
@@ -91,7 +91,7 @@ async def take(batches: AsyncGenerator[Touch], count: int) -> list[Touch]:
 
 
 async def lost(batches: AsyncGenerator[Touch]) -> tuple[list[Touch], str]:
-    """What comes until the source fails, and why it does."""
+    """Return the batches of a source until it fails, and the error."""
     taken = list[Touch]()
     try:
         async for touch in batches:
@@ -125,7 +125,7 @@ async def test_one_or_three_fingertips_are_scanned_100_times_a_second(
     assert len({touch.time.item() for touch in taken}) == 30  # all fingertips convert at once
 
 
-async def test_a_bus_that_is_too_slow_misses_scans_and_counts_them(rig: Rig) -> None:
+async def test_missed_scans_of_a_slow_bus_are_counted(rig: Rig) -> None:
     rig.bus.adapter = type(rig.bus.adapter)(chained=False, speed=100_000)
     source = rig.source(rows=(0, 1, 5), rate=100.0, conversion=3 * ms)
     async with aclosing(stream(source)) as batches:
@@ -143,25 +143,25 @@ async def test_closing_the_source_disconnects_all_cells_and_ends_its_thread(rig:
     assert not any(tip.connected for tip in rig.bus.fingertips.values())
 
 
-async def test_a_sensor_that_is_unplugged_fails_once_and_is_looked_for_until_it_is_back(rig: Rig) -> None:
+async def test_an_unplugged_sensor_fails_once_and_is_found_again(rig: Rig) -> None:
     source, clock = rig.source(), LoopClock()
     rig.skin.then[20] = rig.bus.unplug
     taken, why = await lost(stream(source, clock))
     assert why == SILENT
     assert [bool(touch.valid.all()) for touch in taken[:19]] == [True] * 19
-    for touch in taken[19:]:  # it is not given up at once, and nothing is made up meanwhile
+    for touch in taken[19:]:  # before it counts as lost; nothing is invented
         assert not touch.valid.any()
         assert not touch.counts.any()
     assert counted(source)["silent"] >= len(taken[19:])
 
-    rig.bus.fail(121, address=6, times=3)  # it is looked for in vain before it is put in
+    rig.bus.fail(121, address=6, times=3)  # the first attempts fail
     rig.bus.plug()
     async with aclosing(stream(source, clock)) as batches:
         assert (await anext(batches)).valid.all()
 
 
 @pytest.mark.parametrize("number", [6, 19])
-async def test_an_adapter_that_is_gone_is_opened_anew_when_it_is_back(rig: Rig, number: int) -> None:
+async def test_a_replugged_adapter_is_opened_again(rig: Rig, number: int) -> None:
     source, clock = rig.source(), LoopClock()
     rig.skin.then[5] = lambda: rig.bus.remove(number)
     _, why = await lost(stream(source, clock))
@@ -171,7 +171,7 @@ async def test_an_adapter_that_is_gone_is_opened_anew_when_it_is_back(rig: Rig, 
         assert (await anext(batches)).valid.all()
 
 
-async def test_a_sensor_that_is_not_there_at_the_start_fails_in_every_run_anew(rig: Rig) -> None:
+async def test_a_missing_sensor_fails_in_every_run(rig: Rig) -> None:
     rig.bus.unplug()
     source = rig.source()
     for _ in range(2):
@@ -180,7 +180,7 @@ async def test_a_sensor_that_is_not_there_at_the_start_fails_in_every_run_anew(r
         assert "no fingertip answers" in why
 
 
-async def test_fingertips_without_a_working_cell_give_no_sample_at_all(rig: Rig) -> None:
+async def test_fingertips_without_a_working_cell_give_no_sample(rig: Rig) -> None:
     for cell in rig.bus.tip(0).barometers:
         cell.defect = Defect.DEAD
     taken, why = await lost(stream(rig.source()))
@@ -188,7 +188,7 @@ async def test_fingertips_without_a_working_cell_give_no_sample_at_all(rig: Rig)
     assert "no fingertip answers" in why
 
 
-async def test_a_glitch_is_survived_and_its_rows_are_invalid(rig: Rig) -> None:
+async def test_a_glitch_makes_one_scan_invalid(rig: Rig) -> None:
     rig.skin.then[10] = lambda: rig.bus.fail(110)
     async with aclosing(stream(rig.source())) as batches:
         taken = await take(batches, 20)
@@ -196,10 +196,10 @@ async def test_a_glitch_is_survived_and_its_rows_are_invalid(rig: Rig) -> None:
     assert not taken[9].valid.any()
 
 
-async def test_a_wedged_bus_fails_the_source_in_time_and_ties_up_one_thread_only(
+async def test_a_hanging_bus_fails_the_source_and_blocks_one_thread_only(
     rig: Rig, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("connectors.takktile.scan_thread.PATIENCE", 0.5)
+    monkeypatch.setattr("connectors.takktile.scan_thread.TIMEOUT", 0.5)
     with caplog.at_level(logging.WARNING):
         source = rig.source()
         rig.skin.then[5] = rig.bus.wedge
@@ -212,12 +212,10 @@ async def test_a_wedged_bus_fails_the_source_in_time_and_ties_up_one_thread_only
         rig.bus.release()
         async with aclosing(stream(source, clock)) as batches:
             assert (await anext(batches)).valid.all()
-    assert [record.message for record in caplog.records] == [
-        "/dev/i2c-1: left a thread behind that is blocked"
-    ]
+    assert [record.message for record in caplog.records] == ["/dev/i2c-1: abandoned a blocked thread"]
 
 
-async def test_pressure_is_compensated_by_what_each_cell_says_of_itself(rig: Rig) -> None:
+async def test_pressure_is_compensated_by_each_cells_coefficients(rig: Rig) -> None:
     rig.bus.cell(5, 3).defect = Defect.DEAD
     source = rig.source(rows=(1, 5), fingers=(3, 4))
     async with aclosing(stream(source)) as batches:
@@ -235,7 +233,7 @@ async def test_pressure_is_compensated_by_what_each_cell_says_of_itself(rig: Rig
         source.pressure(Touch.empty())
 
 
-async def test_the_description_is_alive_and_plain_data(rig: Rig) -> None:
+async def test_the_description_is_live_and_plain_data(rig: Rig) -> None:
     source = rig.source(rows=(0, 5), fingers=(0, 4))
     described = source.describe()
     before = json.loads(json.dumps(dict(described)))
@@ -254,9 +252,7 @@ async def test_the_description_is_alive_and_plain_data(rig: Rig) -> None:
     assert after["scans"]["made"] >= 5
 
 
-def test_what_linux_knows_of_the_adapter_is_described(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_linux_adapter_is_described(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("connectors.takktile.takktile_source.ADAPTERS", tmp_path)
     assert TakkTile().describe()["adapter"] is None
     (tmp_path / "i2c-1/device/of_node").mkdir(parents=True)
@@ -267,7 +263,7 @@ def test_what_linux_knows_of_the_adapter_is_described(
 
 
 class Mender(logging.Handler):
-    """Does something once a failure is logged."""
+    """Log handler that calls a function when a failure is logged."""
 
     def __init__(self, mend: Callable[[], None]) -> None:
         super().__init__()
@@ -279,7 +275,7 @@ class Mender(logging.Handler):
 
 
 class Limited(TestSink):
-    """Ends the run when it has been given enough."""
+    """Sink that ends the run after enough rows."""
 
     def __init__(self, enough: int) -> None:
         super().__init__()
@@ -292,9 +288,7 @@ class Limited(TestSink):
             self.runner.stop()
 
 
-async def test_a_run_records_the_gap_and_says_once_what_happened(
-    rig: Rig, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_run_records_the_gap_and_logs_it_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:
     rig.skin.then[100] = rig.bus.unplug
     with caplog.at_level(logging.WARNING):
         flow, sink, plugged = Flow("plug"), Limited(300), list[int]()
@@ -327,7 +321,7 @@ async def test_a_run_records_the_gap_and_says_once_what_happened(
     ]
 
 
-async def test_a_flow_feels_slip_on_the_virtual_lab_as_it_would_on_a_real_one() -> None:
+async def test_a_flow_detects_slip_on_the_virtual_lab() -> None:
     lab = SharedScene(Scene(), seed=1, fingers=(0, 3))
     with served(FaultyI2cBus(lab, {0: 0, 2: 3}, now=lab.now), PATH):
         flow, scores, raw = Flow("feel"), TestSink(), TestSink()
@@ -368,6 +362,6 @@ def test_bad_parameters_are_refused(name: str, changes: dict[str, Any]) -> None:
         TakkTile(**changes)
 
 
-def test_a_bus_is_named_by_its_number_or_its_path() -> None:
+def test_a_bus_is_given_by_number_or_path() -> None:
     assert TakkTile(bus=3).path == "/dev/i2c-3"
     assert TakkTile(bus="/dev/i2c-fingers").path == "/dev/i2c-fingers"

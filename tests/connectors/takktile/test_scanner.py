@@ -1,4 +1,4 @@
-"""The scanner talks to the emulated bus through an unmodified smbus2."""
+"""The scanner on an emulated bus, through an unmodified smbus2."""
 
 import errno
 import os
@@ -12,8 +12,8 @@ from smbus2 import SMBus
 
 from connectors.emulators.i2c_barometer import Barometer
 from connectors.takktile.i2c_access import LinuxI2cBus
+from connectors.takktile.scanner import Scan, Scanner, i2c_reason
 from connectors.takktile.takktile_protocol import Coefficients
-from connectors.takktile.takktile_scan import Scan, Scanner, reason
 from operators.batch import Counts, us
 from tests.connectors.emulators.faulty_i2c import (
     DESIGNWARE,
@@ -29,7 +29,7 @@ CELL, ALL = 0x60, 0x06
 
 
 class Skin:
-    """Each conversion gives other counts, which tell finger, cell and conversion."""
+    """Counts that depend on finger, cell and number of the conversion."""
 
     def __init__(self) -> None:
         self.conversions = dict.fromkeys(range(8), 0)
@@ -49,7 +49,7 @@ class Skin:
 
 
 class Rig:
-    """Two fingertips, numbers 4 and 5, at rows 0 and 3."""
+    """Bus with the fingertips 4 and 5 at rows 0 and 3."""
 
     rows = (0, 3)
     fingers = (4, 5)
@@ -59,16 +59,13 @@ class Rig:
         self.bus = FaultyI2cBus(
             self.skin, dict(zip(self.rows, self.fingers, strict=True)), conversion=50 * us
         )
-        self.learnt: dict[tuple[int, int], Coefficients | None] = {}
+        self.coefficients: list[list[Coefficients | None]] = [[None] * 6, [None] * 6]
 
     def open(self) -> Scanner:
-        def learn(fingertip: int, cell: int, coefficients: Coefficients | None) -> None:
-            self.learnt[fingertip, cell] = coefficients
-
-        return Scanner(LinuxI2cBus(PATH), self.rows, 100 * us, time_ns, learn)
+        return Scanner(LinuxI2cBus(PATH), self.rows, 100 * us, time_ns, self.coefficients)
 
     def right(self, scan: Scan) -> None:
-        """What is valid is what was converted last, and what is not reads so."""
+        """Check that valid cells have the counts of the last conversion."""
         for fingertip, finger in enumerate(self.fingers):
             valid = scan.valid[fingertip]
             np.testing.assert_array_equal(scan.counts[fingertip][valid], self.skin.pressure(finger)[valid])
@@ -77,7 +74,7 @@ class Rig:
             )
 
     def sound(self, scan: Scan) -> None:
-        """All is valid, and right."""
+        """Check that all cells are valid and right."""
         assert scan.error is None
         assert scan.valid.all()
         self.right(scan)
@@ -94,7 +91,7 @@ def invalid(scan: Scan) -> list[tuple[int, int]]:
     return [(int(fingertip), int(cell)) for fingertip, cell in np.argwhere(~scan.valid)]
 
 
-def test_a_scan_gives_what_all_cells_converted_at_its_instant(rig: Rig) -> None:
+def test_a_scan_has_the_counts_of_one_conversion(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         times = list[int]()
         for _ in range(3):
@@ -106,7 +103,7 @@ def test_a_scan_gives_what_all_cells_converted_at_its_instant(rig: Rig) -> None:
     assert rig.skin.conversions[4] == rig.skin.conversions[5] == 3
 
 
-def test_a_scan_looks_once_whether_all_are_silent_beyond_what_it_must(rig: Rig) -> None:
+def test_a_scan_has_the_expected_number_of_transfers(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         octets, transfers = rig.bus.octets, rig.bus.transfers
         scanner.scan()
@@ -115,7 +112,7 @@ def test_a_scan_looks_once_whether_all_are_silent_beyond_what_it_must(rig: Rig) 
 
 @pytest.mark.parametrize("number", [121, 6, 110, 5, 19])
 @pytest.mark.parametrize("times", [1, 3])
-def test_whichever_message_fails_what_is_valid_is_right_and_the_next_scan_is_sound(
+def test_after_any_failed_message_valid_cells_are_right_and_the_next_scan_is_complete(
     rig: Rig, number: int, times: int
 ) -> None:
     with closing(rig.open()) as scanner:
@@ -130,7 +127,7 @@ def test_whichever_message_fails_what_is_valid_is_right_and_the_next_scan_is_sou
         assert spoilt >= 51  # one message is to be refused: it asks whether all cells are silent
 
 
-def test_an_error_of_the_bus_spoils_the_scan_and_a_silent_cell_only_itself(rig: Rig) -> None:
+def test_a_bus_error_invalidates_the_scan_and_a_silent_cell_only_itself(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         rig.bus.fail(110, address=3 << 3 | 1)
         scan = scanner.scan()
@@ -161,13 +158,13 @@ def test_a_cell_that_converts_to_0_is_invalid(rig: Rig) -> None:
         assert invalid(scanner.scan()) == [(0, 5)]
 
 
-def test_what_was_not_converted_yet_is_invalid(rig: Rig) -> None:
+def test_a_cell_before_its_first_conversion_is_invalid(rig: Rig) -> None:
     rig.bus.cell(3, 0).defect = Defect.STUCK
     with closing(rig.open()) as scanner:
         assert invalid(scanner.scan()) == [(1, 0)]
 
 
-def test_a_stuck_cell_repeats_its_last_count_for_all_to_see(rig: Rig) -> None:
+def test_a_stuck_cell_repeats_its_last_count(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         scanner.scan()
         rig.bus.cell(3, 0).defect = Defect.STUCK
@@ -189,7 +186,7 @@ def test_an_overloaded_cell_is_invalid_while_its_count_is_wrapped(rig: Rig) -> N
         assert seen == [True, True, True, False, False, False, True, True]
 
 
-def test_a_fingertip_that_is_unplugged_is_invalid_and_the_other_stays_right(rig: Rig) -> None:
+def test_an_unplugged_fingertip_is_invalid_and_the_other_stays_right(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         rig.bus.tip(3).unplug()
         scan = scanner.scan()
@@ -199,25 +196,27 @@ def test_a_fingertip_that_is_unplugged_is_invalid_and_the_other_stays_right(rig:
         rig.sound(scanner.scan())
 
 
-def test_an_unplugged_sensor_spoils_the_scan(rig: Rig) -> None:
+def test_an_unplugged_sensor_invalidates_the_scan(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         rig.bus.unplug()
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
-        assert reason(scan.error) == "no fingertip answers: is the power on, are the rows right? (errno 121)"
+        assert (
+            i2c_reason(scan.error) == "no fingertip answers: is the power on, are the rows right? (errno 121)"
+        )
         rig.bus.plug()
         rig.sound(scanner.scan())
 
 
-def test_cells_that_somebody_left_connected_are_disconnected_at_the_start(rig: Rig) -> None:
+def test_connected_cells_are_disconnected_at_the_start(rig: Rig) -> None:
     with SMBus(PATH) as other:
         other.write_quick(ALL)
     with closing(rig.open()) as scanner:
         rig.sound(scanner.scan())
 
 
-def test_a_cell_that_cannot_be_disconnected_spoils_every_scan(
+def test_a_cell_that_cannot_be_disconnected_invalidates_every_scan(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def connected(fingertip: FaultyFingertip) -> list[Barometer]:
@@ -228,7 +227,7 @@ def test_a_cell_that_cannot_be_disconnected_spoils_every_scan(
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
-        assert "though all are disconnected" in reason(scan.error)
+        assert "though all are disconnected" in i2c_reason(scan.error)
     with pytest.raises(OSError, match="though all are disconnected"):
         rig.open()
 
@@ -242,7 +241,7 @@ def test_closing_leaves_all_cells_disconnected(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("claims", ["nothing", "quick"])
-def test_an_adapter_without_quick_is_served_by_a_byte_that_is_refused(
+def test_an_adapter_without_quick_writes_a_byte_instead(
     rig: Rig, claims: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     if claims == "quick":
@@ -259,43 +258,41 @@ def test_an_adapter_without_quick_is_served_by_a_byte_that_is_refused(
         rig.sound(scanner.scan())
 
 
-def test_each_cell_says_once_who_it_is(rig: Rig) -> None:
+def test_coefficients_are_read_once(rig: Rig) -> None:
     with closing(rig.open()) as scanner:
         assert rig.bus.adapter == RASPBERRY_PI
-        assert len(rig.learnt) == 12
-        assert rig.learnt[1, 0] == Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
-        assert [known.a0 for (tip, _), known in rig.learnt.items() if known and not tip] == pytest.approx(
-            [2009.75 + cell for cell in range(6)]
-        )
-        rig.learnt.clear()
+        assert rig.coefficients[1][0] == Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
+        known = [cell.a0 for cell in rig.coefficients[0] if cell]
+        assert known == pytest.approx([2009.75 + cell for cell in range(6)])
+        transfers = rig.bus.transfers
         scanner.scan()
-        assert not rig.learnt
+        assert rig.bus.transfers - transfers == 40  # those of a scan: none is read again
 
 
-def test_a_cell_that_was_silent_at_the_start_says_later_who_it_is(rig: Rig) -> None:
+def test_coefficients_of_a_silent_cell_are_read_later(rig: Rig) -> None:
     cells = rig.bus.tip(3).barometers
     for cell in (1, 4):
         cells[cell].defect = Defect.DEAD
     with closing(rig.open()) as scanner:
-        assert {cell for cell, known in rig.learnt.items() if known is None} == {(1, 1), (1, 4)}
+        assert [cell for cell, known in enumerate(rig.coefficients[1]) if known is None] == [1, 4]
         scanner.scan()
         for cell in (1, 4):
             cells[cell].defect = None
         for _ in range(2):
             rig.sound(scanner.scan())
-        assert None not in rig.learnt.values()
+        assert None not in rig.coefficients[1]
 
 
-def test_a_bus_serves_one_at_a_time(rig: Rig) -> None:
+def test_a_bus_is_locked(rig: Rig) -> None:
     with closing(rig.open()):
         with pytest.raises(BlockingIOError) as raised:
             rig.open()
-        assert reason(raised.value) == "is used by another program: end that first (errno 11)"
+        assert i2c_reason(raised.value) == "is used by another program: end that first (errno 11)"
     rig.open().close()
 
 
 @pytest.mark.parametrize("number", [110, 121, 5])
-def test_what_cannot_be_opened_is_closed_again(rig: Rig, number: int) -> None:
+def test_a_bus_that_cannot_be_used_is_closed_again(rig: Rig, number: int) -> None:
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - counted, not used
     for after in range(3):
         rig.bus.fail(number, address=ALL, after=0)
@@ -305,13 +302,13 @@ def test_what_cannot_be_opened_is_closed_again(rig: Rig, number: int) -> None:
     assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208 - the same
 
 
-def test_reasons_say_what_to_do(rig: Rig) -> None:
+def test_reasons_name_the_likely_cause(rig: Rig) -> None:
     rig.bus.busy.add(CELL)
     with pytest.raises(OSError, match=os.strerror(16)) as raised:
         rig.open()
-    assert reason(raised.value).startswith("a kernel driver owns")
+    assert i2c_reason(raised.value).startswith("a kernel driver owns")
     rig.bus.remove(19)
     with pytest.raises(FileNotFoundError) as missing:
         rig.open()
-    assert reason(missing.value) == "there is no such bus: is I2C enabled? (errno 2)"
-    assert reason(OSError(5, "Input/output error")) == "Input/output error (errno 5)"
+    assert i2c_reason(missing.value) == "there is no such bus: is I2C enabled? (errno 2)"
+    assert i2c_reason(OSError(5, "Input/output error")) == "Input/output error (errno 5)"
