@@ -1,7 +1,7 @@
 """I2C protocol of TakkTile fingertips: addresses, readings and their compensation. No I/O.
 
-A fingertip is six MPL115A2 barometers, all at address 0x60, behind an ATtiny with one address per cell: a write
-to it connects that barometer to the bus, a read disconnects it.
+A fingertip is six MPL115A2 barometers, all at address 0x60, behind an ATtiny with one address per cell: a
+write to it connects that barometer to the bus, a read disconnects it.
 
 Sources: TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Linux driver.
 
