@@ -97,7 +97,7 @@ def main() -> None:
         for slices in options.slices:
             for workers in (1, 2):
                 seconds = list[float]()
-                name = f"{workers} workers, {slices} slices a claim"
+                name = f"{workers} workers, {slices} slices per unit"
                 for given in (sessions, sessions[:1]):
                     out = root / f"{workers}-{slices}-{len(given)}"
                     began = perf_counter()

@@ -1,4 +1,4 @@
-"""A Flink cluster of this machine for the tests, and recordings that are worth one."""
+"""A Flink cluster on this machine, and recordings for it."""
 
 import asyncio
 import json
@@ -31,8 +31,8 @@ from storage import Dataset, load_detector
 
 
 @dataclass
-class Unhurried(Operator[Zeroed, Zeroed]):
-    """Takes its time, and counts what it has seen."""
+class Slow(Operator[Zeroed, Zeroed]):
+    """Delays each batch, and counts rows."""
 
     pause: float = field(default=0.0, repr=False)  # s, for each batch
     _seen: int = field(default=0, init=False, repr=False)
@@ -43,10 +43,10 @@ class Unhurried(Operator[Zeroed, Zeroed]):
         return batch
 
 
-def unhurried(out: str = "out", pause: float = 0.0) -> Flow:
-    flow, dataset = Flow("unhurried"), Dataset(out, part_span=100_000_000_000)
+def slow(out: str = "out", pause: float = 0.0) -> Flow:
+    flow, dataset = Flow("slow"), Dataset(out, part_span=100_000_000_000)
     touch = flow.source(TestSource(Touch))
-    zeroed = touch | Zero() | Unhurried(pause)
+    zeroed = touch | Zero() | Slow(pause)
     (zeroed & flow.source(TestSource(Motion)) | Align() | Label(delay=70_000_000)).to(dataset)
     (zeroed | Score(load_detector("tcn")) | Debounce(threshold=0.5)).to(dataset)
     return flow
@@ -76,17 +76,17 @@ class Local:
     pids: Path  # of its task managers
 
     def ask(self, path: str) -> dict[str, Any]:
-        """What its REST interface says; a list stands under "list"."""
+        """Return the response of its REST interface; a list is under the key "list"."""
         with urlopen(self.url + path, timeout=10) as answer:  # noqa: S310 - ours
-            told: object = json.load(answer)
-        return cast("dict[str, Any]", told if isinstance(told, dict) else {"list": told})
+            document: object = json.load(answer)
+        return cast("dict[str, Any]", document if isinstance(document, dict) else {"list": document})
 
     def task_managers(self) -> list[int]:
-        """The processes that run, by their ids."""
+        """Return the ids of the running task managers."""
         return [int(each) for each in self.pids.read_text().split() if Path(f"/proc/{each}").exists()]
 
     def workers(self) -> list[int]:
-        """The Python workers, by their ids, with those whose task manager was killed."""
+        """Return the ids of the Python workers, including those whose task manager was killed."""
         found = [
             path
             for path in Path("/proc").glob("[0-9]*")
@@ -132,7 +132,7 @@ class Stopped:
 
 
 class Recorder:
-    """Records a session of many fingertips, a stretch at a time."""
+    """Records a session with many fingertips step by step."""
 
     def __init__(self, root: Path, session: str, fingers: int, seed: int = 0) -> None:
         self._random = np.random.default_rng(seed)
@@ -162,7 +162,7 @@ class Recorder:
 
 @dataclass(frozen=True)
 class World:
-    """A cluster, a flow, and a place for what it is run over."""
+    """A cluster, a flow, and a folder for datasets."""
 
     local: Local
     root: Path
@@ -170,7 +170,7 @@ class World:
     @property
     def flow(self) -> Path:
         """The flow's file."""
-        return self.root / "unhurried_flow.py"
+        return self.root / "slow_flow.py"
 
     @property
     def source(self) -> Path:
@@ -190,7 +190,7 @@ class World:
             recorder.close()
 
     def expected(self) -> dict[str, bytes]:
-        """The files that one process of the cluster's environment writes."""
+        """Return the files that one process of the cluster's environment writes."""
         command = [
             str(self.local.python),
             "-c",
@@ -205,7 +205,7 @@ class World:
 
 @pytest.fixture
 def world(local: Local, tmp_path: Path) -> World:
-    """Both task managers are there, whatever the test before did to them."""
+    """A world with both task managers running."""
     start()
     built = World(local, tmp_path)
     built.flow.write_text(FLOW)
@@ -213,10 +213,10 @@ def world(local: Local, tmp_path: Path) -> World:
 
 
 def until(so: Callable[[], bool], seconds: float = 180) -> None:
-    """Wait until something is so."""
+    """Wait until a condition is true."""
     limit = time.monotonic() + seconds
     while not so():
-        assert time.monotonic() < limit, "it did not come about"
+        assert time.monotonic() < limit, "timed out"
         time.sleep(0.05)
 
 

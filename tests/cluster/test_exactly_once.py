@@ -14,7 +14,7 @@ import pytest
 from flows.graph.loading import load
 from flows.run.cluster.cluster_replay import Cluster
 from flows.run.cluster.job_folder import JobFolder
-from flows.run.cluster.work_units import Claim
+from flows.run.cluster.work_units import WorkUnit
 
 from .conftest import ROOT, Local, Recorder, World, contents, stop, until
 
@@ -45,11 +45,11 @@ def test_two_task_managers_write_the_files_of_one_process(
     assert any(path.endswith("slips.parquet") for path in expected)
     assert contents(world.out) == expected
     vertices = world.local.ask(f"/jobs/{cluster.job}")["vertices"]
-    [work] = [each for each in vertices if each["name"].startswith("work off")]
+    [work] = [each for each in vertices if each["name"].startswith("process units")]
     shares = world.local.ask(f"/jobs/{cluster.job}/vertices/{work['id']}")["subtasks"]
     assert len({each["endpoint"] for each in shares}) == 2
     records = [each["metrics"]["read-records"] for each in shares]
-    assert min(records) > 0.4 * sum(records), "one of the two has most of the work"
+    assert min(records) > 0.4 * sum(records), "one of the two processed most units"
 
 
 @pytest.mark.parametrize("victim", ["task manager", "python worker"])
@@ -92,21 +92,21 @@ def test_stopping_a_cluster_ends_no_worker_of_another(local: Local) -> None:
         rmtree(places[0].parent)
 
 
-def test_parts_that_appear_meanwhile_in_any_order_and_twice_are_taken_once(
+def test_parts_that_appear_in_any_order_and_repeatedly_are_processed_once(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chance, earlier, repeated = np.random.default_rng(0), list[Claim](), list[Claim]()
-    hand_out = JobFolder.claim
+    chance, earlier, repeated = np.random.default_rng(0), list[WorkUnit](), list[WorkUnit]()
+    send_units = JobFolder.add_units
 
-    def disordered(folder: JobFolder, name: str, claims: Iterable[Claim]) -> None:
-        new = list(claims)
+    def disordered(folder: JobFolder, name: str, units: Iterable[WorkUnit]) -> None:
+        new = list(units)
         again = [each for each in [*earlier, *new] if chance.random() < 0.05] or [new[0]]
         repeated.extend(again)
         earlier.extend(new)
         order: list[int] = chance.permutation(len(new) + len(again)).tolist()
-        hand_out(folder, name, [[*new, *again][place] for place in order])
+        send_units(folder, name, [[*new, *again][place] for place in order])
 
-    monkeypatch.setattr(JobFolder, "claim", disordered)
+    monkeypatch.setattr(JobFolder, "add_units", disordered)
     recorder = Recorder(world.source, "growing", fingers=3)
     recorder.record(70)
     cluster, enough = cluster_of(world), Event()

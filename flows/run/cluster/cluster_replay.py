@@ -1,4 +1,4 @@
-"""Running a flow over recordings on a cluster: hand out claims, submit the job, watch it to its end."""
+"""Replay of recordings on a cluster: send work units, submit the job, and monitor it to its end."""
 
 import subprocess
 import sys
@@ -13,36 +13,36 @@ from typing import Final
 from flows.graph import Flow
 from flows.graph.loading import Declaration
 from flows.run.cluster.cluster_segment import check_flow
-from flows.run.cluster.cutting import Cutter
 from flows.run.cluster.job_folder import JobFolder
 from flows.run.cluster.job_manager import ENDED, JobManager
+from flows.run.cluster.splitting import Splitter
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError, os_error_reason
 from operators.ports import Sink
 from storage.layout import SESSION, SESSIONS, session_folder, session_names
 
-PYTHON: Final = Path(".cluster/bin/python")  # what deploy/cluster makes
-_SHARES: Final = 2  # of the fingertips of a session, for each worker
-_EVERY: Final = 1.0  # s, between two looks at the job and at what is recorded
-_PATIENCE: Final = 30  # looks in a row that a job manager may not answer
+PYTHON: Final = Path(".cluster/bin/python")  # created by deploy/cluster
+_SHARES: Final = 2  # of a session's fingertips, per worker
+_INTERVAL: Final = 1.0  # s, between checks of the job and of growing recordings
+_MISSED: Final = 30  # checks in a row without a response of the job manager, then it is an error
 
 
 @dataclass
 class Cluster:
-    """One run of a flow over recordings on a Flink cluster.
+    """One replay of recordings through a flow on a Flink cluster.
 
     Args:
-        url: Of the cluster's job manager.
-        python: The Python that has pyflink, on this machine and on the cluster's; None: this one, or that of
+        url: URL of the job manager.
+        python: Python that has pyflink, at the same path on all machines; None: this one, or the one of
             `deploy/cluster`.
-        slices: That travel as one claim.
-        workers: How many share the work; None: as many as there are.
+        slices: Slices per work unit.
+        workers: Number of workers; None: all task slots.
     """
 
     url: str
     python: Path | None = None
     slices: int = 8
     workers: int | None = None
-    job: str = field(default="", init=False)  # Flink's id, once it is submitted
+    job: str = field(default="", init=False)  # Flink's id, after submission
 
     def run(
         self,
@@ -55,24 +55,24 @@ class Cluster:
         stopped: Callable[[], bool] = lambda: False,
         progress: Callable[[int, int], object] = lambda _done, _of: None,
     ) -> dict[str, str]:
-        """Run to the end of all recordings; each becomes a session of its own name.
+        """Replay all recordings; each becomes a session of the same name.
 
         Args:
-            name: Of the job, a file name.
-            declaration: Where the flow is from.
-            settings: Its parameters, as text.
+            name: Name of the job, a file name.
+            declaration: Declaration of the flow.
+            settings: Parameters of the flow, as text.
             paths: Sessions, or datasets for all of their sessions.
-            follow: Whether to go on with what is recorded meanwhile, until stopped.
-            stopped: Whether to stop: what is not worked out by then is left out, but sessions that
-                have ended are still written when following.
-            progress: Told how many sessions are done, of how many.
+            follow: Continue with new recordings until stopped.
+            stopped: Returns true to stop: unfinished sessions are omitted; when following, those whose
+                recording has ended are still written.
+            progress: Called with the number of finished sessions and of all sessions.
 
         Returns:
-            The sessions that are done, by name, each with its error; empty where there was none.
+            The finished sessions by name, each with its error; empty: no error.
 
         Raises:
             FlowError: if the flow cannot run on a cluster.
-            InputError: if there is nothing to run over.
+            InputError: if there is no recording.
             EndpointError: if the cluster or a dataset cannot be reached, or the job failed.
         """
         flow = declaration.flow(settings)
@@ -82,15 +82,15 @@ class Cluster:
         if workers < 1:
             raise EndpointError(
                 self.url,
-                "has no task manager, so nothing can run: start one, or try again when it has joined",
+                "has no task manager: start one, or try again when it has joined",
             )
         shares = _SHARES * workers
-        feed = Feed(flow, paths, follow=follow, slices=self.slices, shares=shares)
-        feed.look()
+        feed = UnitFeed(flow, paths, follow=follow, slices=self.slices, shares=shares)
+        feed.find_recordings()
         folder = JobFolder.create(name, declaration, settings, flow)
         try:
-            feed.hand_out(folder)
-            self.job = _submitted(python, self.url, folder, workers, follow=follow)
+            feed.send_units(folder)
+            self.job = _submit(python, self.url, folder, workers, follow=follow)
             return self._watch(manager, feed, folder, follow=follow, stopped=stopped, progress=progress)
         finally:
             with suppress(EndpointError):
@@ -101,34 +101,34 @@ class Cluster:
     def _watch(
         self,
         manager: JobManager,
-        feed: "Feed",
+        feed: "UnitFeed",
         folder: JobFolder,
         *,
         follow: bool,
         stopped: Callable[[], bool],
         progress: Callable[[int, int], object],
     ) -> dict[str, str]:
-        missed = 0  # answers in a row
+        missed = 0  # responses in a row
         while True:
             try:
                 state, missed = manager.state(self.job), 0
             except EndpointError:
                 missed += 1
-                if missed == _PATIENCE:
+                if missed == _MISSED:
                     raise
-                sleep(_EVERY)
+                sleep(_INTERVAL)
                 continue
             done = feed.failed | folder.done()
-            progress(len(done), len(feed.cutters))
+            progress(len(done), len(feed.splitters))
             if state == "FINISHED" or (stopped() and not (follow and feed.ended - done.keys())):
                 return done
             if state in ENDED:
                 reason = f"the job was {state.lower()}: {manager.cause(self.job)}"
                 raise EndpointError(self.url, reason)
             if follow and not stopped():
-                feed.look()
-                feed.hand_out(folder)
-            sleep(_EVERY)
+                feed.find_recordings()
+                feed.send_units(folder)
+            sleep(_INTERVAL)
 
     def _python(self) -> Path:
         if self.python:
@@ -141,77 +141,77 @@ class Cluster:
             "cluster",
             "python",
             sys.executable,
-            f"one that has pyflink, or {PYTHON}, which `make cluster` sets up",
+            f"a Python with pyflink, or {PYTHON}, which `make cluster` creates",
         )
 
 
 @dataclass
-class Feed:
-    """What there is to run over, and how far it is handed out."""
+class UnitFeed:
+    """Recordings to replay, and the work units sent so far."""
 
     flow: Flow
     paths: Sequence[Path]
     follow: bool
     slices: int
     shares: int
-    cutters: dict[str, Cutter] = field(default_factory=dict[str, Cutter], init=False)  # by session
-    failed: dict[str, str] = field(default_factory=dict[str, str], init=False)  # why, by session
+    splitters: dict[str, Splitter] = field(default_factory=dict[str, Splitter], init=False)  # by session
+    failed: dict[str, str] = field(default_factory=dict[str, str], init=False)  # errors by session
     _files: int = field(default=0, init=False)
 
     @property
     def ended(self) -> set[str]:
-        """The sessions of which all is handed out."""
-        return {name for name, cutter in self.cutters.items() if cutter.ended}
+        """Sessions whose units are all sent."""
+        return {name for name, splitter in self.splitters.items() if splitter.ended}
 
-    def look(self) -> None:
-        """See which recordings there are.
+    def find_recordings(self) -> None:
+        """Find new recordings.
 
         Raises:
-            InputError: if there are none, or two of one name, or one has been worked out before.
+            InputError: if there are none, two have one name, or a dataset has a session of that name.
         """
-        places = [Path(node.part.destination) for node in self.flow.sinks() if isinstance(node.part, Sink)]
+        datasets = [Path(node.part.destination) for node in self.flow.sinks() if isinstance(node.part, Sink)]
         for folder in [folder for path in self.paths for folder in _sessions(path, follow=self.follow)]:
             name = folder.name
-            if name in self.cutters:
-                if self.cutters[name].folder != folder.resolve():
+            if name in self.splitters:
+                if self.splitters[name].folder != folder.resolve():
                     raise InputError(
                         str(folder),
-                        f"{self.cutters[name].folder} has the same name: run over them one after the other",
+                        f"has the same name as {self.splitters[name].folder}: replay only one of them",
                     )
                 continue
-            there = [place for place in places if session_folder(place, name).exists()]
-            if there and not self.follow:
-                raise InputError(str(there[0]), f"has a session {name!r} already; give another dataset")
-            if not there:
-                self.cutters[name] = Cutter(
+            existing = [place for place in datasets if session_folder(place, name).exists()]
+            if existing and not self.follow:
+                raise InputError(str(existing[0]), f"has a session {name!r} already: use another dataset")
+            if not existing:
+                self.splitters[name] = Splitter(
                     self.flow,
                     folder.resolve(),
                     slices=self.slices,
                     shares=self.shares,
-                    deal=len(self.cutters),
+                    partition=len(self.splitters),
                 )
-        if not self.cutters and not self.follow:
+        if not self.splitters and not self.follow:
             raise InputError(", ".join(map(str, self.paths)), "holds no session")
 
-    def hand_out(self, folder: JobFolder) -> None:
-        """Give the cluster the claims that are new; a recording that cannot be read is noted in `failed`.
+    def send_units(self, folder: JobFolder) -> None:
+        """Send new units to the cluster; add recordings that cannot be read to `failed`.
 
         Raises:
-            EndpointError: if the claims cannot be written.
+            EndpointError: if the units cannot be written.
         """
-        for name, cutter in self.cutters.items():
+        for name, splitter in self.splitters.items():
             if name in self.failed:
                 continue
             try:
-                claims = cutter.claims(growing=self.follow)
+                units = splitter.units(growing=self.follow)
             except EndpointError:
                 raise
             except SlipflowError as error:
                 self.failed[name] = str(error)
                 continue
-            if claims:
+            if units:
                 self._files += 1
-                folder.claim(f"{self._files:08d}", claims)
+                folder.add_units(f"{self._files:08d}", units)
 
 
 def _sessions(path: Path, *, follow: bool) -> list[Path]:
@@ -222,12 +222,12 @@ def _sessions(path: Path, *, follow: bool) -> list[Path]:
     if follow and not path.exists():
         return []
     raise InputError(
-        str(path), "is no session and no dataset" if path.exists() else "there is no such folder"
+        str(path), "is neither a session nor a dataset" if path.exists() else "there is no such folder"
     )
 
 
-def _submitted(python: Path, url: str, folder: JobFolder, workers: int, *, follow: bool) -> str:
-    """The id of the job, submitted by a Python that has pyflink."""
+def _submit(python: Path, url: str, folder: JobFolder, workers: int, *, follow: bool) -> str:
+    """Submit the job with a Python that has pyflink; return Flink's id of the job."""
     command = [str(python), "-m", "flows.run.cluster.flink_job", url, str(folder.path), str(workers)]
     try:
         done = subprocess.run(  # noqa: S603 - our own module
@@ -238,6 +238,6 @@ def _submitted(python: Path, url: str, folder: JobFolder, workers: int, *, follo
     if done.returncode or not done.stdout.strip():
         lines = [line for line in done.stderr.splitlines() if line.strip()]
         causes = [line.strip() for line in lines if "Caused by:" in line or "Error" in line]
-        reason = (causes or lines or ["it says nothing"])[-1]
+        reason = (causes or lines or ["no message"])[-1]
         raise EndpointError(url, f"the job cannot be submitted: {reason}")
     return done.stdout.split()[-1]

@@ -1,4 +1,4 @@
-"""The part of a flow that runs on the cluster by fingertip: from its sources to what its operators give."""
+"""Part of a flow that runs on the cluster, separately for each share of the fingertips."""
 
 from collections.abc import AsyncIterator, Mapping
 from dataclasses import dataclass
@@ -11,15 +11,15 @@ from operators.errors import FlowError
 from operators.ports import Clock, Run, Sink, Source
 from storage import Dataset
 
-_TAP: Final = "tap-"
+_RESULT: Final = "result-"
 
 
-class Claimed(Source[Batch]):
-    """Stands for a source whose rows the claims name.
+class UnitSource(Source[Batch]):
+    """Placeholder for a source; the worker pushes the rows that the work units name.
 
     Args:
-        kind: The type of its batches.
-        fingers: The fingertips that they belong to.
+        kind: Type of the batches.
+        fingers: Fingertips of the source.
     """
 
     def __init__(self, kind: type[Batch], fingers: tuple[int, ...]) -> None:
@@ -27,93 +27,88 @@ class Claimed(Source[Batch]):
 
     @property
     def kind(self) -> type[Batch]:
-        """The type of its batches."""
+        """Type of the batches."""
         return self._kind
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The fingertips that they belong to."""
+        """Fingertips of the source."""
         return self._fingers
 
-    async def batches(self, clock: Clock) -> AsyncIterator[Batch]:  # noqa: ARG002 - as all sources have it
-        """Give nothing: claims are pushed."""
+    async def batches(self, clock: Clock) -> AsyncIterator[Batch]:  # noqa: ARG002 - the port's signature
+        """Yield nothing."""
         nothing: tuple[Batch, ...] = ()
         for batch in nothing:
             yield batch
 
 
 @dataclass(eq=False)
-class Tap(Sink[Batch]):
-    """Stands behind an operator whose rows a dataset is to take."""
+class ResultSink(Sink[Batch]):
+    """Placeholder for the datasets that take the rows of an operator; the worker stores them."""
 
-    operator: int  # its place among the flow's nodes
+    operator: int  # the operator's index in the flow
 
     @property
     def destination(self) -> str:
-        """Its own."""
-        return f"{_TAP}{self.operator}"
+        """Unique name."""
+        return f"{_RESULT}{self.operator}"
 
     async def open(self, run: Run) -> None:
-        """Do nothing: what it takes is staged."""
+        """Do nothing."""
 
     async def write(self, batch: Batch) -> None:
-        """Do nothing: what it takes is staged."""
+        """Do nothing."""
 
 
 def check_flow(flow: Flow) -> None:
-    """Raise what keeps a flow from a cluster, if anything does.
+    """Require that a flow can run on a cluster.
 
     Raises:
-        FlowError: if it has a sink other than a dataset, or no operator whose rows a dataset takes.
+        FlowError: if a sink is not a dataset, or no dataset takes the rows of an operator.
     """
     for node in flow.sinks():
         if not isinstance(node.part, Dataset):
-            reason = (
-                "a cluster writes datasets only: leave this sink out, or set the flow so that it has none"
-            )
+            reason = "a cluster writes datasets only: remove this sink, or set the parameter that adds it"
             raise FlowError(flow.name, node.name, reason)
-    if not tapped(flow):
-        raise FlowError(
-            flow.name, "datasets", "they take nothing that is derived: there is nothing to work on"
-        )
+    if not result_nodes(flow):
+        raise FlowError(flow.name, "datasets", "none takes the rows of an operator, so nothing is to be done")
 
 
-def tapped(flow: Flow) -> list[Node]:
-    """The operators whose rows sinks take, in the order of the flow."""
-    taken = {parent for node in flow.sinks() for parent in node.inputs}
-    return [node for node in flow.nodes if node in taken and not isinstance(node.part, Source)]
+def result_nodes(flow: Flow) -> list[Node]:
+    """Return the operators whose rows go to sinks, in the order of the flow."""
+    inputs = {parent for node in flow.sinks() for parent in node.inputs}
+    return [node for node in flow.nodes if node in inputs and not isinstance(node.part, Source)]
 
 
 def segment(flow: Flow, fingers: Mapping[str, tuple[int, ...]]) -> Flow:
-    """The same operators between stand-ins: what each of `tapped` gives goes to a `Tap` of its own.
+    """Return a copy of the flow's operators between a `UnitSource` per source and a `ResultSink` per result.
 
     Args:
-        flow: The flow; it stays as it is.
-        fingers: The fingertips of each source, by the name of its node.
+        flow: Flow to copy from; it is not changed.
+        fingers: Fingertips of each source, by the name of its node.
     """
     part = Flow(flow.name)
     copies: dict[Node, Node] = {}
 
-    def copied(node: Node) -> Node:
+    def copy(node: Node) -> Node:
         if node not in copies:
-            inputs = [copied(parent) for parent in node.inputs]
-            stand_in: Any = node.part
-            if isinstance(stand_in, Source):
-                stand_in = Claimed(cast("type[Batch]", node.gives), fingers[node.name])
-            copies[node] = Node(node.name, stand_in, inputs)
+            inputs = [copy(parent) for parent in node.inputs]
+            placeholder: Any = node.part
+            if isinstance(placeholder, Source):
+                placeholder = UnitSource(cast("type[Batch]", node.gives), fingers[node.name])
+            copies[node] = Node(node.name, placeholder, inputs)
             part.nodes.append(copies[node])
         return copies[node]
 
-    for node in tapped(flow):
-        place = flow.nodes.index(node)
-        tap = Node(f"{_TAP}{place}", Tap(place), [copied(node)])
-        part.nodes.append(tap)
+    for node in result_nodes(flow):
+        number = flow.nodes.index(node)
+        part.nodes.append(Node(f"{_RESULT}{number}", ResultSink(number), [copy(node)]))
     return part
 
 
-def needed(flow: Flow) -> set[str]:
-    """The names of the sources that feed what is tapped."""
-    found, rest = set[str](), list(tapped(flow))
+def needed_sources(flow: Flow) -> set[str]:
+    """Return the names of the sources that feed `result_nodes`."""
+    found, rest = set[str](), list(result_nodes(flow))
     while rest:
         node = rest.pop()
         rest += node.inputs

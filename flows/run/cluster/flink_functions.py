@@ -1,8 +1,8 @@
-"""The two functions that Flink runs; their state is Flink's, all else is done elsewhere in this folder.
+"""The two functions that Flink runs; Flink keeps their state.
 
-Flink keeps state by key, and deals keys out to workers by hash: one worker may get all keys of eight, and the
-others none. So there is one key for each worker, and its state is a map: the states of the shares, or
-sessions, that were dealt to that worker.
+Flink keeps state by key and assigns keys to workers by hash, so that one worker may get all of eight keys and
+the others none. Therefore each worker has exactly one key, and its state is a map with the states of the
+shares, or sessions, that the worker has.
 """
 
 import builtins
@@ -15,75 +15,75 @@ from pyflink.datastream import KeyedProcessFunction, RuntimeContext
 from pyflink.datastream.state import MapStateDescriptor
 
 from flows.run.cluster.job_folder import JobFolder
-from flows.run.cluster.work_units import Claim, Done, deal_of
-from flows.run.cluster.worker import Work
+from flows.run.cluster.work_units import ShareResult, WorkUnit, partition_of
+from flows.run.cluster.worker import Worker
 
 
 class _JobFunction(KeyedProcessFunction):
-    """What both have in common: the job's folder, and a map of states."""
+    """Base of both functions: the job's folder, and a map of states."""
 
-    _map: ClassVar[str]  # what Flink calls the map
+    _map: ClassVar[str]  # name of the map in Flink
 
-    def __init__(self, place: str) -> None:
-        self._place = place
+    def __init__(self, folder: str) -> None:
+        self._path = folder
 
     def open(self, runtime_context: RuntimeContext) -> None:
-        """Find the job and its states, once in each worker."""
+        """Open the folder and the states, once per worker."""
         _restore_print()
-        self._folder = JobFolder(Path(self._place))
+        self._folder = JobFolder(Path(self._path))
         descriptor = MapStateDescriptor(self._map, Types.STRING(), Types.PICKLED_BYTE_ARRAY())
         self._states = runtime_context.get_map_state(descriptor)
 
 
-class WorkOff(_JobFunction):
-    """Takes claims, as lines; gives a `Done`, as a line, when a share has no more.
+class ProcessUnits(_JobFunction):
+    """Processes work units; yields a `ShareResult` after the last unit of a share. Both are lines.
 
     Args:
-        place: The job's folder.
+        folder: Folder of the job.
     """
 
     _map = "shares"
 
     def open(self, runtime_context: RuntimeContext) -> None:
-        """Build the flow, once in each worker."""
+        """Build the flow, once per worker."""
         super().open(runtime_context)
-        self._work = Work(self._folder.flow(), self._folder.staged)
+        self._worker = Worker(self._folder.flow(), self._folder.results)
 
-    def process_element(self, value: str, ctx: object) -> Iterator[str]:  # noqa: ARG002 - as Flink calls it
-        """Work off one claim."""
-        claim = Claim.read(value)
-        before: bytes | None = self._states.get(claim.key)
-        state, done = self._work.take(before, claim)
-        self._states.put(claim.key, state)
-        if done:
-            yield done.line()
+    def process_element(self, value: str, ctx: object) -> Iterator[str]:  # noqa: ARG002 - Flink's signature
+        """Process one unit."""
+        unit = WorkUnit.from_line(value)
+        before: bytes | None = self._states.get(unit.key)
+        state, result = self._worker.process(before, unit)
+        self._states.put(unit.key, state)
+        if result:
+            yield result.to_line()
 
 
-class Assemble(_JobFunction):
-    """Takes what `WorkOff` gives and writes the session when all shares are there.
+class WriteSessions(_JobFunction):
+    """Takes the results of `ProcessUnits` and writes a session when all of its shares are done.
 
     Args:
-        place: The job's folder.
+        folder: Folder of the job.
     """
 
     _map = "sessions"
 
-    def process_element(self, value: str, ctx: object) -> Iterator[str]:  # noqa: ARG002 - as Flink calls it
-        """Note that a share is done; give the session's name when it is written."""
-        done = Done.read(value)
-        before: frozenset[int] | None = self._states.get(done.key)
-        found = (before or frozenset()) | {done.share}
-        self._states.put(done.key, found)
-        if done.error or (done.end and len(found) == len(done.end.shares)):
-            self._folder.finish(done)
-            yield done.session
+    def process_element(self, value: str, ctx: object) -> Iterator[str]:  # noqa: ARG002 - Flink's signature
+        """Note that a share is done; yield the session's name when it is written."""
+        result = ShareResult.from_line(value)
+        before: frozenset[int] | None = self._states.get(result.key)
+        shares = (before or frozenset()) | {result.share}
+        self._states.put(result.key, shares)
+        if result.error or (result.end and len(shares) == len(result.end.shares)):
+            self._folder.finish(result)
+            yield result.session
 
 
-def dealt(keys: Sequence[str], line: str) -> str:
-    """The key of the worker that a line is dealt to; `keys` has one for each worker."""
-    return keys[deal_of(line) % len(keys)]
+def worker_key(keys: Sequence[str], line: str) -> str:
+    """Return the key of the worker that gets a line; `keys` has one key per worker."""
+    return keys[partition_of(line) % len(keys)]
 
 
 def _restore_print() -> None:
-    """Put Python's own print back: numba cannot be imported beside that of PyFlink."""
+    """Restore Python's own print: numba cannot be imported while PyFlink's replaces it."""
     builtins.print = getattr(getattr(builtins.print, "__self__", None), "_print", builtins.print)

@@ -1,9 +1,9 @@
-"""Submits a job to a Flink cluster; runs in an environment that has pyflink, as a command of its own.
+"""Submission of a job to a Flink cluster; runs as a command in an environment that has pyflink.
 
     python -m flows.run.cluster.flink_job http://localhost:8081 FOLDER 2        prints the job's id
 
-Translation is little: the claims' files are the source, the flow's operators are one keyed process function,
-a second one writes the sessions. See `docs/decisions/0013-work-units-on-flink.md`.
+The files of work units are the source. One keyed process function runs the flow's operators, a second one
+writes the sessions. See `docs/decisions/0013-work-units-on-flink.md`.
 """
 
 import sys
@@ -19,16 +19,16 @@ from pyflink.datastream import RuntimeExecutionMode, StreamExecutionEnvironment
 from pyflink.datastream.connectors.file_system import FileSource, StreamFormat
 from pyflink.java_gateway import get_gateway
 
-from flows.run.cluster.flink_functions import Assemble, WorkOff, dealt
+from flows.run.cluster.flink_functions import ProcessUnits, WriteSessions, worker_key
 
 _SETTINGS: Final = {
-    "python.fn-execution.bundle.size": "10",  # claims that a checkpoint waits for
+    "python.fn-execution.bundle.size": "10",  # units per bundle; a checkpoint waits for a bundle
     "python.fn-execution.bundle.time": "100",
     "python.fn-execution.arrow.batch.size": "1000",
     "python.execution-mode": "process",
     "execution.checkpointing.interval": "5 s",
     "execution.checkpointing.mode": "EXACTLY_ONCE",
-    "execution.checkpointing.unaligned.enabled": "true",  # claims are small: thousands wait before a barrier
+    "execution.checkpointing.unaligned.enabled": "true",  # thousands of small units wait before a barrier
     "restart-strategy.type": "failure-rate",
     "restart-strategy.failure-rate.max-failures-per-interval": "20",
     "restart-strategy.failure-rate.failure-rate-interval": "5 min",
@@ -40,50 +40,52 @@ def submit(url: str, folder: Path, parallelism: int, *, follow: bool) -> str:
     """Submit the job of a folder.
 
     Args:
-        url: Of the cluster's job manager.
-        folder: The job's, on storage that all machines of the cluster share.
-        parallelism: How many workers there are.
-        follow: Whether claims may still come; else it ends with those that are there.
+        url: URL of the job manager.
+        folder: Folder of the job, on storage that all machines of the cluster share.
+        parallelism: Number of workers.
+        follow: Wait for further units; else the job ends with the existing ones.
 
     Returns:
-        The job's id.
+        Flink's id of the job.
     """
     settings = Configuration()
     for name, value in {**_SETTINGS, "python.executable": sys.executable}.items():
         settings.set_string(name, value)
-    source = FileSource.for_record_stream_format(StreamFormat.text_line_format(), f"file://{folder}/claims")
+    source = FileSource.for_record_stream_format(StreamFormat.text_line_format(), f"file://{folder}/units")
     if follow:
         source = source.monitor_continuously(Duration.of_millis(500))
     environment = _environment(url, settings)
     environment.set_runtime_mode(RuntimeExecutionMode.STREAMING)
     environment.set_parallelism(parallelism)
-    claims = environment.from_source(source.build(), WatermarkStrategy.no_watermarks(), "claims")
-    worker = partial(dealt, _keys(parallelism))
-    worked = claims.set_parallelism(1).key_by(worker, Types.STRING())
-    done = worked.process(WorkOff(str(folder)), Types.STRING()).name("work off").uid("work-off")
-    written = done.key_by(worker, Types.STRING()).process(Assemble(str(folder)), Types.STRING())
-    written.name("assemble").uid("assemble").print()
+    units = environment.from_source(source.build(), WatermarkStrategy.no_watermarks(), "units")
+    key = partial(worker_key, _keys(parallelism))
+    keyed = units.set_parallelism(1).key_by(key, Types.STRING())
+    results = (
+        keyed.process(ProcessUnits(str(folder)), Types.STRING()).name("process units").uid("process-units")
+    )
+    written = results.key_by(key, Types.STRING()).process(WriteSessions(str(folder)), Types.STRING())
+    written.name("write sessions").uid("write-sessions").print()
     return str(environment.execute_async(folder.name).get_job_id())
 
 
 def _keys(parallelism: int) -> list[str]:
-    """A key for each worker, found by trying: what key is whose is in Flink's hands."""
+    """Return a key for each worker, found by trial: Flink assigns keys to workers by hash."""
     flink, found = get_gateway().jvm.org.apache.flink, dict[int, str]()
     assignment, row = flink.runtime.state.KeyGroupRangeAssignment, flink.types.Row(1)
-    keyed = flink.streaming.api.functions.python.KeyByKeySelector()  # as `key_by` has it
+    keyed = flink.streaming.api.functions.python.KeyByKeySelector()  # as used by `key_by`
     groups = assignment.computeDefaultMaxParallelism(parallelism)
     for number in count():
         row.setField(0, str(number))
-        place = assignment.assignKeyToParallelOperator(keyed.getKey(row), groups, parallelism)
-        found.setdefault(place, str(number))
+        worker = assignment.assignKeyToParallelOperator(keyed.getKey(row), groups, parallelism)
+        found.setdefault(worker, str(number))
         if len(found) == parallelism:
             break
     return list(found.values())
 
 
 def _environment(url: str, settings: Configuration) -> StreamExecutionEnvironment:
-    """The cluster at a URL; PyFlink itself knows only the one of its own settings."""
-    place = urlsplit(url)
+    """Return the environment of the cluster at a URL; PyFlink itself supports only its configured cluster."""
+    address = urlsplit(url)
     java = get_gateway()
     [jar] = Path(str(files("pyflink")), "opt").glob("flink-python-*.jar")
     jars = java.new_array(java.jvm.java.lang.String, 1)
@@ -91,9 +93,9 @@ def _environment(url: str, settings: Configuration) -> StreamExecutionEnvironmen
     remote = java.jvm.org.apache.flink.streaming.api.environment.StreamExecutionEnvironment
     return StreamExecutionEnvironment(
         remote.createRemoteEnvironment(
-            place.hostname,
-            place.port or 8081,
-            settings._j_configuration,  # noqa: SLF001 - pyflink has no other way
+            address.hostname,
+            address.port or 8081,
+            settings._j_configuration,  # noqa: SLF001 - pyflink has no public name for it
             jars,
         )
     )

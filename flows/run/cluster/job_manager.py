@@ -1,4 +1,4 @@
-"""What a Flink job manager says of itself and its jobs, over its REST interface."""
+"""Client of a Flink job manager's REST interface."""
 
 import json
 from typing import Any, Final, cast
@@ -9,18 +9,18 @@ from urllib.request import Request, urlopen
 from operators.errors import EndpointError, ParameterError
 
 _TIMEOUT: Final = 10.0  # s
-_LIMIT: Final = 16_000_000  # bytes of an answer
+_LIMIT: Final = 16_000_000  # bytes of a response
 ENDED: Final = frozenset({"FINISHED", "FAILED", "CANCELED"})  # states of a job
 
 
 class JobManager:
-    """The job manager at a URL.
+    """Client of the job manager at a URL.
 
     Args:
-        url: Such as http://localhost:8081.
+        url: URL such as http://localhost:8081.
 
     Raises:
-        ParameterError: if it is no such URL.
+        ParameterError: if the URL is invalid.
     """
 
     def __init__(self, url: str) -> None:
@@ -30,28 +30,28 @@ class JobManager:
         self.url = url.rstrip("/")
 
     def slots(self) -> int:
-        """How many workers there can be.
+        """Return the number of task slots, which limits the number of workers.
 
         Raises:
-            EndpointError: if it does not answer.
+            EndpointError: if the job manager does not respond.
         """
-        return int(self._ask("/overview")["slots-total"])
+        return int(self._request("/overview")["slots-total"])
 
     def state(self, job: str) -> str:
-        """How a job stands; one of `ENDED` if it has ended.
+        """Return the state of a job; one of `ENDED` if it has ended.
 
         Raises:
-            EndpointError: if it does not answer, or knows no such job.
+            EndpointError: if the job manager does not respond, or there is no such job.
         """
-        return str(self._ask(f"/jobs/{job}")["state"])
+        return str(self._request(f"/jobs/{job}")["state"])
 
     def cause(self, job: str) -> str:
-        """Why a job failed last, in a line; empty: it did not.
+        """Return the reason of a job's last failure in one line; empty if it did not fail.
 
         Raises:
-            EndpointError: if it does not answer, or knows no such job.
+            EndpointError: if the job manager does not respond, or there is no such job.
         """
-        entries = self._ask(f"/jobs/{job}/exceptions").get("exceptionHistory", {}).get("entries", [])
+        entries = self._request(f"/jobs/{job}/exceptions").get("exceptionHistory", {}).get("entries", [])
         if not entries:
             return ""
         lines = [line.strip() for line in str(entries[0]["stacktrace"]).splitlines() if line.strip()]
@@ -59,24 +59,24 @@ class JobManager:
         return (ours or lines)[-1].removeprefix("Caused by: ").removeprefix("operators.errors.")
 
     def cancel(self, job: str) -> None:
-        """Have a job end.
+        """Cancel a job.
 
         Raises:
-            EndpointError: if it does not answer, or knows no such job.
+            EndpointError: if the job manager does not respond, or there is no such job.
         """
-        self._ask(f"/jobs/{job}", "PATCH")
+        self._request(f"/jobs/{job}", "PATCH")
 
-    def _ask(self, path: str, method: str = "GET") -> dict[str, Any]:
+    def _request(self, path: str, method: str = "GET") -> dict[str, Any]:
         request = Request(self.url + path, method=method)  # noqa: S310 - http or https, as checked above
         try:
-            with urlopen(request, timeout=_TIMEOUT) as answer:  # noqa: S310 - the same
-                told: object = json.loads(answer.read(_LIMIT) or b"{}")
+            with urlopen(request, timeout=_TIMEOUT) as response:  # noqa: S310 - the same
+                document: object = json.loads(response.read(_LIMIT) or b"{}")
         except HTTPError as error:
-            raise EndpointError(self.url + path, f"answers {error.code} {error.reason}") from error
+            raise EndpointError(self.url + path, f"responds {error.code} {error.reason}") from error
         except (OSError, ValueError) as error:
             raise EndpointError(
-                self.url, f"no Flink job manager answers: {error}; `make cluster`?"
+                self.url, f"no Flink job manager responds: {error}; start one with `make cluster`"
             ) from error
-        if not isinstance(told, dict):
-            raise EndpointError(self.url + path, "answers with something else than Flink would")
-        return cast("dict[str, Any]", told)
+        if not isinstance(document, dict):
+            raise EndpointError(self.url + path, "does not respond like Flink: check the URL")
+        return cast("dict[str, Any]", document)

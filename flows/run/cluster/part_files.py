@@ -1,4 +1,4 @@
-"""The files of a session as batches: all of their rows, or just when they were taken."""
+"""Reading of a session's files: all of their rows, or their times only."""
 
 from collections import OrderedDict
 from collections.abc import Mapping
@@ -15,24 +15,24 @@ from storage.layout import TABLE_OF, inside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stamps(Batch):
-    """When rows were taken, and where they stand: all that is needed to cut a recording."""
+class RowTimes(Batch):
+    """Times of rows and their positions in the files: enough to split a recording."""
 
-    part: Times = field(metadata=column(np.int64))  # (n,) number of the file among those of its table
-    row: Times = field(metadata=column(np.int64))  # (n,) among the file's rows of the fingertip
+    part: Times = field(metadata=column(np.int64))  # (n,) number of the file in its table
+    row: Times = field(metadata=column(np.int64))  # (n,) position among the file's rows of the fingertip
 
 
-def read_stamps(
+def read_row_times(
     folder: Path, kind: type[Batch], path: str, sha256: str | None, part: int
-) -> dict[int, Stamps]:
-    """When the rows of a file were taken, by fingertip; none if they are not of `kind`.
+) -> dict[int, RowTimes]:
+    """Return the times of a file's rows by fingertip; empty if they are not of type `kind`.
 
     Raises:
-        InputError: if it is missing, damaged or not what the manifest lists.
+        InputError: if the file is missing, damaged or not the one in the manifest.
     """
-    import pyarrow as pa  # noqa: PLC0415 - takes its time to import
+    import pyarrow as pa  # noqa: PLC0415 - slow to import
 
-    from storage import parts, schema  # noqa: PLC0415 - they import it
+    from storage import parts, schema  # noqa: PLC0415 - import pyarrow
 
     table = TABLE_OF[kind]
     whole: Any = schema.schema(table)
@@ -44,45 +44,45 @@ def read_stamps(
     fingers: Any = np.full(len(time), EVERY)
     if table.finger:
         fingers = parts.flat(rows["finger"]).to_numpy(zero_copy_only=False)
-    found = dict[int, Stamps]()
+    found = dict[int, RowTimes]()
     for finger in np.unique(fingers).tolist():
         own = time[fingers == finger]
-        found[finger] = Stamps(own, np.full(len(own), part), np.arange(len(own)), finger=finger)
+        found[finger] = RowTimes(own, np.full(len(own), part), np.arange(len(own)), finger=finger)
     return found
 
 
 class PartReader:
-    """Reads files and keeps those that were read last: the claims of many fingertips name the same ones.
+    """Reads files and caches the last ones, because units of many fingertips name the same files.
 
     Args:
-        limit: How much it keeps, bytes; the newest file in any case.
+        limit: Size of the cache, bytes; the newest file is always kept.
     """
 
     def __init__(self, limit: int = 128 * MiB) -> None:
         self._limit = limit
-        self._kept: OrderedDict[tuple[str, str, str | None], Mapping[int, Batch]] = OrderedDict()
+        self._cache: OrderedDict[tuple[str, str, str | None], Mapping[int, Batch]] = OrderedDict()
         self._size = 0  # bytes
 
     def read(self, folder: Path, kind: type[Batch], path: str, sha256: str | None) -> Mapping[int, Batch]:
-        """The rows of a file, by fingertip.
+        """Return the rows of a file by fingertip.
 
         Raises:
-            InputError: if it is missing, damaged or not the one that `sha256` tells of.
+            InputError: if the file is missing, damaged or has another SHA-256.
         """
         key = str(folder), path, sha256
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        found = self._kept[key] = _read(folder, kind, path, sha256)
+        if key in self._cache:
+            self._cache.move_to_end(key)
+            return self._cache[key]
+        found = self._cache[key] = _read(folder, kind, path, sha256)
         self._size += _size(found)
-        while self._size > self._limit and len(self._kept) > 1:
-            _, gone = self._kept.popitem(last=False)
-            self._size -= _size(gone)
+        while self._size > self._limit and len(self._cache) > 1:
+            _, oldest = self._cache.popitem(last=False)
+            self._size -= _size(oldest)
         return found
 
 
 def _read(folder: Path, kind: type[Batch], path: str, sha256: str | None) -> Mapping[int, Batch]:
-    from storage import parts, schema  # noqa: PLC0415 - they import pyarrow
+    from storage import parts, schema  # noqa: PLC0415 - import pyarrow
 
     table = TABLE_OF[kind]
     rows = parts.read_part(inside(folder, folder / path), schema.schema(table), sha256)
@@ -92,7 +92,7 @@ def _read(folder: Path, kind: type[Batch], path: str, sha256: str | None) -> Map
 
 def _stored(path: Path, stored: type[Batch] | None, kind: type[Batch]) -> type[Batch]:
     if stored is None or not issubclass(stored, kind):
-        raise InputError(str(path), 'its metadata "batch" is missing or not that of its table')
+        raise InputError(str(path), 'its metadata "batch" is missing or does not fit its table')
     return stored
 
 

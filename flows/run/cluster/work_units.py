@@ -1,7 +1,7 @@
-"""What travels through the cluster: which rows of a recording are whose turn, never the rows themselves.
+"""Work units: messages that name rows of a recording; the rows themselves are read by the worker.
 
-A claim names rows of Parquet files on the storage that all machines share; the worker that gets it reads
-them. Claims are lines, in files that the cluster reads: who it is dealt to, a tab, JSON.
+Units and results travel as lines of text: the partition, a tab, and JSON. All machines share the storage that
+holds the named Parquet files.
 """
 
 import json
@@ -13,138 +13,143 @@ from typing import Any, Final, NamedTuple, Self
 from operators.errors import InputError
 
 LIMIT: Final = 4_000_000  # characters of a line
-_TAB: Final = "\t"  # JSON has none
+_TAB: Final = "\t"  # never occurs in JSON
 
 
-class Rows(NamedTuple):
-    """Rows of one stream that lie together in one file."""
+class RowRange(NamedTuple):
+    """Adjacent rows of one stream in one file."""
 
-    source: str  # the name of its node in the flow
+    source: str  # name of the source node in the flow
     finger: int
     path: str  # within the session's folder
-    sha256: str | None  # of the file; None where no manifest lists it
-    start: int  # the first, among the file's rows of that fingertip
-    stop: int  # the first behind them
+    sha256: str | None  # of the file; None if it is not in a manifest
+    start: int  # first row, among the file's rows of the fingertip
+    stop: int  # end of the range, exclusive
 
 
 class Slice(NamedTuple):
-    """What all streams have within one span of time, as a replay cuts them."""
+    """Rows of all streams within one time span, as a replay cuts them."""
 
     number: int
-    rows: tuple[Rows, ...]  # at most one of each stream
+    rows: tuple[RowRange, ...]  # at most one per stream
 
 
-class End(NamedTuple):
-    """That a recording has no further rows."""
+class RecordingEnd(NamedTuple):
+    """End-of-recording marker."""
 
-    slices: int  # in all
-    claims: int  # of each share
-    shares: tuple[tuple[int, ...], ...]  # the fingertips of each
+    slices: int  # total number
+    units: int  # per share
+    shares: tuple[tuple[int, ...], ...]  # fingertips of each share
 
 
 class _Line:
-    """What travels as a line of text: whose turn it is, a tab, and the fields of a dataclass as JSON."""
+    """Dataclass that is written as one line of text."""
 
-    deal: int
+    partition: int
 
-    def line(self) -> str:
-        """It as one line of text."""
-        return f"{self.deal}{_TAB}{json.dumps(vars(self), separators=(',', ':'))}"
+    def to_line(self) -> str:
+        """Return the line, without a line break."""
+        return f"{self.partition}{_TAB}{json.dumps(vars(self), separators=(',', ':'))}"
 
 
 @dataclass(frozen=True)
-class Claim(_Line):
-    """The next slices of a recording for a share of its fingertips.
+class WorkUnit(_Line):
+    """Consecutive slices of a recording for one share of its fingertips.
 
-    >>> claim = Claim("one", "/data/one", 0, 1, (2,), 5, 0, {"touch": (0, 1, 2)}, (Slice(0, ()),))
-    >>> Claim.read(claim.line()) == claim
+    >>> unit = WorkUnit("one", "/data/one", 0, 1, (2,), 5, 0, {"touch": (0, 1, 2)}, (Slice(0, ()),))
+    >>> WorkUnit.from_line(unit.to_line()) == unit
     True
     """
 
     session: str
-    folder: str  # the session's
-    turn: int  # counts how often the recording was cut anew
-    share: int  # which of the shares of this turn
-    fingers: tuple[int, ...]  # that are in it
-    deal: int  # claims are dealt out to the workers in turn, by this; one more for each share
-    number: int  # among the claims of the share
-    sources: Mapping[str, tuple[int, ...]]  # the fingertips of each source
+    folder: str  # of the session
+    generation: int  # number of times that the recording was split again from its start
+    share: int  # number of the share in this generation
+    fingers: tuple[int, ...]  # of the share
+    partition: int  # units go to worker partition % workers; consecutive for the shares of a recording
+    number: int  # among the units of the share
+    sources: Mapping[str, tuple[int, ...]]  # fingertips of each source
     slices: tuple[Slice, ...]
-    end: End | None = None
+    end: RecordingEnd | None = None  # only in the last unit
 
     @property
     def key(self) -> str:
-        """What shares one state: a path."""
-        return f"{self.session}/{self.turn}/{self.share}"
+        """Key of the share's state, which is also a relative path."""
+        return f"{self.session}/{self.generation}/{self.share}"
 
     @classmethod
-    def read(cls, line: str) -> Self:
-        """The claim that a line tells.
+    def from_line(cls, line: str) -> Self:
+        """Read a unit.
 
         Raises:
-            InputError: if it tells none.
+            InputError: if the line is not a work unit.
         """
-        with _reading("claim", line) as told:
-            slices: list[Any] = told.pop("slices")
-            fingers: list[int] = told.pop("fingers")
-            sources: dict[str, list[int]] = told.pop("sources")
+        with _parsed("work unit", line) as fields:
+            slices: list[Any] = fields.pop("slices")
+            fingers: list[int] = fields.pop("fingers")
+            sources: dict[str, list[int]] = fields.pop("sources")
             return cls(
-                **told,
+                **fields,
                 fingers=tuple(fingers),
                 sources={name: tuple(each) for name, each in sources.items()},
-                slices=tuple(Slice(number, tuple(Rows(*each) for each in rows)) for number, rows in slices),
+                slices=tuple(
+                    Slice(number, tuple(RowRange(*each) for each in rows)) for number, rows in slices
+                ),
             )
 
 
 @dataclass(frozen=True)
-class Done(_Line):
-    """That all claims of a share are worked off, or that one of them cannot be."""
+class ShareResult(_Line):
+    """Result of a share: all of its units are processed, or one of them failed."""
 
     session: str
     folder: str
-    turn: int
+    generation: int
     share: int
-    deal: int  # sessions are dealt out to the workers in turn, by this
-    end: End | None  # None: it failed before
+    partition: int  # of the session, not of the share
+    end: RecordingEnd | None  # None: a unit failed
     error: str = ""
 
     @property
     def key(self) -> str:
-        """What shares one state: a path."""
-        return f"{self.session}/{self.turn}"
+        """Key of the session's state, which is also a relative path."""
+        return f"{self.session}/{self.generation}"
 
     @classmethod
-    def read(cls, line: str) -> Self:
-        """What a line tells.
+    def of(cls, unit: WorkUnit, error: str = "") -> Self:
+        """Return the result of a share whose last unit, or failed one, is `unit`."""
+        end, partition = None if error else unit.end, unit.partition - unit.share
+        return cls(unit.session, unit.folder, unit.generation, unit.share, partition, end, error)
+
+    @classmethod
+    def from_line(cls, line: str) -> Self:
+        """Read a result.
 
         Raises:
-            InputError: if it does not tell that a share is done.
+            InputError: if the line is not a result.
         """
-        with _reading("done", line) as told:
-            return cls(**told)
+        with _parsed("result", line) as fields:
+            return cls(**fields)
 
 
-def deal_of(line: str) -> int:
-    """What the line of a claim or of a `Done` is dealt out by; the rest is not read.
+def partition_of(line: str) -> int:
+    """Return the partition of a line without reading the rest.
 
-    >>> deal_of(Done("one", "/data/one", 0, 3, 7, None).line())
+    >>> partition_of(ShareResult("one", "/data/one", 0, 3, 7, None).to_line())
     7
     """
     return int(line.partition(_TAB)[0])
 
 
 @contextmanager
-def _reading(what: str, line: str) -> Generator[dict[str, Any]]:
-    """The fields that a line holds, for a block that makes `what` of them; errors of both are told alike."""
+def _parsed(kind: str, line: str) -> Generator[dict[str, Any]]:
+    """Yield the fields of a line; errors in the block count as errors of the line."""
     if len(line) > LIMIT:
-        raise InputError(what, f"is longer than {LIMIT} characters")
+        raise InputError(kind, f"is longer than {LIMIT} characters")
     try:
-        told: dict[str, Any] = json.loads(line.partition(_TAB)[2])
-        told["end"] = _end(told["end"])
-        yield told
+        fields: dict[str, Any] = json.loads(line.partition(_TAB)[2])
+        if end := fields["end"]:
+            fields["end"] = RecordingEnd(end[0], end[1], tuple(tuple(share) for share in end[2]))
+        yield fields
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(what, f"cannot be read: {error!r} in {line[:80]!r}") from error
-
-
-def _end(told: tuple[int, int, list[list[int]]] | None) -> End | None:
-    return told and End(told[0], told[1], tuple(tuple(share) for share in told[2]))
+        raise InputError(kind, f"cannot be read: {error!r} in {line[:80]!r}") from error

@@ -1,6 +1,6 @@
-"""The work on the claims of one share of the fingertips: state in, state out; no engine is needed to do it.
+"""Processing of work units: a pure function of state and unit, independent of Flink.
 
-Claims may come more than once and in any order: they are numbered, so that each is worked off once, in turn.
+Units may arrive repeatedly and in any order. They are numbered, and each is processed once, in order.
 """
 
 import pickle
@@ -11,111 +11,101 @@ from typing import cast
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.node import Node
-from flows.run.cluster.cluster_segment import Tap, segment
+from flows.run.cluster.cluster_segment import ResultSink, segment
 from flows.run.cluster.part_files import PartReader
-from flows.run.cluster.staging import Given, stage, staged_name
-from flows.run.cluster.work_units import Claim, Done, Slice
+from flows.run.cluster.unit_results import UnitResult, result_file, write_result
+from flows.run.cluster.work_units import ShareResult, Slice, WorkUnit
 from operators.batch import Batch
 from operators.errors import EndpointError, SlipflowError
 
 
 @dataclass
 class _State:
-    """What is remembered of a share between its claims."""
+    """State of a share between units."""
 
-    next: int = 0  # number of the claim whose turn it is; -1: there will be none
-    waiting: dict[int, str] = field(default_factory=dict[int, str])  # claims that came early, as lines
-    operators: bytes = b""  # a snapshot; empty before the first claim
+    next: int = 0  # number of the next unit; -1: none
+    waiting: dict[int, str] = field(default_factory=dict[int, str])  # units that came early, as lines
+    operators: bytes = b""  # snapshot of the operators; empty before the first unit
 
 
-class Work:
-    """Works off claims, one at a time, and stages what they come to.
+class Worker:
+    """Processes work units one at a time and stores their results.
 
     Args:
-        flow: The flow that they are of.
-        place: Where it is staged.
+        flow: Flow that the units belong to.
+        results: Folder for the results.
     """
 
-    def __init__(self, flow: Flow, place: Path) -> None:
-        self._flow, self._place = flow, place
+    def __init__(self, flow: Flow, results: Path) -> None:
+        self._flow, self._results = flow, results
         self._reader = PartReader()
 
-    def take(self, state: bytes | None, claim: Claim) -> tuple[bytes, Done | None]:
-        """Take a claim; give the state after it, and what is done if nothing remains to be done.
+    def process(self, state: bytes | None, unit: WorkUnit) -> tuple[bytes, ShareResult | None]:
+        """Process a unit; return the new state, and the share's result if this was its last unit.
 
-        An error that would come again ends the work on the share and is told in what is done.
+        An error that would occur again ends the share and becomes its result.
 
         Args:
-            state: What the claim before gave; None: there was none.
-            claim: Of any number.
+            state: State after the previous unit; None: this is the first.
+            unit: Unit with any number.
 
         Raises:
-            EndpointError: if it cannot be staged; the state before still holds.
+            EndpointError: if the result cannot be stored; the old state remains valid.
         """
         now = _State() if state is None else cast("_State", pickle.loads(state))  # noqa: S301 - our own
-        done = None
-        if now.next >= 0 and claim.number >= now.next:
+        result = None
+        if now.next >= 0 and unit.number >= now.next:
             try:
-                done = self._advance(now, claim)
+                result = self._advance(now, unit)
             except EndpointError:
                 raise
             except SlipflowError as error:
-                done = Done(
-                    claim.session,
-                    claim.folder,
-                    claim.turn,
-                    claim.share,
-                    claim.deal - claim.share,
-                    None,
-                    str(error),
-                )
-            if done:
+                result = ShareResult.of(unit, str(error))
+            if result:
                 now = _State(next=-1)
-        return pickle.dumps(now, pickle.HIGHEST_PROTOCOL), done
+        return pickle.dumps(now, pickle.HIGHEST_PROTOCOL), result
 
-    def _advance(self, now: _State, newest: Claim) -> Done | None:
-        """Work off what is due."""
+    def _advance(self, now: _State, newest: WorkUnit) -> ShareResult | None:
+        """Process `newest` and the waiting units after it, or let it wait."""
         if newest.number > now.next:
-            now.waiting[newest.number] = newest.line()
+            now.waiting[newest.number] = newest.to_line()
             return None
         flow = segment(self._flow, newest.sources)
-        plan = CompiledFlow(flow, only=newest.fingers)
+        compiled = CompiledFlow(flow, only=newest.fingers)
         if now.operators:
-            plan.restore(now.operators)
+            compiled.restore(now.operators)
         entries = {node.name: node for node in flow.sources()}
-        due: Claim | None = newest
-        while claim := due:
-            given: Given = {}
-            for each in claim.slices:
+        due: WorkUnit | None = newest
+        while unit := due:
+            result: UnitResult = {}
+            for each in unit.slices:
                 batches: dict[Entry, Batch] = {
                     (entries[rows.source], rows.finger): batch
-                    for rows, batch in zip(each.rows, self._rows(claim, each, entries), strict=True)
+                    for rows, batch in zip(each.rows, self._read(unit, each, entries), strict=True)
                 }
-                _collect(given, each.number, plan.push(batches), claim.fingers)
-            if claim.end:
-                _collect(given, claim.end.slices, plan.flush(), claim.fingers)
-            stage(self._place / claim.key / staged_name(claim.number), given)
-            if claim.end:
-                return Done(
-                    claim.session, claim.folder, claim.turn, claim.share, claim.deal - claim.share, claim.end
-                )
+                _collect(result, each.number, compiled.push(batches), unit.fingers)
+            if unit.end:
+                _collect(result, unit.end.slices, compiled.flush(), unit.fingers)
+            write_result(self._results / unit.key / result_file(unit.number), result)
+            if unit.end:
+                return ShareResult.of(unit)
             now.next += 1
             line = now.waiting.pop(now.next, None)
-            due = Claim.read(line) if line else None
-        now.operators = plan.snapshot()
+            due = WorkUnit.from_line(line) if line else None
+        now.operators = compiled.snapshot()
         return None
 
-    def _rows(self, claim: Claim, each: Slice, entries: dict[str, Node]) -> list[Batch]:
+    def _read(self, unit: WorkUnit, each: Slice, entries: dict[str, Node]) -> list[Batch]:
         batches = list[Batch]()
         for rows in each.rows:
             kind = cast("type[Batch]", entries[rows.source].gives)
-            part = self._reader.read(Path(claim.folder), kind, rows.path, rows.sha256)
+            part = self._reader.read(Path(unit.folder), kind, rows.path, rows.sha256)
             batches.append(part[rows.finger][rows.start : rows.stop])
         return batches
 
 
-def _collect(given: Given, number: int, deliveries: list[Delivery], fingers: tuple[int, ...]) -> None:
-    """Keep what is the share's own: what belongs to every fingertip is the work of one share."""
+def _collect(result: UnitResult, number: int, deliveries: list[Delivery], fingers: tuple[int, ...]) -> None:
+    """Add the batches of the share's own fingertips; one share owns what belongs to every fingertip."""
     for sink, batch in deliveries:
         if batch.finger in fingers:
-            given[number, cast("Tap", sink.part).operator, batch.finger] = batch
+            result[number, cast("ResultSink", sink.part).operator, batch.finger] = batch

@@ -1,4 +1,4 @@
-"""A flow that joins and derives, and recordings for it."""
+"""A flow with a join and two derived streams, and recordings for it."""
 
 import asyncio
 from collections.abc import Callable
@@ -25,7 +25,7 @@ class Stopped:
 
 
 class Recorder:
-    """Records a session, a stretch at a time; parts are of 10 s."""
+    """Records a session step by step, in parts of 10 s."""
 
     def __init__(self, root: Path, session: str = "one") -> None:
         self.folder = root / "sessions" / session
@@ -64,14 +64,14 @@ def new_recorder(tmp_path: Path) -> Callable[..., Recorder]:
 
 @pytest.fixture
 def folder(new_recorder: Callable[..., Recorder]) -> Path:
-    """A session of two fingertips and 45 s."""
+    """A session with two fingertips and 45 s."""
     recorder = new_recorder()
     recorder.record(45)
     return recorder.close()
 
 
 def derive(out: Path, threshold: float = 0.5) -> Flow:
-    """Samples and slips, and the raw touch beside them."""
+    """Declare a flow that stores raw touch, samples and slips."""
     flow, dataset = Flow("derive"), Dataset(out, part_span=15 * s, host="test")
     touch = flow.source(TestSource(Touch))
     zeroed = touch | Zero()

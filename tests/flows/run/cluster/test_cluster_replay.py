@@ -12,8 +12,8 @@ from flows.graph.loading import Declaration, load
 from flows.run.cluster.cluster_replay import Cluster
 from flows.run.cluster.job_folder import JobFolder
 from flows.run.cluster.job_manager import JobManager
-from flows.run.cluster.work_units import Claim
-from flows.run.cluster.worker import Work
+from flows.run.cluster.work_units import WorkUnit
+from flows.run.cluster.worker import Worker
 from operators import EndpointError, InputError, ParameterError
 
 FLOW = """
@@ -32,34 +32,34 @@ def slips(out: str = "out") -> Flow:
 
 @dataclass
 class Manager:
-    """Answers as a job manager does, and works off a job when it is asked for it."""
+    """Stand-in for a job manager that runs a job when its state is requested."""
 
     url: str = ""
     out: Path = Path()
     slots: int = 2
     state: str = "FINISHED"
-    asked: list[str] = field(default_factory=list[str])
+    requests: list[str] = field(default_factory=list[str])
 
     def answer(self, method: str, path: str) -> dict[str, Any]:
-        self.asked.append(f"{method} {path}")
+        self.requests.append(f"{method} {path}")
         if path == "/overview":
             return {"slots-total": self.slots}
         if path.endswith("/exceptions"):
             stack = "java.lang.RuntimeException\nCaused by: operators.errors.EndpointError: disk: full\n"
             return {"exceptionHistory": {"entries": [{"stacktrace": stack}]}}
         if method == "GET" and self.state == "FINISHED":
-            self.work()
+            self.run_jobs()
         return {"state": self.state}
 
-    def work(self) -> None:
+    def run_jobs(self) -> None:
         for place in (self.out / ".jobs").glob("*"):
             folder, states = JobFolder(place), dict[str, bytes]()
-            work = Work(folder.flow(), folder.staged)
-            for file in sorted(folder.claims.iterdir()):
+            worker = Worker(folder.flow(), folder.results)
+            for file in sorted(folder.units.iterdir()):
                 for line in file.read_text().splitlines():
-                    claim = Claim.read(line)
-                    states[claim.key], done = work.take(states.get(claim.key), claim)
-                    if done and (done.error or (done.end and claim.share == len(done.end.shares) - 1)):
+                    unit = WorkUnit.from_line(line)
+                    states[unit.key], done = worker.process(states.get(unit.key), unit)
+                    if done and (done.error or (done.end and unit.share == len(done.end.shares) - 1)):
                         folder.finish(done)
 
 
@@ -92,7 +92,7 @@ def manager(tmp_path: Path) -> Iterator[Manager]:
 
 @pytest.fixture
 def python(tmp_path: Path) -> Path:
-    """Submits as a Python with pyflink would."""
+    """Stand-in for a Python with pyflink."""
     path = tmp_path / "python"
     path.write_text('#!/bin/sh\necho "a warning" >&2\necho 0123abcd\n')
     path.chmod(0o755)
@@ -117,7 +117,7 @@ def run(
     return start
 
 
-def test_a_dataset_is_worked_off_and_nothing_else_is_left(
+def test_a_dataset_is_replayed_and_the_job_folder_removed(
     run: Callable[..., dict[str, str]], folder: Path, tmp_path: Path
 ) -> None:
     assert run(folder.parents[1]) == {"one": ""}
@@ -125,7 +125,7 @@ def test_a_dataset_is_worked_off_and_nothing_else_is_left(
     assert (tmp_path / "out" / "sessions" / "one" / "slips.parquet").exists()
 
 
-def test_a_recording_that_is_damaged_keeps_no_other_from_being_worked_off(
+def test_other_recordings_are_replayed_if_one_is_damaged(
     run: Callable[..., dict[str, str]], new_recorder: Callable[..., Any], folder: Path
 ) -> None:
     recorder = new_recorder("two")
@@ -136,19 +136,19 @@ def test_a_recording_that_is_damaged_keeps_no_other_from_being_worked_off(
     assert "part-000000.parquet: cannot be read" in done["two"]
 
 
-def test_a_session_that_is_there_already_is_refused(run: Callable[..., dict[str, str]], folder: Path) -> None:
+def test_an_existing_session_is_an_error(run: Callable[..., dict[str, str]], folder: Path) -> None:
     run(folder)
     with pytest.raises(InputError, match="has a session 'one' already"):
         run(folder)
 
 
-def test_nothing_to_run_over_is_named(run: Callable[..., dict[str, str]], tmp_path: Path) -> None:
+def test_a_missing_recording_is_an_error(run: Callable[..., dict[str, str]], tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere: there is no such folder"):
         run(tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize("state", ["FAILED", "CANCELED"])
-def test_a_job_that_fails_is_told_with_its_cause(
+def test_a_failed_job_is_an_error_with_its_cause(
     state: str, run: Callable[..., dict[str, str]], manager: Manager, folder: Path, tmp_path: Path
 ) -> None:
     manager.state = state
@@ -157,12 +157,10 @@ def test_a_job_that_fails_is_told_with_its_cause(
     assert not (tmp_path / "out" / ".jobs").exists()
 
 
-def test_who_stops_it_has_the_job_cancelled(
-    run: Callable[..., dict[str, str]], manager: Manager, folder: Path
-) -> None:
+def test_stopping_cancels_the_job(run: Callable[..., dict[str, str]], manager: Manager, folder: Path) -> None:
     manager.state = "RUNNING"
     assert run(folder, stopped=lambda: True) == {}
-    assert manager.asked[-1] == "PATCH /jobs/0123abcd"
+    assert manager.requests[-1] == "PATCH /jobs/0123abcd"
 
 
 def test_a_cluster_without_task_managers_is_an_error(
@@ -173,7 +171,7 @@ def test_a_cluster_without_task_managers_is_an_error(
         run(folder)
 
 
-def test_a_submission_that_fails_says_why(
+def test_a_failed_submission_is_an_error_with_its_cause(
     manager: Manager, declaration: Declaration, folder: Path, tmp_path: Path
 ) -> None:
     python = tmp_path / "broken"
@@ -183,12 +181,12 @@ def test_a_submission_that_fails_says_why(
         Cluster(manager.url, python).run("job", declaration, {"out": str(tmp_path / "out")}, [folder])
 
 
-def test_nobody_at_the_url_is_an_error_that_says_what_to_do() -> None:
+def test_a_missing_job_manager_is_an_error_with_the_fix() -> None:
     with pytest.raises(EndpointError, match="make cluster"):
         JobManager("http://127.0.0.1:9").slots()
 
 
 @pytest.mark.parametrize("url", ["localhost:8081", "file:///etc/passwd", ""])
-def test_what_is_no_url_of_a_cluster_is_refused(url: str) -> None:
+def test_an_invalid_url_is_an_error(url: str) -> None:
     with pytest.raises(ParameterError, match="such as http://localhost:8081"):
         JobManager(url)

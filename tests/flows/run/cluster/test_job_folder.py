@@ -5,7 +5,7 @@ import pytest
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.loading import load
 from flows.run.cluster.job_folder import JobFolder
-from flows.run.cluster.work_units import Claim, Done
+from flows.run.cluster.work_units import ShareResult, WorkUnit
 from operators import EndpointError, InputError
 
 FLOW = """
@@ -40,22 +40,20 @@ def created(file: Path, out: str) -> JobFolder:
     return JobFolder.create("job", declaration, {"out": out}, declaration.flow({"out": out}))
 
 
-def test_the_flow_is_that_of_the_beginning(file: Path, tmp_path: Path) -> None:
+def test_the_flow_file_is_copied_when_the_job_begins(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
     file.write_text("raise RuntimeError")
     assert str(folder.flow()).startswith("flow slips\n")
 
 
-def test_operators_of_a_flow_file_pickle_between_the_functions_of_one_process(
-    file: Path, tmp_path: Path
-) -> None:
+def test_snapshots_are_valid_for_all_functions_of_one_process(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
     first = CompiledFlow(folder.flow())
     folder.flow()
     CompiledFlow(folder.flow()).restore(first.snapshot())
 
 
-def test_a_relative_path_means_what_it_meant_where_the_job_began(
+def test_relative_paths_refer_to_the_directory_where_the_job_began(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -65,7 +63,7 @@ def test_a_relative_path_means_what_it_meant_where_the_job_began(
     assert folder.path == tmp_path / "out" / ".jobs" / "job"
 
 
-def test_ready_made_flows_are_named(tmp_path: Path) -> None:
+def test_a_shipped_flow_is_stored_by_name(tmp_path: Path) -> None:
     declaration = load("relabel")
     settings = {"out": str(tmp_path)}
     folder = JobFolder.create("job", declaration, settings, declaration.flow(settings))
@@ -73,34 +71,34 @@ def test_ready_made_flows_are_named(tmp_path: Path) -> None:
     assert folder.flow().name == "relabel"
 
 
-def test_claims_appear_whole(file: Path, tmp_path: Path) -> None:
+def test_a_file_of_units_appears_when_it_is_complete(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
-    claim = Claim("one", "/one", 0, 0, (0,), 0, 0, {}, ())
-    folder.claim("first", [claim, claim])
-    assert [path.name for path in folder.claims.iterdir()] == ["first.jsonl"]
-    assert (folder.claims / "first.jsonl").read_text() == 2 * f"{claim.line()}\n"
+    unit = WorkUnit("one", "/one", 0, 0, (0,), 0, 0, {}, ())
+    folder.add_units("first", [unit, unit])
+    assert [path.name for path in folder.units.iterdir()] == ["first.jsonl"]
+    assert (folder.units / "first.jsonl").read_text() == 2 * f"{unit.to_line()}\n"
 
 
-def test_a_failure_is_noted_and_what_was_staged_goes(file: Path, tmp_path: Path) -> None:
+def test_a_failure_is_noted_and_the_results_are_removed(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
-    (folder.staged / "one" / "0").mkdir(parents=True)
+    (folder.results / "one" / "0").mkdir(parents=True)
     assert folder.error("one") is None
-    folder.finish(Done("one", "/one", 0, 0, 0, None, "is damaged"))
+    folder.finish(ShareResult("one", "/one", 0, 0, 0, None, "is damaged"))
     assert folder.done() == {"one": "is damaged"}
-    assert not (folder.staged / "one").exists()
+    assert not (folder.results / "one").exists()
 
 
-def test_nothing_is_left_of_a_job_that_is_removed(file: Path, tmp_path: Path) -> None:
+def test_a_removed_job_leaves_no_files(file: Path, tmp_path: Path) -> None:
     created(file, str(tmp_path / "out")).remove()
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_a_job_of_that_name_that_runs_is_an_error(file: Path, tmp_path: Path) -> None:
+def test_a_running_job_of_the_same_name_is_an_error(file: Path, tmp_path: Path) -> None:
     created(file, str(tmp_path / "out"))
     with pytest.raises(EndpointError, match="cannot be written: File exists"):
         created(file, str(tmp_path / "out"))
 
 
-def test_a_folder_that_this_machine_does_not_share_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_this_machine_does_not_share_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"job\.json: cannot be read"):
         JobFolder(tmp_path / "elsewhere").flow()

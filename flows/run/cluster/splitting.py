@@ -1,0 +1,179 @@
+"""Splitting of a recording into work units, cut at the same times as a replay in one process."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import cast
+
+from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow, Entry
+from flows.run.cluster.cluster_segment import needed_sources, result_nodes
+from flows.run.cluster.part_files import RowTimes, read_row_times
+from flows.run.cluster.work_units import RecordingEnd, RowRange, Slice, WorkUnit
+from flows.run.replay_runner import in_slices, replayed
+from operators.batch import EVERY, Batch
+from operators.errors import InputError
+from operators.ports import Description, SomeBatch
+from storage import Session
+
+
+class _IncompleteError(Exception):
+    """End of the rows of a stream that may still grow."""
+
+
+@dataclass
+class Splitter:
+    """Splits one recording, which may still grow, into work units.
+
+    Args:
+        flow: Flow to run.
+        folder: Folder of the session, on storage that all machines of the cluster share.
+        rows: Largest batch of a stream; the writer of the session must use the same value.
+        slices: Slices per unit.
+        shares: Largest number of shares that the fingertips are split into.
+        partition: Number of the recording; workers get recordings and shares in turn.
+    """
+
+    flow: Flow
+    folder: Path
+    rows: int = 1000
+    slices: int = 8
+    shares: int = 8
+    partition: int = 0
+    ended: bool = field(default=False, init=False)  # the last units were returned
+    _times: dict[str, dict[int, RowTimes]] = field(default_factory=dict[str, dict[int, RowTimes]], init=False)
+    _generation: int = field(default=0, init=False)
+    _done: int = field(default=0, init=False)  # units of each share in this generation
+    _sources: Mapping[str, tuple[int, ...]] = field(default_factory=dict[str, tuple[int, ...]], init=False)
+
+    def units(self, *, growing: bool = False) -> list[WorkUnit]:
+        """Return the units that are new since the last call; units of one time span follow each other.
+
+        If a new fingertip appears in a growing recording, it is split again from its start, in a new
+        generation.
+
+        Args:
+            growing: Wait for the rows that an open session may still get.
+
+        Raises:
+            InputError: if the recording cannot be read, or lacks a stream that the flow needs.
+        """
+        if self.ended:
+            return []
+        session = Session.open(self.folder)
+        recording = _RowTimesRecording(session, self._times)
+        closed = not growing or "end_ns" in session.about
+        try:
+            flow = replayed(self.flow, recording, paced=False)
+        except InputError:
+            if closed:
+                raise
+            return []  # a stream has no part yet
+        sources = {node.name: node.fingers for node in flow.sources()}
+        if self._done and sources != self._sources:
+            self._generation, self._done = self._generation + 1, 0
+        self._sources = sources
+        slices = list(self._cut(recording, flow, closed=closed))
+        if closed and not slices:
+            raise InputError(str(self.folder), "holds no rows, so nothing is to be done")
+        self.ended = closed
+        return self._new_units(session, flow, slices, closed=closed)
+
+    def _cut(
+        self, recording: "_RowTimesRecording", flow: Flow, *, closed: bool
+    ) -> Iterator[dict[Entry, RowTimes]]:
+        streams: dict[Entry, Iterator[Batch]] = {}
+        for node, finger in CompiledFlow(flow).entries:
+            stream = recording.read(cast("type[Batch]", node.gives), finger, self.rows)
+            streams[node, finger] = stream if closed else _incomplete(stream)
+        try:
+            yield from cast("Iterator[dict[Entry, RowTimes]]", in_slices(streams))
+        except _IncompleteError:
+            return
+
+    def _new_units(
+        self, session: Session, flow: Flow, slices: list[dict[Entry, RowTimes]], *, closed: bool
+    ) -> list[WorkUnit]:
+        files = {
+            node.name: list(session.files(cast("type[Batch]", node.gives)).items()) for node in flow.sources()
+        }
+        needed, shares = needed_sources(self.flow), split_fingers(flow, self.shares)
+        last = max(-(-len(slices) // self.slices) - 1, 0) if closed else len(slices) // self.slices - 1
+        units = list[WorkUnit]()
+        for number in range(self._done, last + 1):
+            first = number * self.slices
+            group = list(enumerate(slices[first : first + self.slices], first))
+            end = RecordingEnd(len(slices), last + 1, shares) if closed and number == last else None
+            for share, fingers in enumerate(shares):
+                own = [
+                    (k, tuple(_row_range(entry, times, files) for entry, times in each.items()
+                              if entry[0].name in needed and entry[1] in (*fingers, EVERY)))
+                    for k, each in group
+                ]  # fmt: skip
+                units.append(
+                    WorkUnit(
+                        session.name,
+                        str(self.folder),
+                        self._generation,
+                        share,
+                        fingers,
+                        self.partition + share,
+                        number,
+                        self._sources,
+                        tuple(Slice(k, rows) for k, rows in own if rows),
+                        end,
+                    )
+                )
+        self._done = max(self._done, last + 1)
+        return units
+
+
+def split_fingers(flow: Flow, most: int) -> tuple[tuple[int, ...], ...]:
+    """Split the fingertips whose rows the flow derives into at most `most` shares; EVERY counts as one.
+
+    Rows that belong to every fingertip are read for each share, so few large shares cost less than many.
+    """
+    fingers = sorted({finger for node in result_nodes(flow) for finger in node.fingers})
+    count = min(most, len(fingers))
+    return tuple(tuple(fingers[share::count]) for share in range(count))
+
+
+def _row_range(entry: Entry, times: RowTimes, files: Mapping[str, list[tuple[str, str | None]]]) -> RowRange:
+    name = entry[0].name
+    path, sha256 = files[name][times.part.item(0)]
+    return RowRange(name, entry[1], path, sha256, times.row.item(0), times.row.item(-1) + 1)
+
+
+def _incomplete(stream: Iterator[Batch]) -> Iterator[Batch]:
+    yield from stream
+    raise _IncompleteError
+
+
+@dataclass
+class _RowTimesRecording:
+    """Session as a recording that reads times only."""
+
+    session: Session
+    times: dict[str, dict[int, RowTimes]]  # by file; kept between calls
+
+    @property
+    def name(self) -> str:
+        return str(self.session.folder)
+
+    def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
+        return tuple(sorted({finger for part in self._parts(kind) for finger in part}))
+
+    def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
+        for part in self._parts(kind):
+            batch = part.get(finger)
+            for start in range(0, 0 if batch is None else len(batch), rows):
+                yield cast("SomeBatch", cast("RowTimes", batch)[start : start + rows])
+
+    def describe(self) -> Description:
+        return self.session.about
+
+    def _parts(self, kind: type[Batch]) -> Iterator[dict[int, RowTimes]]:
+        for number, (path, sha256) in enumerate(self.session.files(kind).items()):
+            if path not in self.times:
+                self.times[path] = read_row_times(self.session.folder, kind, path, sha256, number)
+            yield self.times[path]
