@@ -4,8 +4,8 @@ from typing import Final
 
 from connectors import Console, Gripper, TakkTile
 from connectors.gripper.grip_force import ForceScale
+from connectors.sim.grasp import least_force
 from connectors.sim.grasp_source import Handling
-from connectors.sim.holding import least_force
 from connectors.sim.objects import OBJECTS, named
 from flows.graph import Flow, Stream
 from flows.graph.quantity import Force

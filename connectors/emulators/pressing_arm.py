@@ -9,7 +9,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from connectors.emulators.free_arm import FreeArm
-from connectors.sim.relief import drop
+from connectors.sim.scene import surface_drop
 from operators.batch import Commands, Reals
 
 STIFFNESS: Final = 1000.0  # N/m, of fingertip, arm and surface together; assumed
@@ -61,7 +61,7 @@ class PressingArm:
         pose, velocity = self._plane.motion(time)
         along, speed = self._vertical.motion(time)
         pose[_Z], velocity[_Z] = along[_Z], speed[_Z]
-        surface = -drop(self._curvatures, float(pose[0]), float(pose[1]))  # m
+        surface = -surface_drop(self._curvatures, float(pose[0]), float(pose[1]))  # m
         force = self._push = self._stiffness * max(0.0, surface - float(along[_Z]))
         if abs(force - self._force) > _SLIGHT or (force == 0.0) != (self._force == 0.0):
             self._force = force

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 
 from connectors.sim.arm_motion import Arm, in_base
-from connectors.sim.hand import Orders
+from connectors.sim.commanded_motion import CommandQueue
 from connectors.sim.scene import Scene, commanded_scene
 from operators.batch import Commands, Counts, Reals, Touch, Truth, concat, s
 from operators.errors import ParameterError
@@ -57,7 +57,7 @@ class SharedScene:
         compile_physics()
         self.scene = scene if scene is not None else commanded_scene()
         self.seed, self.fingers, self.now = seed, fingers, now
-        self._lock, self.orders = Lock(), Orders()
+        self._lock, self.orders = Lock(), CommandQueue()
         self._skin = {finger: Finger(self.scene, seed, finger, orders=self.orders) for finger in fingers}
         self._arm = Arm(self.scene, seed, orders=self.orders)
         self._least = round(self.scene.parameters.step * s)  # ns between two readings that differ

@@ -18,11 +18,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from connectors.sim.arm_states import Path
+from connectors.sim.commanded_motion import CommandFollower, CommandQueue, Trajectory
 from connectors.sim.contact import compiled
-from connectors.sim.hand import Obedience, Orders
-from connectors.sim.scene import Move, Scene
-from connectors.sim.timing import Sampler
+from connectors.sim.scene import Move, Sampler, Scene
 from operators.batch import Motion, Reals, s
 
 TAP: Final = 0.01  # s
@@ -79,7 +77,7 @@ def course(move: Move, start: float, place: tuple[float, float, float], force: f
 
 @compiled
 def follow(course: Course, times: Reals, drive: Reals, place: Reals) -> None:
-    """Fill in the path of a course at instants (k,) (s): (k, 6) and (k, 3), see `Path`; `drive` is blank."""
+    """Fill in the trajectory of a course at instants (k,) (s), see `Trajectory`; `drive` (k, 6) is zero."""
     for i in range(times.size):
         t = times[i] - course.start
         place[i, 0], place[i, 1], place[i, 2] = course.place
@@ -124,11 +122,11 @@ class Arm:
         scene: Scene,
         seed: int,
         begun: Callable[[Move, float], None] | None = None,
-        orders: Orders | None = None,
+        orders: CommandQueue | None = None,
     ) -> None:
         self._moves: Iterator[Move] = scene.plan.moves(np.random.default_rng([seed, 0]))
         self._scene, self._begun = scene, begun
-        self._obedience = None if orders is None else Obedience(orders, scene)
+        self._obedience = None if orders is None else CommandFollower(orders, scene)
         self._course: Course | None = None  # of the present move; None when the plan has ended
         self._end = 0.0  # s, of the move
         self._next((0.0, 0.0, 0.0), 0.0)
@@ -142,15 +140,15 @@ class Arm:
                 self._begun(move, self._end)
             self._end += move.seconds
 
-    def at(self, times: Reals) -> Path:
+    def at(self, times: Reals) -> Trajectory:
         """The path at instants (k,) (s) that never go back; shorter where the plan ends before the last."""
         if self._obedience is None:
             return self._planned(times)
         return self._obedience.path(times, self._planned)
 
-    def _planned(self, times: Reals) -> Path:
+    def _planned(self, times: Reals) -> Trajectory:
         k, done = len(times), 0
-        path = Path.blank(k)
+        path = Trajectory.blank(k)
         while (course := self._course) is not None:
             until = int(times.searchsorted(self._end))
             if until > done:
@@ -162,7 +160,7 @@ class Arm:
         return path[:done]
 
 
-def in_base(path: Path) -> tuple[Reals, Reals]:
+def in_base(path: Trajectory) -> tuple[Reals, Reals]:
     """Velocity and pose of the TCP in the robot's base frame: (k, 6) m/s, rad/s and (k, 6) m, rad."""
     x, y, yaw = path.place.T
     vx, vy, spin = path.velocity.T
@@ -175,7 +173,7 @@ def in_base(path: Path) -> tuple[Reals, Reals]:
 class Controller:
     """What the arm's controller says of its own motion, a stretch at a time."""
 
-    def __init__(self, scene: Scene, seed: int, orders: Orders | None = None) -> None:
+    def __init__(self, scene: Scene, seed: int, orders: CommandQueue | None = None) -> None:
         self._arm = Arm(scene, seed, orders=orders)
         self._sampler = Sampler(scene.motion, np.random.default_rng([seed, 1]))
 

@@ -26,7 +26,7 @@ A body whose middle is further than its reach above or below the pad's middle, o
 beside it, is dropped: no finger presses any more. Left out: rolling and tilting out of the plane, the slope
 of a ball off its top, drag of the air.
 
-Steps are semi-implicit Euler, those of `contact`. `body_numpy.advance` says the same in array arithmetic.
+Steps are semi-implicit Euler, those of `contact`. `body_numpy.simulate` says the same in array arithmetic.
 """
 
 import math
@@ -34,16 +34,27 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from connectors.sim.contact import TINY, Law, Pad, State, compiled, gather, press, rub, summed, swing
+from connectors.sim.contact import (
+    TINY,
+    ContactModel,
+    FingerState,
+    Pad,
+    balance_normal,
+    compiled,
+    move_tip,
+    sum_springs,
+    update_friction,
+    vectorized,
+)
 from operators.batch import Reals
 
 GRAVITY: Final = 9.81  # m/s2
 
 
-class Grip(NamedTuple):
+class GripModel(NamedTuple):
     """The scalars of the equations."""
 
-    contact: Law  # its frictions, texture and curvatures are the body's
+    contact: ContactModel  # its frictions, texture and curvatures are the body's
     mass: float  # kg
     inertia: float  # kg m2
     reach: float  # m
@@ -51,7 +62,7 @@ class Grip(NamedTuple):
     mu: float  # of the passive fingers
     spring: float  # N/m, of each of them
     damper: float  # N s/m
-    apart: float  # m, each from the middle of the hand along x
+    finger_offset: float  # m, each from the middle of the hand along x
     foot: float  # m, each corner from the middle along x
     below: float  # m, the corners under the middle
     table: float  # m, height of the table
@@ -59,21 +70,21 @@ class Grip(NamedTuple):
     table_damper: float  # N s/m
 
 
-class Body(NamedTuple):
+class BodyState(NamedTuple):
     """What changes, in place."""
 
     place: Reals  # (3,) m, m, rad, of its middle
     velocity: Reals  # (3,) m/s, m/s, rad/s: U and O
     hand: Reals  # (2,) m
     passive: Reals  # (2, 2) m: s_j, by finger, then x and y
-    along: Reals  # (3,) m/s, m/s, rad/s: velocity of the tip along the body, at the pad's middle
+    slip_velocity: Reals  # (3,) m/s, m/s, rad/s: velocity of the tip along the body, at the pad's middle
     slide: Reals  # (3,) m, m, rad: way of the body along the pad while it is gripped
     path: Reals  # (1,) m: length of the tip's way along the body
     table: Reals  # (1,) N
     dropped: Reals  # (1,) 1 once it is, else 0
 
     @classmethod
-    def standing(cls, x: float, y: float) -> "Body":
+    def standing(cls, x: float, y: float) -> "BodyState":
         """A body at rest with its middle at a place (m)."""
         return cls(
             np.array([x, y, 0.0]), np.zeros(3), np.zeros(2), np.zeros((2, 2)), np.zeros(3),
@@ -81,26 +92,30 @@ class Body(NamedTuple):
         )  # fmt: skip
 
 
-@summed
-def meet(law: Law, pad: Pad, tip: State, body: Body, seen: tuple[float, float]) -> None:
+@vectorized
+def place_surface(
+    model: ContactModel, pad: Pad, tip: FingerState, body: BodyState, seen: tuple[float, float]
+) -> None:
     """Put the body's surface under the pad, whose middle is `seen` from the body at a place (m, m)."""
     turned = body.place[2] + tip.deflection[2]  # the tip has turned by -e_o
     cos, sin = math.cos(turned), math.sin(turned)
     for i in range(pad.x.size):
         u = seen[0] + cos * pad.x[i] + sin * pad.y[i]
         v = seen[1] - sin * pad.x[i] + cos * pad.y[i]
-        pad.gap[i] = 0.5 * (law.k_x * u * u + law.k_y * v * v)
+        pad.gap[i] = 0.5 * (model.k_x * u * u + model.k_y * v * v)
     if tip.springs[0] != 0.0:
-        gather(law, pad, tip)
+        sum_springs(model, pad, tip)
 
 
 @compiled
-def hold(grip: Grip, body: Body, drive: Reals, force: float) -> tuple[float, float, float]:
+def load_passive_fingers(
+    grip: GripModel, body: BodyState, drive: Reals, force: float
+) -> tuple[float, float, float]:
     """Move the springs of the passive fingers by one step; their force and moment on the body (N, N, N m)."""
     limit, step = 0.5 * grip.mu * force, grip.contact.step
     sum_x, sum_y, moment = 0.0, 0.0, 0.0
     for finger in range(2):
-        px = body.hand[0] + (2 * finger - 1) * grip.apart - body.place[0]
+        px = body.hand[0] + (2 * finger - 1) * grip.finger_offset - body.place[0]
         py = body.hand[1] - body.place[1]
         ux = drive[0] - body.velocity[0] + body.velocity[2] * py
         uy = drive[1] - body.velocity[1] - body.velocity[2] * px
@@ -118,7 +133,7 @@ def hold(grip: Grip, body: Body, drive: Reals, force: float) -> tuple[float, flo
 
 
 @compiled
-def stand(grip: Grip, body: Body) -> tuple[float, float]:
+def support_by_table(grip: GripModel, body: BodyState) -> tuple[float, float]:
     """Force (N, upward) and moment (N m) of the table on the body."""
     turned = body.place[2] if grip.foot > 0.0 else 0.0  # what is round stands on its lowest point
     cos, sin = math.cos(turned), math.sin(turned)
@@ -135,7 +150,9 @@ def stand(grip: Grip, body: Body) -> tuple[float, float]:
 
 
 @compiled
-def advance(grip: Grip, pad: Pad, tip: State, body: Body, drive: Reals) -> tuple[Reals, float]:
+def simulate(
+    grip: GripModel, pad: Pad, tip: FingerState, body: BodyState, drive: Reals
+) -> tuple[Reals, float]:
     """Run a grip and read it at the end.
 
     Args:
@@ -143,18 +160,18 @@ def advance(grip: Grip, pad: Pad, tip: State, body: Body, drive: Reals) -> tuple
         pad: The nodes; their gaps change in place.
         tip: Where the fingertip stands; changed in place.
         body: Where the body stands; changed in place.
-        drive: (steps, 9) as in `contact.advance`, without push and spin, then the mallet (N, N, N m).
+        drive: (steps, 9) as in `contact.simulate`, without push and spin, then the mallet (N, N, N m).
 
     Returns:
         Pressure and tractions x and y on the pad (Pa), (3, n), and the mean sliding speed (m/s).
     """
-    # the pad as `rub` sees it: moving along the body
-    skin = State(
-        tip.deflection, body.along, tip.attitude, tip.friction, body.path,
+    # the pad as `update_friction` sees it: moving along the body
+    skin = FingerState(
+        tip.deflection, body.slip_velocity, tip.attitude, tip.friction, body.path,
         tip.yaw, tip.pressure, tip.bristle, tip.pressed, tip.springs,
     )  # fmt: skip
-    law, place, velocity, h = grip.contact, body.place, body.velocity, grip.contact.step
-    curved = law.k_x != 0.0 or law.k_y != 0.0
+    model, place, velocity, h = grip.contact, body.place, body.velocity, grip.contact.step
+    curved = model.k_x != 0.0 or model.k_y != 0.0
     slid = 0.0
     for row in drive:
         cx = body.hand[0] - tip.deflection[0] - place[0]
@@ -165,20 +182,22 @@ def advance(grip: Grip, pad: Pad, tip: State, body: Body, drive: Reals) -> tuple
             body.dropped[0] = 1.0
         force = 0.0 if body.dropped[0] != 0.0 else row[3]
         if curved:
-            meet(law, pad, tip, body, (across, up))
-        press(law, pad, tip, force)
-        body.along[0] = tip.velocity[0] - velocity[0] + velocity[2] * cy
-        body.along[1] = tip.velocity[1] - velocity[1] - velocity[2] * cx
-        body.along[2] = tip.velocity[2] - velocity[2]
-        qx, qy, torque, slide = rub(law, pad, skin, force)
+            place_surface(model, pad, tip, body, (across, up))
+        balance_normal(model, pad, tip, force)
+        body.slip_velocity[0] = tip.velocity[0] - velocity[0] + velocity[2] * cy
+        body.slip_velocity[1] = tip.velocity[1] - velocity[1] - velocity[2] * cx
+        body.slip_velocity[2] = tip.velocity[2] - velocity[2]
+        qx, qy, torque, slide = update_friction(model, pad, skin, force)
         slid += slide
         if force > 0.0:
-            body.path[0] += h * math.sqrt(body.along[0] * body.along[0] + body.along[1] * body.along[1])
+            body.path[0] += h * math.sqrt(
+                body.slip_velocity[0] * body.slip_velocity[0] + body.slip_velocity[1] * body.slip_velocity[1]
+            )
             for axis in range(3):
-                body.slide[axis] -= h * body.along[axis]
-        fx, fy, twist = hold(grip, body, row, force)
-        upward, tilt = stand(grip, body)
-        swing(law, tip, row, (qx, qy, torque))
+                body.slide[axis] -= h * body.slip_velocity[axis]
+        fx, fy, twist = load_passive_fingers(grip, body, row, force)
+        upward, tilt = support_by_table(grip, body)
+        move_tip(model, tip, row, (qx, qy, torque))
         tip.friction[0], tip.friction[1] = qx, qy
         velocity[0] += h / grip.mass * (fx - qx + row[6])
         velocity[1] += h / grip.mass * (fy - qy + upward + row[7]) - h * GRAVITY
@@ -191,6 +210,6 @@ def advance(grip: Grip, pad: Pad, tip: State, body: Body, drive: Reals) -> tuple
     tractions = np.empty((3, pad.x.size))
     for i in range(pad.x.size):
         tractions[0, i] = tip.pressure[i]
-        tractions[1, i] = -law.k_t * tip.bristle[0, i]
-        tractions[2, i] = -law.k_t * tip.bristle[1, i]
+        tractions[1, i] = -model.k_t * tip.bristle[0, i]
+        tractions[2, i] = -model.k_t * tip.bristle[1, i]
     return tractions, slid / max(1, drive.shape[0])

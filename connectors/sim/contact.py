@@ -29,7 +29,7 @@ Finger (rigid tip with velocity w, spin o; spring deflection e to an arm that mo
     de/dt   = V - w,   de_o/dt = O - o
 
 Steps are semi-implicit (symplectic) Euler. Frame rotation terms (m O w < 0.02 N) are left out.
-`advance` is the compiled form; `contact_numpy.advance` says the same in array arithmetic.
+`simulate` is the compiled form; `contact_numpy.simulate` says the same in array arithmetic.
 """
 
 import math
@@ -50,7 +50,7 @@ def compiled(function: Function) -> Function:
     return cast("Function", njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
-def summed(function: Function) -> Function:
+def vectorized(function: Function) -> Function:
     """The same, built into its caller, and its sums may be taken in any order: on vector units."""
     relaxed = {"reassoc", "nsz", "nnan"}
     return cast(
@@ -59,7 +59,7 @@ def summed(function: Function) -> Function:
     )
 
 
-class Law(NamedTuple):
+class ContactModel(NamedTuple):
     """The scalars of the equations, named as there."""
 
     step: float  # s
@@ -98,7 +98,7 @@ class Pad(NamedTuple):
     gap: Reals  # (n,) m; changed in place when the surface turns
 
 
-class State(NamedTuple):
+class FingerState(NamedTuple):
     """What changes, in place."""
 
     deflection: Reals  # (3,) m, m, rad: spring, e and e_o
@@ -110,10 +110,10 @@ class State(NamedTuple):
     pressure: Reals  # (n,) Pa
     bristle: Reals  # (2, n) m: s
     pressed: Reals  # (n,) 1 where in contact, else 0
-    springs: Reals  # (9,) sums over the nodes in contact, see `gather`; 0 in the air
+    springs: Reals  # (9,) sums over the nodes in contact, see `sum_springs`; 0 in the air
 
     @classmethod
-    def rest(cls, nodes: int) -> "State":
+    def rest(cls, nodes: int) -> "FingerState":
         """A fingertip in the air, at rest."""
         return cls(
             np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1), np.zeros(1),
@@ -121,12 +121,12 @@ class State(NamedTuple):
         )  # fmt: skip
 
 
-@summed
-def gather(law: Law, pad: Pad, state: State) -> None:
+@vectorized
+def sum_springs(model: ContactModel, pad: Pad, state: FingerState) -> None:
     """Sum the springs of the pressed nodes: their moments 1, x, y, xx, xy, yy, and g, gx, gy of the gaps."""
     s, sx, sy, sxx, sxy, syy, sg, sgx, sgy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(pad.x.size):
-        k = law.k_n * law.area * state.pressed[i]
+        k = model.k_n * model.area * state.pressed[i]
         x, y, kg = pad.x[i], pad.y[i], k * pad.gap[i]
         s, sx, sy = s + k, sx + k * x, sy + k * y
         sxx, sxy, syy = sxx + k * x * x, sxy + k * x * y, syy + k * y * y
@@ -134,22 +134,22 @@ def gather(law: Law, pad: Pad, state: State) -> None:
     state.springs[:] = s, sx, sy, sxx, sxy, syy, sg, sgx, sgy
 
 
-@summed
-def turn(law: Law, pad: Pad, state: State, spin: float) -> None:
+@vectorized
+def rotate_surface(model: ContactModel, pad: Pad, state: FingerState, spin: float) -> None:
     """Turn the surface under the pad by one step."""
-    state.yaw[0] += spin * law.step
+    state.yaw[0] += spin * model.step
     cos, sin = math.cos(state.yaw[0]), math.sin(state.yaw[0])
     for i in range(pad.x.size):
-        x, y = pad.x[i] + law.pivot_x, pad.y[i] + law.pivot_y
-        u = cos * x - sin * y - law.pivot_x - law.apex_x
-        v = sin * x + cos * y - law.pivot_y - law.apex_y
-        pad.gap[i] = 0.5 * (law.k_x * u * u + law.k_y * v * v)
+        x, y = pad.x[i] + model.pivot_x, pad.y[i] + model.pivot_y
+        u = cos * x - sin * y - model.pivot_x - model.apex_x
+        v = sin * x + cos * y - model.pivot_y - model.apex_y
+        pad.gap[i] = 0.5 * (model.k_x * u * u + model.k_y * v * v)
     if state.springs[0] != 0.0:
-        gather(law, pad, state)
+        sum_springs(model, pad, state)
 
 
-@summed
-def press(law: Law, pad: Pad, state: State, force: float) -> None:
+@vectorized
+def balance_normal(model: ContactModel, pad: Pad, state: FingerState, force: float) -> None:
     """Balance the normal force and the tilting moments: Newton's method over the set of pressed nodes.
 
     The springs are summed anew only when that set has changed.
@@ -161,17 +161,17 @@ def press(law: Law, pad: Pad, state: State, force: float) -> None:
         return
     if state.springs[0] == 0.0:
         state.pressed[:] = 1.0
-        gather(law, pad, state)
+        sum_springs(model, pad, state)
     for _ in range(12):
         s, sx, sy, sxx, sxy, syy, sg, sgx, sgy = state.springs
         f = force + sg
-        mx = law.tilt_spring * law.tilt_x - law.lever * state.friction[0] + sgx
-        my = law.tilt_spring * law.tilt_y - law.lever * state.friction[1] + sgy
+        mx = model.tilt_spring * model.tilt_x - model.lever * state.friction[0] + sgx
+        my = model.tilt_spring * model.tilt_y - model.lever * state.friction[1] + sgy
         # depth out of the first row, tilts from the 2 x 2 system that remains
         axx, axy, ayy = (
-            sxx + law.tilt_spring - sx * sx / s,
+            sxx + model.tilt_spring - sx * sx / s,
             sxy - sx * sy / s,
-            syy + law.tilt_spring - sy * sy / s,
+            syy + model.tilt_spring - sy * sy / s,
         )
         bx, by = mx - sx * f / s, my - sy * f / s
         determinant = axx * ayy - axy * axy
@@ -184,61 +184,67 @@ def press(law: Law, pad: Pad, state: State, force: float) -> None:
             pressed = 1.0 if overlap > 0.0 else 0.0
             changed += abs(pressed - state.pressed[i])
             state.pressed[i] = pressed
-            state.pressure[i] = law.k_n * overlap * pressed
+            state.pressure[i] = model.k_n * overlap * pressed
         if changed == 0.0:
             break
-        gather(law, pad, state)
+        sum_springs(model, pad, state)
 
 
-@summed
-def rub(law: Law, pad: Pad, state: State, force: float) -> tuple[float, float, float, float]:
+@vectorized
+def update_friction(
+    model: ContactModel, pad: Pad, state: FingerState, force: float
+) -> tuple[float, float, float, float]:
     """Move the bristles by one step; friction (N, N, N m) on the tip, sliding speed of the pad (m/s)."""
     vx, vy, spin = state.velocity[0], state.velocity[1], state.velocity[2]
     texture = 1.0
-    if law.texture > 0.0:
+    if model.texture > 0.0:
         path = state.path[0]
-        texture += 0.5 * law.texture * (math.sin(law.wave_1 * path) + math.sin(law.wave_2 * path))
-    inverse, rise = 1.0 / (law.v_s * law.v_s), law.mu_s - law.mu_k
-    reach = texture / law.k_t
+        texture += 0.5 * model.texture * (math.sin(model.wave_1 * path) + math.sin(model.wave_2 * path))
+    inverse, rise = 1.0 / (model.v_s * model.v_s), model.mu_s - model.mu_k
+    reach = texture / model.k_t
     along, across = state.bristle[0], state.bristle[1]
     sum_x, sum_y, moment, excess = 0.0, 0.0, 0.0, 0.0
     for i in range(pad.x.size):
         x, y, pressure = pad.x[i], pad.y[i], state.pressure[i]
         ux, uy = vx - spin * y, vy + spin * x
-        sx, sy = along[i] + ux * law.step, across[i] + uy * law.step
-        longest = reach * pressure * (law.mu_k + rise / (1.0 + (ux * ux + uy * uy) * inverse))
+        sx, sy = along[i] + ux * model.step, across[i] + uy * model.step
+        longest = reach * pressure * (model.mu_k + rise / (1.0 + (ux * ux + uy * uy) * inverse))
         length = math.sqrt(sx * sx + sy * sy) + TINY
         kept = min(longest / length, 1.0)
         sx, sy = sx * kept, sy * kept
         along[i], across[i] = sx, sy
         sum_x, sum_y, moment = sum_x + sx, sum_y + sy, moment + y * sx - x * sy
         excess += pressure * length * (1.0 - kept)
-    k = law.k_t * law.area
-    slide = excess * law.area / (force * law.step) if force > 0.0 else 0.0
+    k = model.k_t * model.area
+    slide = excess * model.area / (force * model.step) if force > 0.0 else 0.0
     return -k * sum_x, -k * sum_y, k * moment, slide
 
 
 @compiled
-def swing(law: Law, state: State, drive: Reals, friction: tuple[float, float, float]) -> None:
+def move_tip(
+    model: ContactModel, state: FingerState, drive: Reals, friction: tuple[float, float, float]
+) -> None:
     """Move the tip on its spring by one step."""
     e, w = state.deflection, state.velocity
-    h = law.step
+    h = model.step
     for axis in range(2):
-        pull = law.spring * e[axis] + law.damper * (drive[axis] - w[axis])
-        w[axis] += h / law.mass * (pull + friction[axis] + drive[4 + axis])
+        pull = model.spring * e[axis] + model.damper * (drive[axis] - w[axis])
+        w[axis] += h / model.mass * (pull + friction[axis] + drive[4 + axis])
         e[axis] += h * (drive[axis] - w[axis])
-    pull = law.twist_spring * e[2] + law.twist_damper * (drive[2] - w[2])
-    w[2] += h / law.inertia * (pull + friction[2])
+    pull = model.twist_spring * e[2] + model.twist_damper * (drive[2] - w[2])
+    w[2] += h / model.inertia * (pull + friction[2])
     e[2] += h * (drive[2] - w[2])
     state.path[0] += h * math.sqrt(w[0] * w[0] + w[1] * w[1])
 
 
 @compiled
-def advance(law: Law, pad: Pad, state: State, drive: Reals, until: Times) -> tuple[Reals, Reals]:
+def simulate(
+    model: ContactModel, pad: Pad, state: FingerState, drive: Reals, until: Times
+) -> tuple[Reals, Reals]:
     """Run the scene and read it at chosen steps.
 
     Args:
-        law: The constants.
+        model: Constants of the contact model.
         pad: The nodes; their gaps change in place.
         state: Where the scene stands; changed in place.
         drive: (steps, 6) velocity of the arm at the pad (m/s, m/s, rad/s), normal force (N), push (N, N).
@@ -249,26 +255,26 @@ def advance(law: Law, pad: Pad, state: State, drive: Reals, until: Times) -> tup
         reading (m/s) and normal force (N), (k, 2).
     """
     tractions, truth = np.empty((until.size, 3, pad.x.size)), np.empty((until.size, 2))
-    curved = law.k_x != 0.0 or law.k_y != 0.0
+    curved = model.k_x != 0.0 or model.k_y != 0.0
     done = 0
     for reading in range(until.size):
         slid = 0.0
         steps = until[reading] - done
         while done < until[reading]:
             if curved and drive[done, 2] != 0.0:
-                turn(law, pad, state, drive[done, 2])
-            press(law, pad, state, drive[done, 3])
-            qx, qy, torque, slide = rub(law, pad, state, drive[done, 3])
-            swing(law, state, drive[done], (qx, qy, torque))
+                rotate_surface(model, pad, state, drive[done, 2])
+            balance_normal(model, pad, state, drive[done, 3])
+            qx, qy, torque, slide = update_friction(model, pad, state, drive[done, 3])
+            move_tip(model, state, drive[done], (qx, qy, torque))
             state.friction[0], state.friction[1] = qx, qy
             slid += slide
             done += 1
         force = 0.0
         for i in range(pad.x.size):
             tractions[reading, 0, i] = state.pressure[i]
-            tractions[reading, 1, i] = -law.k_t * state.bristle[0, i]
-            tractions[reading, 2, i] = -law.k_t * state.bristle[1, i]
-            force += state.pressure[i] * law.area
+            tractions[reading, 1, i] = -model.k_t * state.bristle[0, i]
+            tractions[reading, 2, i] = -model.k_t * state.bristle[1, i]
+            force += state.pressure[i] * model.area
         truth[reading, 0] = slid / steps if steps > 0 else 0.0
         truth[reading, 1] = force
     return tractions, truth

@@ -7,19 +7,17 @@ import numpy as np
 
 from connectors.sim import contact
 from connectors.sim.arm_motion import Arm
-from connectors.sim.cells import Cells
-from connectors.sim.hand import Orders
-from connectors.sim.pad_sensor import grid
+from connectors.sim.barometers import Barometers, grid
+from connectors.sim.commanded_motion import CommandQueue
 from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import Move, Moves, Scene, Vibration
-from connectors.sim.timing import Sampler
+from connectors.sim.scene import Move, Moves, Sampler, Scene, Vibration
 from operators.batch import Counts, Flags, Reals, Touch, Truth, s
 
 
-def law(scene: Scene) -> contact.Law:
+def contact_model(scene: Scene) -> contact.ContactModel:
     """The constants of a scene's contact."""
     p = scene.parameters
-    return contact.Law(
+    return contact.ContactModel(
         step=p.step,
         area=p.width * p.height / (p.columns * p.rows),
         k_n=p.normal_stiffness,
@@ -61,8 +59,8 @@ def pad(scene: Scene) -> contact.Pad:
 def shaking(vibration: Vibration, t: Reals) -> Reals:
     """Velocity that a vibration adds to the arm's at instants (k,) (s): (k, 2) m/s."""
     pulse, heading = 2 * math.pi * vibration.frequency, math.radians(vibration.direction_deg)
-    swing = pulse * vibration.amplitude * np.cos(pulse * t)
-    return np.multiply.outer(swing, (math.cos(heading), math.sin(heading)))
+    move_tip = pulse * vibration.amplitude * np.cos(pulse * t)
+    return np.multiply.outer(move_tip, (math.cos(heading), math.sin(heading)))
 
 
 class Finger:
@@ -85,17 +83,17 @@ class Finger:
         seed: int,
         finger: int = 0,
         begun: Callable[[Move, float], None] | None = None,
-        orders: Orders | None = None,
+        orders: CommandQueue | None = None,
     ) -> None:
         p = self._p = scene.parameters
         self._scene, self._finger = scene, finger
         self._arm = Arm(scene, seed, begun, orders)
-        self._law, self._pad = law(scene), pad(scene)
-        self._state = contact.State.rest(p.columns * p.rows)
+        self._model, self._pad = contact_model(scene), pad(scene)
+        self._state = contact.FingerState.rest(p.columns * p.rows)
         self._ticks = 0
         self._sensed = 0.0  # s, instant of the newest sample of `sense`
         body, timing, noise, warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
-        self.cells = Cells(p, scene.faults, body, noise, warmth)
+        self.cells = Barometers(p, scene.faults, body, noise, warmth)
         self._sampler = Sampler(scene.touch, timing)
 
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
@@ -142,7 +140,7 @@ class Finger:
         t, until = t[until <= len(drive)], until[until <= len(drive)]
         if not len(t):
             return None
-        tractions, truth = contact.advance(self._law, self._pad, self._state, drive, until)
+        tractions, truth = contact.simulate(self._model, self._pad, self._state, drive, until)
         self._ticks += int(until[-1])
         counts, temperature, valid = self.cells.read(t, tractions, aged)
         velocity = np.zeros((len(t), 3))
@@ -153,7 +151,7 @@ class Finger:
         return counts, temperature, valid, happened
 
     def _drive(self, steps: int) -> Reals:
-        """The arm's next steps (steps, 6) for `contact.advance`; fewer when the plan has ended."""
+        """The arm's next steps (steps, 6) for `contact.simulate`; fewer when the plan has ended."""
         t = np.arange(self._ticks, self._ticks + steps, dtype=np.float64) * self._p.step
         drive = self._arm.at(t).drive
         x, y = self._scene.offset

@@ -7,21 +7,102 @@ on the normal force follows what is commanded, at a limited rate. `connectors.si
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
-from connectors.sim import body, holding
-from connectors.sim.cells import Cells
-from connectors.sim.contact import State
-from connectors.sim.finger import pad, shaking
-from connectors.sim.holding import PASSIVE_FRICTION, surface
-from connectors.sim.lift_motion import Lift
-from connectors.sim.mallet import Tap
+from connectors.sim import body
+from connectors.sim.barometers import Barometers
+from connectors.sim.body import GRAVITY, GripModel
+from connectors.sim.contact import FingerState
+from connectors.sim.finger import contact_model, pad, shaking
+from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import NOISE, Faults, Vibration
+from connectors.sim.scene import NOISE, Faults, Scene, Vibration
 from operators.batch import Reals, Touch, s
 from operators.errors import ParameterError
+
+PASSIVE_FRICTION: Final = 0.6  # of the passive fingers on the scene's material; assumed: hard plastic pads
+FINGER_OFFSET: Final = 0.015  # m, the passive fingers from the middle; assumed: a pinch
+TABLE_STIFFNESS: Final = 1e4  # N/m of each corner; assumed: 0.25 mm under a box of 0.5 kg
+TABLE_DAMPING: Final = 0.3  # of critical; assumed
+DEEPEST: Final = 0.95  # of the texture: friction never vanishes
+
+
+def least_force(
+    held: Object,
+    parameters: Parameters | None = None,
+    *,
+    friction: float = 1.0,
+    mass: float = 1.0,
+    passive: float = PASSIVE_FRICTION,
+    acceleration: float = 0.0,
+    texture: float = 1.0,
+) -> float:
+    """The least grip force (N) that holds an object: m (g + a) / (mu_pad + mu_passive).
+
+    Args:
+        held: What is held.
+        parameters: Of the fingertip and the scene's material.
+        friction: Factor of all frictions.
+        mass: Factor of the mass.
+        passive: Friction of the passive fingers, of an object whose `friction` is 1.
+        acceleration: Of the hand, upwards (m/s2).
+        texture: Factor of the pad's friction at this place of the object: 1 where it is first gripped. Along
+            the way it lies within 1 - c and 1 + c, c the `texture` of `material`.
+
+    >>> from connectors.sim.objects import named
+    >>> round(least_force(named("box")), 2)
+    1.87
+    """
+    mu = (parameters or Parameters()).static_friction * texture + passive
+    return held.mass * mass * (GRAVITY + acceleration) / (held.friction * friction * mu)
+
+
+def material(held: Object, parameters: Parameters) -> Parameters:
+    """What the pad touches when it touches an object."""
+    return replace(
+        parameters,
+        static_friction=parameters.static_friction * held.friction,
+        kinetic_friction=parameters.kinetic_friction * held.friction,
+        texture=min(DEEPEST, parameters.texture * held.texture),
+        normal_stiffness=parameters.normal_stiffness * held.stiffness,
+    )
+
+
+def surface(held: Object, parameters: Parameters) -> Scene:
+    """What the pad is pressed on."""
+    return Scene(curvature=held.curvature, radius=held.radius, parameters=material(held, parameters))
+
+
+def grip_model(held: Object, scene: Scene, place: tuple[float, float], passive: float) -> GripModel:
+    """The constants of a grip.
+
+    Args:
+        held: What is held.
+        scene: Its `surface`.
+        place: Of the pad's middle as seen from the object's middle (m, m).
+        passive: Friction of the passive fingers, of an object whose `friction` is 1.
+    """
+    p, contact = scene.parameters, contact_model(scene)
+    rubber = p.shear_stiffness * p.width * p.height  # N/m, of all bristles
+    return GripModel(
+        contact=contact,
+        mass=held.mass,
+        inertia=held.inertia,
+        reach=held.reach,
+        half_width=held.width / 2,
+        mu=passive * held.friction,
+        spring=1 / (1 / p.stiffness + 1 / rubber),  # finger and rubber in series
+        damper=contact.damper,
+        finger_offset=FINGER_OFFSET,
+        foot=held.foot,
+        below=held.length / 2,
+        table=-place[1] - held.length / 2,
+        table_spring=TABLE_STIFFNESS,
+        table_damper=TABLE_DAMPING * math.sqrt(2 * TABLE_STIFFNESS * held.mass),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,15 +179,15 @@ class Grasp:
         scene = surface(held, parameters or Parameters(noise=NOISE))
         p = scene.parameters
         self._step, self._finger, self._rate = p.step, finger, rate
-        self._grip, self._pad = holding.grip(held, scene, grip, passive), pad(scene)
-        self._tip = State.rest(p.columns * p.rows)
+        self._grip, self._pad = grip_model(held, scene, grip, passive), pad(scene)
+        self._tip = FingerState.rest(p.columns * p.rows)
         self._held, self._taps, self._lift, self._vibration = held, tuple(taps), lift, vibration
-        sunk = held.mass * body.GRAVITY / (2 * holding.TABLE_STIFFNESS)
-        self._body = body.Body.standing(-grip[0], -grip[1] - sunk)
+        sunk = held.mass * body.GRAVITY / (2 * TABLE_STIFFNESS)
+        self._body = body.BodyState.standing(-grip[0], -grip[1] - sunk)
         self._body.table[0] = held.mass * body.GRAVITY
         self._start = float(self._body.place[1])
         randoms = np.random.default_rng([seed, 2, finger]).spawn(4)  # as of a `Finger`
-        self._cells = Cells(p, faults or Faults(), randoms[0], randoms[2], randoms[3])
+        self._cells = Barometers(p, faults or Faults(), randoms[0], randoms[2], randoms[3])
         self._creep_time = p.creep_time
         self._ticks = 0
         self._sensed = 0.0  # s, of the newest sample
@@ -147,7 +228,7 @@ class Grasp:
         steps = round(instant / self._step) - self._ticks
         if steps < 0:
             raise ParameterError("Grasp.sense", "instant", instant, f"not before {self._sensed} s")
-        tractions, speed = body.advance(self._grip, self._pad, self._tip, self._body, self._drive(steps))
+        tractions, speed = body.simulate(self._grip, self._pad, self._tip, self._body, self._drive(steps))
         self._ticks += steps
         t, aged = np.array([instant]), (instant - self._sensed) / self._creep_time
         self._sensed = instant
@@ -176,7 +257,7 @@ class Grasp:
         )
 
     def _drive(self, steps: int) -> Reals:
-        """The next steps (steps, 9) for `body.advance`."""
+        """The next steps (steps, 9) for `body.simulate`."""
         ticks = np.arange(self._ticks, self._ticks + steps + 1, dtype=np.float64)
         edges = ticks * self._step  # (steps + 1,) s
         t = edges[:-1]

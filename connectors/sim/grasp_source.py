@@ -7,8 +7,7 @@ from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING, Final
 
-from connectors.sim.lift_motion import Lift
-from connectors.sim.mallet import Tap
+from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from operators.batch import Commands, Touch, s
 from operators.errors import ParameterError

@@ -7,9 +7,9 @@ its defaults 45 minutes, 54 % of them static. Split by recording, never by windo
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -20,7 +20,7 @@ Variation: TypeAlias = Callable[[Scene, np.random.Generator], Scene]
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class PaperStrokes:
     """The moves of one recording."""
 
     speed: float | None = 0.05  # m/s of its strokes; None: rotations at 1 rad/s
@@ -65,10 +65,10 @@ def _unvaried(scene: Scene, random: np.random.Generator) -> Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class Collection:
+class PaperPlan:
     """How the recordings of a plan differ from each other.
 
-    >>> len(list(Collection(repeats=1, rotations=0).scenes(seed=0)))
+    >>> len(list(PaperPlan(repeats=1, rotations=0).scenes(seed=0)))
     12
     """
 
@@ -95,7 +95,7 @@ class Collection:
         turn, heading = random.uniform(0.0, 360.0, 2)
         shake = self.vibration * random.uniform(0.3, 1.7)
         scene = Scene(
-            Recording(speed, self.force, rounds=self.rounds),
+            PaperStrokes(speed, self.force, rounds=self.rounds),
             surface,
             offset=(self.pivot * math.cos(math.radians(turn)), self.pivot * math.sin(math.radians(turn))),
             acceleration=self.acceleration,
@@ -104,3 +104,58 @@ class Collection:
             parameters=self.parameters,
         )
         return self.vary(scene, random)
+
+
+_SLOWEST, _FASTEST = 0.005, 0.15  # m/s, of strokes
+_TILT = 0.008  # rad, standard deviation of the pad's slope along x and y
+_APEX = 0.0018  # m, standard deviation of where a curved surface is highest
+
+
+def varied(scene: Scene, random: np.random.Generator) -> Scene:
+    """A scene of the collection plan with a material, finger, pose and pace of its own."""
+    plan = cast("PaperStrokes", scene.plan)
+    plan = replace(plan, force=plan.force * _factor(random, 0.6))
+    if plan.speed is not None and random.random() < 0.4:  # noqa: PLR2004 the rest keeps the plan's pace
+        plan = replace(plan, speed=float(np.exp(random.uniform(math.log(_SLOWEST), math.log(_FASTEST)))))
+    tilt, apex = _TILT * random.standard_normal(2), _APEX * random.standard_normal(2)
+    shaking = cast("Vibration", scene.vibration)
+    return replace(
+        scene,
+        plan=plan,
+        tilt=(float(tilt[0]), float(tilt[1])),
+        apex=(float(apex[0]), float(apex[1])),
+        vibration=replace(
+            shaking,
+            amplitude=shaking.amplitude * _factor(random, 0.6),
+            frequency=float(random.uniform(4.0, 16.0)),
+        ),
+        parameters=_material(scene.parameters, random),
+    )
+
+
+def _factor(random: np.random.Generator, spread: float) -> float:
+    """Log-normal around 1."""
+    return math.exp(spread * random.standard_normal())
+
+
+def _material(p: Parameters, random: np.random.Generator) -> Parameters:
+    kinetic = p.kinetic_friction * _factor(random, 0.35)
+    excess = (p.static_friction - p.kinetic_friction) * float(random.uniform(0.0, 1.3))  # 0: no stick-slip
+    grain = _factor(random, 0.35)
+    return replace(
+        p,
+        kinetic_friction=kinetic,
+        static_friction=kinetic + excess,
+        stribeck_speed=p.stribeck_speed * _factor(random, 0.4),
+        texture=min(0.95, p.texture * float(random.uniform(0.2, 1.3))),
+        texture_lengths=(
+            p.texture_lengths[0] * grain * _factor(random, 0.2),
+            p.texture_lengths[1] * grain * _factor(random, 0.2),
+        ),
+        stiffness=p.stiffness * _factor(random, 0.4),
+        mass=p.mass * _factor(random, 0.2),
+        damping=p.damping * _factor(random, 0.4),
+        tilt_stiffness=p.tilt_stiffness * _factor(random, 0.3),
+        sensitivity=p.sensitivity * _factor(random, 0.2),
+        shear_gain=p.shear_gain * _factor(random, 0.3),
+    )

@@ -6,11 +6,13 @@ A scene costs what it names: terms that are zero or absent are not computed.
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import repeat
+from math import sqrt
 from typing import Final, Literal, Protocol, TypeAlias
 
 import numpy as np
 
 from connectors.sim.physics_parameters import Parameters
+from operators.batch import Flags, Reals, Times, s
 from operators.errors import ParameterError
 
 Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
@@ -190,3 +192,53 @@ def commanded_scene(curvature: Curvature = "plane", radius: float = RADIUS) -> S
         radius: Radius of a curved surface (default 0.06 m).
     """
     return Scene(Commanded(), curvature, radius, parameters=Parameters(noise=NOISE))
+
+
+def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:
+    """How far a surface falls away below its highest point, m.
+
+    Beyond the edge of the body, where there is none, it falls on, so that nothing is touched there.
+
+    Args:
+        curvatures: Along x and along y, 1/m: both alike of a sphere, one of them 0 of a cylinder.
+        x: From the highest point, m.
+        y: The same.
+
+    >>> round(surface_drop((1 / 0.06, 1 / 0.06), 0.03, 0.0), 6)
+    0.008038
+    >>> surface_drop((0.0, 1 / 0.06), 0.03, 0.0)
+    0.0
+    """
+    across = curvatures[0] * x * x + curvatures[1] * y * y  # m
+    return across / (1 + sqrt(max(0.0, 1 - max(curvatures) * across)))
+
+
+_BEGINNING: Final = int(np.iinfo(np.int64).min)
+
+
+class Sampler:
+    """Counts the samples of one stream."""
+
+    def __init__(self, timing: Timing, random: np.random.Generator) -> None:
+        self.timing = timing
+        self._jitter, self._loss = random.spawn(2)
+        self._taken = 0
+        self._newest = _BEGINNING  # ns
+
+    def instants(self, samples: int) -> Reals:
+        """True instants (k,) (s since the run began) of the next samples."""
+        return np.arange(self._taken, self._taken + samples) / self.timing.rate
+
+    def stamp(self, samples: int) -> tuple[Times, Flags]:
+        """Take the next samples: their stamps (k,) (ns since the run began), and which of them arrive."""
+        t, timing = self.instants(samples), self.timing
+        self._taken += samples
+        stamps = t + timing.latency + timing.offset + timing.drift * t
+        arrive = np.ones(samples, np.bool_)
+        if timing.jitter:
+            stamps += timing.jitter * self._jitter.standard_normal(samples)
+        if timing.dropped:
+            arrive = self._loss.random(samples) >= timing.dropped
+        time = np.maximum.accumulate(np.maximum(np.rint(stamps * s).astype(np.int64), self._newest))
+        self._newest = int(time[-1])
+        return time, arrive

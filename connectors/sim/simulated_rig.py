@@ -9,7 +9,7 @@ from typing import Any, Final, Generic, cast
 
 import numpy as np
 
-from connectors.sim.hand import Orders
+from connectors.sim.commanded_motion import CommandQueue
 from connectors.sim.scene import Move, Scene, Timing
 from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Commands, Episodes, Motion, Touch, Truth, s
 from operators.errors import ParameterError
@@ -58,7 +58,7 @@ class SimulatedRig:
         self.touch = RigTouch(self)
         self.motion = RigMotion(self)
         self.hand = RigHand(self)
-        self.orders = Orders()
+        self.orders = CommandQueue()
         self.episodes = RigAnnotation(self, Episodes, (EVERY,))
         self.truth = RigAnnotation(self, Truth, fingers)
         self._origin = 0  # ns
@@ -267,7 +267,7 @@ def episode(move: Move, start: int, end: int, scene: Scene) -> Episodes:
 
 
 class RigHand(Sink[Commands]):
-    """The simulated gripper and arm as something to command. See `connectors.sim.hand`."""
+    """The simulated gripper and arm as something to command. See `connectors.sim.commanded_motion`."""
 
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig

@@ -19,9 +19,8 @@ from typing import Any, Final, cast
 import numpy as np
 
 from connectors import SimulatedRig
-from connectors.sim.paper_plan import Collection, Recording
+from connectors.sim.paper_plan import PaperPlan, PaperStrokes, varied
 from connectors.sim.scene import Scene
-from connectors.sim.variety import varied
 from flows.graph import Flow
 from flows.learn.splits import SPLITS, TURNS
 from flows.record import declare_recording
@@ -37,10 +36,10 @@ from storage.description import describe_dataset
 from storage.layout import session_folder
 from storage.partial import partial_folder
 
-PLANS: Final[Mapping[str, Collection]] = {
-    "paper": Collection(),
-    "wide": Collection(repeats=6, rotations=4, vary=varied),
-    "tiny": Collection(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
+PLANS: Final[Mapping[str, PaperPlan]] = {
+    "paper": PaperPlan(),
+    "wide": PaperPlan(repeats=6, rotations=4, vary=varied),
+    "tiny": PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
 }
 
 _APART: Final = {"tiny": 1_000_000}  # of seeds: a small plan repeats no recording of a large one
@@ -153,7 +152,7 @@ def recordings(plan: str, seed: int) -> list[Planned]:
 
 def _group(scene: Scene) -> str:
     """What recordings that repeat each other share: surface and speed in mm/s, or rotation."""
-    speed = cast("Recording", scene.plan).speed
+    speed = cast("PaperStrokes", scene.plan).speed
     return f"{scene.curvature}-{'rotation' if speed is None else f'{1000 * speed:03.0f}'}"
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Scene
 from connectors.sim.truth import SLIDING
 from flows.graph.flow import Flow
@@ -81,7 +81,7 @@ class LabelledRecording:
 
 
 def simulated_recordings(
-    collection: Collection, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
+    collection: PaperPlan, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
 ) -> list[LabelledRecording]:
     """Simulate every recording of a plan, each scene altered by `change`."""
     return [

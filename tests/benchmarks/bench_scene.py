@@ -16,7 +16,7 @@ import numpy as np
 
 from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import Scene
 from tests.benchmarks.machine import commit, machine
@@ -64,7 +64,7 @@ def live(count: int, seed: int) -> float:
 def paper(repeats: int, seed: int) -> float:
     """Recordings of the paper's plan, both streams."""
     samples = 0
-    for number, planned in enumerate(Collection(repeats=repeats, rotations=repeats).scenes(seed)):
+    for number, planned in enumerate(PaperPlan(repeats=repeats, rotations=repeats).scenes(seed)):
         taken = Finger(planned, seed + number).take(100_000)
         Controller(planned, seed + number).take(125_000)
         samples += len(taken[1]) if taken else 0

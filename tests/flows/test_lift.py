@@ -8,10 +8,9 @@ import pytest
 from connectors import Gripper, TakkTile
 from connectors.emulators.gripper_server import GripperServer
 from connectors.gripper.grip_force import ForceScale
-from connectors.sim.grasp import Held
+from connectors.sim.grasp import Held, least_force
+from connectors.sim.grasp_actions import Lift
 from connectors.sim.grasp_source import Handling, opened
-from connectors.sim.holding import least_force
-from connectors.sim.lift_motion import Lift
 from connectors.sim.objects import OBJECTS, named
 from flows.graph import Flow
 from flows.graph.loading import load

@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Plan, Scene
 from flows.learn.labelled_recordings import simulated_recordings
 from operators.batch import Reals
@@ -35,15 +35,15 @@ class Calm:
 
 
 @dataclass(frozen=True, slots=True)
-class CalmCollection(Collection):
+class CalmCollection(PaperPlan):
     """A collection without force changes, taps and lifts."""
 
     def scenes(self, seed: int) -> Iterator[Scene]:
         """Return the scenes, each with a calm plan."""
-        return (replace(scene, plan=Calm(scene.plan)) for scene in Collection.scenes(self, seed))
+        return (replace(scene, plan=Calm(scene.plan)) for scene in PaperPlan.scenes(self, seed))
 
 
-Change = Callable[[Collection], Collection]
+Change = Callable[[PaperPlan], PaperPlan]
 
 
 def _physics(**values: float) -> Change:
@@ -56,18 +56,18 @@ def _plan(**values: float) -> Change:
     return lambda plan: replace(plan, **changes)
 
 
-def _no_floor(plan: Collection) -> Collection:
+def _no_floor(plan: PaperPlan) -> PaperPlan:
     return replace(plan, parameters=replace(plan.parameters, rest_lowest=950, rest_highest=950))
 
 
-def _no_stribeck(plan: Collection) -> Collection:
+def _no_stribeck(plan: PaperPlan) -> PaperPlan:
     return replace(
         plan, parameters=replace(plan.parameters, static_friction=plan.parameters.kinetic_friction)
     )
 
 
-def _calm(plan: Collection) -> Collection:
-    return CalmCollection(**{name: getattr(plan, name) for name in Collection.__dataclass_fields__})
+def _calm(plan: PaperPlan) -> PaperPlan:
+    return CalmCollection(**{name: getattr(plan, name) for name in PaperPlan.__dataclass_fields__})
 
 
 # removed in each variant
@@ -119,7 +119,7 @@ class Ablation:
 
 
 def ablate(
-    plan: Collection,
+    plan: PaperPlan,
     seeds: Sequence[int],
     network: Detector | None,
     variants: Mapping[str, Change],
@@ -135,13 +135,13 @@ def ablate(
     """
     judged = [simulated_recordings(plan, seed + 1000) for seed in seeds]
 
-    def row(changed: Collection, number: int) -> list[float]:
+    def row(changed: PaperPlan, number: int) -> list[float]:
         recordings = simulated_recordings(changed, seeds[number])
         scores = [] if network is None else [confusion(network, recordings, hop).accuracy]
         found = [confusion(detector, judged[number], hop).balanced for detector in fit(recordings, hop)]
         return [*scores, distance(measure(recordings)), *found]
 
-    def rows(name: str, changed: Collection) -> Reals:
+    def rows(name: str, changed: PaperPlan) -> Reals:
         log(name)
         return np.array([row(changed, number) for number in range(len(seeds))])
 

@@ -7,7 +7,7 @@ from time import process_time
 from typing import Final, Self
 
 from connectors import CsvTrace
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from flows.lab.simulation import PLANS
 from flows.learn.evaluation.motion_metrics import Cells
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
@@ -28,9 +28,9 @@ LOGISTIC: Final = "logistic regression"
 class Size:
     """Extent of the study."""
 
-    plan: Collection = field(default_factory=Collection)
+    plan: PaperPlan = field(default_factory=PaperPlan)
     # for the ablation and for fitting
-    reduced: Collection = field(default_factory=lambda: Collection(repeats=2, rotations=1))
+    reduced: PaperPlan = field(default_factory=lambda: PaperPlan(repeats=2, rotations=1))
     seeds: int = 3  # of the ablation
     hop: int = 5  # samples between evaluated samples
     terms: tuple[str, ...] = (*TERMS, *GRIDS)  # of the ablation

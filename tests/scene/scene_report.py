@@ -6,7 +6,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Moves, Scene
 from flows.learn.evaluation.evaluation_figures import motion as motion_figure
 from flows.learn.evaluation.motion_metrics import Cell, Cells, Chosen
@@ -75,7 +75,7 @@ def _traces(of: Measurements) -> Section:
     return Section("traces", finding, _noted(text, of, trace=True), draw=lambda: scene_figures.traces(shown))
 
 
-def still(plan: Collection) -> Scene:
+def still(plan: PaperPlan) -> Scene:
     """Return a scene in which the arm stands still, but force, taps and lifts change the signal."""
     grip = plan.force
     return Scene(

@@ -5,7 +5,7 @@ from time import process_time
 from typing import Final
 
 from connectors.sim.finger import Finger
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene, Strokes
 
 GRIDS: Final = ((6, 4), (8, 6), (12, 8))  # columns and rows of nodes
@@ -21,7 +21,7 @@ class Speed:
     single: float  # one fingertip, sample by sample, as in a live run
 
 
-def speed(plan: Collection, seconds: float) -> Speed:
+def speed(plan: PaperPlan, seconds: float) -> Speed:
     """Time the plan's fingertip on endless strokes over `seconds` of simulated time, the best of three."""
     parameters = plan.parameters
     scene = Scene(Strokes(), parameters=parameters)

@@ -8,7 +8,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from flows.lab.simulation import PLANS
 from flows.learn.evaluation.motion_metrics import Cell
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
@@ -21,7 +21,7 @@ from tests.scene.scene_statistics import TABLE, distance, measure
 
 SECTIONS = ("traces", "realism", "statistics", "ablation", "motion", "speed")
 SHARED = Path(__file__).parents[3] / "shared" / "real"
-TINY = Collection(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
+TINY = PaperPlan(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
 SIZE = Size(TINY, TINY, seeds=2, hop=10, terms=("texture", "6 x 4 nodes"), timed=0.5)
 
 

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, get_args
 
-from connectors.sim.relief import drop
+from connectors.sim.scene import drop
 from connectors.sim.scene import Curvature, Scene
 from connectors.ur.control_process import Pose
 from flows.lab.collection.arm_path import offset_pose

@@ -13,15 +13,15 @@ from typing import Final, Self, cast
 import numpy as np
 
 from connectors.sim.grasp import Grasp
-from connectors.sim.holding import least_force
-from connectors.sim.lift_motion import Lift
-from connectors.sim.mallet import Tap
+from connectors.sim.grasp import least_force
+from connectors.sim.grasp_actions import Lift
+from connectors.sim.grasp_actions import Tap
 from connectors.sim.objects import Object
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import NOISE, Curvature, Scene, Vibration
 from connectors.sim.truth import SLIDING
-from connectors.sim.variety import varied
+from connectors.sim.paper_plan import varied
 from flows.learn.evaluation.event_metrics import filled
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from operators import Zero
@@ -139,7 +139,7 @@ def _draw_object(random: np.random.Generator) -> Object:
 
 def _draw_fingertip(random: np.random.Generator) -> Parameters:
     """Draw the fitted fingertip, or one of the wide plan."""
-    plain = next(Collection(parameters=Parameters(noise=NOISE)).scenes(int(random.integers(2**31))))
+    plain = next(PaperPlan(parameters=Parameters(noise=NOISE)).scenes(int(random.integers(2**31))))
     scene: Scene = varied(plain, random) if random.random() < 0.6 else plain  # noqa: PLR2004 - a share
     return scene.parameters
 

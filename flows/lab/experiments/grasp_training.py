@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.truth import STICK
-from connectors.sim.variety import varied
+from connectors.sim.paper_plan import varied
 from flows.lab.experiments.grasp_recordings import grasp_recordings, sliding_labels
 from flows.learn.labelled_recordings import LabelledRecording, by_split, simulated_recordings
 from flows.learn.onsets import runs
@@ -25,7 +25,7 @@ from operators.detectors import GraspTcn
 from operators.errors import ParameterError
 
 GRASPS: Final = 4000  # recordings of up to 5 s
-STROKES: Final = Collection(repeats=3, rotations=2, parameters=Parameters(noise=0.6))  # 44 recordings
+STROKES: Final = PaperPlan(repeats=3, rotations=2, parameters=Parameters(noise=0.6))  # 44 recordings
 RECIPE: Final = Recipe(filters=24, steps=2600, batch=40, crop=412)
 THRESHOLD: Final = 0.79  # of a slip decision; chosen on other seeds than the reported ones
 LASTS: Final = 6  # samples, shortest slip in training: one of 20 ms ends before it can be detected
@@ -43,7 +43,7 @@ def learn(
     *,
     seed: int = 7000,
     grasps: int = GRASPS,
-    strokes: Collection = STROKES,
+    strokes: PaperPlan = STROKES,
     recipe: Recipe = RECIPE,
     log: Callable[[str], object] = lambda _: None,
     progress: Callable[[int, int, Check | None], object] = lambda _done, _all, _check: None,

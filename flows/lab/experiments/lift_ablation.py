@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from connectors.sim.body import GRAVITY
-from connectors.sim.lift_motion import Lift
+from connectors.sim.grasp_actions import Lift
 from connectors.sim.objects import named
 from flows.lab.experiments.lift_trial import LIFT, ROOM, LiftOutcome, lift, lift_motion, weak_force
 from flows.lab.experiments.study import (

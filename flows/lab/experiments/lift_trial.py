@@ -6,7 +6,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from connectors.sim.lift_motion import Lift
+from connectors.sim.grasp_actions import Lift
 from connectors.sim.objects import Object
 from connectors.sim.truth import SLIDING
 from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial, run_trial

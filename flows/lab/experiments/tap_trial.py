@@ -10,8 +10,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from connectors.sim.body import GRAVITY
-from connectors.sim.lift_motion import Lift
-from connectors.sim.mallet import Tap
+from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.truth import SLIDING
 from flows.lab.experiments.trial import Conditions, NullDetector, Trace, Trial, run_trial

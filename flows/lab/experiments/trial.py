@@ -6,10 +6,8 @@ from typing import Final, Self
 
 import numpy as np
 
-from connectors.sim.grasp import Grasp, Held
-from connectors.sim.holding import least_force
-from connectors.sim.lift_motion import Lift
-from connectors.sim.mallet import Tap
+from connectors.sim.grasp import Grasp, Held, least_force
+from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.scene import Faults, Vibration
 from flows.graph import Flow

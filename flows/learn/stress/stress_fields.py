@@ -7,7 +7,7 @@ from itertools import pairwise
 from types import MappingProxyType
 from typing import Final
 
-from connectors.sim.paper_plan import Collection as Plan
+from connectors.sim.paper_plan import PaperPlan as Plan
 
 FALL: Final = 10.0  # points of balanced accuracy below nominal: broken
 

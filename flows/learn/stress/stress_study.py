@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from connectors.sim.paper_plan import Collection as Plan
+from connectors.sim.paper_plan import PaperPlan as Plan
 from connectors.sim.stress_profiles import stressed
 from flows.learn.evaluation.debounce_tuning import tuned
 from flows.learn.evaluation.event_metrics import Slips

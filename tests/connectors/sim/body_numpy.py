@@ -5,8 +5,8 @@ The two agree to rounding until the pad first slips; stick-slip is chaotic after
 
 import numpy as np
 
-from connectors.sim.body import GRAVITY, Body, Grip
-from connectors.sim.contact import Law, Pad, State
+from connectors.sim.body import GRAVITY, BodyState, GripModel
+from connectors.sim.contact import ContactModel, FingerState, Pad
 from operators.batch import Reals
 from tests.connectors.sim import contact_numpy
 
@@ -21,23 +21,23 @@ def moment(arm: Reals, force: Reals) -> float:
     return float(arm[0] * force[1] - arm[1] * force[0])
 
 
-def at(body: Body, arm: Reals) -> Reals:
+def at(body: BodyState, arm: Reals) -> Reals:
     """Velocity (2,) (m/s) of the body's point at an arm (m) from its middle."""
     velocity: Reals = body.velocity[:2] + body.velocity[2] * np.array([-arm[1], arm[0]])
     return velocity
 
 
-def meet(law: Law, pad: Pad, tip: State, body: Body, seen: Reals) -> None:
+def place_surface(model: ContactModel, pad: Pad, tip: FingerState, body: BodyState, seen: Reals) -> None:
     """Put the body's surface under the pad, whose middle is at `seen` (2,) (m) from the body."""
     nodes = seen[:, None] + rotation(-body.place[2] - tip.deflection[2]) @ np.stack([pad.x, pad.y])  # (2, n)
-    pad.gap[:] = np.array([law.k_x, law.k_y]) / 2 @ nodes**2
+    pad.gap[:] = np.array([model.k_x, model.k_y]) / 2 @ nodes**2
 
 
-def hold(grip: Grip, body: Body, hand: Reals, force: float) -> Reals:
+def load_passive_fingers(grip: GripModel, body: BodyState, hand: Reals, force: float) -> Reals:
     """Move the springs of the passive fingers by one step; their force and moment (3,) on the body."""
     total, step = np.zeros(3), grip.contact.step
     for finger, side in enumerate((-1.0, 1.0)):
-        arm = body.hand + np.array([side * grip.apart, 0.0]) - body.place[:2]
+        arm = body.hand + np.array([side * grip.finger_offset, 0.0]) - body.place[:2]
         velocity = hand - at(body, arm)
         before = body.passive[finger].copy()
         pull = grip.spring * (before + step * velocity) + grip.damper * velocity
@@ -49,7 +49,7 @@ def hold(grip: Grip, body: Body, hand: Reals, force: float) -> Reals:
     return total
 
 
-def stand(grip: Grip, body: Body) -> Reals:
+def support_by_table(grip: GripModel, body: BodyState) -> Reals:
     """Force and moment (3,) of the table on the body."""
     total = np.zeros(3)
     for side in (-1.0, 1.0):
@@ -63,10 +63,12 @@ def stand(grip: Grip, body: Body) -> Reals:
     return total
 
 
-def advance(grip: Grip, pad: Pad, tip: State, body: Body, drive: Reals) -> tuple[Reals, float]:
-    """Run a grip and read it at the end, as `body.advance` does."""
-    law, slid = grip.contact, list[float]()
-    skin = tip._replace(velocity=body.along, path=body.path)
+def simulate(
+    grip: GripModel, pad: Pad, tip: FingerState, body: BodyState, drive: Reals
+) -> tuple[Reals, float]:
+    """Run a grip and read it at the end, as `body.simulate` does."""
+    model, slid = grip.contact, list[float]()
+    skin = tip._replace(velocity=body.slip_velocity, path=body.path)
     inertia = np.array([grip.mass, grip.mass, grip.inertia])
     for row in drive:
         c = body.hand - tip.deflection[:2] - body.place[:2]
@@ -75,23 +77,23 @@ def advance(grip: Grip, pad: Pad, tip: State, body: Body, drive: Reals) -> tuple
         if row[3] > 0.0 and off:
             body.dropped[0] = 1.0
         force = 0.0 if body.dropped[0] else float(row[3])
-        meet(law, pad, tip, body, seen)
-        contact_numpy.press(law, pad, tip, force)
-        body.along[:2] = tip.velocity[:2] - at(body, c)
-        body.along[2] = tip.velocity[2] - body.velocity[2]
-        friction, slide = contact_numpy.rub(law, pad, skin)
+        place_surface(model, pad, tip, body, seen)
+        contact_numpy.balance_normal(model, pad, tip, force)
+        body.slip_velocity[:2] = tip.velocity[:2] - at(body, c)
+        body.slip_velocity[2] = tip.velocity[2] - body.velocity[2]
+        friction, slide = contact_numpy.update_friction(model, pad, skin)
         slid.append(slide)
         if force > 0.0:
-            body.path[0] += law.step * float(np.hypot(body.along[0], body.along[1]))
-            body.slide[:] -= law.step * body.along
-        table = stand(grip, body)
-        forces = hold(grip, body, row[:2], force) + table + row[6:]
+            body.path[0] += model.step * float(np.hypot(body.slip_velocity[0], body.slip_velocity[1]))
+            body.slide[:] -= model.step * body.slip_velocity
+        table = support_by_table(grip, body)
+        forces = load_passive_fingers(grip, body, row[:2], force) + table + row[6:]
         forces -= [*friction[:2], friction[2] + moment(c, friction[:2])]
         forces[1] -= grip.mass * GRAVITY
-        contact_numpy.swing(law, tip, row, friction)
+        contact_numpy.move_tip(model, tip, row, friction)
         tip.friction[:] = friction[:2]
-        body.velocity[:] += law.step * forces / inertia
-        body.place[:] += law.step * body.velocity
-        body.hand[:] += law.step * row[:2]
+        body.velocity[:] += model.step * forces / inertia
+        body.place[:] += model.step * body.velocity
+        body.hand[:] += model.step * row[:2]
         body.table[0] = table[1]
-    return np.stack([tip.pressure, *(-law.k_t * tip.bristle)]), float(np.mean(slid)) if slid else 0.0
+    return np.stack([tip.pressure, *(-model.k_t * tip.bristle)]), float(np.mean(slid)) if slid else 0.0

@@ -4,9 +4,9 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from connectors.sim import body, contact, holding
-from connectors.sim.body import GRAVITY, Body, Grip
-from connectors.sim.contact import Pad, State
+from connectors.sim import body, contact, grasp
+from connectors.sim.body import GRAVITY, BodyState, GripModel
+from connectors.sim.contact import FingerState, Pad
 from connectors.sim.finger import pad
 from connectors.sim.objects import OBJECTS, Object
 from connectors.sim.physics_parameters import Parameters
@@ -27,15 +27,15 @@ class Held:
         thing: Object,
         parameters: Parameters | None = None,
         place: tuple[float, float] = (0.0, 0.0),
-        passive: float = holding.PASSIVE_FRICTION,
+        passive: float = grasp.PASSIVE_FRICTION,
     ) -> None:
-        scene = holding.surface(thing, parameters or Parameters())
+        scene = grasp.surface(thing, parameters or Parameters())
         self.thing, self.step = thing, scene.parameters.step
-        self.grip: Grip = holding.grip(thing, scene, place, passive)
+        self.grip: GripModel = grasp.grip_model(thing, scene, place, passive)
         self.pad: Pad = pad(scene)
-        self.tip = State.rest(len(self.pad.x))
-        sunk = thing.mass * GRAVITY / (2 * holding.TABLE_STIFFNESS)
-        self.body = Body.standing(-place[0], -place[1] - sunk)
+        self.tip = FingerState.rest(len(self.pad.x))
+        sunk = thing.mass * GRAVITY / (2 * grasp.TABLE_STIFFNESS)
+        self.body = BodyState.standing(-place[0], -place[1] - sunk)
 
     def drive(self, seconds: float, force: float = 0.0, *, climb: float = 0.0) -> Reals:
         drive = np.zeros((round(seconds / self.step), 9))
@@ -43,7 +43,7 @@ class Held:
         return drive
 
     def go(self, drive: Reals, by: ModuleType = body) -> tuple[Reals, float]:
-        tractions, slid = by.advance(self.grip, self.pad, self.tip, self.body, drive)
+        tractions, slid = by.simulate(self.grip, self.pad, self.tip, self.body, drive)
         return tractions, slid
 
     def lifted(self, force: float) -> "Held":
@@ -61,13 +61,13 @@ class Held:
 
 def energy(held: Held) -> float:
     """Of all that moves, is strained, or can fall (J)."""
-    law, grip, tip, state = held.grip.contact, held.grip, held.tip, held.body
+    model, grip, tip, state = held.grip.contact, held.grip, held.tip, held.body
     mass = np.array([grip.mass, grip.mass, grip.inertia])
-    tips = np.array([law.mass, law.mass, law.inertia])
-    springs = np.array([law.spring, law.spring, law.twist_spring])
+    tips = np.array([model.mass, model.mass, model.inertia])
+    springs = np.array([model.spring, model.spring, model.twist_spring])
     moving = (mass * state.velocity**2).sum() + (tips * tip.velocity**2).sum()
     strained = (springs * tip.deflection**2).sum() + grip.spring * (state.passive**2).sum()
-    bristles = law.k_t * law.area * (tip.bristle**2).sum()
+    bristles = model.k_t * model.area * (tip.bristle**2).sum()
     corners = [
         grip.table
         - state.place[1]
@@ -129,10 +129,10 @@ def test_both_forms_slip_alike_at_first(name: str) -> None:
 def test_a_body_that_is_turned_turns_its_surface_as_an_arm_that_turns_does() -> None:
     can = replace(BALL, curvature="cylinder_y")
     held = Held(can, EVEN)
-    other = pad(holding.surface(can, EVEN))
+    other = pad(grasp.surface(can, EVEN))
     arm = np.zeros((100, 6))
     arm[:, 2] = -0.3 / (100 * EVEN.step)
-    contact.advance(held.grip.contact, other, State.rest(48), arm, np.array([100]))
+    contact.simulate(held.grip.contact, other, FingerState.rest(48), arm, np.array([100]))
     held.body.place[:] = 0.0, 0.0, 0.3
     held.go(held.drive(EVEN.step))
     np.testing.assert_allclose(held.pad.gap, other.gap, atol=1e-12)

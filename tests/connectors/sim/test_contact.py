@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from connectors.sim import contact
-from connectors.sim.finger import law, pad
-from connectors.sim.pad_sensor import influence
+from connectors.sim.barometers import influence
+from connectors.sim.finger import contact_model, pad
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import Curvature, Scene
 from operators.batch import Reals
@@ -28,7 +28,9 @@ def drag(
 def run(scene: Scene, drive: Reals, every: int = 1, by: ModuleType = contact) -> tuple[Reals, Reals]:
     nodes = pad(scene)
     until = np.arange(0, len(drive) + 1, every)
-    tractions, truth = by.advance(law(scene), nodes, contact.State.rest(len(nodes.x)), drive, until)
+    tractions, truth = by.simulate(
+        contact_model(scene), nodes, contact.FingerState.rest(len(nodes.x)), drive, until
+    )
     return tractions, truth
 
 
@@ -104,10 +106,10 @@ def test_lifting_off_leaves_nothing_behind() -> None:
 
 def turned(scene: Scene, degrees: float) -> Reals:
     """The gaps of a pad that was turned in the air."""
-    nodes, state = pad(scene), contact.State.rest(48)
+    nodes, state = pad(scene), contact.FingerState.rest(48)
     drive = np.zeros((100, 6))
     drive[:, 2] = np.radians(degrees) / 0.1
-    contact.advance(law(scene), nodes, state, drive, np.array([100]))
+    contact.simulate(contact_model(scene), nodes, state, drive, np.array([100]))
     return nodes.gap
 
 
@@ -151,14 +153,14 @@ def test_a_finer_grid_changes_little() -> None:
 def test_friction_takes_energy_out() -> None:
     """A tip that is let go while stuck or sliding never gains energy, apart from the last step's rounding."""
     scene = Scene(parameters=Parameters(texture=0.0, tilt_stiffness=1e6, static_friction=0.6))
-    constants, nodes = law(scene), pad(scene)
-    state = contact.State.rest(len(nodes.x))
+    constants, nodes = contact_model(scene), pad(scene)
+    state = contact.FingerState.rest(len(nodes.x))
     state.velocity[:] = 0.3, -0.1, 4.0
     drive = np.zeros((1, 6))
     drive[0, 3] = 2.0
     energies: list[float] = []
     for _ in range(600):
-        contact.advance(constants, nodes, state, drive, np.array([1]))
+        contact.simulate(constants, nodes, state, drive, np.array([1]))
         v, e = state.velocity, state.deflection
         moving = constants.mass * (v[:2] ** 2).sum() + constants.inertia * v[2] ** 2
         strained = constants.spring * (e[:2] ** 2).sum() + constants.twist_spring * e[2] ** 2
@@ -188,7 +190,7 @@ def test_a_finer_step_converges_in_first_order() -> None:
     It does not tilt, so that no node lifts off: a node that comes down again does so between two steps.
     """
 
-    def swing(step: float) -> float:
+    def move_tip(step: float) -> float:
         scene = Scene(parameters=Parameters(step=step, static_friction=100.0, texture=0.0, lever=0.0))
         steps = round(0.02 / step)
         drive = np.zeros((steps, 6))
@@ -196,7 +198,7 @@ def test_a_finer_step_converges_in_first_order() -> None:
         tractions, _ = run(scene, drive, every=steps)
         return float(tractions[-1, 1].sum())
 
-    exact = swing(1e-3 / 256)
-    errors = [abs(swing(1e-3 / n) - exact) for n in (4, 8, 16)]
+    exact = move_tip(1e-3 / 256)
+    errors = [abs(move_tip(1e-3 / n) - exact) for n in (4, 8, 16)]
     orders = np.log2(np.divide(errors[:-1], errors[1:]))
     assert orders == pytest.approx([1.0, 1.0], abs=0.4), errors

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from connectors.sim.grasp_actions import Lift
 from connectors.sim.grasp_source import opened
-from connectors.sim.lift_motion import Lift
 from connectors.sim.objects import named
 from operators import Commands, s
 from tests.connectors.sim.grasp_lab import GraspLab

@@ -3,8 +3,8 @@ import asyncio
 import numpy as np
 import pytest
 
+from connectors.sim.grasp_actions import Lift
 from connectors.sim.grasp_source import Handling
-from connectors.sim.lift_motion import Lift
 from connectors.sim.objects import named
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock

@@ -4,7 +4,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from connectors.sim.paper_plan import Collection, Recording
+from connectors.sim.paper_plan import PaperPlan, PaperStrokes
 from connectors.sim.scene import Move, Scene
 
 
@@ -13,10 +13,10 @@ def moves(scene: Scene, seed: int = 0) -> list[Move]:
 
 
 def test_the_plan_covers_every_surface_at_every_speed() -> None:
-    scenes = list(Collection().scenes(0))
-    assert all(isinstance(scene.plan, Recording) for scene in scenes)
+    scenes = list(PaperPlan().scenes(0))
+    assert all(isinstance(scene.plan, PaperStrokes) for scene in scenes)
     found = Counter(
-        (scene.curvature, scene.plan.speed) for scene in scenes if isinstance(scene.plan, Recording)
+        (scene.curvature, scene.plan.speed) for scene in scenes if isinstance(scene.plan, PaperStrokes)
     )
     surfaces = ("plane", "sphere", "cylinder_x", "cylinder_y")
     expected = {(surface, speed): 9 for surface in surfaces for speed in (0.05, 0.075, 0.1)}
@@ -25,7 +25,7 @@ def test_the_plan_covers_every_surface_at_every_speed() -> None:
 
 def test_the_plan_lasts_as_long_and_rests_as_often_as_the_papers() -> None:
     """The paper has 143,584 static and 122,918 slip samples at 100 Hz."""
-    every = [move for n, scene in enumerate(Collection().scenes(0)) for move in moves(scene, n)]
+    every = [move for n, scene in enumerate(PaperPlan().scenes(0)) for move in moves(scene, n)]
     seconds = sum(move.seconds for move in every)
     moving = sum(move.seconds - move.rest for move in every if move.speed)
     assert seconds == pytest.approx(2665, rel=0.01)
@@ -33,28 +33,28 @@ def test_the_plan_lasts_as_long_and_rests_as_often_as_the_papers() -> None:
 
 
 def test_a_recording_strokes_in_every_direction_once_a_round() -> None:
-    strokes = [move.direction_deg for move in moves(Scene(Recording(0.1))) if move.speed]
+    strokes = [move.direction_deg for move in moves(Scene(PaperStrokes(0.1))) if move.speed]
     assert sorted(strokes[:8]) == sorted(strokes[8:]) == [45.0 * n for n in range(8)]
 
 
 def test_rotations_turn_both_ways() -> None:
-    speeds = [move.speed for move in moves(Scene(Recording(None))) if move.speed]
+    speeds = [move.speed for move in moves(Scene(PaperStrokes(None))) if move.speed]
     assert Counter(speeds) == {1.0: 8, -1.0: 8}
 
 
 def test_a_lifted_finger_comes_down_again() -> None:
-    followed = [(a.motion, b.force) for n in range(20) for a, b in pairwise(moves(Scene(Recording()), n))]
+    followed = [(a.motion, b.force) for n in range(20) for a, b in pairwise(moves(Scene(PaperStrokes()), n))]
     after = [force for motion, force in followed if motion == "lift"]
     assert len(after) > 3
     assert all(force is not None and force > 0 for force in after)
 
 
 def test_the_same_seed_gives_the_same_scenes_and_another_seed_does_not() -> None:
-    first, again, other = (list(Collection(repeats=1).scenes(seed)) for seed in (0, 0, 1))
+    first, again, other = (list(PaperPlan(repeats=1).scenes(seed)) for seed in (0, 0, 1))
     assert first == again
     assert all(a != b for a, b in zip(first, other, strict=True))
 
 
 def test_no_two_recordings_are_alike() -> None:
-    scenes = list(Collection(repeats=2).scenes(0))
+    scenes = list(PaperPlan(repeats=2).scenes(0))
     assert len(set(map(repr, scenes))) == len(scenes)

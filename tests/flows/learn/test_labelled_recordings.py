@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Faults, Move, Moves, Scene
 from connectors.sim.stress_profiles import stressed
 from flows.lab.simulation import recordings, simulate
@@ -104,7 +104,7 @@ def test_every_trial_is_in_its_split_and_one_without_is_in_none(tiny: Path) -> N
 
 
 def test_the_same_seed_gives_the_same_recordings() -> None:
-    plan = Collection(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
+    plan = PaperPlan(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
     first, again, other = (simulated_recordings(plan, seed) for seed in (0, 0, 1))
     counts = [
         [recording.counts.tobytes() for recording in recordings] for recordings in (first, again, other)

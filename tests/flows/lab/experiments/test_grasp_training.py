@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from flows.cli.experiments import learn as command
 from flows.lab.experiments import grasp_training as learning
 from flows.lab.experiments.grasp_training import FADES, LASTS, floored_cells, hard_parts, lengthened
@@ -19,7 +19,7 @@ from storage.models import load_card, shipped
 pytest.importorskip("torch")
 
 TINY = Recipe(filters=4, units=4, steps=6, checks=2, batch=4, crop=300)
-STROKES = Collection(surfaces=("plane",), speeds=(0.1,), repeats=3, rotations=0, rounds=1)
+STROKES = PaperPlan(surfaces=("plane",), speeds=(0.1,), repeats=3, rotations=0, rounds=1)
 
 
 def test_a_trained_model_has_a_card_and_loads_as_a_detector(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from connectors.sim.lift_motion import Lift
+from connectors.sim.grasp_actions import Lift
 from flows.lab.experiments.lift_ablation import (
     HARD,
     RATES,

@@ -4,7 +4,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from connectors.sim.holding import least_force
+from connectors.sim.grasp import least_force
 from connectors.sim.objects import named
 from flows.lab.experiments.trial import SPREAD, Conditions, Trace, Trial
 from operators import Grip, ParameterError

@@ -3,7 +3,7 @@ from math import nan
 import numpy as np
 import pytest
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.stress_profiles import FIELDS, stressed
 from flows.learn.stress.stress_fields import GOALS, GRIDS, Grid, breaking_point, plan_of
@@ -36,7 +36,7 @@ def test_the_goals_are_on_the_grids() -> None:
 
 
 def test_slip_speed_is_one_speed_and_no_rotation() -> None:
-    plan = plan_of("slip_speed", Collection(repeats=1))
+    plan = plan_of("slip_speed", PaperPlan(repeats=1))
     strokes = [
         move
         for scene in plan.scenes(0)
@@ -46,7 +46,7 @@ def test_slip_speed_is_one_speed_and_no_rotation() -> None:
     assert {move.motion for move in strokes} == {"translation"}
     assert {round(move.speed, 6) for move in strokes} == {0.01}
     assert GRIDS["slip_speed"].show(0.2) == "10 mm/s"
-    assert plan_of("noise", Collection(repeats=1)) == Collection(repeats=1)
+    assert plan_of("noise", PaperPlan(repeats=1)) == PaperPlan(repeats=1)
 
 
 @pytest.mark.parametrize(

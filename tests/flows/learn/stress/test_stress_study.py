@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.stress_profiles import stressed
 from flows.learn.evaluation.judgement import Judgement
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
@@ -20,7 +20,7 @@ from operators.batch import Counts, Reals
 from operators.detectors import Detector, Psd
 from operators.errors import ParameterError
 
-TINY = Collection(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
+TINY = PaperPlan(surfaces=("plane",), speeds=(0.05,), repeats=1, rotations=0, rounds=1)
 SEED = 7
 
 
@@ -137,7 +137,7 @@ def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.Mo
     )
     seeds, told = list[int](), list[str]()
 
-    def noted(plan: Collection, seed: int, *_: object) -> list[LabelledRecording]:
+    def noted(plan: PaperPlan, seed: int, *_: object) -> list[LabelledRecording]:
         seeds.append(seed)
         return simulated_recordings(plan, seed)
 

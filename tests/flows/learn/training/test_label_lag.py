@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from connectors.sim.paper_plan import Collection
+from connectors.sim.paper_plan import PaperPlan
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.training.label_lag import lags, relabelled
 
-PLAN = Collection(speeds=(0.05, 0.1), repeats=1, rotations=0)
+PLAN = PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=0)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,8 @@
-"""How a hand lifts what it holds."""
+"""Actions in a grasp: the lift of the hand, and taps of a mallet on the object."""
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -47,3 +48,29 @@ class Lift:
         cruise = np.clip(rising - ramp, 0.0, self.end - self.instant - 2 * ramp)
         up, down = np.minimum(rising, ramp), np.minimum(left, ramp)
         return np.asarray(self.acceleration * (up**2 / 2 + ramp * cruise + (ramp**2 - down**2) / 2))
+
+
+@dataclass(frozen=True, slots=True)
+class Tap:
+    """A blow of a mallet: half a sine wave of force.
+
+    On top it goes down through the object's middle. On the side it goes along x (against x where the momentum
+    is negative), a quarter of the object's length above its middle, so that it also turns the object.
+
+    Raises:
+        ParameterError: if it takes no time.
+    """
+
+    instant: float  # s since the run began
+    momentum: float  # N s
+    place: Literal["top", "side"] = "top"
+    seconds: float = 0.01  # contact of a soft mallet; assumed
+
+    def __post_init__(self) -> None:
+        if not self.seconds > 0:
+            raise ParameterError("Tap", "seconds", self.seconds, "above 0")
+
+    def given(self, t: Reals) -> Reals:
+        """Momentum that has been given at instants (k,) (s): (k,) N s."""
+        u = np.clip((t - self.instant) / self.seconds, 0.0, 1.0)
+        return np.asarray(self.momentum * (1 - np.cos(math.pi * u)) / 2)

@@ -17,14 +17,53 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
-from connectors.sim.arm_states import Path
 from connectors.sim.scene import Scene
 from operators.batch import Commands, Reals, s
 
 
 @dataclass(frozen=True, slots=True)
-class Aim:
+class Trajectory:
+    """Where the arm is, how it moves and how hard it presses at k instants."""
+
+    drive: Reals  # (k, 6) what follows, side by side
+    place: Reals  # (k, 3) m, m, rad of the TCP, seen along the normal from where it began
+
+    @classmethod
+    def blank(cls, k: int) -> "Trajectory":
+        """Nothing yet, at k instants."""
+        return cls(np.zeros((k, 6)), np.zeros((k, 3)))
+
+    @property
+    def velocity(self) -> Reals:
+        """Of the TCP in the fingertip's frame, a view: (k, 3) m/s, m/s, rad/s."""
+        return self.drive[:, :3]
+
+    @property
+    def force(self) -> Reals:
+        """Normal force, a view: (k,) N."""
+        return self.drive[:, 3]
+
+    @property
+    def push(self) -> Reals:
+        """From outside, in the fingertip's frame, a view: (k, 2) N."""
+        return self.drive[:, 4:]
+
+    def __len__(self) -> int:
+        return len(self.place)
+
+    def __getitem__(self, rows: slice) -> "Trajectory":
+        """A view of some of the instants."""
+        return Trajectory(self.drive[rows], self.place[rows])
+
+    def without(self, rows: NDArray[np.intp]) -> "Trajectory":
+        """A copy without some of the instants."""
+        return Trajectory(np.delete(self.drive, rows, axis=0), np.delete(self.place, rows, axis=0))
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
     """What one command aims at."""
 
     time: int  # ns, from which it is obeyed
@@ -32,11 +71,11 @@ class Aim:
     velocity: tuple[float, float, float]  # m/s, m/s, rad/s seen along the normal; NaN: as it was
 
 
-class Orders:
+class CommandQueue:
     """The commands of one run, in the order in which they are obeyed; they are kept for each arm to obey."""
 
     def __init__(self) -> None:
-        self.given: list[Aim] = []
+        self.given: list[Setpoint] = []
         self.forgotten = 0  # aims that came before the first of `given`
         self._origin = self._reached = 0  # ns
 
@@ -49,7 +88,7 @@ class Orders:
         rows = zip(commands.time.tolist(), commands.force.tolist(), commands.velocity, strict=True)
         for time, force, (x, y, _, _, _, turn) in rows:
             grip = max(force, 0.0)  # in this order: NaN stays NaN
-            aim = Aim(max(time, self._reached), grip, (float(x), -float(y), -float(turn)))
+            aim = Setpoint(max(time, self._reached), grip, (float(x), -float(y), -float(turn)))
             insort(self.given, aim, key=attrgetter("time"))
 
     def forget(self, before: int) -> None:
@@ -58,7 +97,7 @@ class Orders:
         self.forgotten += done
         del self.given[:done]
 
-    def instant(self, aim: Aim) -> float:
+    def instant(self, aim: Setpoint) -> float:
         """When it is obeyed, s since the run began."""
         return max(0, aim.time - self._origin) / s
 
@@ -67,7 +106,7 @@ class Orders:
         self._reached = max(self._reached, self._origin + round(instant * s))
 
 
-class Obedience:
+class CommandFollower:
     """Bends one arm's planned path to the orders.
 
     Args:
@@ -75,13 +114,13 @@ class Obedience:
         scene: Says how fast force and velocity can change.
     """
 
-    def __init__(self, orders: Orders, scene: Scene) -> None:
+    def __init__(self, orders: CommandQueue, scene: Scene) -> None:
         self._orders, self._scene = orders, scene
         self._obeyed = 0  # of the orders, the forgotten ones included
         self._grip: tuple[float, float, float] | None = None  # s, N, N: since when, from, to
         self._course: tuple[float, Reals, Reals, Reals] | None = None  # since when, place, from, to
 
-    def path(self, times: Reals, planned: Callable[[Reals], Path]) -> Path:
+    def path(self, times: Reals, planned: Callable[[Reals], Trajectory]) -> Trajectory:
         """The path at instants (k,) (s) that never go back; shorter where the plan ends before the last."""
         given, first = self._orders.given, self._obeyed - self._orders.forgotten
         due = first
@@ -105,7 +144,7 @@ class Obedience:
         self._bend(times[begin : len(path)], path[begin:])
         return path.without(rows[rows < len(path)]) if aims else path
 
-    def _obey(self, aim: Aim, now: float, path: Path) -> None:
+    def _obey(self, aim: Setpoint, now: float, path: Trajectory) -> None:
         """Change the aims; nothing jumps, so the path at this instant stays as it is."""
         if not math.isnan(aim.force):
             self._grip = now, float(path.force[0]), aim.force
@@ -115,7 +154,7 @@ class Obedience:
             velocity = np.array([cos * vx - sin * vy, sin * vx + cos * vy, spin])
             self._course = now, path.place[0].copy(), velocity, np.array(aim.velocity)
 
-    def _bend(self, times: Reals, path: Path) -> None:
+    def _bend(self, times: Reals, path: Trajectory) -> None:
         """Replace what is commanded at instants (k,)."""
         if self._grip is not None:
             since, first, last = self._grip

@@ -21,7 +21,8 @@ import numpy as np
 
 from connectors.sim.contact import compiled
 from connectors.sim.physics_parameters import Parameters
-from operators.batch import BAROMETERS, Reals
+from connectors.sim.scene import Faults
+from operators.batch import BAROMETERS, Counts, Flags, Reals
 
 CEILING: Final = 1023  # counts
 FINE: Final = 8  # points per side of a node's rectangle
@@ -36,7 +37,7 @@ def grid(parameters: Parameters, fine: int = 1) -> tuple[Reals, Reals]:
     return across.ravel(), up.ravel()
 
 
-def cells(parameters: Parameters) -> Reals:
+def cell_positions(parameters: Parameters) -> Reals:
     """Places of the barometers, 5 4 3 over 0 1 2, x right, y up: (6, 2) m."""
     columns = np.array([-1, 0, 1, 1, 0, -1]) * parameters.pitch_x
     rows = np.array([-1, -1, -1, 1, 1, 1]) * parameters.pitch_y / 2
@@ -49,7 +50,7 @@ def influence(parameters: Parameters) -> Reals:
     p = parameters
     x, y = grid(p, FINE)
     area = p.width * p.height / x.size
-    rho = cells(p)[:, None] - np.stack([x, y], axis=1)  # (6, points, 2) from the load to the cell
+    rho = cell_positions(p)[:, None] - np.stack([x, y], axis=1)  # (6, points, 2) from the load to the cell
     r5 = ((rho**2).sum(axis=2) + p.depth**2) ** 2.5  # (6, points)
     load = 3 * area * p.depth**2 / (2 * math.pi * r5)  # (6, points)
     shear = p.shear_gain * load[:, None] * rho.transpose(0, 2, 1)  # (6, 2, points)
@@ -61,19 +62,19 @@ def influence(parameters: Parameters) -> Reals:
 
 
 @compiled
-def respond(tractions: Reals, matrix: Reals, law: tuple[float, float, float], late: Reals) -> Reals:
+def respond(tractions: Reals, matrix: Reals, response: tuple[float, float, float], late: Reals) -> Reals:
     """What the cells say, relative to their rest, before noise and rounding.
 
     Args:
         tractions: (k, 3, n) Pa.
         matrix: (6, 3, n) from `influence`.
-        law: Gain G (counts/Pa), share c, and the part of the lag that one sample makes good.
+        response: Gain G (counts/Pa), share c, and the part of the lag that one sample makes good.
         late: (6,) the lagging stress (Pa); changed in place.
 
     Returns:
         (k, 6) counts.
     """
-    gain, share, gained = law
+    gain, share, gained = response
     counts = np.zeros((tractions.shape[0], matrix.shape[0]))
     for row in range(tractions.shape[0]):
         for cell in range(matrix.shape[0]):
@@ -84,3 +85,72 @@ def respond(tractions: Reals, matrix: Reals, law: tuple[float, float, float], la
             late[cell] += gained * (stress - late[cell])
             counts[row, cell] = -gain * ((1.0 - share) * stress + share * late[cell])
     return counts
+
+
+ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
+
+
+class Barometers:
+    """Barometers that remember how they crept.
+
+    Args:
+        parameters: Of the fingertip.
+        faults: What is wrong with them.
+        body: Draws the rest levels and the offsets of their thermometers.
+        noise: Draws the noise of pressure.
+        warmth: Draws the noise of temperature.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        faults: Faults,
+        body: np.random.Generator,
+        noise: np.random.Generator,
+        warmth: np.random.Generator,
+    ) -> None:
+        p = self._p = parameters
+        self._faults, self._noise, self._warmth = faults, noise, warmth
+        self._influence = influence(p)
+        self._late = np.zeros(BAROMETERS)
+        self._rest = body.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
+        self._temperature = ROOM_TEMPERATURE + body.integers(-8, 8, BAROMETERS)
+        self._held: Reals | None = None  # (6,) the first reading, which stuck cells repeat
+
+    def read(self, t: Reals, tractions: Reals, aged: float) -> tuple[Counts, Counts, Flags]:
+        """What the cells say at instants (k,) (s since the run began).
+
+        Args:
+            t: When they are read.
+            tractions: (k, 3, n) Pa: pressure, shear along x, shear along y of each node.
+            aged: Times of creep that pass from each instant to the next.
+
+        Returns:
+            Raw ADC counts of pressure (k, 6), of temperature (k, 6), and which cells answer (k, 6).
+        """
+        counts = self._counts(t, tractions, aged)
+        valid = np.ones((len(t), BAROMETERS), np.bool_)
+        valid[:, self._faults.dead] = False
+        temperature = self._temperature + 0.3 * self._warmth.standard_normal((len(t), BAROMETERS))
+        return counts, np.rint(temperature).astype(np.int16), valid
+
+    def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
+        """Raw ADC counts (k, 6) at instants (k,) (s), `aged` times of creep apart."""
+        p, faults = self._p, self._faults
+        gained = 1 - math.exp(-aged)
+        counts = respond(tractions, self._influence, (p.sensitivity, p.creep, gained), self._late)
+        if faults.gain:
+            counts *= faults.gain
+        counts += self._rest
+        if faults.offset:
+            counts += faults.offset
+        if faults.drift:
+            counts += t[:, None] * faults.drift
+        if p.noise:
+            counts += p.noise * self._noise.standard_normal(counts.shape)
+        if faults.stuck:
+            held = self._held = counts[0].copy() if self._held is None else self._held
+            counts[:, faults.stuck] = held[list(faults.stuck)]
+        if faults.floored or faults.dead:
+            counts[:, faults.floored + faults.dead] = 0.0
+        return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from connectors.sim.arm_motion import Arm, Controller
-from connectors.sim.hand import Orders
+from connectors.sim.commanded_motion import CommandQueue
 from connectors.sim.scene import Commanded, Move, Moves, Plan, Scene, Timing
 from connectors.sim.simulated_rig import SimulatedRig
 from connectors.sim.truth import true_slips
@@ -192,7 +192,7 @@ def test_asking_piecewise_changes_nothing(ticks: list[int], cut: int) -> None:
     times = np.array(ticks) * 1e-3
     found: list[Reals] = []
     for parts in ([times], [times[:cut], times[cut:]]):
-        orders = Orders()
+        orders = CommandQueue()
         orders.begin(ORIGIN)
         orders.give(told)
         arm = Arm(Scene(DRAG), 0, orders=orders)

@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+from scipy.integrate import dblquad
+
+from connectors.sim.barometers import (
+    CEILING,
+    ROOM_TEMPERATURE,
+    Barometers,
+    cell_positions,
+    grid,
+    influence,
+    respond,
+)
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Faults
+from operators.batch import Reals
+
+MIRROR_X = [2, 1, 0, 5, 4, 3]
+MIRROR_Y = [5, 4, 3, 2, 1, 0]
+
+
+def test_the_cells_lie_as_on_the_fingertip() -> None:
+    x, y = cell_positions(Parameters()).T
+    assert x.tolist() == sorted(x[:3].tolist()) + sorted(x[:3].tolist(), reverse=True)
+    assert (y[:3] < 0).all()
+    assert (y[3:] > 0).all()
+
+
+def test_the_influence_is_the_integral_of_the_point_loads() -> None:
+    p = Parameters()
+    x, y = grid(p)
+    node, cell = 12, 0
+    cx, cy = cell_positions(p)[cell]
+    half_x, half_y = p.width / p.columns / 2, p.height / p.rows / 2
+
+    def stress(part: int) -> float:
+        def point(v: float, u: float) -> float:
+            rho = np.array([cx - u, cy - v])
+            r5 = (rho @ rho + p.depth**2) ** 2.5
+            across = p.depth**3 if part == 0 else p.shear_gain * p.depth**2 * rho[part - 1]
+            return float(3 * across / (2 * np.pi * r5))
+
+        return dblquad(point, x[node] - half_x, x[node] + half_x, y[node] - half_y, y[node] + half_y)[0]
+
+    assert influence(p)[cell, :, node] == pytest.approx([stress(part) for part in range(3)], rel=0.01)
+
+
+def test_even_pressure_comes_through_under_the_middle_of_the_pad() -> None:
+    middle = influence(Parameters(pitch_x=0.004, pitch_y=0.001)).sum(axis=2)[:, 0]
+    assert (middle > 0.9).all()
+    assert (middle < 1.0).all()
+
+
+def test_the_influence_has_the_symmetry_of_the_pad() -> None:
+    p = Parameters()
+    matrix = influence(p).reshape(6, 3, p.rows, p.columns)
+    sign_x, sign_y = np.array([1, -1, 1])[:, None, None], np.array([1, 1, -1])[:, None, None]
+    np.testing.assert_allclose(matrix[MIRROR_X][..., ::-1] * sign_x, matrix, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(matrix[MIRROR_Y][..., ::-1, :] * sign_y, matrix, rtol=1e-9, atol=1e-15)
+
+
+def test_pressing_lowers_the_counts_and_creep_lowers_them_further() -> None:
+    p = Parameters()
+    tractions = np.zeros((500, 3, p.columns * p.rows))
+    tractions[:, 0] = 5e3
+    late = np.zeros(6)
+    counts = respond(tractions, influence(p), (p.sensitivity, 0.3, 1 - np.exp(-0.01 / 0.8)), late)
+    assert (np.diff(counts, axis=0) < 0).all()
+    np.testing.assert_allclose(counts[0] / counts[-1], 0.7, atol=0.01)
+
+
+def test_shear_presses_behind_the_load_it_drags() -> None:
+    """Friction on the pad points against the motion; the rubber piles up where it points to."""
+    p = Parameters()
+    x, y = grid(p)
+    middle = int(np.argmin(x**2 + y**2))
+    matrix = influence(p)
+    right = cell_positions(p)[:, 0] > x[middle]
+    assert (matrix[right, 1, middle] > 0).all()
+    assert (matrix[~right, 1, middle] <= 0).all()
+
+
+T = np.arange(50) / 100
+QUIET = Parameters()
+
+
+def cells(faults: Faults, parameters: Parameters = QUIET) -> Barometers:
+    body, noise, warmth = np.random.default_rng(1).spawn(3)
+    return Barometers(parameters, faults, body, noise, warmth)
+
+
+def pressed(pressure: float, rows: int = 50) -> Reals:
+    """An even pressure on the whole pad (rows, 3, n)."""
+    tractions = np.zeros((rows, 3, QUIET.columns * QUIET.rows))
+    tractions[:, 0] = pressure
+    return tractions
+
+
+def test_cells_read_their_rest_in_the_air_and_less_under_pressure() -> None:
+    air, temperature, valid = cells(Faults()).read(T, pressed(0.0), 0.0125)
+    touched, _, _ = cells(Faults()).read(T, pressed(5000.0), 0.0125)
+    assert (air == air[0]).all()
+    assert ((air >= QUIET.rest_lowest) & (air <= QUIET.rest_highest)).all()
+    assert (touched < air).all()
+    assert (np.diff(touched.astype(int), axis=0) <= 0).all()  # it creeps
+    assert np.abs(temperature - ROOM_TEMPERATURE).max() <= 10
+    assert valid.all()
+
+
+def test_a_reading_cut_in_two_is_the_same() -> None:
+    noisy = Parameters(noise=0.7)
+    whole = cells(Faults(), noisy).read(T, pressed(3000.0), 0.0125)
+    halves = cells(Faults(), noisy)
+    first, second = (halves.read(T[rows], pressed(3000.0, 25), 0.0125) for rows in (slice(25), slice(25, 50)))
+    for one, a, b in zip(whole, first, second, strict=True):
+        np.testing.assert_array_equal(one, np.concatenate([a, b]))
+
+
+def test_each_fault_is_that_of_its_cell() -> None:
+    faults = Faults(dead=(0,), stuck=(1,), floored=(2,), offset=(0, 0, 0, 9, 0, 0), drift=(0, 0, 0, 0, 10, 0))
+    clean, _, _ = cells(Faults()).read(T, pressed(2000.0), 0.0125)
+    counts, _, valid = cells(faults).read(T, pressed(2000.0), 0.0125)
+    assert valid[0].tolist() == [False, True, True, True, True, True]
+    assert not counts[:, [0, 2]].any()
+    assert (counts[:, 1] == clean[0, 1]).all()
+    np.testing.assert_array_equal(counts[:, 3], clean[:, 3] + 9)
+    assert counts[-1, 4] - clean[-1, 4] == pytest.approx(10 * T[-1], abs=1)
+    np.testing.assert_array_equal(counts[:, 5], clean[:, 5])
+
+
+def test_counts_stay_within_the_converter() -> None:
+    high, _, _ = cells(Faults(offset=(2000,) * 6)).read(T, pressed(0.0), 0.0125)
+    low, _, _ = cells(Faults()).read(T, pressed(1e6), 0.0125)
+    assert (high == CEILING).all()
+    assert not low.any()
