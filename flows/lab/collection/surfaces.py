@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, get_args
 
-from connectors.sim.scene import drop
-from connectors.sim.scene import Curvature, Scene
+from connectors.sim.scene import Curvature, Scene, surface_drop
 from connectors.ur.control_process import Pose
 from flows.lab.collection.arm_path import offset_pose
 from operators.checks import check_between, check_choice
@@ -51,7 +50,7 @@ class Surface:
         >>> round(Surface("sphere", (0.4, 0, 0.1, math.pi, 0, 0), radius=0.05).at(0.03, 0.0)[2], 6)
         0.09
         """
-        return offset_pose(self.pose, (x, y, drop(self.curvatures, x, y) + depth))
+        return offset_pose(self.pose, (x, y, surface_drop(self.curvatures, x, y) + depth))
 
     def waypoints(self, x: float, y: float) -> list[float]:
         """Return the waypoints from (-x, -y) to (x, y) (m) over the surface, as multiples of (x, y).

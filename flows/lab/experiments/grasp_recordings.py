@@ -12,16 +12,13 @@ from typing import Final, Self, cast
 
 import numpy as np
 
-from connectors.sim.grasp import Grasp
-from connectors.sim.grasp import least_force
-from connectors.sim.grasp_actions import Lift
-from connectors.sim.grasp_actions import Tap
+from connectors.sim.grasp import Grasp, least_force
+from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
-from connectors.sim.paper_plan import PaperPlan
+from connectors.sim.paper_plan import PaperPlan, varied
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import NOISE, Curvature, Scene, Vibration
 from connectors.sim.truth import SLIDING
-from connectors.sim.paper_plan import varied
 from flows.learn.evaluation.event_metrics import filled
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from operators import Zero

@@ -10,10 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from connectors.sim.paper_plan import PaperPlan
+from connectors.sim.paper_plan import PaperPlan, varied
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.truth import STICK
-from connectors.sim.paper_plan import varied
 from flows.lab.experiments.grasp_recordings import grasp_recordings, sliding_labels
 from flows.learn.labelled_recordings import LabelledRecording, by_split, simulated_recordings
 from flows.learn.onsets import runs
