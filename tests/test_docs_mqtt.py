@@ -332,7 +332,7 @@ def test_the_bridge_gives_each_event_to_ros(
 def test_an_event_that_the_bridge_gets_late_does_not_turn_the_state_back() -> None:
     bridge = vars(loaded("slip_bridge.py"))["SlipBridge"]()
     for seq, time, onset in ((1, 10, True), (3, 30, False), (2, 20, True)):
-        bridge.give(
+        bridge.publish(
             Event("lab-1", "ur 10", "0", "e", seq, onset=onset, time=time, probability=0.9, latency=1)
         )
     assert len(bridge.made["slip/events"].published) == 3

@@ -41,7 +41,7 @@ def test_a_session_is_shown_with_its_slips_and_scored_again(session: Session) ->
     assert (contents["flow"], contents["session"]) == ("demo", "test")
     assert contents["dataset"] == session.folder.parent.parent.name
     assert contents["length"] == pytest.approx(12_000, abs=200)
-    assert "Slip events: those that were recorded" in contents["about"]
+    assert "Slip events: recorded" in contents["about"]
     assert [event["t"] for event in contents["events"]] == [
         (time - recorded.start) / 1e6 for time in session.frame("slips")["time"].to_list()
     ]
@@ -64,7 +64,7 @@ def test_a_session_without_recorded_slips_gets_those_found_now(tmp_path: Path) -
 
     run_virtually(main())
     contents: dict[str, Any] = {**asyncio.run(load(Session.open(tmp_path), "psd")).contents()}
-    assert "those that psd finds now" in contents["about"]
+    assert "found by psd now" in contents["about"]
     assert contents["events"]
 
 
