@@ -1,4 +1,4 @@
-"""Who may write to a session: one at a time, told by a lock on its folder that ends with the process."""
+"""Exclusive locks of folders and files, released when the process ends."""
 
 import fcntl
 import os
@@ -6,14 +6,39 @@ from pathlib import Path
 
 
 def lock(folder: Path, *, wait: bool = False) -> int | None:
-    """Lock a folder; give the descriptor that holds the lock until it is closed.
+    """Lock a folder; return the descriptor that holds the lock until it is closed.
 
-    None if another has it, unless told to wait.
+    Return None if another process holds the lock, unless `wait` is set.
 
     Raises:
-        OSError: if it cannot be locked.
+        OSError: if the folder cannot be locked.
     """
-    number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    return _flock(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC), wait=wait)
+
+
+def lock_file(path: Path) -> int | None:
+    """Lock a file, which may be missing or replaced later, through ``<path>.lock``, which remains.
+
+    Return a descriptor or None as `lock` does.
+
+    Raises:
+        OSError: if the lock file cannot be created.
+    """
+    return _flock(os.open(f"{path}.lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600), wait=False)
+
+
+def locked(folder: Path) -> bool:
+    """Return True if a process holds the lock of a folder, as far as it can be determined."""
+    try:
+        number = lock(folder)
+    except OSError:
+        return False
+    if number is not None:
+        os.close(number)
+    return number is None
+
+
+def _flock(number: int, *, wait: bool) -> int | None:
     try:
         fcntl.flock(number, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
@@ -23,14 +48,3 @@ def lock(folder: Path, *, wait: bool = False) -> int | None:
         os.close(number)
         raise
     return number
-
-
-def locked(folder: Path) -> bool:
-    """Whether somebody writes to a session just now, as far as can be known."""
-    try:
-        number = lock(folder)
-    except OSError:
-        return False
-    if number is not None:
-        os.close(number)
-    return number is None

@@ -16,11 +16,11 @@ from sqlite3 import Error as SqliteError
 from typing import ParamSpec, TypeVar
 
 from connectors.events import Event
-from connectors.mqtt.lock import lock_beside
 from connectors.mqtt.outbox_file import Damaged, Entry, Epoch, OutboxFile, is_full, reason_of
 from connectors.mqtt.range_set import RangeSet
 from operators.back_off import BackOff
 from operators.errors import EndpointError, SlipflowError
+from storage.lock import lock_file
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -389,8 +389,8 @@ def boot_id() -> str:
 
 def _lock(path: Path) -> int:
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    try:
-        return lock_beside(path)
-    except BlockingIOError:
+    held = lock_file(path)
+    if held is None:
         reason = "is in use: two runs may not publish as one rig; name another rig or outbox"
-        raise EndpointError(str(path), reason) from None
+        raise EndpointError(str(path), reason)
+    return held

@@ -3,9 +3,7 @@
 Only `lock_position`, `load` and `save` do I/O; nothing here talks to a broker.
 """
 
-import os
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
@@ -13,10 +11,11 @@ from typing import TypeAlias
 from connectors.events import Event, encode
 from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
-from connectors.mqtt.lock import lock_beside
 from connectors.mqtt.range_set import RangeSet
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Json
+from storage.files import put
+from storage.lock import lock_file
 
 RigId: TypeAlias = tuple[str, str]  # site and rig
 
@@ -182,11 +181,12 @@ def lock_position(path: Path) -> int:
         EndpointError: if another consumer holds the lock, or the folder cannot be written.
     """
     try:
-        return lock_beside(path)
-    except BlockingIOError:
-        raise EndpointError(str(path), "is in use by another consumer; name another file") from None
+        held = lock_file(path)
     except OSError as error:
         raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
+    if held is None:
+        raise EndpointError(str(path), "is in use by another consumer; name another file")
+    return held
 
 
 def load(path: Path, *, everything: bool = False) -> Position:
@@ -216,21 +216,9 @@ def save(path: Path, payload: bytes) -> None:
     Raises:
         EndpointError: if it cannot be written.
     """
-    partial = path.with_name(f"{path.name}.partial")
     try:
-        with partial.open("wb") as file:
-            file.write(payload)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        put(path, payload)
     except OSError as error:
-        with suppress(OSError):
-            partial.unlink(missing_ok=True)
         raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
 
 

@@ -6,7 +6,16 @@ from threading import Thread
 
 import pytest
 
-from storage.lock import lock, locked
+from storage.lock import lock, lock_file, locked
+
+HOLD = """
+import sys
+from pathlib import Path
+from storage.lock import lock_file
+lock_file(Path(sys.argv[1]))
+print("held", flush=True)
+sys.stdin.read()
+"""
 
 
 def test_a_folder_is_locked_by_one_at_a_time(tmp_path: Path) -> None:
@@ -57,3 +66,33 @@ def test_what_is_not_there_cannot_be_locked(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         lock(tmp_path / "nowhere")
     assert not locked(tmp_path / "nowhere")
+
+
+def test_a_file_is_locked_until_its_process_is_killed(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout
+    assert process.stdout.readline() == "held\n"
+    assert lock_file(path) is None
+    process.kill()
+    process.communicate()
+    held = lock_file(path)
+    assert held is not None
+    os.close(held)
+
+
+def test_locking_a_file_creates_only_its_lock_file_and_a_refusal_leaks_no_descriptor(tmp_path: Path) -> None:
+    held = lock_file(tmp_path / "file")
+    assert held is not None
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    assert lock_file(tmp_path / "file") is None
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
+    assert [path.name for path in tmp_path.iterdir()] == ["file.lock"]
+    os.close(held)
+
+
+def test_a_file_in_a_missing_folder_cannot_be_locked(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        lock_file(tmp_path / "absent" / "file")
