@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from connectors.emulators.gripper_mechanism import ForceReceiver, Mechanism
 from connectors.gripper.grip_force import ForceScale
-from connectors.gripper.modbus_link import need_pymodbus
+from connectors.gripper.modbus_link import check_pymodbus
 from connectors.gripper.robotiq import PORT, STATUS, UNIT, Request, octets, registers
 from operators.checks import check_between
 from operators.errors import EndpointError
@@ -81,7 +81,7 @@ class GripperServer:
             EndpointError: if the port is in use.
             InputError: if pymodbus is not installed.
         """
-        need_pymodbus("GripperServer")
+        check_pymodbus("GripperServer")
         from pymodbus.server import ModbusTcpServer  # noqa: PLC0415 - an extra
         from pymodbus.simulator import DataType, SimData, SimDevice  # noqa: PLC0415 - an extra
 

@@ -1,4 +1,4 @@
-"""Bringing a gripper to what is wanted of it, and keeping it there."""
+"""Control of a gripper over one connection: activation, requests and status."""
 
 import asyncio
 import logging
@@ -13,125 +13,125 @@ log = logging.getLogger("slipflow")
 
 
 @dataclass
-class Wanted:
-    """What a gripper is to do; nothing is sent for it before its fingers are to go.
+class GripTarget:
+    """Target of a gripper; nothing is sent before the fingers are to move.
 
     Attributes:
-        request: That says so.
-        sent: Whether the newest force was, over any connection.
-        news: Set by a new force.
+        request: Request that sets the target.
+        sent: True if the newest force was sent, over any connection.
+        changed: Set by a new force.
     """
 
     request: Request
     sent: bool = True
-    news: asyncio.Event = field(default_factory=asyncio.Event)
+    changed: asyncio.Event = field(default_factory=asyncio.Event)
 
     def grip(self, force: int) -> None:
-        """Have it grip with a force, as its register has it."""
+        """Set the force, as a register value."""
         request = replace(self.request, go=True, force=force)
         self.sent = self.sent and request == self.request
         self.request = request
-        self.news.set()
+        self.changed.set()
 
 
 class GripperDrive:
-    """What is known of a gripper over one connection, and what is to be done next.
+    """Controller of a gripper over one connection.
 
     Args:
         link: The connection.
-        wanted: What it is to do.
-        known: Whether it was ready when it was last heard of.
-        counted: ``sent`` requests and ``restarts`` are added to.
-        patience: Seconds until a request is echoed.
-        activation: Seconds until the gripper is ready.
-        poll: Seconds from look to look.
+        target: Target of the gripper.
+        was_ready: True if the gripper was ready when it last answered.
+        counted: Counters; ``sent`` and ``restarts`` are increased.
+        timeout: Longest time until a request is echoed, s.
+        activation: Longest time until the gripper is ready, s.
+        poll: Time between two status requests, s.
 
     Attributes:
-        status: What it said last, once it had taken the newest request; None: nothing yet.
-        sent: The newest request; None: nothing yet.
-        ready: Whether it obeys.
-        known: Whether it was ready when it was last heard of.
+        status: Newest status after the newest request was echoed; None before the first.
+        sent: Newest request; None before the first.
+        ready: True if the gripper accepts requests.
+        was_ready: True if the gripper was ready when it last answered.
     """
 
     def __init__(
         self,
         link: GripperLink,
-        wanted: Wanted,
+        target: GripTarget,
         counted: dict[str, int],
         *,
-        known: bool,
-        patience: float,
+        was_ready: bool,
+        timeout: float,
         activation: float,
         poll: float,
     ) -> None:
-        self.link, self.known, self._wanted, self._counted = link, known, wanted, counted
-        self._patience, self._activation, self._poll = patience, activation, poll
+        self.link, self.was_ready, self._target, self._counted = link, was_ready, target, counted
+        self._timeout, self._activation, self._poll = timeout, activation, poll
         self.status: Status | None = None
         self.sent: Request | None = None
         self.ready = False
         self._loop = asyncio.get_running_loop()
-        self._due = -inf  # s of the loop, of the next look
-        self._asked = 0.0  # s of the loop, when something that is echoed was sent
-        self._waiting = self._loop.time()  # since when it is to be ready
+        self._due = -inf  # s of the loop, of the next status request
+        self._requested = 0.0  # s of the loop, of the newest request that is echoed
+        self._waiting = self._loop.time()  # s of the loop, start of the wait for readiness
 
     @property
     def pending(self) -> bool:
-        """Whether something is wanted that has not been sent."""
-        return self._wanted.request.go and self._wanted.request != self.sent
+        """True if the target has not been sent."""
+        return self._target.request.go and self._target.request != self.sent
 
     async def reset(self) -> None:
-        """End a fault that only a reset ends.
+        """Reset a gripper whose fault needs it.
 
         Raises:
             EndpointError: if the gripper fails.
         """
-        if (await self.link.look()).needs_reset:
-            await self.link.ask(Request())
+        if (await self.link.read_status()).needs_reset:
+            await self.link.write(Request())
 
-    async def turn(self) -> None:
-        """Do what is due, or wait until something is.
+    async def step(self) -> None:
+        """Read the status or send the target if due, else wait until one of them is.
 
         Raises:
-            EndpointError: if the gripper fails; this is over then.
+            EndpointError: if the gripper fails; then connect again.
         """
         now = self._loop.time()
         if now >= self._due:
-            self._due = self._loop.time() + await self._look()
+            self._due = self._loop.time() + await self._check_status()
         elif self.ready and self.pending:
-            await self.link.turn()
-            await self._send(self._wanted.request)  # the newest by now
+            await self.link.wait_turn()
+            await self._send(self._target.request)  # read after the wait: the newest
         else:
-            self._wanted.news.clear()
+            self._target.changed.clear()
             try:
                 async with asyncio.timeout(self._due - now):
-                    await self._wanted.news.wait()
+                    await self._target.changed.wait()
             except TimeoutError:
                 pass
 
-    async def _look(self) -> float:
-        """Look at it, and see to it that it is ready.
+    async def _check_status(self) -> float:
+        """Read the status, and activate the gripper if needed.
 
         Returns:
-            Seconds until it is to be looked at again.
+            Time until the next status request, s.
         """
-        status, now = await self.link.look(), self._loop.time()
+        status, now = await self.link.read_status(), self._loop.time()
         if status.needs_reset:
             raise EndpointError(self.link.place, status.reason)
         if status.active and self.sent and status.echo != self.sent.position:
-            if now - self._asked > self._patience:
+            if now - self._requested > self._timeout:
                 raise EndpointError(
                     self.link.place,
-                    f"does not take a request within {self._patience} s: does another program command it?",
+                    f"does not take a request within {self._timeout} s: does another program command it?",
                 )
             return 0.0
         self.status = status
-        if status.ready and status.mode is self._wanted.request.mode:
-            self.ready = self.known = True
+        if status.ready and status.mode is self._target.request.mode:
+            self.ready = self.was_ready = True
             return self._poll
-        if self.known:
-            log.warning("%s has restarted: it is activated again", self.link.place)
+        if self.was_ready:
+            log.warning("%s has restarted: activating it again", self.link.place)
             self._counted["restarts"] += 1
-            self.ready = self.known = False
+            self.ready = self.was_ready = False
             self.sent, self._waiting = None, now
         if now - self._waiting > self._activation:
             raise EndpointError(
@@ -141,18 +141,18 @@ class GripperDrive:
         if not status.active:
             await self._send(Request(active=True))
         elif status.phase is Phase.READY:
-            await self._send(replace(self._wanted.request, go=False))  # for its mode
+            await self._send(replace(self._target.request, go=False))  # sets its mode
         return self._poll
 
     async def _send(self, request: Request) -> None:
-        obeyed = request == self._wanted.request
-        self._wanted.sent = self._wanted.sent or obeyed
+        on_target = request == self._target.request
+        self._target.sent = self._target.sent or on_target
         try:
-            await self.link.ask(request)
+            await self.link.write(request)
         except BaseException:
-            self._wanted.sent = self._wanted.sent and not obeyed
+            self._target.sent = self._target.sent and not on_target
             raise
         if self.sent is None or replace(self.sent, force=request.force) != request:
-            self._asked = self._due = self._loop.time()
+            self._requested = self._due = self._loop.time()
         self.sent = request
         self._counted["sent"] += 1

@@ -1,4 +1,4 @@
-"""What force a Robotiq 3-finger gripper grips with, and what its force register has to say for it."""
+"""Scale between the grip force of a Robotiq 3-finger gripper and its force register."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,17 +13,16 @@ from operators.errors import ParameterError
 
 @dataclass(frozen=True)
 class ForceScale:
-    """What force (N) the gripper grips with for each value of its force register.
+    """Grip force (N) for each value of the force register, linear between points.
 
-    The manual gives the ends, 15 N and 60 N, and says that the relation between them is not linear, about
-    0.175 N per count. The default takes it as linear: an assumption that only a force gauge can replace.
-    Give what was measured as points; between them it is linear.
+    Robotiq's manual gives the ends, 15 N and 60 N, and says that the relation is not linear, about 0.175 N
+    per count. The default assumes a linear one; replace it by points measured with a force gauge.
 
     Args:
-        points: Register and force (N), both rising, from register 0 to 255.
+        points: Register value and force (N), both increasing, from register 0 to 255.
 
     Raises:
-        ParameterError: if they are no such points.
+        ParameterError: if the points are invalid.
 
     >>> scale = ForceScale()
     >>> scale.register(15.0), scale.register(37.5), scale.register(60.0), scale.force(127)
@@ -36,26 +35,26 @@ class ForceScale:
         registers, forces = [point[0] for point in self.points], [point[1] for point in self.points]
         whole = registers[:1] == [0] and registers[-1:] == [FULL] and forces[0] > 0 and forces[-1] < inf
         if not (whole and _rising(registers) and _rising(forces)):
-            must_be = f"registers that rise from 0 to {FULL}, and forces that rise from above 0 N"
+            must_be = f"registers that increase from 0 to {FULL}, and forces that increase from above 0 N"
             raise ParameterError("ForceScale", "points", self.points, must_be)
 
     @property
     def weakest(self) -> float:
-        """The least force (N) that it can grip with."""
+        """Least grip force, N."""
         return self.points[0][1]
 
     @property
     def strongest(self) -> float:
-        """The most force (N)."""
+        """Greatest grip force, N."""
         return self.points[-1][1]
 
     def register(self, force: float) -> int:
-        """The largest register value that gives no more than a force (N), or 0 if even that gives more."""
+        """Return the greatest register value whose force is at most `force` (N), or 0."""
         registers, forces = zip(*self.points, strict=True)
-        return int(np.interp(force, forces, registers) + 1e-6)  # 1e-6: a register's own force gives it back
+        return int(np.interp(force, forces, registers) + 1e-6)  # 1e-6: exact for a register's own force
 
     def force(self, register: int) -> float:
-        """The force (N) that a register value gives."""
+        """Return the force (N) of a register value."""
         registers, forces = zip(*self.points, strict=True)
         return float(np.interp(register, registers, forces))
 

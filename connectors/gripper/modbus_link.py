@@ -1,4 +1,4 @@
-"""One Modbus TCP connection to a Robotiq gripper: pymodbus' client with its traps closed."""
+"""Modbus TCP connection to a Robotiq gripper, through pymodbus."""
 
 import asyncio
 import logging
@@ -14,48 +14,48 @@ if TYPE_CHECKING:
 
 _DEVICE_FAILURE = 0x04
 _REFUSALS = {
-    0x01: "it has no such function",
-    0x02: "it has no such registers: is it a 3-finger gripper?",
-    0x03: "it takes no such value",
+    0x01: "unknown function",
+    0x02: "unknown registers: is it a 3-finger gripper?",
+    0x03: "invalid value",
     _DEVICE_FAILURE: "it failed",
     0x06: "it is busy",
-    0x0A: "there is no way to it",
-    0x0B: "nobody answers to this unit: which one is it set to?",
+    0x0A: "no route to it",
+    0x0B: "no device with this unit: to which one is it set?",
 }
 
 
 class GripperLink:
-    """A connection for one use: once anything fails, close it and make another.
+    """Connection that is used until the first failure, then replaced.
 
-    Requests go out one at a time, each `PACE` after the answer to the one before. Beyond pymodbus it notices
-    a lost connection at once, tries nothing a second time, and raises what the gripper refuses.
+    Requests are sent one at a time, each `PACE` after the previous answer. Unlike pymodbus alone, it notices
+    a lost connection at once, never retries, and raises the gripper's refusals.
 
     Args:
-        place: What the gripper is called in messages.
-        host: Its address.
-        port: Its port.
-        unit: Its Modbus unit.
-        patience: Seconds for the connection, and for each answer.
+        place: Name of the gripper in messages.
+        host: Address.
+        port: Port.
+        unit: Modbus unit.
+        timeout: Longest wait for the connection, and for each answer, s.
 
     Raises:
         InputError: if pymodbus is not installed.
     """
 
-    def __init__(self, place: str, host: str, port: int, unit: int, patience: float) -> None:
-        need_pymodbus(place)
+    def __init__(self, place: str, host: str, port: int, unit: int, timeout: float) -> None:
+        check_pymodbus(place)
         from pymodbus.client import AsyncModbusTcpClient  # noqa: PLC0415 - an extra
 
-        self.place, self._unit, self._patience = place, unit, patience
+        self.place, self._unit, self._timeout = place, unit, timeout
         self._loop = asyncio.get_running_loop()
         self._lost: asyncio.Future[None] = self._loop.create_future()
-        self._next = 0.0  # s of the loop, when the next request may go out
-        self._settled = 0.0  # s of the loop, when the newest request shows in the status
+        self._next = 0.0  # s of the loop, earliest next request
+        self._settled = 0.0  # s of the loop, when the status shows the newest request
         self._client = AsyncModbusTcpClient(
             host,
             port=port,
             name="gripper",
-            reconnect_delay=0,  # never: whoever waits for it is to know
-            timeout=patience,
+            reconnect_delay=0,  # never: the drive connects again
+            timeout=timeout,
             retries=0,
             trace_connect=self._changed,
         )
@@ -69,25 +69,26 @@ class GripperLink:
         if not await self._client.connect():
             raise EndpointError(self.place, "cannot be reached: is it on, is this its address and port?")
 
-    async def turn(self) -> None:
-        """Wait until a request may go out."""
+    async def wait_turn(self) -> None:
+        """Wait until a request may be sent."""
         await asyncio.sleep(self._next - self._loop.time())
 
-    async def ask(self, request: Request) -> None:
+    async def write(self, request: Request) -> None:
         """Write a request; the status shows it `SETTLE` later at the earliest, and is not read before.
 
         Raises:
-            EndpointError: if the connection is lost, or the gripper refuses or is silent.
+            EndpointError: if the connection is lost, or the gripper refuses or does not answer.
         """
         values = registers(request.encode())
         await self._exchange(lambda: self._client.write_registers(0, values, device_id=self._unit))
         self._settled = self._loop.time() + SETTLE
 
-    async def look(self) -> Status:
+    async def read_status(self) -> Status:
         """Read the status.
 
         Raises:
-            EndpointError: if the connection is lost, or the gripper refuses, is silent or answers nonsense.
+            EndpointError: if the connection is lost, or the gripper refuses, does not answer or sends an
+                invalid status.
         """
         await asyncio.sleep(self._settled - self._loop.time())
         answer = await self._exchange(
@@ -96,34 +97,34 @@ class GripperLink:
         try:
             return Status.decode(octets(answer.registers))
         except RobotiqError as error:
-            raise EndpointError(self.place, f"answers with {error}: is it a 3-finger gripper?") from None
+            raise EndpointError(self.place, f"sends {error}: is it a 3-finger gripper?") from None
 
     def close(self) -> None:
-        """Let go of the connection."""
+        """Close the connection."""
         self._client.close()
         if not self._lost.done():
             self._lost.cancel()
 
     async def _exchange(self, request: "Callable[[], Awaitable[ModbusPDU]]") -> "ModbusPDU":
-        """Send a request when it is its turn, and wait for its answer."""
+        """Send a request at its turn, and wait for the answer."""
         from pymodbus import ModbusException  # noqa: PLC0415 - an extra
 
-        await self.turn()
-        if self._lost.done():  # pymodbus would connect by itself, and hide that
+        await self.wait_turn()
+        if self._lost.done():  # pymodbus would reconnect silently
             raise EndpointError(self.place, "the connection is lost")
-        asked = asyncio.ensure_future(request())
-        either: list[asyncio.Future[Any]] = [asked, self._lost]
+        answering = asyncio.ensure_future(request())
+        either: list[asyncio.Future[Any]] = [answering, self._lost]
         try:
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
-            if not asked.done():
+            if not answering.done():
                 raise EndpointError(self.place, "the connection is lost")
-            answer = asked.result()
+            answer = answering.result()
         except ModbusException:
             raise EndpointError(
-                self.place, f"does not answer within {self._patience} s: is {self._unit} its unit?"
+                self.place, f"does not answer within {self._timeout} s: is {self._unit} its unit?"
             ) from None
         finally:
-            asked.cancel()
+            answering.cancel()
             self._next = self._loop.time() + PACE
         if answer.isError():
             code = getattr(answer, "exception_code", _DEVICE_FAILURE)
@@ -136,8 +137,8 @@ class GripperLink:
             self._lost.set_result(None)
 
 
-def need_pymodbus(owner: str) -> None:
-    """Do nothing if pymodbus is installed; keep it from repeating in the log what our errors say.
+def check_pymodbus(owner: str) -> None:
+    """Check that pymodbus is installed, and silence its log, which repeats our errors.
 
     Raises:
         InputError: if it is not.

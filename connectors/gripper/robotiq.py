@@ -1,7 +1,7 @@
-"""The registers of a Robotiq 3-finger gripper, in its simplified control mode, as bytes. No I/O.
+"""Registers of a Robotiq 3-finger gripper in simplified control mode, as bytes. No I/O.
 
 A request is written to registers 0 to 2 (Modbus function 16), the status is read from registers 0 to 7
-(function 4); a register holds two bytes. The manual's example closes the gripper with all speed and force:
+(function 4); a register holds two bytes. The manual's example closes the gripper at full speed and force:
 
 >>> Request(active=True, go=True, position=255, speed=255, force=255).encode().hex(" ")
 '09 00 00 ff ff ff'
@@ -30,7 +30,7 @@ UNIT: Final = 2  # in the manual's examples
 REQUEST: Final = 3  # registers
 STATUS: Final = 8  # registers
 FULL: Final = 255  # the largest position, speed and force
-PACE: Final = 0.005  # s from one request to the next: the gripper looks at its registers 200 times a second
+PACE: Final = 0.005  # s between requests: the gripper reads its registers at 200 Hz
 SETTLE: Final = 0.010  # s until a request shows in the status
 
 FAULTS: Final[Mapping[int, str]] = MappingProxyType(
@@ -39,8 +39,8 @@ FAULTS: Final[Mapping[int, str]] = MappingProxyType(
         0x06: "cannot act before its change of mode is complete",
         0x07: "cannot act before it is activated",
         0x09: "is not ready to communicate: it may be booting",
-        0x0A: "changes its mode, and the scissor is obstructed",
-        0x0B: "releases automatically",
+        0x0A: "is changing its mode, and the scissor is obstructed",
+        0x0B: "is releasing automatically",
         0x0D: "could not be activated: something obstructs it",
         0x0E: "could not change its mode: the scissor is obstructed",
         0x0F: "has released automatically, and must be reset",
@@ -48,15 +48,15 @@ FAULTS: Final[Mapping[int, str]] = MappingProxyType(
 )
 
 _BYTES: Final = Struct("6B")
-_RELEASING: Final = 0x0B  # the first of the faults from which only a reset leads back
+_RELEASING: Final = 0x0B  # the first fault that needs a reset
 
 
 class RobotiqError(SlipflowError):
-    """What was read is no request or status of a gripper."""
+    """Bytes that are no request or status of a gripper."""
 
 
 class Mode(IntEnum):
-    """How the fingers stand to each other [rMOD, gMOD]."""
+    """Position of the fingers relative to each other [rMOD, gMOD]."""
 
     BASIC = 0
     PINCH = 1
@@ -65,25 +65,25 @@ class Mode(IntEnum):
 
 
 class Phase(IntEnum):
-    """What the gripper is occupied with [gIMC]."""
+    """State of activation and mode change [gIMC]."""
 
-    RESET = 0  # or it releases automatically: see the fault
+    RESET = 0  # or automatic release: see the fault
     ACTIVATING = 1
-    CHANGING = 2  # its mode
+    CHANGING = 2  # of mode
     READY = 3
 
 
 class Fingers(IntEnum):
-    """How far the fingers have come [gSTA]."""
+    """Motion of the fingers [gSTA]."""
 
     MOVING = 0
-    SOME_STOPPED = 1  # one or two did, before the requested position
+    SOME_STOPPED = 1  # one or two of them, before the requested position
     ALL_STOPPED = 2  # before the requested position
     ARRIVED = 3  # at the requested position
 
 
 class Axis(IntEnum):
-    """How far one finger, or the scissor, has come [gDTA to gDTC, gDTS]."""
+    """Motion of one finger, or of the scissor [gDTA to gDTC, gDTS]."""
 
     MOVING = 0
     STOPPED_OPENING = 1  # by a contact
@@ -93,13 +93,13 @@ class Axis(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What the gripper is asked to be and do; nothing of it by default, which resets it.
+    """Request to the gripper; the default resets it.
 
     Attributes:
-        active: It is to be activated, or to stay so; False resets it and its fault [rACT].
-        mode: How the fingers are to stand to each other [rMOD].
-        go: They are to go to the position, or to stay where they are [rGTO].
-        release: They are to open slowly, whatever else is asked; then it must be reset [rATR].
+        active: Activate it, or keep it active; False resets it and its fault [rACT].
+        mode: Position of the fingers relative to each other [rMOD].
+        go: Move to the position; False: stay [rGTO].
+        release: Open slowly, whatever else is requested; then it must be reset [rATR].
         position: 0 open to 255 closed [rPRA].
         speed: 0 slowest to 255 fastest [rSPA].
         force: 0 weakest to 255 strongest, see `connectors.gripper.grip_force.ForceScale` [rFRA].
@@ -117,16 +117,16 @@ class Request:
     force: int = 0
 
     def encode(self) -> bytes:
-        """The 6 bytes of its registers."""
+        """Return the 6 bytes of its registers."""
         action = self.active | self.mode << 1 | self.go << 3 | self.release << 4
         return _BYTES.pack(action, 0, 0, self.position, self.speed, self.force)
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """What was asked for in the bytes from register 0 on; those beyond the sixth are for other modes.
+        """Return the request in the bytes from register 0 on; those after the sixth are for other modes.
 
         Raises:
-            RobotiqError: if they are fewer than 6.
+            RobotiqError: if there are fewer than 6.
         """
         if len(data) < _BYTES.size:
             raise RobotiqError(f"a request of {len(data)} bytes")
@@ -144,20 +144,20 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """What the gripper says of itself.
+    """Status of the gripper.
 
     Attributes:
-        active: It was activated, or that goes on [gACT].
-        mode: As requested [gMOD].
-        go: The fingers go to the requested position, or have gone [gGTO].
-        phase: What it is occupied with [gIMC].
-        fingers: How far the fingers have come; means something only if `go` [gSTA].
-        axes: How far each finger (A, B, C) and the scissor have come [gDTA to gDTS].
+        active: Activated, or being activated [gACT].
+        mode: Requested mode [gMOD].
+        go: Moving or moved to the requested position [gGTO].
+        phase: State of activation and mode change [gIMC].
+        fingers: Motion of the fingers; valid only if `go` [gSTA].
+        axes: Motion of each finger (A, B, C) and of the scissor [gDTA to gDTS].
         fault: 0, or one of `FAULTS` [gFLT].
-        echo: The position that was requested, as the gripper has taken it [gPRA].
-        positions: Of the fingers (A, B, C), 0 open to 255 closed [gPOA to gPOC].
-        currents: Of their motors, in 0.1 mA [gCUA to gCUC].
-        scissor: Its position, 0 to 255 [gPOS].
+        echo: Requested position, as received by the gripper [gPRA].
+        positions: Positions of the fingers (A, B, C), 0 open to 255 closed [gPOA to gPOC].
+        currents: Currents of their motors, 0.1 mA [gCUA to gCUC].
+        scissor: Position of the scissor, 0 to 255 [gPOS].
     """
 
     active: bool = False
@@ -174,10 +174,10 @@ class Status:
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
-        """The status in 16 bytes from register 0 on.
+        """Return the status in the 16 bytes from register 0 on.
 
         Raises:
-            RobotiqError: if they are not 16.
+            RobotiqError: if there are not 16.
         """
         if len(data) != 2 * STATUS:
             raise RobotiqError(f"a status of {len(data)} bytes")
@@ -197,7 +197,7 @@ class Status:
         )
 
     def encode(self) -> bytes:
-        """The 16 bytes of its registers."""
+        """Return the 16 bytes of its registers."""
         gripper = self.active | self.mode << 1 | self.go << 3 | self.phase << 4 | self.fingers << 6
         axes = sum(axis << 2 * place for place, axis in enumerate(self.axes))
         (a, b, c), (current_a, current_b, current_c) = self.positions, self.currents
@@ -206,38 +206,38 @@ class Status:
 
     @property
     def ready(self) -> bool:
-        """Whether it is activated, in its mode, and can act."""
+        """True if it is activated, in its mode, and can move."""
         return self.active and self.phase is Phase.READY
 
     @property
     def object_detected(self) -> bool:
-        """Whether fingers were stopped before the requested position: they hold something."""
+        """True if fingers stopped before the requested position: they hold an object."""
         return self.ready and self.go and self.fingers in {Fingers.SOME_STOPPED, Fingers.ALL_STOPPED}
 
     @property
     def needs_reset(self) -> bool:
-        """Whether its fault lasts until it is reset."""
+        """True if its fault lasts until it is reset."""
         return self.fault >= _RELEASING
 
     @property
     def reason(self) -> str:
-        """The fault in words; empty if there is none.
+        """Description of the fault; empty if there is none.
 
         >>> Status(fault=0x0F).reason
         'has released automatically, and must be reset'
         """
-        return FAULTS.get(self.fault, f"tells of the unknown fault {self.fault:#04x}") if self.fault else ""
+        return FAULTS.get(self.fault, f"reports the unknown fault {self.fault:#04x}") if self.fault else ""
 
 
 def registers(data: bytes) -> list[int]:
-    """Bytes, an even number of them, as the registers that carry them.
+    """Return an even number of bytes as registers.
 
     >>> registers(bytes.fromhex("09 00 00 ff"))
     [2304, 255]
     """
-    return [int.from_bytes(data[place : place + 2], "big") for place in range(0, len(data), 2)]
+    return [int.from_bytes(data[start : start + 2], "big") for start in range(0, len(data), 2)]
 
 
 def octets(values: Sequence[int]) -> bytes:
-    """Registers as the bytes that they carry."""
+    """Return registers as bytes."""
     return b"".join(value.to_bytes(2, "big") for value in values)

@@ -1,4 +1,4 @@
-"""A gripper that is served in memory, for what commands it."""
+"""Gripper emulated in memory, for tests of its sink."""
 
 import asyncio
 from collections.abc import AsyncGenerator
@@ -18,32 +18,32 @@ from operators.batch import Commands
 from operators.ports import Run
 from tests.connectors.emulators.faulty_gripper import FaultyGripperServer
 
-IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' own wire without sockets: virtual time cannot overtake it
+IN_MEMORY = "__pymodbus_nullmodem"  # pymodbus' transport without sockets, for virtual time
 PORT = 5020
 SCALE = ForceScale()
 
 
 @dataclass
 class Scene:
-    """Remembers with what force it was gripped (N), and since when (s)."""
+    """Record of commanded forces (N) and their times (s)."""
 
-    told: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    commanded: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
     gripped: asyncio.Event = field(default_factory=asyncio.Event)
 
     def command(self, commands: Commands) -> None:
-        """Remember it."""
-        self.told += zip((commands.time / s).tolist(), commands.force.tolist(), strict=True)
+        """Record commands."""
+        self.commanded += zip((commands.time / s).tolist(), commands.force.tolist(), strict=True)
         self.gripped.set()
 
     @property
     def forces(self) -> list[float]:
-        """In the order in which they came, N."""
-        return [force for _, force in self.told]
+        """Forces in order of arrival, N."""
+        return [force for _, force in self.commanded]
 
 
 @dataclass
 class Lab:
-    """A served gripper on the event loop's time, a sink that commands it, and what goes over the wire."""
+    """Emulated gripper on the event loop's time, and the requests that it received."""
 
     server: FaultyGripperServer
     scene: Scene
@@ -51,12 +51,12 @@ class Lab:
     asked: list[tuple[float, bytes]]  # s of the loop, and a request's bytes after the transaction's number
 
     def gripper(self, **parameters: Any) -> Gripper:  # noqa: ANN401 - those of a gripper
-        """The sink."""
+        """Return a sink."""
         return Gripper(self.server.host, self.server.port, **parameters)
 
     @asynccontextmanager
     async def gripping(self, **parameters: Any) -> AsyncGenerator[Gripper]:  # noqa: ANN401 - those of a gripper
-        """The sink, open meanwhile."""
+        """Open a sink for a block."""
         gripper = self.gripper(**parameters)
         await gripper.open(self.run)
         try:
@@ -66,7 +66,7 @@ class Lab:
 
     @property
     def writes(self) -> list[Request]:
-        """What was asked of the gripper."""
+        """Requests to the gripper."""
         return [Request.decode(data[-6:]) for _, data in self.asked if data[5] == 16]
 
 
@@ -76,7 +76,7 @@ async def lab(
     port: int = PORT,
     **parameters: Any,  # noqa: ANN401 - those of a server
 ) -> AsyncGenerator[Lab]:
-    """A gripper, served meanwhile."""
+    """Serve a gripper for a block."""
     loop, scene, asked = asyncio.get_running_loop(), Scene(), list[tuple[float, bytes]]()
     begun = loop.time()
     server = FaultyGripperServer(
@@ -95,12 +95,12 @@ async def lab(
 
 
 def commands(*forces: float, velocity: float = nan) -> Commands:
-    """A row for each force (N), 1 ns apart."""
+    """Return a row for each force (N), 1 ns apart."""
     return Commands(
         np.arange(len(forces)), np.array(forces, float), np.full((len(forces), 6), velocity)
     ).check()
 
 
 def counted(gripper: Gripper) -> dict[str, int]:
-    """What the sink says that it counted."""
+    """Return the counts of a sink."""
     return cast("dict[str, int]", gripper.describe()["counted"])

@@ -14,11 +14,11 @@ pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
 
 
-def taken_by_nobody(mechanism: Mechanism, request: Request, now: int) -> None:
+def ignored(mechanism: Mechanism, request: Request, now: int) -> None:
     del mechanism, request, now
 
 
-async def test_its_mode_is_set_before_its_fingers_go() -> None:
+async def test_the_mode_is_set_before_the_fingers_move() -> None:
     async with lab() as at, at.gripping(mode=Mode.SCISSOR) as gripper:
         assert gripper.status
         assert (gripper.status.mode, gripper.status.phase) == (Mode.SCISSOR, Phase.READY)
@@ -42,24 +42,26 @@ async def test_a_gripper_that_restarts_is_activated_again_and_grips_again(
         await asyncio.sleep(1)
         assert at.scene.forces == [SCALE.force(85), 0.0, SCALE.force(85), SCALE.force(141)]
         assert (counted(gripper)["restarts"], counted(gripper)["failures"]) == (1, drop)
-    told = [record.message.split(" ", 1)[1] for record in caplog.records if record.levelno >= logging.WARNING]
-    lost = ["the connection is lost, trying again"] if drop else []
-    back = ["is back"] if drop else []
-    assert told == [*lost, "has restarted: it is activated again", *back]
+    logged = [
+        record.message.split(" ", 1)[1] for record in caplog.records if record.levelno >= logging.WARNING
+    ]
+    lost = ["the connection is lost, retrying"] if drop else []
+    back = ["works again"] if drop else []
+    assert logged == [*lost, "has restarted: activating it again", *back]
 
 
-async def test_a_command_that_meets_a_restarted_gripper_is_obeyed_once_it_is_ready() -> None:
+async def test_a_command_to_a_restarted_gripper_is_sent_once_it_is_ready() -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
-        await asyncio.sleep(5.05)  # between two looks
+        await asyncio.sleep(5.05)  # between two status requests
         at.server.restart(drop=False)
-        await gripper.write(commands(30.0))  # sets off the activation
+        await gripper.write(commands(30.0))  # starts the activation
         await asyncio.sleep(10)
         assert at.scene.forces == [15.0, 0.0, SCALE.force(85)]
         assert [each.force for each in at.writes[2:]] == [85, 85]
         assert counted(gripper)["restarts"] == 1
 
 
-async def test_somebody_who_resets_it_has_it_activated_again() -> None:
+async def test_a_reset_gripper_is_activated_again() -> None:
     async with lab() as at, at.gripping(force=20.0) as gripper:
         await asyncio.sleep(5)
         fail(at.server.mechanism, RELEASED)
@@ -70,11 +72,11 @@ async def test_somebody_who_resets_it_has_it_activated_again() -> None:
         await gripper.write(commands(20.0))
 
 
-async def test_the_status_counts_once_the_request_is_echoed(monkeypatch: pytest.MonkeyPatch) -> None:
-    async with lab() as at, at.gripping(patience=0.5) as gripper:
+async def test_the_status_is_updated_once_the_request_is_echoed(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with lab() as at, at.gripping(timeout=0.5) as gripper:
         await asyncio.sleep(1)
         with monkeypatch.context() as patch:
-            patch.setattr(Mechanism, "request", taken_by_nobody)
+            patch.setattr(Mechanism, "request", ignored)
             await gripper.write(commands(30.0))
             before = gripper.status
             await asyncio.sleep(0.4)

@@ -11,17 +11,17 @@ MEASURED = ForceScale(((0, 12.0), (40, 30.0), (255, 65.0)))
 
 
 @given(st.integers(0, 255), st.sampled_from([ForceScale(), MEASURED]))
-def test_the_force_of_a_register_asks_for_that_register(register: int, scale: ForceScale) -> None:
+def test_registers_and_forces_convert_both_ways(register: int, scale: ForceScale) -> None:
     assert scale.register(scale.force(register)) == register
 
 
 @given(st.floats(15.0, 60.0))
-def test_no_more_force_is_asked_for_than_is_wanted_and_hardly_less(force: float) -> None:
+def test_the_requested_force_is_at_most_one_step_below_the_wanted_one(force: float) -> None:
     scale = ForceScale()
     assert force - 0.1765 < scale.force(scale.register(force)) <= force + 1e-6
 
 
-def test_forces_beyond_the_scale_are_brought_to_its_ends() -> None:
+def test_forces_outside_the_scale_are_clipped() -> None:
     assert [MEASURED.register(force) for force in (-inf, 0.0, 11.0, 66.0, inf)] == [0, 0, 0, 255, 255]
     assert (MEASURED.weakest, MEASURED.strongest) == (12.0, 65.0)
 

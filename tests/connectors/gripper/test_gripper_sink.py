@@ -27,7 +27,7 @@ def found_nowhere(name: str) -> None:
     del name
 
 
-async def test_opening_and_closing_the_fingers_are_the_manuals_frames() -> None:
+async def test_requests_equal_the_frames_in_the_manual() -> None:
     async with lab() as at:
         gripper = at.gripper()
         await gripper.open(at.run)
@@ -40,7 +40,7 @@ async def test_opening_and_closing_the_fingers_are_the_manuals_frames() -> None:
         assert close == bytes.fromhex("00 00 00 0D 02 10 00 00 00 03 06 09 00 00 FF FF FF")
 
 
-async def test_the_fingers_grip_once_a_force_is_commanded_and_the_object_is_detected() -> None:
+async def test_the_first_force_closes_the_fingers_and_an_object_is_detected() -> None:
     async with lab(contact=51) as at:
         gripper = at.gripper(speed=200, position=180)
         await gripper.open(at.run)
@@ -60,13 +60,13 @@ async def test_the_fingers_grip_once_a_force_is_commanded_and_the_object_is_dete
         assert gripper.status is None
 
 
-async def test_a_force_that_is_given_is_gripped_with_from_the_beginning() -> None:
+async def test_an_initial_force_is_sent_at_once() -> None:
     async with lab() as at, at.gripping(force=20.0):
         await asyncio.sleep(10)
         assert at.scene.forces == [SCALE.force(28)]
 
 
-async def test_a_gripper_that_is_ready_keeps_what_it_holds() -> None:
+async def test_a_ready_gripper_keeps_its_object() -> None:
     async with lab() as at:
         for force in (20.0, None, 30.0):
             gripper = at.gripper(force=force)
@@ -77,7 +77,7 @@ async def test_a_gripper_that_is_ready_keeps_what_it_holds() -> None:
         assert len(at.writes) == 3
 
 
-async def test_requests_keep_their_distance_the_newest_force_wins_and_the_others_are_counted() -> None:
+async def test_requests_are_paced_and_superseded_forces_are_counted() -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
         await asyncio.sleep(5.05)  # between two looks
         begun = asyncio.get_running_loop().time()
@@ -98,7 +98,7 @@ async def test_requests_keep_their_distance_the_newest_force_wins_and_the_others
         assert at.scene.forces[-1] == SCALE.force(249)
 
 
-async def test_rows_without_a_force_and_velocities_change_nothing() -> None:
+async def test_rows_without_a_force_have_no_effect() -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
         await gripper.write(commands(20.0, 30.0, nan, nan, velocity=0.1))
         await gripper.write(commands(nan, nan, velocity=0.1))
@@ -110,7 +110,7 @@ async def test_rows_without_a_force_and_velocities_change_nothing() -> None:
         }  # fmt: skip
 
 
-async def test_forces_beyond_the_limits_are_brought_to_them_and_counted() -> None:
+async def test_forces_outside_the_limits_are_clipped_and_counted() -> None:
     async with lab() as at, at.gripping(limits=(20.0, 40.0)) as gripper:
         for force in (5.0, 41.0, 30.0, -inf, inf):
             await gripper.write(commands(force))
@@ -119,7 +119,7 @@ async def test_forces_beyond_the_limits_are_brought_to_them_and_counted() -> Non
         assert counted(gripper)["limited"] == 4
 
 
-async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_answers() -> None:
+async def test_a_silent_gripper_fails_and_later_gets_the_newest_force() -> None:
     async with lab() as at, at.gripping(force=15.0) as gripper:
         await asyncio.sleep(5)
         at.server.silent = True
@@ -139,7 +139,7 @@ async def test_a_silent_gripper_fails_in_time_and_gets_the_newest_force_once_it_
         await gripper.write(commands(30.0))
 
 
-async def test_written_again_after_a_failure_a_batch_is_taken_once() -> None:
+async def test_a_retried_batch_is_counted_once() -> None:
     async with lab() as at, at.gripping() as gripper:
         at.server.refusing = True
         await asyncio.sleep(0.2)
@@ -155,9 +155,7 @@ async def test_written_again_after_a_failure_a_batch_is_taken_once() -> None:
         assert at.scene.forces == [60.0]
 
 
-async def test_a_fault_that_only_a_reset_ends_is_left_to_people_during_a_run_and_reset_at_its_beginning() -> (
-    None
-):
+async def test_a_fault_is_reset_at_the_start_of_a_run_only() -> None:
     async with lab() as at:
         gripper = at.gripper(force=20.0)
         await gripper.open(at.run)
@@ -177,7 +175,7 @@ async def test_a_fault_that_only_a_reset_ends_is_left_to_people_during_a_run_and
         await gripper.close()
 
 
-async def test_closing_sends_what_is_pending_or_says_that_it_could_not() -> None:
+async def test_closing_sends_the_newest_force_or_raises() -> None:
     async with lab() as at:
         gripper = at.gripper(force=15.0)
         await gripper.open(at.run)
@@ -188,25 +186,25 @@ async def test_closing_sends_what_is_pending_or_says_that_it_could_not() -> None
         at.server.restart(drop=False)
         await asyncio.sleep(0.2)
         await gripper.write(commands(30.0))
-        with pytest.raises(EndpointError, match="is not ready to take the newest command"):
+        with pytest.raises(EndpointError, match="is not ready for the newest command"):
             await gripper.close()
         await gripper.close()  # nothing is left to be done
 
 
-async def test_no_replay_moves_the_gripper_paced_or_not() -> None:
+async def test_no_replay_moves_the_gripper() -> None:
     async with lab() as at:
         paced = replace(at.run, recording="grasp-1")
         for run in (paced, replace(paced, live=False), replace(at.run, live=False)):
             gripper = at.gripper(force=15.0)
             with pytest.raises(
-                FlowError, match=r"^flow 'live': modbus://.*: a replay moves no gripper: leave"
+                FlowError, match=r"^flow 'live': modbus://.*: a replay must not move a gripper: remove"
             ):
                 await gripper.open(run)
             await gripper.close()
         assert not at.asked
 
 
-async def test_a_flow_with_a_recorded_source_does_not_begin() -> None:
+async def test_a_flow_with_a_recorded_source_does_not_start() -> None:
     class Recorded(TestSource[Commands]):
         @property
         def recording(self) -> str:
@@ -215,12 +213,12 @@ async def test_a_flow_with_a_recorded_source_does_not_begin() -> None:
     async with lab() as at:
         flow = Flow("grip")
         flow.source(Recorded(Commands, [commands(30.0)])).to(at.gripper())
-        with pytest.raises(FlowError, match="a replay moves no gripper"):
+        with pytest.raises(FlowError, match="a replay must not move a gripper"):
             await LiveRunner(flow, "run1").execute()
         assert not at.asked
 
 
-async def test_a_flow_commands_it_and_goes_on_when_the_gripper_comes_back() -> None:
+async def test_a_flow_continues_when_the_gripper_works_again() -> None:
     async with lab() as at:
         batches = [commands(15.0 + row)[:1] for row in range(40)]
         for row, batch in enumerate(batches):
@@ -242,7 +240,7 @@ async def test_a_flow_commands_it_and_goes_on_when_the_gripper_comes_back() -> N
         assert at.scene.forces.count(0.0) == 1
 
 
-def test_without_pymodbus_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
+def test_the_error_without_pymodbus_names_the_pip_command(monkeypatch: pytest.MonkeyPatch, run: Run) -> None:
     monkeypatch.setattr(gripper_link, "find_spec", found_nowhere)
     with pytest.raises(InputError, match=r"needs pymodbus: in the clone, pip install -e '\.\[gripper\]'"):
         asyncio.run(Gripper("127.0.0.1").open(run))
@@ -262,12 +260,12 @@ def test_without_pymodbus_it_says_what_to_install(monkeypatch: pytest.MonkeyPatc
         ("limits", (nan, 20.0)),
         ("force", 14.0),
         ("force", nan),
-        ("patience", 0.0),
+        ("timeout", 0.0),
         ("activation", nan),
         ("poll", -1.0),
     ],
 )
-def test_values_that_cannot_be_used_are_refused(name: str, value: object) -> None:
+def test_invalid_values_are_refused(name: str, value: object) -> None:
     with pytest.raises(ParameterError, match=f"Gripper: {name}"):
         Gripper("10.0.0.3", **{name: value})  # type: ignore[arg-type]
 
@@ -277,10 +275,10 @@ def test_a_measured_scale_widens_the_limits() -> None:
     assert Gripper("10.0.0.3", limits=(10.0, 70.0), scale=scale).limits == (10.0, 70.0)
 
 
-def test_over_real_sockets_it_survives_a_reset_and_a_gripper_that_is_gone() -> None:
+def test_over_sockets_it_survives_a_reset_and_a_lost_gripper() -> None:
     async def test() -> None:
         async with asyncio.timeout(30), lab("127.0.0.1", 0, activation=0.05, contact=2) as at:
-            gripper = at.gripper(patience=10.0, poll=0.02)
+            gripper = at.gripper(timeout=10.0, poll=0.02)
             await gripper.open(at.run)
             await gripper.write(commands(30.0))
             await at.scene.gripped.wait()
@@ -302,7 +300,7 @@ def test_over_real_sockets_it_survives_a_reset_and_a_gripper_that_is_gone() -> N
 
 
 async def written(gripper: Gripper, batch: Commands) -> None:
-    """As the runner does it."""
+    """Write as the runner does: retry after a failure."""
     while True:
         try:
             await gripper.write(batch)
@@ -313,7 +311,7 @@ async def written(gripper: Gripper, batch: Commands) -> None:
 
 
 async def write_on(gripper: Gripper, batch: Commands) -> None:
-    """Until the sink notices that the gripper is gone."""
+    """Wait until the sink notices the lost gripper."""
     while True:
         await gripper.write(batch)
         await asyncio.sleep(0)

@@ -50,7 +50,7 @@ statuses = st.builds(
         ),
     ],
 )
-def test_requests_are_the_bytes_of_the_manuals_frames(frame: str, request_: Request) -> None:
+def test_requests_have_the_bytes_in_the_manual(frame: str, request_: Request) -> None:
     data = bytes.fromhex(frame)
     assert data[2:] == HEADER + request_.encode()
     assert Request.decode(data[-6:]) == request_
@@ -66,7 +66,7 @@ def test_requests_are_the_bytes_of_the_manuals_frames(frame: str, request_: Requ
         ("F9 FF 00 00 07 00 00 06 00 00 06 00 00 89 00 00", (3, 3), (3, 3, 3, 3), 0, (7, 6, 6)),
     ],
 )
-def test_the_manuals_answers_mean_what_it_says_of_them(
+def test_the_answers_in_the_manual_are_decoded(
     data: str, state: tuple[int, int], axes: tuple[int, ...], echo: int, positions: tuple[int, ...]
 ) -> None:
     status = Status.decode(bytes.fromhex(data))
@@ -78,13 +78,13 @@ def test_the_manuals_answers_mean_what_it_says_of_them(
 
 
 @given(requests)
-def test_requests_survive_their_bytes(request_: Request) -> None:
+def test_requests_are_restored_from_bytes(request_: Request) -> None:
     assert Request.decode(request_.encode()) == request_
     assert octets(registers(request_.encode())) == request_.encode()
 
 
 @given(statuses)
-def test_statuses_survive_their_bytes(status: Status) -> None:
+def test_statuses_are_restored_from_bytes(status: Status) -> None:
     assert Status.decode(status.encode()) == status
 
 
@@ -100,14 +100,14 @@ def test_a_status_of_another_size_is_refused(size: int) -> None:
         Status.decode(bytes(size))
 
 
-def test_a_request_that_is_too_short_is_refused_and_one_for_more_modes_is_read() -> None:
+def test_a_short_request_is_refused_and_a_longer_one_is_read() -> None:
     with pytest.raises(RobotiqError, match="a request of 5 bytes"):
         Request.decode(bytes(5))
     request = Request(active=True, go=True, position=9, speed=8, force=7)
     assert Request.decode(request.encode() + bytes(10)) == request
 
 
-def test_an_object_is_detected_when_fingers_of_a_ready_gripper_stop_on_their_way() -> None:
+def test_fingers_that_stop_before_the_target_detect_an_object() -> None:
     held = Status(active=True, go=True, phase=Phase.READY, fingers=Fingers.ALL_STOPPED)
     assert held.object_detected
     assert replace(held, fingers=Fingers.SOME_STOPPED).object_detected
@@ -121,7 +121,7 @@ def test_an_object_is_detected_when_fingers_of_a_ready_gripper_stop_on_their_way
         assert not other.object_detected
 
 
-def test_faults_that_only_a_reset_ends_are_told_from_those_that_pass() -> None:
+def test_faults_that_need_a_reset_are_recognised() -> None:
     assert [fault for fault in FAULTS if Status(fault=fault).needs_reset] == [0x0B, 0x0D, 0x0E, 0x0F]
     assert Status(fault=0x0C).needs_reset  # unknown ones of that rank are not worked around
     assert "0x0c" in Status(fault=0x0C).reason
