@@ -47,4 +47,4 @@ def simulate(
             jobs=jobs,
             progress=update,
         )
-    typer.echo(json.dumps(done.summary()) if as_json else done.report())
+    typer.echo(json.dumps(done.json()) if as_json else done.text())

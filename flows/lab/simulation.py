@@ -1,8 +1,8 @@
-"""A collection plan on the simulated rig, as a dataset: the same seed gives the same bytes.
+"""Simulated datasets of collection plans; the same seed gives identical bytes.
 
-Each recording of the plan becomes a session, through the flow that records live ones. The split is by
-recording, never by window, about 70/10/20 of every surface, speed and kind of motion. All is written to
-``OUT.partial``, which becomes OUT when it is whole.
+Each recording of a plan becomes a session, written by the flow that records live. Splits are by recording,
+never by window, about 70/10/20 for every surface, speed and kind of motion. The dataset is written to
+``OUT.partial``, which is renamed to OUT when complete.
 """
 
 import asyncio
@@ -29,7 +29,7 @@ from flows.run.processes import process_map
 from flows.run.replay_runner import ReplayRunner
 from operators import Label, Source
 from operators.batch import SLIP, STATIC, Batch, Labelled, concat, s
-from operators.errors import ParameterError
+from operators.checks import check_at_least, check_choice
 from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
 from storage.description import describe_dataset
@@ -42,16 +42,18 @@ PLANS: Final[Mapping[str, PaperPlan]] = {
     "tiny": PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=1, rounds=1),
 }
 
-_APART: Final = {"tiny": 1_000_000}  # of seeds: a small plan repeats no recording of a large one
+_SEED_OFFSET: Final = {"tiny": 1_000_000}  # no recording of a small plan occurs in a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
-_SPACING: Final = 60 * s  # ns between the beginnings of two recordings, which are shorter
-_WHOLE: Final = 3600 * s  # ns, longer than any recording: a table of a session is one part
+_SPACING: Final = 60 * s  # ns between the starts of two recordings, which are shorter
+_WHOLE: Final = 3600 * s  # ns, longer than any recording, so that each table of a session is one part
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
+class PlannedRecording:
     """One recording of a plan."""
 
+    plan: str
+    plan_seed: int
     session: str  # identifier
     scene: Scene
     seed: int
@@ -61,106 +63,100 @@ class Planned:
 
 @dataclass(frozen=True, slots=True)
 class Tally:
-    """How much there is of a split."""
+    """Number of sessions and samples."""
 
     sessions: int = 0
     samples: int = 0
     static: int = 0  # samples
-    slip: int = 0  # samples; the rest has no motion to tell
+    slip: int = 0  # samples; the others have no label
 
     def __add__(self, other: "Tally") -> "Tally":
         return Tally(*map(add, astuple(self), astuple(other)))
 
     @property
     def static_share(self) -> float:
-        """Of the samples that have a label."""
+        """Share of static in the labelled samples."""
         return self.static / max(self.static + self.slip, 1)
 
-    def counts(self) -> dict[str, float]:
-        """All of it by name."""
+    def json(self) -> dict[str, float]:
+        """Return the numbers by name."""
         return {**asdict(self), "static_share": self.static_share}
 
 
 @dataclass(frozen=True, slots=True)
-class Collected:
-    """A simulated dataset."""
+class SimulatedDataset:
+    """A simulated dataset and the size of its splits."""
 
     out: Path
     plan: str
     seed: int
     splits: Mapping[str, Tally]
-    seconds: float  # that it took
+    seconds: float  # to simulate it
 
     @property
     def all(self) -> Tally:
-        """How much there is in all."""
+        """Size of all splits together."""
         return sum(self.splits.values(), Tally())
 
-    def summary(self) -> dict[str, Any]:
-        """What was collected, for a program."""
+    def json(self) -> dict[str, Any]:
+        """Return plan, seed and sizes as JSON data."""
         return {
             "dataset": str(self.out),
             "plan": self.plan,
             "seed": self.seed,
             "seconds": self.seconds,
-            **self.all.counts(),
-            "splits": {split: tally.counts() for split, tally in self.splits.items()},
+            **self.all.json(),
+            "splits": {split: tally.json() for split, tally in self.splits.items()},
         }
 
-    def report(self) -> str:
-        """The same for a person."""
+    def text(self) -> str:
+        """Return the sizes, and how to open the dataset, as text."""
         rows = [
             f"{split:10} {each.sessions:4} sessions {each.samples:8,} samples  {each.static_share:.0%} static"
             for split, each in {**self.splits, "all": self.all}.items()
         ]
         pattern = self.out / "sessions" / "*" / "samples" / "*.parquet"
-        return "\n".join(
-            [
-                *rows,
-                f"simulated in {self.seconds:.1f} s; dataset in {self.out}; open it with",
-                f"  python -c \"import polars; print(polars.read_parquet('{pattern}'))\"",
-            ]
-        )
+        rows.append(f"simulated in {self.seconds:.1f} s; dataset in {self.out}; open it with")
+        rows.append(f"  python -c \"import polars; print(polars.read_parquet('{pattern}'))\"")
+        return "\n".join(rows)
 
 
-def recordings(plan: str, seed: int) -> list[Planned]:
-    """The recordings of a plan, in order.
+def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
+    """Return the recordings of a plan, in order.
 
-    >>> first = recordings("tiny", seed=0)[0]
+    >>> first = planned_recordings("tiny", seed=0)[0]
     >>> first.session, first.scene.curvature
     ('plane-050-01', 'plane')
 
     Raises:
-        ParameterError: on a plan that there is not, or a negative seed.
+        ParameterError: on an unknown plan or a negative seed.
     """
-    if plan not in PLANS:
-        raise ParameterError("simulate", "plan", plan, f"one of {', '.join(PLANS)}")
-    if seed < 0:
-        raise ParameterError("simulate", "seed", seed, "0 or above")
-    begin = seed + _APART.get(plan, 0)
-    scenes = list(PLANS[plan].scenes(begin))
+    check_choice("simulate", "plan", plan, PLANS)
+    check_at_least("simulate", "seed", seed, 0)
+    first = seed + _SEED_OFFSET.get(plan, 0)
+    scenes = list(PLANS[plan].scenes(first))
     groups = [_group(scene) for scene in scenes]
-    counted, planned = Counter[str](), list[Planned]()
+    counts, planned = Counter[str](), list[PlannedRecording]()
     for number, (scene, group, split) in enumerate(zip(scenes, groups, _splits(groups, seed), strict=True)):
-        counted[group] += 1
-        session = f"{group}-{counted[group]:02d}"
-        own = int(np.random.SeedSequence([begin, number]).generate_state(1)[0])
+        counts[group] += 1
+        session = f"{group}-{counts[group]:02d}"
+        own_seed = int(np.random.SeedSequence([first, number]).generate_state(1)[0])
         start = _EPOCH + (seed * len(scenes) + number) % 10**6 * _SPACING
-        planned.append(Planned(session, scene, own, start, split))
+        planned.append(PlannedRecording(plan, seed, session, scene, own_seed, start, split))
     return planned
 
 
 def _group(scene: Scene) -> str:
-    """What recordings that repeat each other share: surface and speed in mm/s, or rotation."""
+    """Return surface and speed in mm/s, or rotation; recordings of a group are repetitions."""
     speed = cast("PaperStrokes", scene.plan).speed
     return f"{scene.curvature}-{'rotation' if speed is None else f'{1000 * speed:03.0f}'}"
 
 
 def _splits(groups: Sequence[str], seed: int) -> list[str]:
-    """The split of each recording: by turns through all of them, like beside like, else in random order."""
-    chance = np.random.default_rng([seed, 4]).permutation(len(groups))
-    keys = [(group.endswith("rotation"), group, int(chance[k]), k) for k, group in enumerate(groups)]
-    split = {key[-1]: TURNS[place % len(TURNS)] for place, key in enumerate(sorted(keys))}
+    """Return the split of each recording, assigned in turn with the recordings of a group in random order."""
+    order = np.random.default_rng([seed, 4]).permutation(len(groups))
+    keys = [(group.endswith("rotation"), group, int(order[k]), k) for k, group in enumerate(groups)]
+    split = {key[-1]: TURNS[turn % len(TURNS)] for turn, key in enumerate(sorted(keys))}
     return [split[k] for k in range(len(groups))]
 
 
@@ -171,39 +167,39 @@ def simulate(
     *,
     delay: int = 0,
     jobs: int | None = None,
-    progress: Callable[[int, int], object] = lambda _done, _all: None,
-) -> Collected:
+    progress: Callable[[int, int], object] = lambda _done, _total: None,
+) -> SimulatedDataset:
     """Simulate a plan into a new dataset.
 
     Args:
-        out: The dataset's folder, new or empty.
+        out: Folder of the dataset, new or empty.
         plan: One of `PLANS`.
-        seed: Of everything that is random.
-        delay: How much later than the barometers the arm's velocity is taken to come, ns; see `Label`.
-        jobs: Processes; None: one for each of the machine's cores.
-        progress: Told how many recordings are done, of how many.
+        seed: Random seed.
+        delay: Delay of the arm's velocity behind the barometers, ns; see `Label`.
+        jobs: Number of processes; None: one per core.
+        progress: Called with the number of recordings done and their total.
 
     Raises:
-        ParameterError: on a parameter that cannot be.
+        ParameterError: on an unknown plan, a negative seed, or less than one job.
         EndpointError: if the folder is not empty or cannot be written to.
         SlipflowError: if a recording cannot be made; nothing is left then.
     """
     began = perf_counter()
-    planned = recordings(plan, seed)
+    planned = planned_recordings(plan, seed)
     tallies = {split: Tally() for split in SPLITS}
     with (
         partial_folder(out.resolve()) as root,
-        closing(process_map(partial(_record, root, delay), planned, jobs)) as each,
+        closing(process_map(partial(_record, root, delay), planned, jobs)) as recorded,
     ):
         describe_dataset(root)
         progress(0, len(planned))
-        for done, (split, tally) in enumerate(each, 1):
+        for done, (split, tally) in enumerate(recorded, 1):
             tallies[split] += tally
             progress(done, len(planned))
-    return Collected(out, plan, seed, tallies, perf_counter() - began)
+    return SimulatedDataset(out, plan, seed, tallies, perf_counter() - began)
 
 
-def _record(root: Path, delay: int, planned: Planned) -> tuple[str, Tally]:
+def _record(root: Path, delay: int, planned: PlannedRecording) -> tuple[str, Tally]:
     """Record one session of a dataset."""
     asyncio.run(_run(root, delay, planned))
     session = Session.open(session_folder(root, planned.session))
@@ -212,8 +208,8 @@ def _record(root: Path, delay: int, planned: Planned) -> tuple[str, Tally]:
     return planned.split, Tally(1, len(label), static, slip)
 
 
-async def _run(root: Path, delay: int, planned: Planned) -> None:
-    """Play a scene to its end, then run the recording flow over it; described as a live run would."""
+async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
+    """Run a scene to its end, then the recording flow over it; describe it as a live run would."""
     rig = SimulatedRig(planned.scene, planned.seed, pace=None)
     clock = EventClock(planned.start)
     streams: tuple[Source[Any], ...] = (rig.touch, rig.motion, rig.episodes, rig.truth)
@@ -222,7 +218,12 @@ async def _run(root: Path, delay: int, planned: Planned) -> None:
     dataset = Dataset(root, part_span=_WHOLE, host="simulated")
     declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
     runner = ReplayRunner(flow, played, planned.session, rows=max(map(len, played.streams)))
-    about = {**rig.touch.describe(), "split": planned.split}
+    about = {
+        **rig.touch.describe(),
+        "plan": planned.plan,
+        "plan_seed": planned.plan_seed,
+        "split": planned.split,
+    }
     runner.run.describe |= {"touch": about, "motion": rig.motion.describe()}
     await runner.execute()
 
@@ -233,7 +234,7 @@ async def _all(source: Source[SomeBatch], clock: EventClock) -> SomeBatch:
 
 @dataclass(frozen=True, slots=True)
 class _Played:
-    """A scene that was played to its end, as a recording of the rig."""
+    """A finished scene, as a recording of the rig."""
 
     name: str
     streams: Sequence[Batch]

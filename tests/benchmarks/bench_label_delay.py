@@ -10,7 +10,7 @@ from platform import machine, processor
 
 import numpy as np
 
-from flows.lab.simulation import recordings
+from flows.lab.simulation import planned_recordings
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recording
 from flows.learn.scoring import probabilities
@@ -45,7 +45,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     split: dict[str, list[LabelledRecording]] = {"train": [], "validation": [], "test": []}
-    for each in recordings("paper", given.seed):
+    for each in planned_recordings("paper", given.seed):
         split[each.split].append(simulated_recording(each.scene, each.seed, each.session, each.split))
     usual = float(np.median(lags(split["train"])))
     recipe = Recipe(steps=given.steps, checks=4, seed=given.seed)

@@ -8,7 +8,7 @@ from argparse import ArgumentParser
 
 import numpy as np
 
-from flows.lab.simulation import recordings
+from flows.lab.simulation import planned_recordings
 from flows.learn.labelled_recordings import WARM_UP, simulated_recording
 from flows.learn.splits import SPLITS
 from operators.batch import SLIP
@@ -25,7 +25,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0)
     given = options.parse_args()
     right: dict[tuple[str, float], list[np.ndarray[tuple[int], np.dtype[np.bool_]]]] = {}
-    for each in recordings("paper", given.seed):
+    for each in planned_recordings("paper", given.seed):
         slip = simulated_recording(each.scene, each.seed).label == SLIP
         for latency in LATENCIES:
             shift = round((latency - each.scene.motion.latency) * RATE)

@@ -1,4 +1,4 @@
-"""Simulated datasets: the same bytes, whole or not there, and the same as a live recording."""
+"""Simulated datasets: reproducible, complete or absent, and the same as a live recording."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ import pytest
 from connectors import SimulatedRig
 from flows.graph import Flow
 from flows.graph.testing import run_virtually
-from flows.lab.simulation import Collected, recordings, simulate
+from flows.lab.simulation import SimulatedDataset, planned_recordings, simulate
 from flows.learn.splits import SPLITS
 from flows.record import declare_recording
 from flows.run.clocks import LoopClock
@@ -38,28 +38,28 @@ def sessions(dataset: Path) -> list[Session]:
 
 
 @pytest.fixture(scope="module")
-def tiny(tmp_path_factory: pytest.TempPathFactory) -> Collected:
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> SimulatedDataset:
     """The tiny plan, simulated with seed 0."""
     return simulate(tmp_path_factory.mktemp("tiny") / "tiny", "tiny", 0, jobs=1)
 
 
 def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(
-    tmp_path: Path, tiny: Collected
+    tmp_path: Path, tiny: SimulatedDataset
 ) -> None:
     again = simulate(tmp_path / "elsewhere" / "again", "tiny", 0, jobs=2)
     assert hashes(again.out) == hashes(tiny.out)
     assert again.splits == tiny.splits
 
 
-def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: Collected) -> None:
+def test_another_seed_gives_other_data_in_the_same_sessions(tmp_path: Path, tiny: SimulatedDataset) -> None:
     other = hashes(simulate(tmp_path / "other", "tiny", 1, jobs=1).out)
     same = {path for path, sha256 in hashes(tiny.out).items() if other[path] == sha256}
     assert same == {"dataset.json"}
     assert len(other) > 50
 
 
-def test_every_session_is_complete_and_readable(tiny: Collected) -> None:
-    planned = {each.session: each for each in recordings("tiny", 0)}
+def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
+    planned = {each.session: each for each in planned_recordings("tiny", 0)}
     found = sessions(tiny.out)
     assert {session.name for session in found} == set(planned)
     for session in found:
@@ -74,7 +74,7 @@ def test_every_session_is_complete_and_readable(tiny: Collected) -> None:
         assert set(session.frame("episodes")["surface"]) == {planned[session.name].scene.curvature}
 
 
-def test_the_tallies_are_those_of_the_files(tiny: Collected) -> None:
+def test_the_tallies_match_the_files(tiny: SimulatedDataset) -> None:
     samples = pl.read_parquet(f"{tiny.out}/sessions/*/samples/*.parquet")
     labels = Counter(samples["label"].to_list())
     assert (tiny.all.samples, tiny.all.static, tiny.all.slip) == (len(samples), labels[0], labels[1])
@@ -84,7 +84,7 @@ def test_the_tallies_are_those_of_the_files(tiny: Collected) -> None:
     assert all(tiny.splits[split].sessions for split in SPLITS)
 
 
-def test_rotations_are_slips_although_the_tcp_stands_still(tiny: Collected) -> None:
+def test_rotations_are_slips_although_the_tcp_stands_still(tiny: SimulatedDataset) -> None:
     session = Session.open(tiny.out / "sessions" / "sphere-rotation-01")
     samples = session.frame("samples").filter(pl.col("label") == 1)
     assert len(samples) > 100
@@ -92,8 +92,10 @@ def test_rotations_are_slips_although_the_tcp_stands_still(tiny: Collected) -> N
     assert samples["velocity"].arr.get(5).abs().min() > 0.2  # type: ignore[operator]
 
 
-def test_a_session_is_what_the_live_flow_records_of_the_same_scene(tmp_path: Path, tiny: Collected) -> None:
-    planned = recordings("tiny", 0)[1]
+def test_a_session_is_the_same_as_a_live_recording_of_the_scene(
+    tmp_path: Path, tiny: SimulatedDataset
+) -> None:
+    planned = planned_recordings("tiny", 0)[1]
 
     async def live() -> None:
         flow = Flow("simulate")
@@ -110,7 +112,7 @@ def test_a_session_is_what_the_live_flow_records_of_the_same_scene(tmp_path: Pat
     assert recorded.about["sources"] == sources
 
 
-def test_a_delay_moves_the_labels_and_nothing_else(tmp_path: Path, tiny: Collected) -> None:
+def test_a_delay_moves_the_labels_and_nothing_else(tmp_path: Path, tiny: SimulatedDataset) -> None:
     delayed = simulate(tmp_path / "delayed", "tiny", 0, delay=70 * ms, jobs=1)
     for one, other in zip(sessions(tiny.out), sessions(delayed.out), strict=True):
         before, after = one.frame("samples"), other.frame("samples")
@@ -120,7 +122,7 @@ def test_a_delay_moves_the_labels_and_nothing_else(tmp_path: Path, tiny: Collect
 
 @pytest.mark.parametrize("seed", [0, 1, 12345])
 def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(seed: int) -> None:
-    planned = recordings("paper", seed)
+    planned = planned_recordings("paper", seed)
     assert len({each.session for each in planned}) == len(planned) == 128
     assert len({each.start for each in planned}) == len({each.seed for each in planned}) == 128
     count = Counter(each.split for each in planned)
@@ -136,7 +138,7 @@ def test_the_papers_plan_is_split_by_recording_with_every_kind_in_every_split(se
 
 
 def test_the_split_depends_on_the_seed_alone() -> None:
-    split = [[each.split for each in recordings("paper", seed)] for seed in (0, 0, 1)]
+    split = [[each.split for each in planned_recordings("paper", seed)] for seed in (0, 0, 1)]
     assert split[0] == split[1] != split[2]
 
 
@@ -147,7 +149,7 @@ def test_the_papers_plan_has_the_papers_size(tmp_path: Path) -> None:
     assert abs(done.all.static_share - 0.54) < 0.02
 
 
-def test_what_fails_on_the_way_leaves_nothing(tmp_path: Path) -> None:
+def test_an_interrupted_simulation_leaves_nothing(tmp_path: Path) -> None:
     def stop(done: int, of: int) -> None:
         if done == 2:
             assert (tmp_path / "out.partial").is_dir()
@@ -159,7 +161,7 @@ def test_what_fails_on_the_way_leaves_nothing(tmp_path: Path) -> None:
         assert list(tmp_path.iterdir()) == []
 
 
-def test_an_error_in_another_process_is_one_line_too(tmp_path: Path) -> None:
+def test_an_error_in_another_process_is_one_line(tmp_path: Path) -> None:
     def spoil(done: int, of: int) -> None:
         if done == 0:
             (tmp_path / "out.partial" / "sessions").write_text("")  # no folder
@@ -171,7 +173,7 @@ def test_an_error_in_another_process_is_one_line_too(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_killed_does_not_look_complete_and_is_told_of(tmp_path: Path) -> None:
+def test_a_killed_simulation_leaves_a_partial_folder_that_is_reported(tmp_path: Path) -> None:
     code = (
         "import os, signal; from pathlib import Path; from flows.lab.simulation import simulate\n"
         "def kill(done, of): done == 3 and os.kill(os.getpid(), signal.SIGKILL)\n"
@@ -184,7 +186,7 @@ def test_what_is_killed_does_not_look_complete_and_is_told_of(tmp_path: Path) ->
         simulate(tmp_path / "out", "tiny", 0)
 
 
-def test_a_folder_that_is_there_is_kept_unless_it_is_empty(tmp_path: Path, tiny: Collected) -> None:
+def test_an_existing_folder_is_kept_unless_it_is_empty(tmp_path: Path, tiny: SimulatedDataset) -> None:
     (tmp_path / "file").write_text("")
     before = hashes(tiny.out)
     for path in (tiny.out, tmp_path / "file"):
@@ -197,17 +199,17 @@ def test_a_folder_that_is_there_is_kept_unless_it_is_empty(tmp_path: Path, tiny:
     assert hashes(simulate(tmp_path / "empty", "tiny", 0, jobs=1).out) == before
 
 
-def test_parameters_that_cannot_be_are_told_before_anything_is_written(tmp_path: Path) -> None:
+def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="plan is 'papre', must be one of paper, wide, tiny"):
         simulate(tmp_path / "out", "papre")
-    with pytest.raises(ParameterError, match="seed is -1, must be 0 or above"):
+    with pytest.raises(ParameterError, match="seed is -1, must be at least 0"):
         simulate(tmp_path / "out", "tiny", -1)
-    with pytest.raises(ParameterError, match="jobs is 0, must be 1 or above"):
+    with pytest.raises(ParameterError, match="jobs is 0, must be at least 1"):
         simulate(tmp_path / "out", "tiny", jobs=0)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_simulates_and_says_how_to_open_it(tmp_path: Path, tiny: Collected) -> None:
+def test_the_command_prints_how_to_open_the_dataset(tmp_path: Path, tiny: SimulatedDataset) -> None:
     out = tmp_path / "data"
     done = slipflow("simulate", out, "--plan", "tiny")
     assert done.returncode == 0, done.stderr
@@ -223,11 +225,11 @@ def test_the_command_simulates_and_says_how_to_open_it(tmp_path: Path, tiny: Col
     assert again.stderr.startswith(f"error: {out}: must be a new or empty folder")
 
 
-def test_the_command_tells_a_program(tmp_path: Path, tiny: Collected) -> None:
+def test_the_command_prints_json(tmp_path: Path, tiny: SimulatedDataset) -> None:
     out = tmp_path / "data"
     done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["seconds"] > 0
-    assert {**told, "seconds": 0, "dataset": ""} == {**tiny.summary(), "seconds": 0, "dataset": ""}
+    found = json.loads(done.stdout)
+    assert found["seconds"] > 0
+    assert {**found, "seconds": 0, "dataset": ""} == {**tiny.json(), "seconds": 0, "dataset": ""}
     assert hashes(out) == hashes(tiny.out)

@@ -9,7 +9,7 @@ import pytest
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Faults, Move, Moves, Scene
 from connectors.sim.stress_profiles import stressed
-from flows.lab.simulation import recordings, simulate
+from flows.lab.simulation import planned_recordings, simulate
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
@@ -86,7 +86,7 @@ def test_recordings_without_splits_take_turns_by_session(tmp_path: Path) -> None
 
 
 def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:
-    scenes = {plan: {each.seed for each in recordings(plan, 0)} for plan in ("paper", "tiny")}
+    scenes = {plan: {each.seed for each in planned_recordings(plan, 0)} for plan in ("paper", "tiny")}
     assert not scenes["paper"] & scenes["tiny"]
 
 
