@@ -71,6 +71,8 @@ def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
         assert len(session.frame("motion")) > 1.2 * len(session.frame("touch"))
         assert len(session.frame("truth")) == len(session.frame("touch"))
         assert about["split"] == planned[session.name].split
+        sources: Any = about["sources"]
+        assert (sources["touch"]["plan"], sources["touch"]["plan_seed"]) == ("tiny", 0)
         assert set(session.frame("episodes")["surface"]) == {planned[session.name].scene.curvature}
 
 
@@ -108,7 +110,8 @@ def test_a_session_is_the_same_as_a_live_recording_of_the_scene(
     for table in ("touch", "motion", "samples", "episodes", "truth"):
         assert recorded.frame(table).equals(simulated.frame(table)), table
     sources: Any = simulated.about["sources"]
-    assert sources["touch"].pop("split") == planned.split
+    added = {name: sources["touch"].pop(name) for name in ("plan", "plan_seed", "split")}
+    assert added == {"plan": "tiny", "plan_seed": 0, "split": planned.split}
     assert recorded.about["sources"] == sources
 
 
