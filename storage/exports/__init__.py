@@ -1,1 +1,1 @@
-"""Sessions as files of other tools: LeRobot, MCAP, Rerun."""
+"""Export of sessions to LeRobot, MCAP and Rerun."""

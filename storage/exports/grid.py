@@ -1,9 +1,8 @@
-"""A session on a regular grid of time, as robot-learning datasets have it; no value is made up.
+"""Samples of a session on a regular time grid, for robot-learning datasets; no value is interpolated.
 
-A sample belongs to the instant of the grid that it is nearest to, so it is never used twice; of two for one
-instant the nearer is kept. An instant is a frame if every fingertip has a sample there and what is asked for
-of the arm is known. Where one is missing the frames are cut: those of one `Frames` follow each other without
-a gap.
+Each sample goes to its nearest grid point, so it is never used twice; of two samples for one point the nearer
+is kept. A grid point becomes a frame if every fingertip has a sample there and the requested motion data is
+known. A missing frame splits the session: the frames of one `Frames` follow each other without a gap.
 """
 
 from collections.abc import Sequence
@@ -19,21 +18,21 @@ from operators.errors import InputError
 from operators.forward_fill import forward_fill
 from storage.session import Session
 
-WITHIN: Final = 20 * ms  # ns, that a pose may lie from its sample
+WITHIN: Final = 20 * ms  # ns, largest distance between a sample and its pose
 
 Singles = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Frames that follow each other at a fixed rate."""
+    """Consecutive frames at a fixed rate."""
 
-    time: Times  # (n,) ns, of the first fingertip's samples, as recorded
-    counts: Counts  # (n, fingers * 6) zeroed; a cell that did not answer reads what it read last
-    valid: Flags  # (n, fingers * 6) False where it did not answer
+    time: Times  # (n,) ns, recorded time of the first fingertip's samples
+    counts: Counts  # (n, fingers * 6) zeroed; a cell without a reading keeps its last value
+    valid: Flags  # (n, fingers * 6) False: no reading
     label: Codes  # (n, fingers) 1 slip, 0 static, -1 unknown
-    velocity: Singles  # (n, 6) m/s, rad/s, of the TCP; NaN only if it was not asked for
-    pose: Singles  # (n, 6) m, rad; NaN only if it was not asked for
+    velocity: Singles  # (n, 6) m/s, rad/s, of the TCP; NaN if not requested
+    pose: Singles  # (n, 6) m, rad; NaN if not requested
 
     def __len__(self) -> int:
         return len(self.time)
@@ -50,8 +49,8 @@ class Frames:
 
 
 @dataclass(frozen=True, slots=True)
-class Holdings:
-    """What of a session can become frames."""
+class Contents:
+    """Data of a session that frames can have."""
 
     fingers: tuple[int, ...]
     velocity: bool
@@ -59,34 +58,34 @@ class Holdings:
 
 
 @dataclass(frozen=True, slots=True)
-class Cut:
-    """A session in stretches without a gap."""
+class GridSession:
+    """Frames of a session, split at gaps."""
 
     stretches: tuple[Frames, ...]
-    samples: int  # of the first fingertip, that there were
+    samples: int  # of the first fingertip
 
 
-def holdings(session: Session) -> Holdings:
-    """What a session holds.
+def find_contents(session: Session) -> Contents:
+    """Return the fingertips and the motion data of a session.
 
     Raises:
-        InputError: if it holds no samples, or is damaged.
+        InputError: if the session has no samples, or is damaged.
     """
     fingers = session.fingers(Labelled)
     if not fingers:
-        reason = "holds no samples, which frames are made of; `slipflow run record` makes some"
+        reason = "has no samples, which frames are made of: record with `slipflow run record`"
         raise InputError(str(session.folder), reason)
     samples = session.read(Labelled, fingers[0])
     velocity = any(bool(np.isfinite(batch.velocity).all(axis=1).any()) for batch in samples)
     motion = chain.from_iterable(session.read(Motion, finger) for finger in session.fingers(Motion))
     pose = any(bool(np.isfinite(batch.pose).all(axis=1).any()) for batch in motion)
-    return Holdings(fingers, velocity, pose)
+    return Contents(fingers, velocity, pose)
 
 
-def frames(session: Session, rate: int, wanted: Holdings) -> Cut:
-    """The frames of a session at `rate` Hz; one that stands alone is none.
+def to_frames(session: Session, rate: int, wanted: Contents) -> GridSession:
+    """Return the frames of a session at `rate` Hz; isolated frames are omitted.
 
-    The grid begins where the first samples of the fingertips lie on average.
+    The grid begins at the mean time of the fingertips' first samples.
 
     Raises:
         InputError: if the session is damaged.
@@ -98,21 +97,21 @@ def frames(session: Session, rate: int, wanted: Holdings) -> Cut:
     ticks = near[0].ticks
     for other in near[1:]:
         ticks = np.intersect1d(ticks, other.ticks, assume_unique=True)
-    whole = _joined(fingers, [each.rows[np.searchsorted(each.ticks, ticks)] for each in near], motion)
+    joined = _join(fingers, [each.rows[np.searchsorted(each.ticks, ticks)] for each in near], motion)
     known = np.ones(len(ticks), np.bool_)
     if wanted.velocity:
-        known &= np.isfinite(whole.velocity).all(axis=1)
+        known &= np.isfinite(joined.velocity).all(axis=1)
     if wanted.pose:
-        known &= np.isfinite(whole.pose).all(axis=1)
+        known &= np.isfinite(joined.pose).all(axis=1)
     kept = np.flatnonzero(known)
     cuts = np.flatnonzero(np.diff(ticks[kept]) != 1) + 1
-    stretches = [whole[rows] for rows in np.split(kept, cuts) if len(rows) > 1]
-    return Cut(tuple(stretches), len(fingers[0].time))
+    stretches = [joined[rows] for rows in np.split(kept, cuts) if len(rows) > 1]
+    return GridSession(tuple(stretches), len(fingers[0].time))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Samples:
-    """What is needed of one fingertip's samples, in the order of time."""
+    """Samples of one fingertip in time order."""
 
     time: Times  # (n,)
     counts: Counts  # (n, 6)
@@ -122,11 +121,11 @@ class _Samples:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Near:
-    """Which sample stands for which instant of the grid."""
+class _GridRows:
+    """Nearest samples to grid points."""
 
-    ticks: NDArray[np.int64]  # (n,) numbers of the instants, ascending
-    rows: NDArray[np.intp]  # (n,)
+    ticks: NDArray[np.int64]  # (n,) grid points, ascending
+    rows: NDArray[np.intp]  # (n,) rows of the samples
 
 
 def _samples(session: Session, finger: int) -> _Samples:
@@ -136,12 +135,12 @@ def _samples(session: Session, finger: int) -> _Samples:
     ]
     time, counts, valid, label, velocity = (np.concatenate(column) for column in zip(*pieces, strict=True))
     order = np.argsort(time, kind="stable")
-    held = forward_fill(counts[order], valid[order], np.zeros(BAROMETERS, np.int16))
-    return _Samples(time[order], held, valid[order], label[order], velocity[order])
+    filled = forward_fill(counts[order], valid[order], np.zeros(BAROMETERS, np.int16))
+    return _Samples(time[order], filled, valid[order], label[order], velocity[order])
 
 
 def _motion(session: Session) -> tuple[Times, Singles]:
-    """When the arm told its pose, and the pose; (n,), (n, 6)."""
+    """Return times (n,) and poses (n, 6) of the arm; rows without a pose are omitted."""
     times, poses = list[Times](), list[Singles]()
     for batch in session.read(Motion, EVERY):
         finite = np.all(np.isfinite(batch.pose), axis=1)
@@ -152,19 +151,19 @@ def _motion(session: Session) -> tuple[Times, Singles]:
     return time[order], pose[order]
 
 
-def _nearest(since: Times, rate: int) -> _Near:
-    """Which samples stand for which instants, of those taken `since` the begin of the grid (ns)."""
-    ticks = (2 * since * rate + s) // (2 * s)  # (n,) the nearest instant
+def _nearest(since: Times, rate: int) -> _GridRows:
+    """Return the nearest sample to each grid point, for samples at `since` ns after the grid's begin."""
+    ticks = (2 * since * rate + s) // (2 * s)  # (n,) nearest grid point
     distance = np.abs(since - ticks * s // rate)
     order = np.lexsort((distance, ticks))
     first = np.flatnonzero(np.diff(ticks[order], prepend=ticks[order[0]] - 1))
-    return _Near(ticks[order[first]], order[first])
+    return _GridRows(ticks[order[first]], order[first])
 
 
-def _joined(
+def _join(
     fingers: Sequence[_Samples], rows: Sequence[NDArray[np.intp]], motion: tuple[Times, Singles] | None
 ) -> Frames:
-    """The samples that were chosen of each fingertip, side by side."""
+    """Return the chosen rows of all fingertips as frames."""
     first, chosen = fingers[0], rows[0]
     time = first.time[chosen]
     return Frames(
@@ -177,10 +176,10 @@ def _joined(
     )
 
 
-def _poses(time: Times, told: Times, pose: Singles) -> Singles:
-    """The nearest pose to each instant, NaN where none is near enough; (n, 6)."""
-    after = told.searchsorted(time).clip(0, len(told) - 1)
+def _poses(time: Times, known: Times, pose: Singles) -> Singles:
+    """Return the nearest pose (n, 6) to each time; NaN if none is within `WITHIN`."""
+    after = known.searchsorted(time).clip(0, len(known) - 1)
     before = (after - 1).clip(0)
-    nearest = np.where(time - told[before] < told[after] - time, before, after)
-    near = np.abs(told[nearest] - time) <= WITHIN
+    nearest = np.where(time - known[before] < known[after] - time, before, after)
+    near = np.abs(known[nearest] - time) <= WITHIN
     return np.where(near[:, None], pose[nearest], np.float32(np.nan))

@@ -1,17 +1,20 @@
-"""Sessions as a LeRobot dataset, version 3.0 of its layout, for robot learning.
+"""Export of sessions to a LeRobot dataset, layout version 3.0, for robot learning.
 
 .. code-block:: text
 
-    meta/info.json                              what there is: features, rate, splits
+    meta/info.json                              features, rate, splits
     meta/stats.json                             statistics of each feature
-    meta/tasks.parquet                          the tasks by number
-    meta/episodes/chunk-000/file-000.parquet    the episodes: where their frames are, their statistics
-    data/chunk-000/file-000.parquet             the frames
+    meta/tasks.parquet                          tasks by number
+    meta/episodes/chunk-000/file-000.parquet    episodes: positions of their frames, statistics
+    data/chunk-000/file-000.parquet             frames
 
-A session becomes one episode, since it goes from rest to rest and slip is told by what came before; what the
-arm does meanwhile is the task of each frame. Where samples are missing the session is cut, see
-`storage.exports.grid`. Frames are ``1 / rate`` apart, counted from the begin of their episode; the columns
-``slipflow/session`` and ``slipflow/start_ns`` of the episodes say which recording they are of, and when.
+A session becomes one episode, because it goes from rest to rest and slip depends on earlier samples.
+The motion of the arm is the task of each frame. Missing samples split the session, see
+`storage.exports.grid`. Frames are ``1 / rate`` s apart, counted from the begin of their episode. The columns
+``slipflow/session`` and ``slipflow/start_ns`` of the episodes name their recording and its time.
+
+References:
+    LeRobot dataset v3.0, https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
 
 from collections import Counter
@@ -23,9 +26,10 @@ from typing import Any, Final
 import numpy as np
 
 from operators.batch import EVERY, Episodes, concat
+from operators.checks import check_at_least
 from operators.errors import InputError, ParameterError
-from storage.exports.grid import Holdings, frames, holdings
-from storage.exports.lerobot_features import doing, features, values
+from storage.exports.grid import Contents, find_contents, to_frames
+from storage.exports.lerobot_features import features, frame_tasks, values
 from storage.exports.lerobot_files import (
     CHUNK,
     DATA,
@@ -45,7 +49,7 @@ SPLITS: Final = ("train", "validation", "test")
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """What came of it."""
+    """Result of an export."""
 
     out: Path
     rate: int  # frames per second
@@ -53,9 +57,9 @@ class Exported:
     sessions: int
     episodes: int
     frames: int
-    samples: int  # of the first fingertips, which the frames were taken from
-    gaps: int  # that a session was cut at
-    splits: Mapping[str, str]  # "from:to", of the episodes
+    samples: int  # of the first fingertip of each session
+    gaps: int  # that split sessions
+    splits: Mapping[str, str]  # range "from:to" of episodes
 
 
 def export(
@@ -66,40 +70,39 @@ def export(
     task: str | None = None,
     progress: Callable[[int, str], object] = lambda _done, _session: None,
 ) -> Exported:
-    """Write sessions of the same fingertips as one LeRobot dataset.
+    """Write sessions with the same fingertips as one LeRobot dataset.
 
-    The velocity and the pose of the arm are in it if every session has them. One session at a time is in
+    The velocity and the pose of the arm are included if every session has them. One session at a time is in
     memory.
 
     Args:
-        sessions: What to write, ordered by split and name; those without a split are for training.
-        out: The folder, which must not be there.
+        sessions: Sessions to write, ordered by split and name; those without a split are for training.
+        out: Folder to create.
         rate: Frames per second.
-        task: What the arm does, in words; None: what the recordings' episodes say of its motion.
-        progress: Told how many sessions are done, and the name of the next.
+        task: Task description; None: the motion of the arm in the recording's episodes.
+        progress: Called with the number of finished sessions and the name of the next.
 
     Raises:
-        ParameterError: on a rate below 1.
-        InputError: if a session holds no samples, is damaged, or has other fingertips; if there is no frame.
-        EndpointError: if the folder is there already, or cannot be written; nothing is left then.
+        ParameterError: if the rate is below 1 Hz, or there is no session.
+        InputError: if a session has no samples, is damaged, or has other fingertips; if there is no frame.
+        EndpointError: if the folder exists or cannot be written; then nothing is left of it.
     """
-    if rate < 1:
-        raise ParameterError("LeRobot export", "rate", rate, "at least 1 Hz")
-    held = _common(sessions)
-    declared = features(held)
+    check_at_least("LeRobot export", "rate", rate, 1, "Hz")
+    contents = _common_contents(sessions)
+    declared = features(contents)
     tasks, splits, episodes = dict[str, int](), Counter[str](), list[dict[str, Any]]()
     samples, gaps = 0, 0
     with partial_folder(out) as folder, DataFiles(folder, declared) as data:
         for done, (split, session) in enumerate(_ordered(sessions)):
             progress(done, session.name)
-            cut = frames(session, rate, held)
-            samples, gaps = samples + cut.samples, gaps + max(len(cut.stretches) - 1, 0)
-            episodes_of = concat(Episodes, list(session.read(Episodes, EVERY)))
-            for stretch in cut.stretches:
-                words = doing(stretch, episodes_of) if task is None else [task] * len(stretch)
+            grid = to_frames(session, rate, contents)
+            samples, gaps = samples + grid.samples, gaps + max(len(grid.stretches) - 1, 0)
+            recorded = concat(Episodes, list(session.read(Episodes, EVERY)))
+            for stretch in grid.stretches:
+                words = frame_tasks(stretch, recorded) if task is None else [task] * len(stretch)
                 numbers = np.array([tasks.setdefault(each, len(tasks)) for each in words])
                 first, number = data.rows, len(episodes)
-                rows = values(stretch, held, rate, episode=number, index=first, tasks=numbers)
+                rows = values(stretch, contents, rate, episode=number, index=first, tasks=numbers)
                 chunk, file = data.write(rows)
                 episodes.append(
                     {
@@ -120,7 +123,7 @@ def export(
                 splits[split] += 1
         data.close()
         if not episodes:
-            reason = f"would hold no frames: no two samples follow each other at {rate} Hz; give a lower rate"
+            reason = f"would have no frames: no two samples are consecutive at {rate} Hz; give a lower rate"
             raise InputError(str(out), reason)
         write_tasks(folder, list(tasks))
         write_episodes(folder, episodes)
@@ -148,20 +151,20 @@ def export(
     return Exported(out, rate, tuple(declared), *count, ranges)
 
 
-def _common(sessions: Sequence[Session]) -> Holdings:
-    """What every session holds."""
+def _common_contents(sessions: Sequence[Session]) -> Contents:
+    """Return the data that every session has."""
     if not sessions:
         raise ParameterError("LeRobot export", "sessions", [], "at least one")
-    held = [holdings(session) for session in sessions]
-    for session, each in zip(sessions, held, strict=True):
-        if each.fingers != held[0].fingers:
-            reason = f"is of fingertips {each.fingers}, {sessions[0].name} of {held[0].fingers}"
-            raise InputError(str(session.folder), f"{reason}; export them apart")
-    return Holdings(held[0].fingers, all(each.velocity for each in held), all(each.pose for each in held))
+    found = [find_contents(session) for session in sessions]
+    for session, each in zip(sessions, found, strict=True):
+        if each.fingers != found[0].fingers:
+            reason = f"has fingertips {each.fingers}, but {sessions[0].name} has {found[0].fingers}"
+            raise InputError(str(session.folder), f"{reason}: export them separately")
+    return Contents(found[0].fingers, all(each.velocity for each in found), all(each.pose for each in found))
 
 
 def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:
-    """The sessions with their split, those of one split together."""
+    """Return the sessions with their split, ordered by split and name."""
     return sorted(
         ((_split(each), each) for each in sessions), key=lambda each: (SPLITS.index(each[0]), each[1].name)
     )
@@ -173,7 +176,7 @@ def _split(session: Session) -> str:
 
 
 def _ranges(splits: Mapping[str, int]) -> dict[str, str]:
-    """Where the episodes of each split are.
+    """Return the episode range of each split.
 
     >>> _ranges({"train": 7, "test": 2})
     {'train': '0:7', 'test': '7:9'}

@@ -1,4 +1,4 @@
-"""What a frame of a LeRobot dataset holds: the features that info.json declares, and their values."""
+"""Features of a LeRobot dataset: their declarations in info.json, and the values of each frame."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -7,39 +7,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, MOTIONS, Episodes
-from storage.exports.grid import Frames, Holdings
+from storage.exports.grid import Contents, Frames
 
 STATE: Final = "observation.state"  # zeroed counts of all fingertips
-POSE: Final = "observation.pose"  # of the TCP
-ACTION: Final = "action"  # the TCP's velocity at the frame
-VALID: Final = "valid"  # which barometers answered; where one did not, the state keeps what it read last
+POSE: Final = "observation.pose"  # pose of the TCP
+ACTION: Final = "action"  # velocity of the TCP
+VALID: Final = "valid"  # barometers with a reading; else the state keeps the last value
 LABEL: Final = "label"  # 1 slip, 0 static, -1 unknown
 DONE: Final = "next.done"
 
-_DOING: Final[Mapping[str | None, str]] = {
+_TASKS: Final[Mapping[str | None, str]] = {
     "translation": "slide the fingertip over the surface",
     "rotation": "turn the fingertip on the surface",
     "hold": "hold the fingertip still",
     "tap": "tap the surface",
     "lift": "lift the fingertip off",
 }
-_OTHERWISE: Final = "feel slip"
+_OTHER_TASK: Final = "detect slip"
 
 
-def features(held: Holdings) -> dict[str, dict[str, Any]]:
-    """The features by name, each with its element type, its shape and the names of its elements.
+def features(contents: Contents) -> dict[str, dict[str, Any]]:
+    """Return element type, shape and element names of each feature.
 
-    >>> features(Holdings((0,), velocity=True, pose=False))["action"]
+    >>> features(Contents((0,), velocity=True, pose=False))["action"]
     {'dtype': 'float32', 'shape': [6], 'names': ['vx', 'vy', 'vz', 'wx', 'wy', 'wz']}
     """
-    cells = [f"finger{finger}.barometer{cell}" for finger in held.fingers for cell in range(BAROMETERS)]
+    cells = [f"finger{finger}.barometer{cell}" for finger in contents.fingers for cell in range(BAROMETERS)]
     found = {STATE: _feature("float32", cells)}
-    if held.pose:
+    if contents.pose:
         found[POSE] = _feature("float32", ["x", "y", "z", "rx", "ry", "rz"])
-    if held.velocity:
+    if contents.velocity:
         found[ACTION] = _feature("float32", ["vx", "vy", "vz", "wx", "wy", "wz"])
     found[VALID] = _feature("bool", cells)
-    found[LABEL] = _feature("int64", [f"finger{finger}" for finger in held.fingers])
+    found[LABEL] = _feature("int64", [f"finger{finger}" for finger in contents.fingers])
     found[DONE] = _feature("bool")
     found["timestamp"] = _feature("float32")
     for name in ("frame_index", "episode_index", "index", "task_index"):
@@ -48,23 +48,23 @@ def features(held: Holdings) -> dict[str, dict[str, Any]]:
 
 
 def values(
-    frames: Frames, held: Holdings, rate: int, *, episode: int, index: int, tasks: NDArray[np.int64]
+    frames: Frames, contents: Contents, rate: int, *, episode: int, index: int, tasks: NDArray[np.int64]
 ) -> dict[str, NDArray[Any]]:
-    """The values of each feature, a row to a frame.
+    """Return the values of each feature, one row per frame.
 
     Args:
-        frames: One episode.
-        held: What the dataset has of every session.
+        frames: Frames of one episode.
+        contents: Data that every session of the dataset has.
         rate: Frames per second.
         episode: Number of the episode.
-        index: Of its first frame, in the dataset.
-        tasks: (n,) numbers of the frames' tasks.
+        index: Index of its first frame in the dataset.
+        tasks: (n,) task numbers of the frames.
     """
     number = np.arange(len(frames))
     found: dict[str, NDArray[Any]] = {STATE: frames.counts.astype(np.float32)}  # (n, fingers * 6)
-    if held.pose:
+    if contents.pose:
         found[POSE] = frames.pose
-    if held.velocity:
+    if contents.velocity:
         found[ACTION] = frames.velocity
     found[VALID] = frames.valid
     found[LABEL] = frames.label.astype(np.int64)
@@ -77,13 +77,13 @@ def values(
     return found
 
 
-def doing(frames: Frames, episodes: Episodes) -> list[str]:
-    """What the arm does at each frame, in words, as the recording's episodes say of its motion; (n,)."""
-    words = [*(_DOING.get(MOTIONS[code], _OTHERWISE) for code in episodes.motion.tolist()), _OTHERWISE]
+def frame_tasks(frames: Frames, episodes: Episodes) -> list[str]:
+    """Return the task of each frame (n,), from the motions of the recording's episodes."""
+    tasks = [*(_TASKS.get(MOTIONS[code], _OTHER_TASK) for code in episodes.motion.tolist()), _OTHER_TASK]
     ends = np.append(episodes.end, np.iinfo(np.int64).min)
     number = episodes.time.searchsorted(frames.time, "right") - 1  # (n,) -1: before the first
     number = np.where(frames.time < ends[number], number, -1)
-    return [words[each] for each in number.tolist()]
+    return [tasks[each] for each in number.tolist()]
 
 
 def _feature(dtype: str, names: list[str] | None = None) -> dict[str, Any]:

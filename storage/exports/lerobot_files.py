@@ -1,4 +1,4 @@
-"""The Parquet files of a LeRobot dataset, and the statistics of what is in them."""
+"""Parquet files of a LeRobot dataset, and their statistics."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -15,8 +15,8 @@ from storage.parts import flat
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 TASKS: Final = "meta/tasks.parquet"
 EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
-CHUNK: Final = 1000  # files to a folder
-MAX_MB: Final = 100  # of a data file, uncompressed
+CHUNK: Final = 1000  # files per folder
+MAX_MB: Final = 100  # size of a data file, uncompressed
 
 _QUANTILES: Final = (0.01, 0.1, 0.5, 0.9, 0.99)
 
@@ -24,18 +24,18 @@ Statistics = dict[str, list[float]]
 
 
 class DataFiles:
-    """The frames' files: an episode is one group of rows, and a full file is followed by the next."""
+    """Files of the frames: an episode is one row group; a full file is followed by the next."""
 
     def __init__(self, root: Path, features: Mapping[str, Mapping[str, Any]], max_bytes: int = 0) -> None:
-        """Write below `root`; a file holds one episode at least, and is full at `max_bytes`."""
+        """Write below `root`; a file is full at `max_bytes` (default 100 MB)."""
         self.rows = 0  # written
         self._root, self._features = root, features
         self._types = {name: _arrow(each) for name, each in features.items()}
         self._schema = pa.schema(self._types)
         self._max_bytes = max_bytes or MAX_MB << 20
         self._writer: Any = None
-        self._number = -1  # of the file
-        self._bytes = 0  # in the file
+        self._number = -1  # of the open file
+        self._bytes = 0  # in the open file
 
     def __enter__(self) -> Self:
         return self
@@ -44,7 +44,7 @@ class DataFiles:
         self.close()
 
     def write(self, values: Mapping[str, NDArray[Any]]) -> tuple[int, int]:
-        """Write one episode, all features of each frame; give the numbers of its chunk and file."""
+        """Write one episode; return the numbers of its chunk and file."""
         arrays = [_array(values[name], kind) for name, kind in self._types.items()]
         table = pa.Table.from_arrays(arrays, schema=self._schema)
         if self._writer is None or self._bytes + table.nbytes > self._max_bytes:
@@ -59,13 +59,13 @@ class DataFiles:
         return divmod(self._number, CHUNK)
 
     def close(self) -> None:
-        """Complete the file at hand."""
+        """Complete the open file."""
         if self._writer is not None:
             self._writer.close()
             self._writer = None
 
     def statistics(self) -> dict[str, Statistics]:
-        """Of each feature over all episodes; one is in memory at a time."""
+        """Return the statistics of each feature over all episodes; one feature at a time is in memory."""
         paths = [self._path(number) for number in range(self._number + 1)]
         found: dict[str, Statistics] = {}
         for name, feature in self._features.items():
@@ -80,7 +80,7 @@ class DataFiles:
 
 
 def statistics(values: NDArray[Any]) -> Statistics:
-    """The least, the greatest, mean, deviation, quantiles and number of a feature's values (n, ...).
+    """Return minimum, maximum, mean, standard deviation, quantiles and count of values (n, ...).
 
     >>> found = statistics(np.array([1, 2, 6]))
     >>> found["mean"], found["q50"], found["count"]
@@ -100,7 +100,7 @@ def statistics(values: NDArray[Any]) -> Statistics:
 
 
 def write_tasks(root: Path, tasks: Sequence[str]) -> None:
-    """Write the tasks by number; pandas, which LeRobot reads them with, makes their text the index."""
+    """Write the tasks by number; the metadata makes their text the index in pandas, as LeRobot expects."""
     columns = [("task_index", "int64", "int64"), ("task", "unicode", "object")]
     pandas = {
         "index_columns": ["task"],
@@ -118,7 +118,7 @@ def write_tasks(root: Path, tasks: Sequence[str]) -> None:
 
 
 def write_episodes(root: Path, episodes: Sequence[Mapping[str, Any]]) -> None:
-    """Write the table of episodes, a row to each."""
+    """Write the table of episodes, one row each."""
     _write(root / EPISODES, pa.Table.from_pylist([dict(episode) for episode in episodes]))
 
 

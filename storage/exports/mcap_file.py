@@ -1,4 +1,4 @@
-"""A session as one MCAP file, which Foxglove and others open: every row a JSON message, in time order."""
+"""Export of a session to one MCAP file, for Foxglove: every row is a JSON message, in time order."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -17,8 +17,8 @@ from storage.layout import TABLES, Table
 from storage.partial import partial_file
 from storage.session import Session
 
-_CHUNK: Final = 1 << 20  # bytes of messages that are compressed together
-_OFTEN: Final = 5000  # rows between two tellings of progress
+_CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk
+_BATCH: Final = 5000  # rows between progress updates
 
 _Message: TypeAlias = tuple[int, int, bytes]  # ns, channel, JSON
 
@@ -26,20 +26,23 @@ _Message: TypeAlias = tuple[int, int, bytes]  # ns, channel, JSON
 def export(
     session: Session, path: Path, progress: Callable[[int], object] = lambda _rows: None
 ) -> Mapping[str, int]:
-    """Write a session; give how many messages each topic has.
+    """Write a session; return the number of messages of each topic.
 
-    Streams are read part by part and merged, so a long session takes no more memory than a short one. Late
-    rows stand where they were recorded; the file's index gives them in their place. What session.json says
-    is the metadata record "session", a JSON text to each of its keys.
+    Streams are read part by part and merged, so memory does not grow with the session. Late rows are in the
+    order of recording; the file's index sorts them by time. session.json becomes the metadata record
+    "session", with JSON text for each key.
 
     Args:
-        session: What to write.
-        path: The file, which must not be there.
-        progress: Told how many rows are written, now and then.
+        session: Session to write.
+        path: File to create.
+        progress: Called with the number of rows written so far.
 
     Raises:
         InputError: if the library is not installed, or the session is damaged.
-        EndpointError: if the file is there already, or cannot be written; nothing is left then.
+        EndpointError: if the file exists or cannot be written; then nothing is left of it.
+
+    References:
+        MCAP format specification, https://mcap.dev/spec
     """
     if find_spec("mcap") is None:
         raise InputError("MCAP export", "needs mcap: in the clone, pip install -e '.[mcap]'")
@@ -58,7 +61,7 @@ def export(
         ]
         rows = merge(*streams, key=itemgetter(0))
         sequences = Counter[int]()
-        for done in iter(lambda: list(islice(rows, _OFTEN)), []):
+        for done in iter(lambda: list(islice(rows, _BATCH)), []):
             for time, channel, data in done:
                 writer.add_message(channel, time, data, time, sequences[channel])
                 sequences[channel] += 1
@@ -69,15 +72,15 @@ def export(
 
 @dataclass
 class _Channels:
-    """The topics of a file, each registered with its schema when its first row comes."""
+    """Topics of a file; each is registered with its schema at its first row."""
 
     writer: Any
-    topics: dict[int, str] = field(default_factory=dict[int, str])  # by number
-    _schemas: dict[str, int] = field(default_factory=dict[str, int])  # number by name
-    _numbers: dict[str, int] = field(default_factory=dict[str, int])  # by topic
+    topics: dict[int, str] = field(default_factory=dict[int, str])  # by channel number
+    _schemas: dict[str, int] = field(default_factory=dict[str, int])  # schema numbers by name
+    _numbers: dict[str, int] = field(default_factory=dict[str, int])  # channel numbers by topic
 
     def number(self, topic: str, schema: dict[str, Any]) -> int:
-        """The number of a topic's channel."""
+        """Return the channel number of a topic."""
         if topic not in self._numbers:
             name = str(schema["title"])
             if name not in self._schemas:
@@ -104,8 +107,8 @@ def _text(value: object) -> str:
     return value if isinstance(value, str) else mcap_messages.encode(value).decode()
 
 
-def _compression() -> Any:  # noqa: ANN401 - of the library, which is an extra
-    """The best that is installed."""
+def _compression() -> Any:  # noqa: ANN401 - type of an extra
+    """Return the best compression whose library is installed."""
     from mcap.writer import CompressionType  # noqa: PLC0415 - an extra
 
     if find_spec("zstandard"):

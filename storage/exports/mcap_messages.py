@@ -1,8 +1,8 @@
-"""Rows of a session as MCAP messages: their topics, their JSON schemas, their JSON.
+"""Rows of a session as MCAP messages: topics, JSON schemas and JSON.
 
-The columns keep their names, so that one vocabulary serves Parquet and MCAP. Stamps and spans in ns become
-``{"sec", "nsec"}``, which Foxglove shows as times and which no reader rounds. JSON has no NaN: a value that
-is not finite is null, a column without any finite value is left out of its message.
+Columns have the same names as in Parquet. Timestamps and durations in ns become ``{"sec", "nsec"}``, which
+Foxglove shows as times and which no reader rounds. JSON has no NaN: values that are not finite become null,
+and a column without any finite value is omitted from its message.
 """
 
 import json
@@ -30,7 +30,7 @@ TOPICS: Final[Mapping[str, str]] = MappingProxyType(
     }
 )
 
-_JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # made once: that takes its time
+_JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)  # slow to create
 _INT64: Final = np.dtype(np.int64)
 _STAMP: Final[Mapping[str, Any]] = MappingProxyType(
     {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -38,7 +38,7 @@ _STAMP: Final[Mapping[str, Any]] = MappingProxyType(
 
 
 def topic(table: Table, finger: int) -> str:
-    """The topic of a table's rows.
+    """Return the topic of a table's rows.
 
     >>> topic(SLIPS, 2), topic(MOTION, EVERY)
     ('/slip/2', '/motion')
@@ -47,7 +47,7 @@ def topic(table: Table, finger: int) -> str:
 
 
 def schema(table: Table, kind: type[Batch]) -> dict[str, Any]:
-    """The JSON schema of a table's messages, units in the descriptions.
+    """Return the JSON schema of a table's messages; descriptions state the units.
 
     >>> schema(TOUCH, TOUCH.kind)["properties"]["counts"]["description"]
     'count'
@@ -62,10 +62,10 @@ def schema(table: Table, kind: type[Batch]) -> dict[str, Any]:
 
 
 def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
-    """Each row's event time, ns, and its message.
+    """Yield the event time (ns) and the message of each row.
 
     Raises:
-        InputError: if a row is of before 1970, which MCAP cannot tell.
+        InputError: if a row is from before 1970, which MCAP cannot represent.
     """
     columns = [
         (name, _values(getattr(batch, name), column))
@@ -73,23 +73,23 @@ def messages(table: Table, batch: Batch) -> Iterator[tuple[int, bytes]]:
         if name != "time"
     ]
     for row, time in enumerate(batch.time.tolist()):
-        message: dict[str, Any] = {"timestamp": _stamp(_logged(table.name, time))}
+        message: dict[str, Any] = {"timestamp": _stamp(_check_time(table.name, time))}
         if batch.finger != EVERY:
             message["finger"] = batch.finger
         message |= {name: values[row] for name, values in columns if values[row] is not None}
         yield time, encode(message)
 
 
-def encode(content: Any) -> bytes:  # noqa: ANN401 - whatever JSON can tell
-    """Compact JSON."""
+def encode(content: Any) -> bytes:  # noqa: ANN401 - any JSON value
+    """Return compact JSON."""
     return _JSON.encode(content).encode()
 
 
-def _logged(table: str, time: int) -> int:
+def _check_time(table: str, time: int) -> int:
     if time < 0:
         raise InputError(
             f"{table}, a row at {time} ns",
-            "is of before 1970, which MCAP cannot tell: export it to lerobot or rrd",
+            "is from before 1970, which MCAP cannot represent: export to lerobot or rrd",
         )
     return time
 
@@ -101,7 +101,7 @@ def _property(name: str, column: Column) -> dict[str, Any]:
     if column.names:
         return {"type": "string", "enum": [*column.names]}
     types = {"b": "boolean", "i": "integer", "f": "number"}
-    unknown = "; null or left out: unknown" if column.dtype.kind == "f" else ""
+    unknown = "; null or omitted: unknown" if column.dtype.kind == "f" else ""
     description = f"{column.unit}{unknown}".removeprefix("; ")
     value: dict[str, Any] = {"type": types[column.dtype.kind]}
     if column.shape:
@@ -120,7 +120,7 @@ def _object(title: str, description: str, properties: Mapping[str, Any]) -> dict
 
 
 def _values(values: NDArray[Any], column: Column) -> list[Any]:
-    """What each row has of a column; None where it has nothing finite."""
+    """Return the JSON value of each row of a column; None if it has no finite value."""
     if _is_span(column):
         return [_stamp(value) for value in values.tolist()]
     if column.names:
@@ -129,7 +129,7 @@ def _values(values: NDArray[Any], column: Column) -> list[Any]:
     if column.dtype.kind != "f" or (finite := np.isfinite(values)).all():
         return listed
     if not column.shape:
-        return [value if there else None for value, there in zip(listed, finite.tolist(), strict=True)]
+        return [value if known else None for value, known in zip(listed, finite.tolist(), strict=True)]
     rows = zip(listed, finite.tolist(), strict=True)
     return [
         [value if known else None for value, known in zip(row, there, strict=True)] if any(there) else None

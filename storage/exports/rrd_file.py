@@ -1,4 +1,4 @@
-"""A session as one Rerun recording (.rrd): its streams as time series, its events as a text log."""
+"""Export of a session to one Rerun recording (.rrd): streams as time series, events as a text log."""
 
 import json
 import warnings
@@ -32,25 +32,25 @@ def export(
     detector: Detector | None = None,
     progress: Callable[[int], object] = lambda _rows: None,
 ) -> Mapping[str, int]:
-    """Write a session; give how many rows each entity has.
+    """Write a session; return the number of rows of each entity.
 
-    - ``/touch/FINGER``: six series of counts, raw or zeroed as they were recorded; none where a cell is mute
-    - ``/probability/FINGER``: of slip, as `detector` says, touch zeroed first where it is raw
-    - ``/motion/speed``: of the tool centre point, m/s; ``/samples/FINGER/speed``: in the contact plane
-    - ``/slip/FINGER``: each onset and end as a line of text; ``/faults``: the same of barometers
-    - ``/session``: what session.json says
+    - ``/touch/FINGER``: six series of counts, raw or zeroed as recorded; gaps where a cell has no reading
+    - ``/probability/FINGER``: slip probability by `detector`; raw touch is zeroed first
+    - ``/motion/speed``: speed of the tool centre point, m/s; ``/samples/FINGER/speed``: in the contact plane
+    - ``/slip/FINGER``: onsets and ends as lines of text; ``/faults``: faults of barometers
+    - ``/session``: contents of session.json
 
-    Streams are read and written part by part, so a long session takes no more memory than a short one.
+    Streams are read and written part by part, so memory does not grow with the session.
 
     Args:
-        session: What to write.
-        path: The file, which must not be there.
-        detector: Scores the touch again; None: without a probability.
-        progress: Told how many rows are written, now and then.
+        session: Session to write.
+        path: File to create.
+        detector: Detector to score with; None: no probability.
+        progress: Called with the number of rows written so far.
 
     Raises:
         InputError: if the library is not installed, or the session is damaged.
-        EndpointError: if the file is there already, or cannot be written; nothing is left then.
+        EndpointError: if the file exists or cannot be written; then nothing is left of it.
     """
     if find_spec("rerun") is None:
         raise InputError("Rerun export", "needs rerun-sdk: in the clone, pip install -e '.[rerun]'")
@@ -60,31 +60,31 @@ def export(
             for entity, rows in recording.send(session, detector):
                 counts[entity] += rows
                 progress(counts.total())
-        require_whole(file.name, path)
+        check_complete(file.name, path)
     return dict(counts)
 
 
 class _Recording:
-    """What the library writes to a file of batches."""
+    """File that the Rerun library writes."""
 
     def __init__(self, name: str, path: str) -> None:
         self._rerun: Any = import_module("rerun")  # an extra, and slow to import
         self._stream: Any = self._rerun.RecordingStream("slipflow", recording_id=name)
         self._stream.save(path)
-        self._named = set[str]()  # entities
+        self._named = set[str]()  # entities with series names
 
     def close(self) -> None:
         """Complete the file."""
         self._stream.disconnect()
 
     def send(self, session: Session, detector: Detector | None) -> Iterator[tuple[str, int]]:
-        """Send all of a session; give each batch's entity and rows."""
+        """Write a session; yield the entity and number of rows of each batch."""
         about = json.dumps(dict(session.about), indent=1, default=str)
         self._stream.log("/session", self._rerun.TextDocument(about), static=True)
         for finger in session.fingers(Touch):
             yield from self._touch(session, finger, detector)
         for batch in _batches(session, Motion):
-            with np.errstate(over="ignore", invalid="ignore"):  # whatever was recorded
+            with np.errstate(over="ignore", invalid="ignore"):  # recorded values may be extreme
                 speed = np.linalg.norm(batch.velocity[:, :3], axis=1)  # (n,) m/s
             yield self._scalars("/motion/speed", batch, speed, ("speed, m/s",))
         for sample in _batches(session, Labelled):
@@ -109,7 +109,7 @@ class _Recording:
     def _scalars(
         self, entity: str, batch: Batch, values: np.ndarray[Any, Any], names: tuple[str, ...]
     ) -> tuple[str, int]:
-        """Send series, a column of `values` each; (n,) or (n, k)."""
+        """Write the columns of `values` (n,) or (n, k) as series."""
         if entity not in self._named:
             self._named.add(entity)
             self._stream.log(entity, self._rerun.SeriesLines(names=list(names)), static=True)
@@ -124,12 +124,12 @@ class _Recording:
         self._stream.send_columns(entity, [self._times(batch)], columns)
         return entity, len(batch)
 
-    def _times(self, batch: Batch) -> Any:  # noqa: ANN401 - of the library, which is an extra
+    def _times(self, batch: Batch) -> Any:  # noqa: ANN401 - type of an extra
         return self._rerun.TimeColumn(TIMELINE, timestamp=batch.time.view("datetime64[ns]"))
 
 
-def require_whole(written: str, path: Path) -> None:
-    """Make sure that a file is whole: the library does not tell that it could not write.
+def check_complete(written: str, path: Path) -> None:
+    """Require that a file is complete; the library does not report write errors.
 
     Raises:
         EndpointError: naming `path`, if it is not.
@@ -137,10 +137,10 @@ def require_whole(written: str, path: Path) -> None:
     chunk: Any = import_module("rerun.chunk")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a file without its end is read with a warning
+            warnings.simplefilter("error")  # an incomplete file gives a warning
             chunk.RrdReader(written)
     except (RuntimeError, Warning) as error:
-        raise EndpointError(str(path), "was not written whole: is the disk full?") from error
+        raise EndpointError(str(path), "is incomplete: is the disk full?") from error
 
 
 def _batches(session: Session, kind: type[AnyBatch]) -> Iterator[AnyBatch]:

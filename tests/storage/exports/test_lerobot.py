@@ -113,7 +113,7 @@ def poses(time: Any) -> Motion:  # noqa: ANN401 - whole numbers
     return Motion(stamps, stamps, np.zeros((len(stamps), 6)), known, finger=EVERY)
 
 
-def test_values_are_those_of_the_sessions(tmp_path: Path) -> None:
+def test_frames_have_the_values_of_the_sessions(tmp_path: Path) -> None:
     time = np.arange(60) * 10 * ms + 1_700_000_000_000_000_000
     samples = [new_samples(time), new_samples(time + 2 * ms, finger=3)]
     session = record(tmp_path, [*samples, poses(time)])
@@ -130,7 +130,7 @@ def test_values_are_those_of_the_sessions(tmp_path: Path) -> None:
     assert (done.episodes, done.frames, done.samples, done.gaps) == (1, 60, 60, 0)
 
 
-def test_a_gap_makes_two_episodes_that_say_when_they_began(tmp_path: Path) -> None:
+def test_a_gap_makes_two_episodes_with_their_start_times(tmp_path: Path) -> None:
     time = np.delete(np.arange(60) * 10 * ms, [20, 21, 22])
     done = export([record(tmp_path, [new_samples(time)])], tmp_path / "out")
     found = Read.open(tmp_path / "out")
@@ -140,7 +140,7 @@ def test_a_gap_makes_two_episodes_that_say_when_they_began(tmp_path: Path) -> No
     assert (done.episodes, done.frames, done.samples, done.gaps) == (2, 57, 57, 1)
 
 
-def test_splits_are_kept_and_their_episodes_stand_together(tmp_path: Path) -> None:
+def test_episodes_are_ordered_by_split(tmp_path: Path) -> None:
     sessions = list[Session]()
     for name, split in (("a", "test"), ("b", "train"), ("c", None), ("d", "validation"), ("e", "test")):
         samples = new_samples(np.arange(10) * 10 * ms)
@@ -152,7 +152,7 @@ def test_splits_are_kept_and_their_episodes_stand_together(tmp_path: Path) -> No
     assert [each["slipflow/session"] for each in found.episodes] == ["b", "c", "d", "a", "e"]
 
 
-def test_tasks_are_what_the_arm_did_or_what_is_told(tmp_path: Path) -> None:
+def test_tasks_are_the_motions_or_the_given_text(tmp_path: Path) -> None:
     episodes = new_episodes((0, 50 * ms, "hold"), (50 * ms, 90 * ms, "translation"))
     session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms), episodes])
     export([session], tmp_path / "done")
@@ -161,7 +161,7 @@ def test_tasks_are_what_the_arm_did_or_what_is_told(tmp_path: Path) -> None:
     holds, slides, otherwise = (
         "hold the fingertip still",
         "slide the fingertip over the surface",
-        "feel slip",
+        "detect slip",
     )
     tasks = [found.tasks[number] for number in found.frames[0]["task_index"]]
     assert tasks == [holds] * 5 + [slides] * 4 + [otherwise]
@@ -172,7 +172,7 @@ def test_tasks_are_what_the_arm_did_or_what_is_told(tmp_path: Path) -> None:
     assert told.tasks == {0: "wipe the table"}
 
 
-def test_the_arm_is_left_out_unless_every_session_has_it(tmp_path: Path) -> None:
+def test_motion_data_is_omitted_unless_every_session_has_it(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     moving, still = new_samples(time), new_samples(time)
     still.velocity[:] = np.nan
@@ -184,7 +184,7 @@ def test_the_arm_is_left_out_unless_every_session_has_it(tmp_path: Path) -> None
     Read.open(tmp_path / "both").check()
 
 
-def test_a_lower_rate_takes_fewer_samples(tmp_path: Path) -> None:
+def test_a_lower_rate_uses_fewer_samples(tmp_path: Path) -> None:
     samples = new_samples(np.arange(58) * 10 * ms)
     export([record(tmp_path, [samples])], tmp_path / "out", rate=20)
     found = Read.open(tmp_path / "out")
@@ -193,7 +193,7 @@ def test_a_lower_rate_takes_fewer_samples(tmp_path: Path) -> None:
     assert found.values(0, "observation.state").tolist() == samples.counts[::5].tolist()
 
 
-def test_what_cannot_be_exported_leaves_nothing(tmp_path: Path) -> None:
+def test_a_failed_export_leaves_no_files(tmp_path: Path) -> None:
     time = np.arange(10) * 10 * ms
     one = record(tmp_path / "data", [new_samples(time)], "a")
     other = record(tmp_path / "data", [new_samples(time, finger=1)], "b")
@@ -202,9 +202,9 @@ def test_what_cannot_be_exported_leaves_nothing(tmp_path: Path) -> None:
         export([one], out, rate=0)
     with pytest.raises(ParameterError, match="sessions is"):
         export([], out)
-    with pytest.raises(InputError, match=r"is of fingertips \(1,\), a of \(0,\); export them apart"):
+    with pytest.raises(InputError, match=r"has fingertips \(1,\), but a has \(0,\): export them separately"):
         export([one, other], out)
-    with pytest.raises(InputError, match="would hold no frames: no two samples follow each other at 1000 Hz"):
+    with pytest.raises(InputError, match="would have no frames: no two samples are consecutive at 1000 Hz"):
         export([one], out, rate=1000)
     part = next(one.folder.glob("samples/*.parquet"))
     part.write_bytes(part.read_bytes()[:-1])
@@ -213,7 +213,7 @@ def test_what_cannot_be_exported_leaves_nothing(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
 
 
-def test_a_folder_that_is_there_is_not_replaced(tmp_path: Path) -> None:
+def test_an_existing_folder_is_not_replaced(tmp_path: Path) -> None:
     session = record(tmp_path, [new_samples(np.arange(10) * 10 * ms)])
     with pytest.raises(EndpointError, match="must be a new or empty folder"):
         export([session], tmp_path)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from operators.batch import Episodes, s
-from storage.exports.grid import Frames, Holdings
-from storage.exports.lerobot_features import doing, features, values
+from storage.exports.grid import Contents, Frames
+from storage.exports.lerobot_features import features, frame_tasks, values
 from tests.storage.made import new_episodes
 
 
@@ -21,12 +21,10 @@ def some(count: int, fingers: int = 1) -> Frames:
 @pytest.mark.parametrize("velocity", [False, True])
 @pytest.mark.parametrize("pose", [False, True])
 @pytest.mark.parametrize("fingers", [(0,), (0, 2)])
-def test_values_have_the_features_that_are_declared(
-    *, velocity: bool, pose: bool, fingers: tuple[int, ...]
-) -> None:
-    held, frames = Holdings(fingers, velocity=velocity, pose=pose), some(5, len(fingers))
-    declared = features(held)
-    found = values(frames, held, 50, episode=3, index=100, tasks=np.zeros(5, np.int64))
+def test_values_match_the_declared_features(*, velocity: bool, pose: bool, fingers: tuple[int, ...]) -> None:
+    contents, frames = Contents(fingers, velocity=velocity, pose=pose), some(5, len(fingers))
+    declared = features(contents)
+    found = values(frames, contents, 50, episode=3, index=100, tasks=np.zeros(5, np.int64))
     assert list(found) == list(declared)
     for name, feature in declared.items():
         assert found[name].dtype == feature["dtype"], name
@@ -39,17 +37,17 @@ def test_values_have_the_features_that_are_declared(
 
 
 def test_elements_are_named_by_fingertip_and_barometer() -> None:
-    names: Any = features(Holdings((0, 2), velocity=True, pose=False))["observation.state"]["names"]
+    names: Any = features(Contents((0, 2), velocity=True, pose=False))["observation.state"]["names"]
     assert names[:2] == ["finger0.barometer0", "finger0.barometer1"]
     assert names[-1] == "finger2.barometer5"
 
 
-def test_the_task_is_what_the_arm_does_at_the_instant() -> None:
+def test_the_task_is_the_motion_at_the_frame() -> None:
     episodes = new_episodes((s, 2 * s, "translation"), (2 * s, 3 * s, "rotation"))
     slides, turns, otherwise = (
         "slide the fingertip over the surface",
         "turn the fingertip on the surface",
-        "feel slip",
+        "detect slip",
     )
-    assert doing(some(5), episodes) == [otherwise, slides, turns, otherwise, otherwise]
-    assert doing(some(2), Episodes.empty()) == [otherwise] * 2
+    assert frame_tasks(some(5), episodes) == [otherwise, slides, turns, otherwise, otherwise]
+    assert frame_tasks(some(2), Episodes.empty()) == [otherwise] * 2

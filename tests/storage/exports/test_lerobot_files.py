@@ -37,7 +37,7 @@ def test_a_full_file_is_followed_by_the_next_and_an_episode_is_in_one(tmp_path: 
     assert found["x"]["max"] == [400, 400]
 
 
-def test_an_episode_is_one_group_of_rows(tmp_path: Path) -> None:
+def test_an_episode_is_one_row_group(tmp_path: Path) -> None:
     with DataFiles(tmp_path, FEATURES) as data:
         for k, rows in enumerate((3, 1, 7)):
             data.write(values(rows, k))
@@ -45,7 +45,7 @@ def test_an_episode_is_one_group_of_rows(tmp_path: Path) -> None:
     assert [file.metadata.row_group(k).num_rows for k in range(file.num_row_groups)] == [3, 1, 7]
 
 
-def test_a_folder_holds_so_many_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_has_a_limited_number_of_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert CHUNK == 1000
     monkeypatch.setattr("storage.exports.lerobot_files.CHUNK", 2)
     with DataFiles(tmp_path, FEATURES, max_bytes=1) as data:
@@ -58,7 +58,7 @@ def test_a_folder_holds_so_many_files(tmp_path: Path, monkeypatch: pytest.Monkey
         np.float32, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(-9, 9, width=32)
     )
 )
-def test_statistics_lie_in_their_order(data: NDArray[np.float32]) -> None:
+def test_statistics_are_ordered(data: NDArray[np.float32]) -> None:
     found = statistics(data)
     order = ("min", "q01", "q10", "q50", "q90", "q99", "max")
     for one, other in pairwise(order):
@@ -68,7 +68,7 @@ def test_statistics_lie_in_their_order(data: NDArray[np.float32]) -> None:
     assert all(len(found[name]) == data.shape[1] for name in (*order, "mean", "std"))
 
 
-def test_tasks_say_to_pandas_that_their_text_is_the_index(tmp_path: Path) -> None:
+def test_the_text_of_tasks_is_the_index_in_pandas(tmp_path: Path) -> None:
     write_tasks(tmp_path, ["slide", "hold"])
     table = cast("Any", pq).read_table(tmp_path / "meta/tasks.parquet")
     assert table.to_pydict() == {"task_index": [0, 1], "task": ["slide", "hold"]}

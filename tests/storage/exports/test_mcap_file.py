@@ -100,7 +100,7 @@ def alike(messages: list[Message]) -> list[str]:
     return sorted(json.dumps(each, sort_keys=True) for each in messages)
 
 
-def test_every_row_of_every_table_is_a_message_in_the_order_of_time(tmp_path: Path) -> None:
+def test_every_row_of_every_table_is_a_message_in_time_order(tmp_path: Path) -> None:
     batches = [
         *(new_batch(Touch, 50, start=s + 3 * finger, finger=finger, seed=finger) for finger in (0, 2)),
         new_batch(Motion, 70, start=s + 5 * ms, seed=3),
@@ -121,7 +121,7 @@ def test_every_row_of_every_table_is_a_message_in_the_order_of_time(tmp_path: Pa
     assert told[-1] == len(expected) == sum(counted.values())
 
 
-def test_every_message_keeps_the_schema_that_stands_in_the_file(tmp_path: Path) -> None:
+def test_every_message_matches_its_schema_in_the_file(tmp_path: Path) -> None:
     from mcap.reader import make_reader  # noqa: PLC0415 - an extra
 
     kinds = (Touch, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth)
@@ -158,7 +158,7 @@ def lenient(schema: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def test_late_rows_come_in_their_place(tmp_path: Path) -> None:
+def test_late_rows_are_sorted_by_the_index(tmp_path: Path) -> None:
     batch = new_batch(Zeroed, 40, start=s)
     late = batch[np.array([*range(0, 40, 2), *range(39, 0, -2)])]
     path = tmp_path / "late.mcap"
@@ -168,7 +168,7 @@ def test_late_rows_come_in_their_place(tmp_path: Path) -> None:
     assert alike([each for each in read(path) if each[0] == "/touch/0"]) == alike(rows(late))
 
 
-def test_the_file_says_what_the_session_says_and_counts_what_is_in_it(tmp_path: Path) -> None:
+def test_the_file_has_the_session_description_and_message_counts(tmp_path: Path) -> None:
     session = record(tmp_path, [new_batch(Touch, 30, start=s), new_batch(Motion, 20, start=2 * s)])
     path = tmp_path / "one.mcap"
     export(session, path)
@@ -185,7 +185,7 @@ def test_the_file_says_what_the_session_says_and_counts_what_is_in_it(tmp_path: 
 @pytest.mark.parametrize(
     ("missing", "compression"), [(["zstandard"], "lz4"), (["zstandard", "lz4"], "")], ids=["lz4", "none"]
 )
-def test_chunks_are_compressed_by_what_is_there(
+def test_chunks_are_compressed_with_an_installed_library(
     *, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: list[str], compression: str
 ) -> None:
     def found(name: str) -> ModuleSpec | None:
@@ -199,7 +199,7 @@ def test_chunks_are_compressed_by_what_is_there(
     assert alike(read(path)) == alike(rows(batch))
 
 
-def test_without_the_library_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_an_error_with_the_fix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def nothing(_: str) -> None:
         return None
 
@@ -209,7 +209,7 @@ def test_without_the_library_it_says_how_to_get_it(tmp_path: Path, monkeypatch: 
         export(session, tmp_path / "one.mcap")
 
 
-def test_a_long_session_is_never_read_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_session_is_read_part_by_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     batches = [new_batch(Touch, 20, start=s + k * 200 * ms, seed=k) for k in range(30)]
     session = record(tmp_path, batches)  # 30 parts
     held, written, most = 0, 0, 0
@@ -227,13 +227,13 @@ def test_a_long_session_is_never_read_whole(tmp_path: Path, monkeypatch: pytest.
         written = rows
 
     monkeypatch.setattr(Session, "read", counted)
-    monkeypatch.setattr(mcap_file, "_OFTEN", 10)
+    monkeypatch.setattr(mcap_file, "_BATCH", 10)
     export(session, tmp_path / "one.mcap", progress)
     assert written == 600
     assert most <= 40  # a part and what was not told yet
 
 
-def test_what_fails_leaves_nothing_and_what_is_there_stays(tmp_path: Path) -> None:
+def test_a_failed_export_leaves_no_file_and_existing_files_stay(tmp_path: Path) -> None:
     session = record(tmp_path / "data", [new_batch(Touch, 50, start=s), new_batch(Motion, 50, start=s)])
     last = max(session.folder.glob("touch/*.parquet"))
     last.write_bytes(last.read_bytes()[:-1])

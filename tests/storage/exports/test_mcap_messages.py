@@ -23,7 +23,7 @@ def types(found: Any) -> list[Any]:  # noqa: ANN401 - any part of a schema
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_a_schema_is_one_that_foxglove_reads(table: Table) -> None:
+def test_foxglove_can_read_a_schema(table: Table) -> None:
     found = schema(table, table.kind)
     Draft202012Validator.check_schema(found)
     assert set(types(found)) <= SIMPLE  # it knows no list of types, and no null
@@ -34,7 +34,7 @@ def test_a_schema_is_one_that_foxglove_reads(table: Table) -> None:
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
-def test_a_message_keeps_its_schema(table: Table) -> None:
+def test_a_message_matches_its_schema(table: Table) -> None:
     validator: Any = Draft202012Validator(schema(table, table.kind))
     batch = new_batch(table.kind, 20, start=s)
     for name, column in table.columns.items():
@@ -44,7 +44,7 @@ def test_a_message_keeps_its_schema(table: Table) -> None:
         validator.validate(json.loads(message))
 
 
-def test_a_message_has_the_row_by_the_names_of_its_columns() -> None:
+def test_a_message_has_the_columns_of_the_row() -> None:
     velocity, pose = np.array([[0.1, 0, -0.2, 0, 0, 1e-9]]), np.full((1, 6), np.nan)
     pose[0, 2] = 0.5
     times = np.array([1_700_000_000_123_456_789])
@@ -59,7 +59,7 @@ def test_a_message_has_the_row_by_the_names_of_its_columns() -> None:
     }
 
 
-def test_what_is_unknown_is_left_out() -> None:
+def test_unknown_values_are_omitted() -> None:
     slips = Slips(np.array([5]), np.array([1], np.int8), np.array([4]), np.array([np.nan]), finger=2)
     ((_, data),) = messages(SLIPS, slips)
     assert json.loads(data) == {
@@ -73,19 +73,19 @@ def test_what_is_unknown_is_left_out() -> None:
     assert "drift" not in json.loads(data)
 
 
-def test_topics_are_by_fingertip_where_that_helps() -> None:
+def test_topics_of_fingertip_tables_have_the_number() -> None:
     found = [topic(table, 3 if table.finger else EVERY) for table in TABLES]
     assert found == [
         *("/touch/3", "/motion", "/samples/3", "/slip/3", "/faults", "/clocks", "/episodes", "/truth/3")
     ]
 
 
-def test_zeroed_counts_have_a_schema_of_their_own() -> None:
+def test_zeroed_counts_have_a_separate_schema() -> None:
     assert schema(TOUCH, Zeroed)["title"] == "slipflow.Zeroed"
 
 
-def test_a_row_of_before_1970_is_refused() -> None:
-    with pytest.raises(InputError, match="motion, a row at -1 ns: is of before 1970"):
+def test_a_row_from_before_1970_is_an_error() -> None:
+    with pytest.raises(InputError, match="motion, a row at -1 ns: is from before 1970"):
         list(messages(MOTION, new_batch(Motion, 1, start=-1)))
 
 

@@ -33,7 +33,7 @@ def read(path: Path) -> dict[str, dict[str, list[Any]]]:
 
 
 @pytest.mark.rerun
-def test_counts_come_back_at_their_times_and_none_of_a_mute_cell(tmp_path: Path) -> None:
+def test_counts_have_their_times_and_gaps_for_a_missing_cell(tmp_path: Path) -> None:
     batches = [new_batch(Touch, 50, start=s + finger, finger=finger, seed=finger) for finger in (0, 2)]
     path = tmp_path / "one.rrd"
     assert export(record(tmp_path, batches), path) == {"/touch/0": 50, "/touch/2": 50}
@@ -47,7 +47,7 @@ def test_counts_come_back_at_their_times_and_none_of_a_mute_cell(tmp_path: Path)
 
 
 @pytest.mark.rerun
-def test_speeds_are_those_of_the_arm_and_of_the_contact(tmp_path: Path) -> None:
+def test_speeds_of_arm_and_contact_are_separate_series(tmp_path: Path) -> None:
     motion, samples = new_batch(Motion, 30, start=s), new_batch(Labelled, 40, start=s, finger=1)
     motion.velocity[:] = np.arange(180).reshape(30, 6)
     path = tmp_path / "one.rrd"
@@ -59,7 +59,7 @@ def test_speeds_are_those_of_the_arm_and_of_the_contact(tmp_path: Path) -> None:
 
 
 @pytest.mark.rerun
-def test_the_probability_is_what_the_detector_says(tmp_path: Path) -> None:
+def test_the_probability_is_the_detectors_output(tmp_path: Path) -> None:
     touch = new_batch(Touch, 300, start=s)
     touch.valid[:] = True
     touch.counts[:] = 700 + np.arange(300)[:, None] % 7
@@ -95,7 +95,7 @@ def test_slips_and_faults_are_lines_of_text(tmp_path: Path) -> None:
 
 
 @pytest.mark.rerun
-def test_the_file_says_what_the_session_says(tmp_path: Path) -> None:
+def test_the_file_has_the_session_description(tmp_path: Path) -> None:
     session, path = record(tmp_path, [new_batch(Touch, 5)]), tmp_path / "one.rrd"
     export(session, path)
     [[text]] = read(path)["/session"]["TextDocument:text"]
@@ -103,7 +103,7 @@ def test_the_file_says_what_the_session_says(tmp_path: Path) -> None:
 
 
 @pytest.mark.rerun
-def test_what_fails_leaves_nothing_and_what_is_there_stays(
+def test_a_failed_export_leaves_no_file_and_existing_files_stay(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     session, path = record(tmp_path / "data", [new_batch(Touch, 50)]), tmp_path / "one.rrd"
@@ -113,9 +113,9 @@ def test_what_fails_leaves_nothing_and_what_is_there_stays(
         Path(written).write_bytes(content[: len(content) // 2])
         check(written, claimed)
 
-    check = rrd_file.require_whole
+    check = rrd_file.check_complete
     with monkeypatch.context() as patched:
-        patched.setattr(rrd_file, "require_whole", torn)
+        patched.setattr(rrd_file, "check_complete", torn)
         with pytest.raises(EndpointError, match="not written whole"):
             export(session, path)
     last = max(session.folder.glob("touch/*.parquet"))
@@ -129,7 +129,7 @@ def test_what_fails_leaves_nothing_and_what_is_there_stays(
     assert path.read_text() == "mine"
 
 
-def test_without_the_library_it_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_library_is_an_error_with_the_fix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def nothing(_: str) -> None:
         return None
 
