@@ -1,7 +1,7 @@
-"""One fingertip where it is mounted: score it, tell the broker of each slip, and record it if asked to.
+"""Flow of one fingertip: score it, publish each slip event, and optionally record it.
 
-Run by the unit and the container in this folder. It is made to be copied and changed.
-"""  # noqa: INP001 - no package: it runs where it was copied to
+The systemd unit and the container in this folder run it. Copy and change it as needed.
+"""  # noqa: INP001 - runs from where it was copied to
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ def fingertip(
     rig: str = "fingertip",
     out: Path | None = None,
 ) -> Flow:
-    """Score row `row` of I2C bus `bus`, none: of the simulated rig; record into `out`, none: nowhere."""
+    """Score row `row` of I2C bus `bus` (none: the simulated rig); record into `out` (none: do not record)."""
     flow = Flow("fingertip")
     touch = flow.source(SimulatedRig().touch if bus is None else TakkTile(bus, (row,)))
     debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
@@ -33,7 +33,7 @@ def fingertip(
         rules = debounce.threshold, debounce.consecutive
         sinks.append(
             Mqtt(broker, site, rig, identify_detector(detector), *rules, connect_required=False)
-        )  # it records meanwhile
+        )  # record even without a broker
     if out:
         dataset = Dataset(out)
         touch.to(dataset)

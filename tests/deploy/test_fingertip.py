@@ -80,4 +80,4 @@ def test_it_records_while_its_broker_is_away_and_keeps_the_events(tmp_path: Path
     session = Session.open(tmp_path / "out" / "sessions" / "edge")
     assert sum(len(batch) for batch in session.read(Touch, 0)) == told["rows"] > 0
     assert "Connection refused" in done.stderr
-    assert re.search(r": [1-9]\d* events wait in \S+ for the next run", done.stderr)
+    assert re.search(r": [1-9]\d* unsent events remain in \S+; the next run sends them", done.stderr)

@@ -1,7 +1,7 @@
-"""Write requirements.txt, edge.txt and build.txt anew: the newest versions, and the hashes of their files.
+"""Write requirements.txt, edge.txt and build.txt with the newest versions and the hashes of their files.
 
-Run it after a dependency changed: .venv/bin/python deploy/lock.py. It downloads descriptions only.
-"""  # noqa: INP001 - no package: it is run by its path
+Run after changing dependencies: .venv/bin/python deploy/pin_requirements.py. It downloads metadata only.
+"""  # noqa: INP001 - a script, not a package
 
 import json
 import subprocess
@@ -12,22 +12,22 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-LEFT_OUT = ("numba", "polars", "scipy")  # at the edge: the flow there works without
+EDGE_WITHOUT = ("numba", "polars", "scipy")  # the flow at the edge works without them
 PYTHONS = ("3.11", "3.13")  # Debian 12 and 13
 GLIBC = {
     "x86_64": (5, 12, 17, 27, 28),
     "aarch64": (17, 27, 28),
-}  # 2.x, the newest that Debian 12 and wheels have
+}  # 2.x, of manylinux tags up to that of Debian 12
 
-ALL = "# All that the project depends on, on x86_64 and aarch64 with Python 3.11 or 3.13."
-EDGE = "# What one fingertip needs, to be published and recorded: not numba, polars and scipy."
-BUILD = "# What makes the wheel."
+ALL = "# All dependencies, for x86_64 and aarch64 with Python 3.11 or 3.13."
+EDGE = "# Dependencies of one fingertip that publishes and records: without numba, polars and scipy."
+BUILD = "# Build tools of the wheel."
 
 
 def resolve(wanted: Sequence[str], python: str, machine: str) -> list[dict[str, Any]]:
-    """What pip would install there."""
+    """Return the packages that pip would install for a Python version and machine."""
     platforms = [f"manylinux_2_{minor}_{machine}" for minor in GLIBC[machine]] + [f"manylinux2014_{machine}"]
-    where = [word for each in platforms for word in ("--platform", each)]
+    platform_options = [word for each in platforms for word in ("--platform", each)]
     pip = [
         sys.executable,
         "-m",
@@ -39,14 +39,14 @@ def resolve(wanted: Sequence[str], python: str, machine: str) -> list[dict[str, 
         "--report",
         "-",
     ]
-    there = ["--only-binary", ":all:", "--implementation", "cp", "--python-version", python, "--target", "."]
-    done = subprocess.run([*pip, *there, *where, *wanted], stdout=subprocess.PIPE, check=True)  # noqa: S603 - ours
+    target = ["--only-binary", ":all:", "--implementation", "cp", "--python-version", python, "--target", "."]
+    done = subprocess.run([*pip, *target, *platform_options, *wanted], stdout=subprocess.PIPE, check=True)  # noqa: S603 - fixed arguments
     report: dict[str, Any] = json.loads(done.stdout)
     return list(report["install"])
 
 
 def pins(wanted: Sequence[str]) -> dict[str, set[str]]:
-    """The hashes of each package==version, the same version everywhere."""
+    """Return the hashes of each package==version, with one version for all platforms."""
     found = dict[str, set[str]]()
     for python in PYTHONS:
         for machine in GLIBC:
@@ -58,7 +58,7 @@ def pins(wanted: Sequence[str]) -> dict[str, set[str]]:
 
 
 def write(name: str, title: str, found: dict[str, set[str]]) -> None:
-    """One file, as `pip install --require-hashes -r` takes it."""
+    """Write a file for `pip install --require-hashes -r`."""
     lines = [title]
     for pin, hashes in sorted(found.items()):
         lines.append(" \\\n".join([pin, *(f"    --hash=sha256:{each}" for each in sorted(hashes))]))
@@ -66,11 +66,11 @@ def write(name: str, title: str, found: dict[str, set[str]]) -> None:
 
 
 def main() -> None:
-    """Write them."""
+    """Write the three files."""
     project = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
     wanted: list[str] = project["project"]["dependencies"]
     everything = pins(wanted)
-    small = pins([each for each in wanted if not each.startswith(LEFT_OUT)])
+    small = pins([each for each in wanted if not each.startswith(EDGE_WITHOUT)])
     write("requirements.txt", ALL, everything)
     write("edge.txt", EDGE, {pin: everything[pin] for pin in small})
     write("build.txt", BUILD, pins(project["build-system"]["requires"]))
