@@ -232,8 +232,8 @@ def _statistics(of: Measurements) -> Section:
     text = (
         "*Distance* of a row: how far its values lie outside the published range, in units of the published "
         "standard deviation for levels and of the middle of the range otherwise, averaged over the "
-        f"barometers; of the scene: the mean of the rows, **{far:.2f}**. At 0 the published figures could "
-        "not tell the scene from real recordings. Values by barometer are in the order 0 to 5. The "
+        f"barometers; of the scene: the mean of the rows, **{far:.2f}**. At 0 the published figures would "
+        "not distinguish the scene from real recordings. Values by barometer are in the order 0 to 5. The "
         "published figures are "
         'those of "Under Pressure" (2021) and of its authors\' public logs and plots; the real trace is one '
         "short recording on another material, for scale. Levels by barometer differ most: in the real "

@@ -30,7 +30,7 @@ class Outcome(Protocol):
 
     @property
     def ending(self) -> str:
-        """How the trial ended."""
+        """Name of the way in which the trial ended."""
         ...
 
     @property
