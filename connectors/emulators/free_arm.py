@@ -1,4 +1,4 @@
-"""An arm in free space: it goes where it is commanded, and touches nothing."""
+"""An arm in free space that follows velocity commands."""
 
 from math import inf
 
@@ -9,11 +9,11 @@ from operators.rotation import turned
 
 
 class FreeArm:
-    """An arm that obeys velocities; a controller can drive it where no fingertip is of interest.
+    """An arm that follows velocity commands, without contact.
 
     Args:
-        pose: (6,) m and rotation vector, where it is at first.
-        acceleration: At which it changes its velocity, m/s2 and rad/s2.
+        pose: Initial pose, (6,) m and rotation vector.
+        acceleration: Limit of the change of velocity (m/s2 and rad/s2, default none).
 
     >>> arm = FreeArm(np.zeros(6))
     >>> forward = np.array([[0.1, 0, 0, 0, 0, 0.5]])
@@ -24,32 +24,32 @@ class FreeArm:
     """
 
     def __init__(self, pose: Reals, acceleration: float = inf) -> None:
-        self._pose, self._velocity, self._aim = pose.astype(np.float64), np.zeros(6), np.zeros(6)
+        self._pose, self._velocity, self._target = pose.astype(np.float64), np.zeros(6), np.zeros(6)
         self._acceleration = acceleration
         self._time: int | None = None  # ns
-        self._orders: list[tuple[int, Reals]] = []
+        self._pending: list[tuple[int, Reals]] = []
 
     def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Pose (6,) and velocity (6,) at an instant (ns) that never goes back."""
-        while self._orders and self._orders[0][0] <= time:
-            instant, aim = self._orders.pop(0)
+        """Return pose (6,) and velocity (6,) at an instant (ns), which never decreases."""
+        while self._pending and self._pending[0][0] <= time:
+            instant, target = self._pending.pop(0)
             self._move(instant)
-            self._aim = aim
+            self._target = target
         self._move(time)
         return self._pose.copy(), self._velocity.copy()
 
     def command(self, commands: Commands) -> None:
-        """Obey velocities from their times on, in order; NaN ones are none."""
+        """Apply velocities from their times on, in order; NaN for no change."""
         for time, velocity in zip(commands.time.tolist(), commands.velocity, strict=True):
             if not np.isnan(velocity).any():
-                self._orders.append((time, velocity.copy()))
+                self._pending.append((time, velocity.copy()))
 
     def _move(self, time: int) -> None:
-        """Go on until an instant (ns)."""
+        """Move until an instant (ns)."""
         if self._time is None or time <= self._time:
             self._time = time if self._time is None else self._time
             return
-        span, change = (time - self._time) / s, self._aim - self._velocity
+        span, change = (time - self._time) / s, self._target - self._velocity
         ramp = float(np.linalg.norm(change)) / self._acceleration  # s
         rising = min(span, ramp)
         velocity = self._velocity + change * (span / ramp if ramp > span else 1.0)

@@ -1,15 +1,16 @@
-"""The arm: a plan's moves as trapezoids of velocity, in closed form, at any instants.
+"""Arm motion: the moves of a plan as trapezoidal velocity profiles, in closed form at any instants.
 
 With t the time since a move began (s)::
 
     V = speed clip(min(t - rest, seconds - t) / ramp, 0, 1)            ramp = speed / acceleration (s)
     F = F0 + (F1 - F0) u^2 (3 - 2 u),  u = clip(t / settle, 0, 1)      normal force (N)
-    P = 4 tap u (1 - u),               u = clip((t - rest) / 10 ms, 0, 1)   push from outside (N)
+    P = 4 tap u (1 - u),               u = clip((t - rest) / 10 ms, 0, 1)   external force (N)
 
-V is along the move's direction (m/s) or, in a rotation, about the fingertip's normal through the TCP (rad/s).
+V is along the direction of the move (m/s) or, for a rotation, about the fingertip's normal at the TCP
+(rad/s).
 
-The fingertip looks down: at yaw 0 its x is the base's x, its y and z are opposite to the base's. Turned by
-yaw q about its normal, its rotation vector is pi (cos q/2, -sin q/2, 0).
+The fingertip faces down: at yaw 0 its x axis is that of the base, its y and z axes are opposite to the
+base's. At yaw q about its normal, its rotation vector is pi (cos q/2, -sin q/2, 0).
 """
 
 import math
@@ -23,12 +24,12 @@ from connectors.sim.contact import compiled
 from connectors.sim.scene import Move, Sampler, Scene
 from operators.batch import Motion, Reals, s
 
-TAP: Final = 0.01  # s
-CONTROLLER_START: Final = 3600.0  # s that the controller had been up when the run began
+TAP_DURATION: Final = 0.01  # s
+CONTROLLER_UPTIME: Final = 3600.0  # s at the beginning of a run
 
 
 class Course(NamedTuple):
-    """One move in numbers."""
+    """Constants of one move."""
 
     start: float  # s
     seconds: float
@@ -37,17 +38,17 @@ class Course(NamedTuple):
     speed: float  # m/s or, of a rotation, rad/s
     spins: bool
     along: tuple[float, float]  # of the direction, in the fingertip's frame
-    onward: tuple[float, float]  # the same as the place is seen
-    place: tuple[float, float, float]  # m, m, rad at its start
-    end: tuple[float, float, float]  # m, m, rad at its end
+    onward: tuple[float, float]  # of the direction, in the frame of the position
+    place: tuple[float, float, float]  # m, m, rad at the start
+    end: tuple[float, float, float]  # m, m, rad at the end
     tap: float  # N
     settle: float  # s
-    first: float  # N, at its start
-    last: float  # N, once it has settled
+    first: float  # N at the start
+    last: float  # N after settling
 
 
 def course(move: Move, start: float, place: tuple[float, float, float], force: float, scene: Scene) -> Course:
-    """A move that begins at `start` (s) at a place (m, m, rad) and a force (N)."""
+    """Return the course of a move that begins at `start` (s), at a position (m, m, rad) and a force (N)."""
     heading, spins = math.radians(move.direction_deg), move.motion == "rotation"
     acceleration = scene.spin_acceleration if spins else scene.acceleration
     ramp = min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
@@ -102,49 +103,49 @@ def follow(course: Course, times: Reals, drive: Reals, place: Reals) -> None:
             u = min(max(t / course.settle, 0.0), 1.0)
             drive[i, 3] = course.first + (course.last - course.first) * u * u * (3 - 2 * u)
         if course.tap != 0.0:
-            u = min(max((t - course.rest) / TAP, 0.0), 1.0)
+            u = min(max((t - course.rest) / TAP_DURATION, 0.0), 1.0)
             push = 4 * course.tap * u * (1 - u)
             drive[i, 4], drive[i, 5] = push * course.along[0], push * course.along[1]
 
 
 class Arm:
-    """Follows a scene's plan once, from its beginning, and what it is commanded meanwhile.
+    """An arm that executes the plan of a scene once, and commands.
 
     Args:
         scene: The scene.
-        seed: What the plan draws from.
-        begun: Told of every move when it begins, with its start (s).
-        orders: Commands that replace what the plan says.
+        seed: Random seed of the plan.
+        on_move: Called with each move and its start (s) when it begins.
+        commands: Commands that replace the plan.
     """
 
     def __init__(
         self,
         scene: Scene,
         seed: int,
-        begun: Callable[[Move, float], None] | None = None,
-        orders: CommandQueue | None = None,
+        on_move: Callable[[Move, float], None] | None = None,
+        commands: CommandQueue | None = None,
     ) -> None:
         self._moves: Iterator[Move] = scene.plan.moves(np.random.default_rng([seed, 0]))
-        self._scene, self._begun = scene, begun
-        self._obedience = None if orders is None else CommandFollower(orders, scene)
-        self._course: Course | None = None  # of the present move; None when the plan has ended
-        self._end = 0.0  # s, of the move
+        self._scene, self._on_move = scene, on_move
+        self._follower = None if commands is None else CommandFollower(commands, scene)
+        self._course: Course | None = None  # current move; None after the plan
+        self._end = 0.0  # s, of the current move
         self._next((0.0, 0.0, 0.0), 0.0)
 
     def _next(self, place: tuple[float, float, float], force: float) -> None:
-        """Begin the next move at a place (m, m, rad) and a force (N)."""
+        """Begin the next move at a position (m, m, rad) and a force (N)."""
         self._course = None
         if (move := next(self._moves, None)) is not None:
             self._course = course(move, self._end, place, force, self._scene)
-            if self._begun is not None:
-                self._begun(move, self._end)
+            if self._on_move is not None:
+                self._on_move(move, self._end)
             self._end += move.seconds
 
     def at(self, times: Reals) -> Trajectory:
-        """The path at instants (k,) (s) that never go back; shorter where the plan ends before the last."""
-        if self._obedience is None:
+        """Return the trajectory at increasing instants (k,) (s); shorter if the plan ends before the last."""
+        if self._follower is None:
             return self._planned(times)
-        return self._obedience.path(times, self._planned)
+        return self._follower.trajectory(times, self._planned)
 
     def _planned(self, times: Reals) -> Trajectory:
         k, done = len(times), 0
@@ -161,30 +162,30 @@ class Arm:
 
 
 def in_base(path: Trajectory) -> tuple[Reals, Reals]:
-    """Velocity and pose of the TCP in the robot's base frame: (k, 6) m/s, rad/s and (k, 6) m, rad."""
+    """Return velocity and pose of the TCP in the base frame: (k, 6) m/s, rad/s and (k, 6) m, rad."""
     x, y, yaw = path.place.T
     vx, vy, spin = path.velocity.T
-    cos, sin, nought = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
-    velocity = [cos * vx - sin * vy, -sin * vx - cos * vy, nought, nought, nought, -spin]
-    pose = [x, -y, nought, math.pi * np.cos(yaw / 2), -math.pi * np.sin(yaw / 2), nought]
+    cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    velocity = [cos * vx - sin * vy, -sin * vx - cos * vy, zero, zero, zero, -spin]
+    pose = [x, -y, zero, math.pi * np.cos(yaw / 2), -math.pi * np.sin(yaw / 2), zero]
     return np.stack(velocity, axis=1), np.stack(pose, axis=1)
 
 
 class Controller:
-    """What the arm's controller says of its own motion, a stretch at a time."""
+    """Motion samples that the arm's controller reports."""
 
-    def __init__(self, scene: Scene, seed: int, orders: CommandQueue | None = None) -> None:
-        self._arm = Arm(scene, seed, orders=orders)
+    def __init__(self, scene: Scene, seed: int, commands: CommandQueue | None = None) -> None:
+        self._arm = Arm(scene, seed, commands=commands)
         self._sampler = Sampler(scene.motion, np.random.default_rng([seed, 1]))
 
     def take(self, samples: int) -> Motion | None:
-        """The next samples, stamped from the run's start; fewer where the plan ends, None after it."""
+        """Return the next samples, stamped from the start of the run; fewer when the plan ends, then None."""
         t = self._sampler.instants(samples)  # (k,) s
         velocity, pose = in_base(self._arm.at(t))
         if not len(velocity):
             return None
         t = t[: len(velocity)]
         time, arrive = self._sampler.stamp(len(t))
-        stamps = CONTROLLER_START + t * (1 + self._sampler.timing.drift)  # s
+        stamps = CONTROLLER_UPTIME + t * (1 + self._sampler.timing.drift)  # s
         motion = Motion(time, np.rint(stamps * s).astype(np.int64), velocity, pose)
         return motion if arrive.all() else motion[arrive]

@@ -1,12 +1,12 @@
-"""The rig's hand: a flow commands grip force and arm motion while the scene runs.
+"""Commanded motion: a flow commands normal force and arm velocity while the scene runs.
 
-What is commanded replaces what the plan says, from the command's own time on. With t (s) since then::
+A command replaces the plan from its own time on. With t (s) since then::
 
     F = F0 + clip(F1 - F0, -r t, r t)             normal force (N), r `Scene.force_rate`
     V = V0 + (V1 - V0) u,  u = clip(t / T, 0, 1)  velocity, T from `Scene.acceleration`, `spin_acceleration`
 
-Both sources and all fingertips obey at one instant: the command's, or the furthest that any of them has
-simulated by then. So the same commands at the same event times give the same bytes, as long as each arrives
+All sources and fingertips apply a command at one instant: its own time, or the latest instant that is already
+simulated. So the same commands at the same event times give identical output, provided that each arrives
 before its time is simulated: always in virtual time, and on a host that keeps the pace.
 """
 
@@ -25,137 +25,143 @@ from operators.batch import Commands, Reals, s
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Where the arm is, how it moves and how hard it presses at k instants."""
+    """Position, velocity and normal force of the arm at k instants."""
 
-    drive: Reals  # (k, 6) what follows, side by side
-    place: Reals  # (k, 3) m, m, rad of the TCP, seen along the normal from where it began
+    drive: Reals  # (k, 6) velocity, force and push, as below
+    place: Reals  # (k, 3) m, m, rad of the TCP, relative to its start, seen along the normal
 
     @classmethod
     def blank(cls, k: int) -> "Trajectory":
-        """Nothing yet, at k instants."""
+        """Return a trajectory of zeros at k instants."""
         return cls(np.zeros((k, 6)), np.zeros((k, 3)))
 
     @property
     def velocity(self) -> Reals:
-        """Of the TCP in the fingertip's frame, a view: (k, 3) m/s, m/s, rad/s."""
+        """View of the TCP velocity in the fingertip's frame: (k, 3) m/s, m/s, rad/s."""
         return self.drive[:, :3]
 
     @property
     def force(self) -> Reals:
-        """Normal force, a view: (k,) N."""
+        """View of the normal force: (k,) N."""
         return self.drive[:, 3]
 
     @property
     def push(self) -> Reals:
-        """From outside, in the fingertip's frame, a view: (k, 2) N."""
+        """View of the external force in the fingertip's frame: (k, 2) N."""
         return self.drive[:, 4:]
 
     def __len__(self) -> int:
         return len(self.place)
 
     def __getitem__(self, rows: slice) -> "Trajectory":
-        """A view of some of the instants."""
+        """Return a view of some instants."""
         return Trajectory(self.drive[rows], self.place[rows])
 
     def without(self, rows: NDArray[np.intp]) -> "Trajectory":
-        """A copy without some of the instants."""
+        """Return a copy without some instants."""
         return Trajectory(np.delete(self.drive, rows, axis=0), np.delete(self.place, rows, axis=0))
 
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """What one command aims at."""
+    """Target of one command."""
 
-    time: int  # ns, from which it is obeyed
-    force: float  # N; NaN: as it was
-    velocity: tuple[float, float, float]  # m/s, m/s, rad/s seen along the normal; NaN: as it was
+    time: int  # ns, from which it applies
+    force: float  # N; NaN for no change
+    velocity: tuple[float, float, float]  # m/s, m/s, rad/s seen along the normal; NaN for no change
 
 
 class CommandQueue:
-    """The commands of one run, in the order in which they are obeyed; they are kept for each arm to obey."""
+    """Commands of one run in the order in which they apply, kept until every arm has passed them.
+
+    Attributes:
+        setpoints: Pending setpoints.
+        dropped: Number of setpoints that were dropped before the first pending one.
+    """
 
     def __init__(self) -> None:
-        self.given: list[Setpoint] = []
-        self.forgotten = 0  # aims that came before the first of `given`
-        self._origin = self._reached = 0  # ns
+        self.setpoints: list[Setpoint] = []
+        self.dropped = 0
+        self._origin = self._simulated = 0  # ns
 
     def begin(self, origin: int) -> None:
-        """A run begins at `origin` (ns)."""
-        self._origin = self._reached = origin
+        """Begin a run at `origin` (ns)."""
+        self._origin = self._simulated = origin
 
-    def give(self, commands: Commands) -> None:
-        """Take commands; what is already simulated stays as it is."""
+    def add(self, commands: Commands) -> None:
+        """Add commands; they cannot change what is already simulated."""
         rows = zip(commands.time.tolist(), commands.force.tolist(), commands.velocity, strict=True)
-        for time, force, (x, y, _, _, _, turn) in rows:
-            grip = max(force, 0.0)  # in this order: NaN stays NaN
-            aim = Setpoint(max(time, self._reached), grip, (float(x), -float(y), -float(turn)))
-            insort(self.given, aim, key=attrgetter("time"))
+        for time, force, (x, y, _, _, _, spin) in rows:
+            grip = max(force, 0.0)  # in this order NaN stays NaN
+            setpoint = Setpoint(max(time, self._simulated), grip, (float(x), -float(y), -float(spin)))
+            insort(self.setpoints, setpoint, key=attrgetter("time"))
 
-    def forget(self, before: int) -> None:
-        """Drop what was to be obeyed before an instant (ns) that every arm of the run has passed."""
-        done = bisect_left(self.given, before, key=attrgetter("time"))
-        self.forgotten += done
-        del self.given[:done]
+    def drop_before(self, instant: int) -> None:
+        """Drop setpoints before an instant (ns) that every arm of the run has passed."""
+        done = bisect_left(self.setpoints, instant, key=attrgetter("time"))
+        self.dropped += done
+        del self.setpoints[:done]
 
-    def instant(self, aim: Setpoint) -> float:
-        """When it is obeyed, s since the run began."""
-        return max(0, aim.time - self._origin) / s
+    def instant(self, setpoint: Setpoint) -> float:
+        """Return when a setpoint applies (s since the run began)."""
+        return max(0, setpoint.time - self._origin) / s
 
-    def reach(self, instant: float) -> None:
-        """The scene is simulated up to `instant` (s)."""
-        self._reached = max(self._reached, self._origin + round(instant * s))
+    def mark_simulated(self, instant: float) -> None:
+        """Record that the scene is simulated up to `instant` (s)."""
+        self._simulated = max(self._simulated, self._origin + round(instant * s))
 
 
 class CommandFollower:
-    """Bends one arm's planned path to the orders.
+    """Replaces the planned trajectory of one arm by the commanded one.
 
     Args:
-        orders: They may grow while the arm moves, beyond what is simulated.
-        scene: Says how fast force and velocity can change.
+        commands: Commands; more may be added while the arm moves.
+        scene: Scene with the rates at which force and velocity change.
     """
 
-    def __init__(self, orders: CommandQueue, scene: Scene) -> None:
-        self._orders, self._scene = orders, scene
-        self._obeyed = 0  # of the orders, the forgotten ones included
-        self._grip: tuple[float, float, float] | None = None  # s, N, N: since when, from, to
-        self._course: tuple[float, Reals, Reals, Reals] | None = None  # since when, place, from, to
+    def __init__(self, commands: CommandQueue, scene: Scene) -> None:
+        self._commands, self._scene = commands, scene
+        self._applied = 0  # setpoints so far, dropped ones included
+        self._grip: tuple[float, float, float] | None = None  # start (s), initial and final force (N)
+        # start (s), position, initial and final velocity
+        self._course: tuple[float, Reals, Reals, Reals] | None = None
 
-    def path(self, times: Reals, planned: Callable[[Reals], Trajectory]) -> Trajectory:
-        """The path at instants (k,) (s) that never go back; shorter where the plan ends before the last."""
-        given, first = self._orders.given, self._obeyed - self._orders.forgotten
+    def trajectory(self, times: Reals, planned: Callable[[Reals], Trajectory]) -> Trajectory:
+        """Return the trajectory at increasing instants (k,) (s); shorter if the plan ends before the last."""
+        pending, first = self._commands.setpoints, self._applied - self._commands.dropped
         due = first
-        while due < len(given) and len(times) and self._orders.instant(given[due]) <= times[-1]:
+        while due < len(pending) and len(times) and self._commands.instant(pending[due]) <= times[-1]:
             due += 1
         if len(times):
-            self._orders.reach(float(times[-1]))
-        aims, self._obeyed = given[first:due], due + self._orders.forgotten
-        if not aims and self._grip is None and self._course is None:
+            self._commands.mark_simulated(float(times[-1]))
+        setpoints, self._applied = pending[first:due], due + self._commands.dropped
+        if not setpoints and self._grip is None and self._course is None:
             return planned(times)
-        turns = np.array([self._orders.instant(aim) for aim in aims])  # (aims,) s
+        turns = np.array([self._commands.instant(setpoint) for setpoint in setpoints])  # (setpoints,) s
         places = np.searchsorted(times, turns)
         times, rows = np.insert(times, places, turns), places + np.arange(len(turns))
         path, begin = planned(times), 0
-        for aim, row in zip(aims, rows.tolist(), strict=True):
+        for setpoint, row in zip(setpoints, rows.tolist(), strict=True):
             if row >= len(path):
                 break
-            self._bend(times[begin : row + 1], path[begin : row + 1])
-            self._obey(aim, float(times[row]), path[row : row + 1])
+            self._replace(times[begin : row + 1], path[begin : row + 1])
+            self._apply(setpoint, float(times[row]), path[row : row + 1])
             begin = row + 1
-        self._bend(times[begin : len(path)], path[begin:])
-        return path.without(rows[rows < len(path)]) if aims else path
+        self._replace(times[begin : len(path)], path[begin:])
+        return path.without(rows[rows < len(path)]) if setpoints else path
 
-    def _obey(self, aim: Setpoint, now: float, path: Trajectory) -> None:
-        """Change the aims; nothing jumps, so the path at this instant stays as it is."""
-        if not math.isnan(aim.force):
-            self._grip = now, float(path.force[0]), aim.force
-        if not any(map(math.isnan, aim.velocity)):
+    def _apply(self, setpoint: Setpoint, now: float, path: Trajectory) -> None:
+        """Change the targets; the trajectory is continuous, so this instant keeps its values."""
+        if not math.isnan(setpoint.force):
+            self._grip = now, float(path.force[0]), setpoint.force
+        if not any(map(math.isnan, setpoint.velocity)):
             vx, vy, spin = path.velocity[0].tolist()
             cos, sin = math.cos(path.place[0, 2]), math.sin(path.place[0, 2])
             velocity = np.array([cos * vx - sin * vy, sin * vx + cos * vy, spin])
-            self._course = now, path.place[0].copy(), velocity, np.array(aim.velocity)
+            self._course = now, path.place[0].copy(), velocity, np.array(setpoint.velocity)
 
-    def _bend(self, times: Reals, path: Trajectory) -> None:
-        """Replace what is commanded at instants (k,)."""
+    def _replace(self, times: Reals, path: Trajectory) -> None:
+        """Replace commanded quantities at instants (k,)."""
         if self._grip is not None:
             since, first, last = self._grip
             change = self._scene.force_rate * (times - since)

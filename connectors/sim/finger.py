@@ -1,4 +1,4 @@
-"""One simulated fingertip: a scene and a seed to touch samples, a stretch at a time."""
+"""One simulated fingertip: touch samples and ground truth from a scene and a seed."""
 
 import math
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from operators.batch import Counts, Flags, Reals, Touch, Truth, s
 
 
 def contact_model(scene: Scene) -> contact.ContactModel:
-    """The constants of a scene's contact."""
+    """Return the constants of the contact of a scene."""
     p = scene.parameters
     return contact.ContactModel(
         step=p.step,
@@ -48,7 +48,7 @@ def contact_model(scene: Scene) -> contact.ContactModel:
 
 
 def pad(scene: Scene) -> contact.Pad:
-    """The nodes over a scene's surface."""
+    """Return the nodes of the pad over the surface of a scene."""
     p: Parameters = scene.parameters
     x, y = grid(p)
     kx, ky = scene.curvatures
@@ -56,8 +56,8 @@ def pad(scene: Scene) -> contact.Pad:
     return contact.Pad(x, y, gap)
 
 
-def shaking(vibration: Vibration, t: Reals) -> Reals:
-    """Velocity that a vibration adds to the arm's at instants (k,) (s): (k, 2) m/s."""
+def vibration_velocity(vibration: Vibration, t: Reals) -> Reals:
+    """Return the velocity of a vibration at instants (k,) (s): (k, 2) m/s."""
     pulse, heading = 2 * math.pi * vibration.frequency, math.radians(vibration.direction_deg)
     move_tip = pulse * vibration.amplitude * np.cos(pulse * t)
     return np.multiply.outer(move_tip, (math.cos(heading), math.sin(heading)))
@@ -67,14 +67,14 @@ class Finger:
     """A fingertip in a scene.
 
     Args:
-        scene: What happens to it.
-        seed: Of the plan, and with `finger` of its cells' rest levels and of all its noise.
-        finger: Which fingertip it is.
-        begun: Told of every move when it begins, with its start (s).
-        orders: Commands to the arm.
+        scene: The scene.
+        seed: Random seed of the plan and, with `finger`, of the cells' rest levels and of all noise.
+        finger: Number of the fingertip (default 0).
+        on_move: Called with each move and its start (s) when it begins.
+        commands: Commands to the arm.
 
     Attributes:
-        cells: Its barometers.
+        cells: Barometers of the fingertip.
     """
 
     def __init__(
@@ -82,16 +82,16 @@ class Finger:
         scene: Scene,
         seed: int,
         finger: int = 0,
-        begun: Callable[[Move, float], None] | None = None,
-        orders: CommandQueue | None = None,
+        on_move: Callable[[Move, float], None] | None = None,
+        commands: CommandQueue | None = None,
     ) -> None:
         p = self._p = scene.parameters
         self._scene, self._finger = scene, finger
-        self._arm = Arm(scene, seed, begun, orders)
+        self._arm = Arm(scene, seed, on_move, commands)
         self._model, self._pad = contact_model(scene), pad(scene)
         self._state = contact.FingerState.rest(p.columns * p.rows)
         self._ticks = 0
-        self._sensed = 0.0  # s, instant of the newest sample of `sense`
+        self._sensed = 0.0  # s, instant of the latest sample of `sense`
         body, timing, noise, warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
         self.cells = Barometers(p, scene.faults, body, noise, warmth)
         self._sampler = Sampler(scene.touch, timing)
@@ -102,56 +102,55 @@ class Finger:
         Fewer where the plan ends or samples are lost, None after the plan's end.
         """
         t = self._sampler.instants(samples)  # (k,) s
-        if (felt := self._feel(t, 1 / (self._scene.touch.rate * self._p.creep_time))) is None:
+        if (reading := self._read(t, 1 / (self._scene.touch.rate * self._p.creep_time))) is None:
             return None
-        counts, temperature, valid, happened = felt
+        counts, temperature, valid, truth = reading
         time, arrive = self._sampler.stamp(len(counts))
         touch = Touch(time, counts, temperature, valid, finger=self._finger)
-        return (touch, happened) if arrive.all() else (touch[arrive], happened[arrive])
+        return (touch, truth) if arrive.all() else (touch[arrive], truth[arrive])
 
     def sense(self, instant: float) -> tuple[Touch, Truth] | None:
-        """One sample at an instant of one's own choice (s since the run began), stamped with it.
+        """Return one sample at a chosen instant (s since the run began), stamped with it, and its truth.
 
-        For a fingertip that is read as a real one is: whenever the host comes round to it. It is not to be
-        mixed with `take`.
+        For a fingertip that a host reads on its own schedule. Do not mix it with `take`.
 
         Args:
-            instant: Later than the one before, by `Parameters.step` at least.
+            instant: At least `Parameters.step` after the previous one.
 
         Returns:
-            None once the plan has ended.
+            None after the end of the plan.
         """
         aged = (instant - self._sensed) / self._p.creep_time
-        if (felt := self._feel(np.array([instant]), aged)) is None:
+        if (reading := self._read(np.array([instant]), aged)) is None:
             return None
         self._sensed = instant
-        counts, temperature, valid, happened = felt
-        return Touch(happened.time, counts, temperature, valid, finger=self._finger), happened
+        counts, temperature, valid, truth = reading
+        return Touch(truth.time, counts, temperature, valid, finger=self._finger), truth
 
-    def _feel(self, t: Reals, aged: float) -> tuple[Counts, Counts, Flags, Truth] | None:
-        """Counts, temperatures, validity and truth at instants (k,) (s); None when the plan has ended.
+    def _read(self, t: Reals, aged: float) -> tuple[Counts, Counts, Flags, Truth] | None:
+        """Return counts, temperatures, validity and truth at instants (k,) (s); None after the plan.
 
         Args:
-            t: Fewer are felt where the plan ends before the last.
-            aged: Times of creep that pass from each instant to the next.
+            t: Instants; those after the end of the plan are left out.
+            aged: Time between instants, in creep time constants.
         """
         until = np.rint(t / self._p.step).astype(np.int64) - self._ticks
         drive = self._drive(int(until[-1]))
         t, until = t[until <= len(drive)], until[until <= len(drive)]
         if not len(t):
             return None
-        tractions, truth = contact.simulate(self._model, self._pad, self._state, drive, until)
+        tractions, contact_truth = contact.simulate(self._model, self._pad, self._state, drive, until)
         self._ticks += int(until[-1])
         counts, temperature, valid = self.cells.read(t, tractions, aged)
         velocity = np.zeros((len(t), 3))
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
         time = np.rint(t * s).astype(np.int64)
-        happened = Truth(time, truth[:, 0], truth[:, 1], velocity, finger=self._finger)
-        return counts, temperature, valid, happened
+        truth = Truth(time, contact_truth[:, 0], contact_truth[:, 1], velocity, finger=self._finger)
+        return counts, temperature, valid, truth
 
     def _drive(self, steps: int) -> Reals:
-        """The arm's next steps (steps, 6) for `contact.simulate`; fewer when the plan has ended."""
+        """Return the next steps (steps, 6) of the arm for `contact.simulate`; fewer when the plan ends."""
         t = np.arange(self._ticks, self._ticks + steps, dtype=np.float64) * self._p.step
         drive = self._arm.at(t).drive
         x, y = self._scene.offset
@@ -159,10 +158,10 @@ class Finger:
             drive[:, 0] -= drive[:, 2] * y
             drive[:, 1] += drive[:, 2] * x
         if self._scene.vibration is not None:
-            drive[:, :2] += shaking(self._scene.vibration, t[: len(drive)])
+            drive[:, :2] += vibration_velocity(self._scene.vibration, t[: len(drive)])
         return drive
 
 
 def compile_physics() -> None:
-    """Make the machine code, or load it from disk, before a live run starts its clock."""
+    """Compile the physics, or load it from the cache, before a live run starts its clock."""
     Finger(Scene(Moves((Move("hold", 1.0),))), 0).take(2)

@@ -15,7 +15,7 @@ from connectors.sim import body
 from connectors.sim.barometers import Barometers
 from connectors.sim.body import GRAVITY, GripModel
 from connectors.sim.contact import FingerState
-from connectors.sim.finger import contact_model, pad, shaking
+from connectors.sim.finger import contact_model, pad, vibration_velocity
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.physics_parameters import Parameters
@@ -265,7 +265,7 @@ class Grasp:
         if not steps:
             return drive
         if self._vibration is not None:
-            drive[:, :2] = shaking(self._vibration, t)
+            drive[:, :2] = vibration_velocity(self._vibration, t)
         if self._lift is not None and edges[-1] > self._lift.instant and t[0] < self._lift.end:
             drive[:, 1] += np.diff(self._lift.climbed(edges)) / self._step
         drive[:, 3] = self._forces(t)

@@ -1,4 +1,4 @@
-"""The simulated rig: fingertips and an arm as live sources, its hand as a sink, a peer of the hardware."""
+"""Simulated rig: fingertips and an arm as live sources, arm and gripper commands as a sink."""
 
 import asyncio
 from collections.abc import AsyncIterator, Iterator
@@ -15,7 +15,7 @@ from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Commands, Episod
 from operators.errors import ParameterError
 from operators.ports import Clock, Description, Json, Run, Sink, Source
 
-STRETCH: Final = 5.0  # s in one batch of a run that is not paced; joins keep motion for longer
+UNPACED_BATCH: Final = 5.0  # s of samples per batch of an unpaced run; joins buffer motion for longer
 
 
 class SimulatedRig:
@@ -28,13 +28,14 @@ class SimulatedRig:
     the same seed then gives the same bytes, stamped from the new beginning.
 
     Args:
-        scene: What happens; the default presses and strokes for ever.
-        seed: Of the plan, of the cells' individuality and of all noise.
-        pace: Simulated seconds per second of the clock; None: as fast as it goes, in large batches.
-        fingers: Fingertips that feel the same motion, each with noise and cells of its own.
+        scene: Scene to simulate (default `Scene()`: presses and strokes without end).
+        seed: Random seed; the same seed gives identical output.
+        pace: Simulated seconds per second of the clock (default 1); None for as fast as possible, in large
+            batches.
+        fingers: Fingertips that share one motion, each with its own noise and cells.
 
     Raises:
-        ParameterError: on a pace that is not above 0, or without fingertips.
+        ParameterError: if the pace is not above 0, or there is no fingertip.
 
     >>> rig = SimulatedRig(seed=1)
     >>> rig.touch.kind.__name__, rig.motion.kind.__name__, rig.touch.fingers
@@ -55,15 +56,15 @@ class SimulatedRig:
             raise ParameterError("SimulatedRig", "fingers", fingers, "at least one fingertip")
         self.scene = scene if scene is not None else Scene()
         self.seed, self.pace, self.fingers = seed, pace, fingers
-        self.touch = RigTouch(self)
-        self.motion = RigMotion(self)
-        self.hand = RigHand(self)
-        self.orders = CommandQueue()
-        self.episodes = RigAnnotation(self, Episodes, (EVERY,))
-        self.truth = RigAnnotation(self, Truth, fingers)
+        self.touch = SimulatedTouch(self)
+        self.motion = SimulatedMotion(self)
+        self.hand = SimulatedHand(self)
+        self.commands = CommandQueue()
+        self.episodes = GroundTruth(self, Episodes, (EVERY,))
+        self.truth = GroundTruth(self, Truth, fingers)
         self._origin = 0  # ns
         self._running: set[Source[Any]] = set()
-        self._given: dict[Source[Any], float] = {}  # batches that each source has given, if not paced
+        self._batches: dict[Source[Any], float] = {}  # batches from each source, if not paced
         self._advanced = asyncio.Event()
 
     def describe(self) -> Description:
@@ -76,38 +77,38 @@ class SimulatedRig:
         }
 
     def begin(self, source: Source[Any], clock: Clock) -> int:
-        """Origin (ns) of the run that a source takes part in: the present one, if it was not in it."""
+        """Add a source to the current run, or to a new one if it is in it already; return the origin (ns)."""
         if not self._running or source in self._running:
-            self._running, self._given, self._advanced = set(), {}, asyncio.Event()
+            self._running, self._batches, self._advanced = set(), {}, asyncio.Event()
             self._origin = clock.now()
-            self.orders.begin(self._origin)
+            self.commands.begin(self._origin)
             for each in (self.episodes, self.truth):
                 each.restart()
         self._running.add(source)
         return self._origin
 
     def schedule(self, timing: Timing) -> Iterator[tuple[int, int]]:
-        """When the next samples of a stream are due (ns), and how many they are."""
+        """Yield when the next samples of a stream are due (ns), and their number."""
         if self.pace is None:
             while True:
-                yield self._origin, max(1, round(STRETCH * timing.rate))
+                yield self._origin, max(1, round(UNPACED_BATCH * timing.rate))
         for taken in count():
             yield self._origin + round((taken / timing.rate + timing.latency) / self.pace * s), 1
 
-    async def turn(self, source: Source[Any]) -> None:
-        """Wait for this source's turn in a run that is not paced: both advance together, the arm ahead."""
-        given = self._given[source] = self._given.get(source, -1) + 1
+    async def wait_for_others(self, source: Source[Any]) -> None:
+        """Keep touch and motion of an unpaced run together, with the motion ahead."""
+        given = self._batches[source] = self._batches.get(source, -1) + 1
         self._advanced.set()
-        await asyncio.sleep(0)  # at the beginning the other one has yet to be asked
+        await asyncio.sleep(0)  # the other source may not have begun yet
         least = given + (source is self.touch)
         others = self._running & {self.touch, self.motion} - {source}
-        while any(self._given.get(other, 0) < least for other in others):
+        while any(self._batches.get(other, 0) < least for other in others):
             self._advanced.clear()
             await self._advanced.wait()
 
     def end(self, source: Source[Any]) -> None:
         """End the waiting for this source; after the touch, annotations end too."""
-        self._given[source] = inf
+        self._batches[source] = inf
         self._advanced.set()
         if source is self.touch:
             self.episodes.end()
@@ -125,7 +126,7 @@ class SimulatedRig:
             self.episodes.add(episode(move, begin, end, self.scene))
 
 
-class RigTouch(Source[Touch]):
+class SimulatedTouch(Source[Touch]):
     """The simulated fingertips; made by `SimulatedRig`."""
 
     def __init__(self, rig: SimulatedRig) -> None:
@@ -142,13 +143,13 @@ class RigTouch(Source[Touch]):
         return self._rig.fingers
 
     async def prepare(self) -> None:
-        """Compile the physics: seconds the first time, then a fraction of one."""
+        """Compile the physics, which takes seconds the first time and less than one afterwards."""
         from connectors.sim.finger import compile_physics  # noqa: PLC0415 - loads numba: only to run
 
         await asyncio.to_thread(compile_physics)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """Samples of each fingertip in turn: one at a time when paced."""
+        """Yield samples of each fingertip in turn, one at a time when paced."""
         rig = self._rig
         origin = rig.begin(self, clock)
         await asyncio.sleep(0)  # the annotations begin too, before the first move does
@@ -156,12 +157,12 @@ class RigTouch(Source[Touch]):
 
         moves = [rig.add_move, *[None] * len(rig.fingers)]
         fingers = [
-            Finger(rig.scene, rig.seed, finger, begun, rig.orders)
+            Finger(rig.scene, rig.seed, finger, begun, rig.commands)
             for finger, begun in zip(rig.fingers, moves, strict=False)
         ]
         try:
             for due, samples in rig.schedule(rig.scene.touch):
-                await (rig.turn(self) if rig.pace is None else clock.sleep_until(due))
+                await (rig.wait_for_others(self) if rig.pace is None else clock.sleep_until(due))
                 for simulation in fingers:
                     if (taken := simulation.take(samples)) is None:
                         return
@@ -173,12 +174,12 @@ class RigTouch(Source[Touch]):
             rig.end(self)
 
     def describe(self) -> Description:
-        """The rig, and the timing of this stream."""
+        """Return the rig and the rate of this stream."""
         timing = self._rig.scene.touch
         return {"sensor": "TakkTile 2x3, simulated", "rate_hz": timing.rate, **self._rig.describe()}
 
 
-class RigMotion(Source[Motion]):
+class SimulatedMotion(Source[Motion]):
     """The simulated arm; made by `SimulatedRig`."""
 
     def __init__(self, rig: SimulatedRig) -> None:
@@ -186,23 +187,23 @@ class RigMotion(Source[Motion]):
 
     @property
     def kind(self) -> type[Motion]:
-        """What the arm's controller reports."""
+        """Motion that the arm's controller reports."""
         return Motion
 
     async def prepare(self) -> None:
-        """Compile the motion, as the touch does."""
+        """Compile the physics."""
         await self._rig.touch.prepare()
 
     async def batches(self, clock: Clock) -> AsyncIterator[Motion]:
-        """Samples of the arm: one at a time when paced."""
+        """Yield samples of the arm, one at a time when paced."""
         rig = self._rig
         origin = rig.begin(self, clock)
         from connectors.sim.arm_motion import Controller  # noqa: PLC0415 - loads numba: only to run
 
-        controller = Controller(rig.scene, rig.seed, rig.orders)
+        controller = Controller(rig.scene, rig.seed, rig.commands)
         try:
             for due, samples in rig.schedule(rig.scene.motion):
-                await (rig.turn(self) if rig.pace is None else clock.sleep_until(due))
+                await (rig.wait_for_others(self) if rig.pace is None else clock.sleep_until(due))
                 if (motion := controller.take(samples)) is None:
                     return
                 if len(motion):
@@ -211,12 +212,12 @@ class RigMotion(Source[Motion]):
             rig.end(self)
 
     def describe(self) -> Description:
-        """The arm, and the timing of this stream."""
+        """Return the arm and the rate of this stream."""
         rig = self._rig
         return {"arm": "UR10, simulated", "rate_hz": rig.scene.motion.rate, "seed": rig.seed}
 
 
-class RigAnnotation(Source[AnyBatch], Generic[AnyBatch]):
+class GroundTruth(Source[AnyBatch], Generic[AnyBatch]):
     """Ground truth of the simulated rig, as its touch source simulates it; made by `SimulatedRig`."""
 
     def __init__(self, rig: SimulatedRig, kind: type[AnyBatch], fingers: tuple[int, ...]) -> None:
@@ -266,35 +267,35 @@ def episode(move: Move, start: int, end: int, scene: Scene) -> Episodes:
     )
 
 
-class RigHand(Sink[Commands]):
-    """The simulated gripper and arm as something to command. See `connectors.sim.commanded_motion`."""
+class SimulatedHand(Sink[Commands]):
+    """Commands to the simulated gripper and arm; see `connectors.sim.commanded_motion`."""
 
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
     @property
     def destination(self) -> str:
-        """The rig's hand: one flow commands it once."""
+        """Identity of the rig, so that a flow commands it only once."""
         return f"hand of the rig {id(self._rig):x}"
 
     async def open(self, run: Run) -> None:
-        """Forget what an earlier run commanded.
+        """Discard the commands of an earlier run.
 
         Raises:
-            ParameterError: if the rig is not paced: a command would come too late.
+            ParameterError: if the rig is not paced, so that commands would come too late.
         """
         del run
         if self._rig.pace is None:
-            raise ParameterError("SimulatedRig", "pace", None, "a number when its hand is commanded")
-        self._rig.orders.given.clear()
+            raise ParameterError("SimulatedRig", "pace", None, "above 0 if a flow commands the rig")
+        self._rig.commands.setpoints.clear()
 
     async def write(self, batch: Commands) -> None:
-        """Obey from the commands' own time on."""
-        self._rig.orders.give(batch)
+        """Apply commands from their own times on."""
+        self._rig.commands.add(batch)
 
 
 def _json(value: object) -> Json:
-    """Declared parameters as plain data."""
+    """Return declared parameters as plain data."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: _json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):

@@ -93,7 +93,7 @@ def simulated_recordings(
 def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = "") -> LabelledRecording:
     """Simulate one scene; zero, align and label its samples in a compiled flow."""
     moves: list[tuple[float, Move]] = []
-    finger = Finger(scene, seed, begun=lambda move, start: moves.append((start, move)))
+    finger = Finger(scene, seed, on_move=lambda move, start: moves.append((start, move)))
     controller = Controller(scene, seed)
     taken = list(iter(lambda: finger.take(_CHUNK), None))
     motion = concat(Motion, list(iter(lambda: controller.take(_CHUNK), None)))

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from connectors import Gripper
-from connectors.emulators.shared_scene import SharedScene
 from connectors.gripper.robotiq import Fingers, Mode, Phase, Request, Status, octets, registers
 from flows.run.clocks import LoopClock
 from operators import EndpointError, ParameterError, s
 from operators.batch import Commands
 from operators.ports import Run
 from tests.connectors.emulators.faulty_gripper import FaultyGripperServer
+from tests.connectors.emulators.observed_scene import ObservedScene
 
 pytest.importorskip("pymodbus")
 
@@ -211,7 +211,7 @@ def test_a_unit_that_cannot_be_is_refused() -> None:
 
 def test_the_grip_reaches_the_scene_and_its_fingertip_feels_it() -> None:
     async def test() -> None:
-        lab, gripped = await asyncio.to_thread(SharedScene), asyncio.Event()
+        lab, gripped = await asyncio.to_thread(ObservedScene), asyncio.Event()
 
         class Scene:
             def command(self, commands: Commands) -> None:

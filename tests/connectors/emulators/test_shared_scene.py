@@ -4,21 +4,21 @@ from threading import Thread
 import numpy as np
 import pytest
 
-from connectors.emulators.shared_scene import SharedScene
 from connectors.sim.arm_motion import Controller
 from connectors.sim.finger import Finger
 from connectors.sim.scene import Faults, Move, Moves, Scene, Timing
 from connectors.sim.truth import true_slips
 from operators.batch import Commands, ms, s
 from operators.errors import ParameterError
+from tests.connectors.emulators.observed_scene import ObservedScene
 
 START = 1_700_000_000 * s
 LEAVE = [nan] * 6
 STROKE = Moves((Move("hold", 0.5, force=2.0), Move("translation", 1.0, 0.2, 45.0, 0.1)))
 
 
-def lab(scene: Scene | None = None, fingers: tuple[int, ...] = (0,)) -> SharedScene:
-    return SharedScene(scene, 3, fingers=fingers, now=lambda: START)
+def lab(scene: Scene | None = None, fingers: tuple[int, ...] = (0,)) -> ObservedScene:
+    return ObservedScene(scene, 3, fingers=fingers, now=lambda: START)
 
 
 def command(time: int, force: float, velocity: list[float]) -> Commands:
@@ -144,7 +144,7 @@ def test_commands_that_all_have_obeyed_are_forgotten() -> None:
         scene.motion(START + time)
         scene.touch(0, START + time)
         scene.touch(1, START + time)
-    assert len(scene.orders.given) < 5
+    assert len(scene.commands.setpoints) < 5
     assert scene.motion(START + 3 * s)[1][0] == pytest.approx(0.299)
 
 

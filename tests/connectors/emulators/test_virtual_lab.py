@@ -5,6 +5,7 @@ from contextlib import aclosing
 from typing import cast
 
 import numpy as np
+import pytest
 from pymodbus.client import AsyncModbusTcpClient
 
 from connectors import TakkTile, UrMotion
@@ -14,11 +15,14 @@ from connectors.sim.scene import commanded_scene
 from flows.run.clocks import LoopClock
 from operators import Touch
 from operators.batch import Counts
+from tests.connectors.emulators.observed_scene import ObservedScene
 
 ANYWHERE = Ports(0, 0, 0)
 
 
-def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip() -> None:
+def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.emulators.virtual_lab.SharedScene", ObservedScene)
+
     async def main() -> None:
         clock = LoopClock()
         async with virtual_lab(ports=ANYWHERE) as lab:
@@ -39,7 +43,7 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip() -> None:
             assert (in_air - pressed).max() > 20
             pushed = cast("tuple[float, ...]", lab.controller.box.values(["actual_TCP_force"])[0])
             assert 1.8 < pushed[2] < 2.1
-            truth = lab.scene.truth()
+            truth = cast("ObservedScene", lab.scene).truth()
             assert truth.force[0] == 0.0
             assert 1.8 < truth.force[-1] < 2.1
 

@@ -177,10 +177,10 @@ def test_the_same_commands_at_the_same_times_give_the_same_bytes() -> None:
 
 def test_a_command_that_comes_late_is_obeyed_by_both_sources_at_once() -> None:
     rig = SimulatedRig(Scene(Commanded(force=1.0)), pace=1.0)
-    rig.orders.begin(ORIGIN)
-    rig.orders.reach(1.0)
-    rig.orders.give(commands((0.5, nan, [0.1, 0, 0, 0, 0, 0])))
-    motion = Controller(rig.scene, 0, rig.orders).take(200)
+    rig.commands.begin(ORIGIN)
+    rig.commands.mark_simulated(1.0)
+    rig.commands.add(commands((0.5, nan, [0.1, 0, 0, 0, 0, 0])))
+    motion = Controller(rig.scene, 0, rig.commands).take(200)
     assert motion is not None
     moving = motion.time[motion.velocity.any(axis=1)]
     assert moving[0] == 70 * ms + 1008 * ms
@@ -192,10 +192,10 @@ def test_asking_piecewise_changes_nothing(ticks: list[int], cut: int) -> None:
     times = np.array(ticks) * 1e-3
     found: list[Reals] = []
     for parts in ([times], [times[:cut], times[cut:]]):
-        orders = CommandQueue()
-        orders.begin(ORIGIN)
-        orders.give(told)
-        arm = Arm(Scene(DRAG), 0, orders=orders)
+        queue = CommandQueue()
+        queue.begin(ORIGIN)
+        queue.add(told)
+        arm = Arm(Scene(DRAG), 0, commands=queue)
         paths = [arm.at(part) for part in parts]
         found.append(np.hstack([np.concatenate([getattr(p, n) for p in paths]) for n in ("drive", "place")]))
     np.testing.assert_array_equal(found[0], found[1])

@@ -45,6 +45,7 @@ from operators import (
 )
 from storage import Session
 from tests.connectors.emulators.faulty_ur import stop_in_emergency
+from tests.connectors.emulators.observed_scene import ObservedScene
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
@@ -131,9 +132,11 @@ def made(
                 collected = await collect(planned, Setup(HOST, out, lab.bus), seed=1)
             acting.cancel()
             lab.scene.advance(lab.scene.now())  # to see that the arm stands
-            return Made(collected, lab.scene.truth(), out)
+            return Made(collected, cast("ObservedScene", lab.scene).truth(), out)
 
-    return asyncio.run(main())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("connectors.emulators.virtual_lab.SharedScene", ObservedScene)
+        return asyncio.run(main())
 
 
 def unplug(lab: VirtualLab) -> None:
