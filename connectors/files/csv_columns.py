@@ -1,4 +1,4 @@
-"""Which columns of a CSV trace hold what: said in a map, or guessed where their names are usual."""
+"""Columns of a CSV trace: mapped by the user, or recognised by their usual names."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -7,6 +7,7 @@ from types import MappingProxyType
 from typing import Final
 
 from operators.batch import BAROMETERS
+from operators.checks import check_choice
 from operators.errors import InputError, ParameterError
 
 TIME, COUNTS, VELOCITY, SPEED, LABEL = "time", "counts", "velocity", "speed", "label"
@@ -15,7 +16,7 @@ _SPEEDS: Final = {"m/s": 1.0, "cm/s": 0.01, "mm/s": 0.001}
 UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     {
         TIME: {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0},  # ns
-        VELOCITY: _SPEEDS,  # m/s; of its last three always rad/s
+        VELOCITY: _SPEEDS,  # m/s; the last three are always rad/s
         SPEED: _SPEEDS,
     }
 )
@@ -24,7 +25,7 @@ SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
 )
 
 _EXAMPLES: Final = {TIME: "time=t", COUNTS: "counts=p0..p5, or counts=left,right,top,bottom,tip,base"}
-_USUAL: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
+_NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     {
         TIME: ("t", "time", "timestamp", "stamp"),  # each also with _s, _ms, _us or _ns
         SPEED: ("speed", "v", "tcp_speed"),
@@ -40,21 +41,21 @@ _RANGE: Final = re.compile(r"(.*?)(\d+)\.\.(.*?)(\d+)")
 
 @dataclass(frozen=True)
 class ColumnMap:
-    """Which columns hold the time, the counts, the arm's velocity or its speed, and the labels.
+    """Columns with the time, the counts, the arm's velocity or speed, and the labels.
 
-    What it does not say is guessed by `completed`; an empty tuple says that a file has none of it.
+    `completed` recognises unmapped ones by their names; an empty tuple means that the file has none.
 
     >>> ColumnMap.parse("time=stamp,counts=p0..p5,speed=v", "time=ms,speed=mm/s").columns["counts"]
     ('p0', 'p1', 'p2', 'p3', 'p4', 'p5')
 
     Args:
-        columns: names of columns by what they hold: ``time``, ``counts`` (of the barometers 0..5),
-            ``velocity`` (3 or 6, linear and angular, of the TCP in the base frame), ``speed`` or ``label``.
-        units: of ``time`` (s, ms, us, ns), ``velocity`` and ``speed`` (m/s, cm/s, mm/s); by default the one
-            that the name of the time's column ends with, as in ``t_ms``, else s and m/s.
+        columns: Column names by quantity: ``time``, ``counts`` (of barometers 0..5), ``velocity`` (3 or 6,
+            linear and angular, of the TCP in the base frame), ``speed`` or ``label``.
+        units: Units of ``time`` (s, ms, us, ns), ``velocity`` and ``speed`` (m/s, cm/s, mm/s). The default is
+            the ending of the time column's name, as in ``t_ms``, else s and m/s.
 
     Raises:
-        ParameterError: naming what cannot be.
+        ParameterError: on an unknown quantity or unit, or a wrong number of columns.
     """
 
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict[str, tuple[str, ...]])
@@ -62,29 +63,26 @@ class ColumnMap:
 
     def __post_init__(self) -> None:
         for name, columns in self.columns.items():
-            if name not in SIZES:
-                raise ParameterError("column map", "what a column holds", name, f"one of {', '.join(SIZES)}")
+            check_choice("column map", "quantity", name, SIZES)
             if len(columns) not in (0, *SIZES[name]):
                 many = " or ".join(map(str, SIZES[name]))
-                raise ParameterError("column map", name, ",".join(columns), f"{many} names of columns")
+                raise ParameterError("column map", name, ",".join(columns), f"{many} column names")
         if self.columns.get(VELOCITY) and self.columns.get(SPEED):
-            raise ParameterError("column map", SPEED, ",".join(self.columns[SPEED]), "left out with velocity")
+            raise ParameterError(
+                "column map", SPEED, ",".join(self.columns[SPEED]), "omitted, since velocity is given"
+            )
         for name, unit in self.units.items():
-            if name not in UNITS:
-                raise ParameterError("column map", "what has a unit", name, f"one of {', '.join(UNITS)}")
-            if unit not in UNITS[name]:
-                raise ParameterError(
-                    "column map", f"unit of {name}", unit, f"one of {', '.join(UNITS[name])}"
-                )
+            check_choice("column map", "quantity with a unit", name, UNITS)
+            check_choice("column map", f"unit of {name}", unit, UNITS[name])
 
     @classmethod
     def parse(cls, columns: str = "", units: str = "") -> "ColumnMap":
-        """A map as a person writes it: ``time=t,counts=p0..p5,label=`` and ``time=ms``.
+        """Return the map of texts such as ``time=t,counts=p0..p5,label=`` and ``time=ms``.
 
-        Names are listed with commas, ``p0..p5`` stands for a row of them, nothing says that there is none.
+        Names are separated by commas; ``p0..p5`` stands for six names, and nothing for no column.
 
         Raises:
-            ParameterError: as the class, or if there is an item without ``=``.
+            ParameterError: as for the class, or if an item has no ``=``.
         """
         found = {
             name: tuple(column for item in items for column in _expanded(item))
@@ -93,49 +91,53 @@ class ColumnMap:
         return cls(found, {name: ",".join(items) for name, items in _items("units", units)})
 
     def completed(self, names: Sequence[str], where: str, *, timed: bool = True) -> "ColumnMap":
-        """This map with what it leaves out guessed from the names of a file's columns.
+        """Return this map, completed by the columns with usual names.
 
         Args:
-            names: the names.
-            where: what to call the file's first line in messages.
-            timed: whether there has to be a time.
+            names: Column names of a file.
+            where: Name of the file's first line in messages.
+            timed: Require a time.
 
         Raises:
-            InputError: if a column is not there, or twice; if there are no counts or no time; if several
-                columns could be one thing.
+            InputError: if a column is missing or occurs twice, there are no counts or no time, or the choice
+                is ambiguous.
         """
         found = dict(self.columns)
         for name in SIZES:
             if name not in found:
                 redundant = found.get({VELOCITY: SPEED, SPEED: VELOCITY}.get(name, ""))
-                candidates = [] if redundant else list(_usual(name, names))
+                candidates = [] if redundant else list(_recognised(name, names))
                 if len(candidates) > 1:
                     several = " or ".join(repr(" ".join(each)) for each in candidates)
-                    reason = f"could have its {name} in {several}; say in which, as {name}={candidates[0][0]}"
+                    reason = (
+                        f"could have its {name} in {several}; map it, for example {name}={candidates[0][0]}"
+                    )
                     raise InputError(where, reason)
                 found[name] = candidates[0] if candidates else ()
         for name in (TIME, COUNTS) if timed else (COUNTS,):
             if not found[name]:
                 listed = f"has the columns {' '.join(names)!r:.200}"
-                raise InputError(where, f"{listed}, none known as {name}; say which, as {_EXAMPLES[name]}")
+                raise InputError(
+                    where, f"{listed}, none recognised as {name}; map it, for example {_EXAMPLES[name]}"
+                )
         for column in (column for columns in found.values() for column in columns):
             if column not in names:
                 raise InputError(where, f"has the columns {' '.join(names)!r:.200}, must have {column}")
-            if names.count(column) > 1 or f"{column}_duplicated_0" in names:  # as polars calls the second
+            if names.count(column) > 1 or f"{column}_duplicated_0" in names:  # polars renames the second
                 raise InputError(where, f"has two columns {column}")
         units = {name: self.units.get(name, _unit(name, found[name])) for name in UNITS if found.get(name)}
         return ColumnMap({name: found[name] for name in SIZES if found[name]}, units)
 
     def scale(self, name: str) -> float:
-        """What a value has to be multiplied with to be in ns or m/s."""
+        """Return the factor from the file's unit to ns or m/s."""
         return UNITS[name][self.units[name]]
 
     def __str__(self) -> str:
         return ",".join(f"{name}={','.join(columns)}" for name, columns in self.columns.items())
 
 
-def _items(what: str, text: str) -> Iterator[tuple[str, list[str]]]:
-    """The names left of ``=`` and what is listed right of it."""
+def _items(parameter: str, text: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield the names before ``=`` and the lists after it."""
     found: dict[str, list[str]] = {}
     name = ""
     for item in text.split(",") if text.strip() else ():
@@ -144,14 +146,14 @@ def _items(what: str, text: str) -> Iterator[tuple[str, list[str]]]:
             name = left.strip()
             found[name] = []
         elif not name:
-            raise ParameterError("column map", what, text, "written as time=t,counts=p0..p5")
+            raise ParameterError("column map", parameter, text, "written as time=t,counts=p0..p5")
         value = (right if equals else left).strip()
         found[name] += [value] if value else []
     yield from found.items()
 
 
 def _expanded(text: str) -> list[str]:
-    """The columns that ``p0..p5`` stands for.
+    """Return the columns that ``p0..p5`` stands for.
 
     >>> _expanded("cell 6..cell 4")
     ['cell 6', 'cell 5', 'cell 4']
@@ -161,32 +163,32 @@ def _expanded(text: str) -> list[str]:
         return [text]
     prefix, first, again, last = match.groups()
     if again not in (prefix, ""):
-        raise ParameterError("column map", "a row of columns", text, "of one name, as p0..p5")
+        raise ParameterError("column map", "range of columns", text, "of one name, such as p0..p5")
     begin, end = int(first), int(last)
     if abs(end - begin) >= BAROMETERS:
-        raise ParameterError("column map", "a row of columns", text, f"of {BAROMETERS} columns at most")
+        raise ParameterError("column map", "range of columns", text, f"of {BAROMETERS} columns at most")
     step = 1 if end >= begin else -1
     return [f"{prefix}{number}" for number in range(begin, end + step, step)]
 
 
-def _usual(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Columns that are usually called so."""
-    called = {each.casefold(): each for each in names}
+def _recognised(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    """Yield the columns with a usual name of a quantity."""
+    by_name = {each.casefold(): each for each in names}
     if name == COUNTS:
         yield from _cells(names)
     elif name == VELOCITY:
         for axes in _AXES:
-            if set(axes) <= set(called):
-                yield tuple(called[axis] for axis in axes)
+            if set(axes) <= set(by_name):
+                yield tuple(by_name[axis] for axis in axes)
                 return
     else:
         suffixes = ("", *(f"_{unit}" for unit in UNITS[TIME])) if name == TIME else ("",)
-        usual = {f"{each}{suffix}" for each in _USUAL[name] for suffix in suffixes}
+        usual = {f"{each}{suffix}" for each in _NAMES[name] for suffix in suffixes}
         yield from ((each,) for each in dict.fromkeys(names) if each.casefold() in usual)
 
 
 def _cells(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Rows of six columns that are numbered from 0 or from 1."""
+    """Yield each six columns that are numbered from 0 or from 1."""
     rows: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
         if match := _CELL.fullmatch(name):

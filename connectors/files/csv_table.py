@@ -1,4 +1,4 @@
-"""Reading the columns of a CSV file, strictly: a value that cannot be used is named by line and column."""
+"""Strict reader of the columns of a CSV file; errors name line and column."""
 
 import csv
 import hashlib
@@ -14,23 +14,23 @@ from operators.errors import InputError, os_error_reason
 
 LIMIT: Final = 1 << 30  # bytes of a file
 
-_DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # of a time that count, after the point
+_DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
 
 
 class CsvTable:
-    """The columns of a CSV file, as text until one is asked for.
+    """Columns of a CSV file, converted from text on request.
 
     Attributes:
-        where: what the file is called in messages.
-        names: names of the columns; one that is there twice has a second name ending in ``_duplicated_0``.
-        sha256: of the file, hex.
+        where: Name of the file in messages.
+        names: Names of the columns; a duplicate ends in ``_duplicated_0``.
+        sha256: Checksum of the file, hex.
     """
 
     def __init__(self, path: Path) -> None:
         """Read a file.
 
         Raises:
-            InputError: if it cannot be read, is too large or is no table.
+            InputError: if it cannot be read, is too large or is not a table.
         """
         self.where = str(path)
         try:
@@ -44,16 +44,16 @@ class CsvTable:
         try:
             frame = pl.read_csv(content, infer_schema=False)
         except pl.exceptions.NoDataError:
-            raise InputError(self.where, "is empty, its first line must name the columns") from None
+            raise InputError(self.where, "is empty: its first line must name the columns") from None
         except pl.exceptions.PolarsError as error:
             if line := _too_long(content):
                 raise InputError(
                     f"{self.where}, line {line}",
                     "has more fields than line 1 has names; a comma in a value needs quotes",
                 ) from None
-            raise InputError(self.where, f"is no CSV file: {str(error).splitlines()[0]}") from None
+            raise InputError(self.where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
         torn = frame.select(pl.any_horizontal(pl.all().str.contains("\n", literal=True))).to_series()
-        for row in torn.arg_true()[:1]:  # else a stray quotation mark would swallow lines
+        for row in torn.arg_true()[:1]:  # an unpaired quotation mark
             raise InputError(
                 f"{self.where}, line {row + 2}",
                 "has a quoted field that spans lines: close its quotation mark",
@@ -62,7 +62,7 @@ class CsvTable:
         frame = frame.select(pl.all().str.strip_chars())
         filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
         self._columns = dict(zip(self.names, frame.filter(filled).get_columns(), strict=True))
-        self._lines = np.flatnonzero(filled.to_numpy()) + 2  # (n,) numbers of the lines after the header
+        self._lines = np.flatnonzero(filled.to_numpy()) + 2  # (n,) line numbers
         if not len(self._lines):
             raise InputError(self.where, "has no rows below its first line")
 
@@ -70,12 +70,12 @@ class CsvTable:
         return len(self._lines)
 
     def times(self, name: str, unit: str) -> NDArray[np.int64]:
-        """A column of times that never decrease (n,), in ns; `unit` is that of the file: s, ms, us or ns.
+        """Return a column of times (n,), ns; `unit` is that of the file: s, ms, us or ns.
 
-        Decimal text becomes ns exactly, rounded to the nearest.
+        Decimal text is converted exactly, then rounded to the nearest ns.
 
         Raises:
-            InputError: naming the line of the first value that is none.
+            InputError: on a value that is not a time, or less than the one before.
         """
         column = self._columns[name]
         if unit == "ns":
@@ -89,22 +89,22 @@ class CsvTable:
         return times
 
     def reals(self, name: str) -> NDArray[np.float64]:
-        """A column of numbers (n,); NaN where a row has none.
+        """Return a column of numbers (n,); NaN for an empty field.
 
         Raises:
-            InputError: naming the line of the first value that is not a finite number.
+            InputError: on a value that is not a finite number.
         """
         column = self._columns[name]
         values = column.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
-        told = (column.is_not_null() & (column != "")).to_numpy()  # "" is what was quoted
-        self._check(name, np.isfinite(values) | ~told, "a number, or nothing")
+        present = (column.is_not_null() & (column != "")).to_numpy()  # "": a quoted empty field
+        self._check(name, np.isfinite(values) | ~present, "a number, or nothing")
         return values
 
     def whole(self, name: str, least: int, greatest: int) -> NDArray[np.float64]:
-        """A column of whole numbers (n,).
+        """Return a column of whole numbers (n,).
 
         Raises:
-            InputError: naming the line of the first value that is none, or not from `least` to `greatest`.
+            InputError: on a value that is not a whole number from `least` to `greatest`.
         """
         values = self._columns[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
         good = (values == np.rint(values)) & (values >= least) & (values <= greatest)
@@ -120,7 +120,7 @@ class CsvTable:
 
 
 def _too_long(content: bytes) -> int:
-    """Number of the first line that has more fields than the first line; 0 if none has."""
+    """Return the number of the first line with more fields than line 1; 0 if there is none."""
     rows = csv.reader(io.StringIO(content.decode("utf-8-sig", "replace"), newline=""))
     try:
         width = len(next(rows))

@@ -1,4 +1,4 @@
-"""Reading a recorded trace of one fingertip from a CSV file."""
+"""Recorded trace of one fingertip in a CSV file."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,39 +13,38 @@ from operators.ports import Description, Json
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
-DETECTORS: Final = 100.0  # Hz, that detectors are made for
-OFF: Final = 0.1  # share that a rate may be off from the one that is expected
-PLAUSIBLE: Final = 1.0  # m/s, that no arm exceeds while it feels something
+DETECTOR_RATE: Final = 100.0  # Hz
+RATE_TOLERANCE: Final = 0.1  # relative
+MAX_SPEED: Final = 1.0  # m/s, above which no arm touches an object
 
 _INT16: Final = np.iinfo(np.int16)
-_GUESSED: Final = ColumnMap()
+_DEFAULT: Final = ColumnMap()
 
 
 class CsvTrace:
-    """A `Recording` of one fingertip, and of the arm if the file tells of it, read whole and checked.
+    """`Recording` of one fingertip, and of the arm if the file has its speed; read completely and checked.
 
-    Times become ns exactly, by their decimal text, rounded to the nearest. Blank lines and other columns
-    are ignored. What such a file does not tell is given as: every barometer valid, every temperature 0, which
-    stands for unknown; the arm's pose NaN. A speed is taken for a velocity along x of the base frame. A row
-    without a velocity has no row of motion.
+    Decimal times are converted exactly, then rounded to the nearest ns. Blank lines and other columns are
+    ignored. All barometers are valid; temperatures are 0 (unknown) and the arm's pose is NaN. A speed becomes
+    a velocity along x of the base frame. A row without a velocity has no row of motion.
 
     Args:
-        path: the file; its first line names the columns.
-        columns: which of them hold what; what it does not say is guessed where the names are usual.
-        finger: the fingertip that the trace is of.
-        zeroed: whether the counts are relative to the unloaded fingertip; by default they are if one of them
-            is negative, which a raw count cannot be.
-        rate: rows per second of a file that does not tell the time, which then begins at 0.
+        path: The file; its first line names the columns.
+        columns: Map of the columns; unmapped ones are recognised by their usual names.
+        finger: Number of the fingertip.
+        zeroed: Counts are relative to the unloaded fingertip (default: if one is negative, which a raw count
+            cannot be).
+        rate: Rows per second of a file without a time, which then starts at 0, Hz.
 
     Attributes:
-        columns: the map, with what was guessed; without what there is none of.
-        touch: Touch or Zeroed, the whole trace.
-        motion: the arm's, at the same instants; no rows if the file does not tell.
+        columns: The map, completed, without absent columns.
+        touch: The whole trace, Touch or Zeroed.
+        motion: Motion of the arm at the same instants; no rows if the file has none.
         labels: (n,) 1 slip, 0 static, -1 unknown.
 
     Raises:
-        InputError: naming line and column, if the file cannot be read or a value cannot be used.
-        ParameterError: on a rate that is not above 0.
+        InputError: if the file cannot be read or has an invalid value; it names line and column.
+        ParameterError: on an invalid rate.
     """
 
     columns: ColumnMap
@@ -56,7 +55,7 @@ class CsvTrace:
     def __init__(
         self,
         path: str | Path,
-        columns: ColumnMap = _GUESSED,
+        columns: ColumnMap = _DEFAULT,
         *,
         finger: int = 0,
         zeroed: bool | None = None,
@@ -65,7 +64,7 @@ class CsvTrace:
         if rate is not None and not 0 < rate <= s:
             raise ParameterError("CsvTrace", "rate", rate, f"above 0 and at most {s:.0e} Hz")
         self._path = path
-        from connectors.files.csv_table import CsvTable  # noqa: PLC0415 - polars takes 0.2 s to import
+        from connectors.files.csv_table import CsvTable  # noqa: PLC0415 - polars is slow to import
 
         table = CsvTable(Path(path))
         self.sha256 = table.sha256
@@ -84,8 +83,8 @@ class CsvTrace:
         velocity: Reals = np.full((len(times), 6), np.nan)
         for name in (VELOCITY, SPEED):
             if name in held:
-                told = np.column_stack([table.reals(each) for each in held[name]])
-                velocity = np.pad(told, ((0, 0), (0, 6 - told.shape[1])))
+                given = np.column_stack([table.reals(each) for each in held[name]])
+                velocity = np.pad(given, ((0, 0), (0, 6 - given.shape[1])))
                 velocity[:, :3] *= self.columns.scale(name)
         moving: Flags = np.all(np.isfinite(velocity), axis=1)
         unknown = np.full((len(times), 6), np.nan)
@@ -102,53 +101,53 @@ class CsvTrace:
 
     @property
     def kind(self) -> type[Touch]:
-        """Touch or Zeroed, whichever it holds."""
+        """Type of the touch stream: Touch or Zeroed."""
         return type(self.touch)
 
     @property
     def rate(self) -> float | None:
-        """Rows per second, by the median of their distances; None where all have one stamp."""
-        distance = float(np.median(np.diff(self.touch.time))) if len(self.touch) > 1 else 0.0
-        return s / distance if distance else None
+        """Rows per second, by the median of their intervals, Hz; None if all have the same time."""
+        interval = float(np.median(np.diff(self.touch.time))) if len(self.touch) > 1 else 0.0
+        return s / interval if interval else None
 
     @property
     def speeds(self) -> Reals:
-        """(n,) m/s, of the arm, at the rows of motion."""
+        """Speeds of the arm at the rows of motion, (n,) m/s."""
         speeds: Reals = np.linalg.norm(self.motion.velocity[:, :3], axis=1)
         return speeds
 
     @property
-    def doubts(self) -> tuple[str, ...]:
-        """What is hardly so, as where a unit is another than is thought, a line each."""
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings about implausible values, such as a wrong unit, one line each."""
         lines = list[str]()
         fastest, rate = float(self.speeds.max(initial=0.0)), self.rate
-        if fastest > PLAUSIBLE:
+        if fastest > MAX_SPEED:
             lines.append(
-                f"the arm would move at {fastest:.3g} m/s: is the unit of its speed another, as mm/s?"
+                f"the arm would move at {fastest:.3g} m/s: is its speed in another unit, such as mm/s?"
             )
-        if rate is not None and abs(rate / DETECTORS - 1) > OFF:
-            made = f"detectors are made for {DETECTORS:g} Hz"
-            lines.append(f"it comes at {rate:.4g} Hz, {made}: is the unit of its time another?")
+        if rate is not None and abs(rate / DETECTOR_RATE - 1) > RATE_TOLERANCE:
+            expected = f"detectors expect {DETECTOR_RATE:g} Hz"
+            lines.append(f"it has {rate:.4g} Hz, {expected}: is its time in another unit?")
         return tuple(lines)
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
-        """The fingertip that it is of, if it holds what `kind` asks for; EVERY for the arm's motion."""
+        """Return the fingers with a stream of a type; EVERY for the arm's motion."""
         streams = [stream for stream in (self.touch, self.motion) if len(stream)]
         return tuple(stream.finger for stream in streams if isinstance(stream, kind))
 
     def read(self, kind: type[SomeBatch], finger: int, rows: int = 1000) -> Iterator[SomeBatch]:
-        """A stream of it in batches of at most `rows`.
+        """Yield a stream in batches of at most `rows`.
 
         Raises:
-            InputError: if it holds no such stream.
+            InputError: if there is no such stream.
         """
         if finger not in self.fingers(kind):
-            raise InputError(self.name, f"holds no {kind.__name__} stream of finger {finger}")
+            raise InputError(self.name, f"has no {kind.__name__} stream of finger {finger}")
         stream = cast("SomeBatch", self.touch if isinstance(self.touch, kind) else self.motion)
         return (stream[start : start + rows] for start in range(0, len(stream), rows))
 
     def describe(self) -> Description:
-        """The file's name and sha256, the number of its rows, what its columns were taken for."""
+        """Return the file's name, sha256 and number of rows, and the map of its columns."""
         columns: dict[str, Json] = {name: list(held) for name, held in self.columns.columns.items()}
         return {
             "trace": Path(self._path).name,

@@ -26,7 +26,7 @@ def import_(
             "--map",
             metavar="NAME=COLUMNS,...",
             help="Columns of the file: time=t,counts=p0..p5,speed=v,label=slip. Names: time, counts (6"
-            " columns), velocity (3 or 6), speed, label. Names left out are guessed from common column names;"
+            " columns), velocity (3 or 6), speed, label. Names left out are recognised by usual column names;"
             " label= means no labels. List columns without numbers: counts=left,right,top,bottom,tip,base.",
         ),
     ] = "",
@@ -78,10 +78,10 @@ def import_(
     """
     from connectors.files.csv_columns import ColumnMap
     from flows.graph.quantity import quantity, time
-    from flows.lab.importing import Import
+    from flows.lab.importing import TraceImport
     from operators import Label
 
-    trace_import = Import(
+    trace_import = TraceImport(
         trace,
         out,
         ColumnMap.parse(columns, units),

@@ -124,7 +124,7 @@ def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
 
 
 def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
-    """Open a session or a CSV trace; report doubtful columns of a trace with `warn`.
+    """Open a session or a CSV trace; report warnings about a trace with `warn`.
 
     Raises:
         InputError: if it is neither, or damaged.
@@ -138,7 +138,7 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     except InputError as error:
         reason = f"{error.reason} (convert it with slipflow import --map, then replay the result)"
         raise InputError(error.where, reason) from error
-    for each in trace.doubts:
+    for each in trace.warnings:
         warn(f"warning: {path}: {each} (slipflow import has --units)")
     return trace
 

@@ -1,4 +1,4 @@
-"""Which columns of a CSV trace hold what."""
+"""Columns of a CSV trace."""
 
 from contextlib import suppress
 
@@ -12,7 +12,7 @@ from operators.errors import InputError, ParameterError
 CELLS = ("s1", "s2", "s3", "s4", "s5", "s6")
 
 
-def test_a_map_is_written_with_lists_rows_and_units() -> None:
+def test_a_map_has_lists_ranges_and_units() -> None:
     found = ColumnMap.parse("time=my t, counts=a,b,c3..c1,d,label=,speed = v", "time=ms,speed=mm/s")
     assert found.columns == {
         "time": ("my t",),
@@ -23,7 +23,7 @@ def test_a_map_is_written_with_lists_rows_and_units() -> None:
     assert (found.scale("time"), found.scale("speed")) == (1e6, 0.001)
 
 
-def test_a_map_that_is_printed_is_read_again() -> None:
+def test_a_printed_map_can_be_parsed() -> None:
     found = ColumnMap.parse("time=t,counts=p0..p5,velocity=vx,vy,vz")
     assert ColumnMap.parse(str(found)) == found
 
@@ -32,25 +32,25 @@ def test_a_map_that_is_printed_is_read_again() -> None:
     ("columns", "units", "complaint"),
     [
         ("t", "", "columns is 't', must be written as time=t"),
-        ("force=f", "", "what a column holds is 'force', must be one of time, counts"),
-        ("counts=p0..p4", "", "counts is 'p0,p1,p2,p3,p4', must be 6 names of columns"),
-        ("velocity=a,b", "", "velocity is 'a,b', must be 3 or 6 names"),
-        ("counts=p0..q5", "", "a row of columns is 'p0..q5', must be of one name"),
+        ("force=f", "", "quantity is 'force', must be one of time, counts"),
+        ("counts=p0..p4", "", "counts is 'p0,p1,p2,p3,p4', must be 6 column names"),
+        ("velocity=a,b", "", "velocity is 'a,b', must be 3 or 6 column names"),
+        ("counts=p0..q5", "", "range of columns is 'p0..q5', must be of one name"),
         ("counts=p0..p99999999999", "", "must be of 6 columns at most"),
-        ("speed=v,velocity=x,y,z", "", "speed is 'v', must be left out with velocity"),
-        ("", "label=s", "what has a unit is 'label', must be one of time, velocity, speed"),
+        ("speed=v,velocity=x,y,z", "", "speed is 'v', must be omitted, since velocity is given"),
+        ("", "label=s", "quantity with a unit is 'label', must be one of time, velocity, speed"),
         ("", "time=min", "unit of time is 'min', must be one of s, ms, us, ns"),
         ("", "speed=", "unit of speed is '', must be one of m/s"),
     ],
 )
-def test_a_map_that_cannot_be_is_refused(columns: str, units: str, complaint: str) -> None:
+def test_an_invalid_map_is_refused(columns: str, units: str, complaint: str) -> None:
     with pytest.raises(ParameterError) as caught:
         ColumnMap.parse(columns, units)
     assert complaint in str(caught.value)
 
 
 @given(st.text(alphabet="tc=,.0123456789p ", max_size=30))
-def test_whatever_is_written_is_a_map_or_refused(text: str) -> None:
+def test_any_text_is_a_map_or_refused(text: str) -> None:
     with suppress(ParameterError):
         found = ColumnMap.parse(text)
         assert all(len(columns) in (0, 1, 3, 6) for columns in found.columns.values())
@@ -69,21 +69,21 @@ def test_whatever_is_written_is_a_map_or_refused(text: str) -> None:
         (("t", *CELLS, "vx", "vy", "v"), {"speed": ("v",)}),
     ],
 )
-def test_usual_names_are_known(names: tuple[str, ...], held: dict[str, tuple[str, ...]]) -> None:
+def test_usual_names_are_recognised(names: tuple[str, ...], held: dict[str, tuple[str, ...]]) -> None:
     found = ColumnMap().completed(names, "line 1").columns
     assert held.items() <= found.items()
     assert not {"velocity", "speed"} <= set(found)
 
 
 def test_seven_numbered_columns_are_no_fingertip() -> None:
-    with pytest.raises(InputError, match=r"none known as counts; say which.* or counts=left,right,"):
+    with pytest.raises(InputError, match=r"none recognised as counts; map it.* or counts=left,right,"):
         ColumnMap().completed(("t", *CELLS, "s7"), "line 1")
 
 
 @pytest.mark.parametrize(
     ("names", "complaint"),
     [
-        (("t", "time", *CELLS), "could have its time in 't' or 'time'; say in which, as time=t"),
+        (("t", "time", *CELLS), "could have its time in 't' or 'time'; map it, for example time=t"),
         (
             ("t", *CELLS, *(f"c{i}" for i in range(6))),
             "could have its counts in 's1 s2 s3 s4 s5 s6' or 'c0 c1",
@@ -91,13 +91,13 @@ def test_seven_numbered_columns_are_no_fingertip() -> None:
         (("t", *CELLS, "label", "slip"), "could have its label in 'label' or 'slip'"),
     ],
 )
-def test_what_could_be_two_things_is_asked_for(names: tuple[str, ...], complaint: str) -> None:
+def test_an_ambiguous_column_is_refused(names: tuple[str, ...], complaint: str) -> None:
     with pytest.raises(InputError) as caught:
         ColumnMap().completed(names, "line 1")
     assert complaint in str(caught.value)
 
 
-def test_what_a_map_says_is_not_guessed() -> None:
+def test_mapped_columns_are_not_recognised_by_name() -> None:
     names = ("t", "time_ns", *CELLS, "label", "slip", "v")
     said = ColumnMap.parse("time=time_ns,label=,velocity=s1,s2,s3")
     found = said.completed(names, "line 1")

@@ -88,7 +88,7 @@ def test_without_labels_every_row_is_unknown(write: Write) -> None:
     ("lowest", "zeroed", "kind"),
     [(0, None, Touch), (-1, None, Zeroed), (0, True, Zeroed), (-1, True, Zeroed), (0, False, Touch)],
 )
-def test_counts_are_zeroed_if_one_is_negative_or_if_told(
+def test_counts_are_zeroed_if_one_is_negative_or_on_request(
     *, write: Write, lowest: int, zeroed: bool | None, kind: type[Touch]
 ) -> None:
     trace = CsvTrace(write(HEADER, "0,1,2,3,4,5,6", f"1,1,2,{lowest},4,5,6"), zeroed=zeroed)
@@ -124,7 +124,7 @@ def test_blank_lines_are_ignored_but_counted(write: Write) -> None:
         CsvTrace(path)
 
 
-def test_a_stray_quotation_mark_swallows_no_lines(write: Write) -> None:
+def test_an_unpaired_quotation_mark_is_refused(write: Write) -> None:
     rows = [f"{i},1,2,3,4,5,6,{note}" for i, note in enumerate(["ok", '"one', "x", 'two"', "ok"])]
     with pytest.raises(
         InputError, match=r"line 3: has a quoted field that spans lines: close its quotation mark$"
@@ -167,9 +167,7 @@ WHOLE = "must be a whole number from -32768 to 32767"
         ),
     ],
 )
-def test_a_value_that_cannot_be_used_is_named_by_line_and_column(
-    write: Write, row: str, complaint: str
-) -> None:
+def test_an_invalid_value_is_named_by_line_and_column(write: Write, row: str, complaint: str) -> None:
     path = write(f"{HEADER},label", "0.5,1,2,3,4,5,6,0", row, "2,1,2,3,4,5,6,0")
     with pytest.raises(InputError) as caught:
         CsvTrace(path)
@@ -194,21 +192,24 @@ def test_a_negative_count_is_not_raw(write: Write) -> None:
         (
             "t,s1,s2,s3,s4,s5",
             (
-                "has the columns 't s1 s2 s3 s4 s5', none known as counts; say which, as counts=p0..p5, or "
+                "has the columns 't s1 s2 s3 s4 s5', none recognised as counts; map it, for example counts=p0..p5, or "
                 "counts=left,right,top,bottom,tip,base"
             ),
         ),
         (
             "s1,s2,s3,s4,s5,s6",
-            "has the columns 's1 s2 s3 s4 s5 s6', none known as time; say which, as time=t",
+            "has the columns 's1 s2 s3 s4 s5 s6', none recognised as time; map it, for example time=t",
         ),
         (
             "t;s1;s2;s3;s4;s5;s6",
-            "has the columns 't;s1;s2;s3;s4;s5;s6', none known as time; say which, as time=t",
+            "has the columns 't;s1;s2;s3;s4;s5;s6', none recognised as time; map it, for example time=t",
         ),
         ("t,s1,s2,s3,s4,s5,s6,s1", "has two columns s1"),
         ("t,s1,s2,s3,s4,s5,s6, s1", "has two columns s1"),
-        ("0,1,2,3,4,5,6", "has the columns '0 1 2 3 4 5 6', none known as time; say which, as time=t"),
+        (
+            "0,1,2,3,4,5,6",
+            "has the columns '0 1 2 3 4 5 6', none recognised as time; map it, for example time=t",
+        ),
     ],
 )
 def test_missing_columns_are_named(write: Write, header: str, complaint: str) -> None:
@@ -226,7 +227,7 @@ def test_a_column_that_was_asked_for_must_be_there(write: Write) -> None:
         CsvTrace(path, ColumnMap({"label": ("truth",)}))
 
 
-def test_a_file_that_is_missing_empty_or_no_text_is_told_so(tmp_path: Path, write: Write) -> None:
+def test_a_missing_empty_or_binary_file_is_refused(tmp_path: Path, write: Write) -> None:
     with pytest.raises(InputError, match=r"absent.csv: cannot be read: No such file or directory$"):
         CsvTrace(tmp_path / "absent.csv")
     with pytest.raises(
@@ -234,18 +235,18 @@ def test_a_file_that_is_missing_empty_or_no_text_is_told_so(tmp_path: Path, writ
     ):
         CsvTrace(tmp_path)
     (tmp_path / "empty.csv").touch()
-    with pytest.raises(InputError, match=r"empty.csv: is empty, its first line must name the columns$"):
+    with pytest.raises(InputError, match=r"empty.csv: is empty: its first line must name the columns$"):
         CsvTrace(tmp_path / "empty.csv")
     with pytest.raises(InputError, match=r"trace.csv: has no rows below its first line$"):
         CsvTrace(write(HEADER))
     (tmp_path / "binary.csv").write_bytes(b"t,s1\n\xff\xfe,1\n")
-    with pytest.raises(InputError, match=r"binary.csv: is no CSV file: [^\n]+$"):
+    with pytest.raises(InputError, match=r"binary.csv: is not a CSV file: [^\n]+$"):
         CsvTrace(tmp_path / "binary.csv")
 
 
 @given(st.binary(max_size=200))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_no_file_does_worse_than_be_refused(tmp_path: Path, content: bytes) -> None:
+def test_any_file_is_read_or_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "any.csv").write_bytes(content)
     with pytest.raises(InputError) as caught:
         CsvTrace(tmp_path / "any.csv")
@@ -254,9 +255,7 @@ def test_no_file_does_worse_than_be_refused(tmp_path: Path, content: bytes) -> N
 
 @given(st.data())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_file_that_was_cut_off_is_never_taken_for_more_than_its_whole_lines(
-    write: Write, data: st.DataObject
-) -> None:
+def test_a_truncated_file_has_its_whole_lines_only(write: Write, data: st.DataObject) -> None:
     whole = CsvTrace(path := write(HEADER, *(f"{i}.25,{i},-20,30,40,50,60" for i in range(8)))).touch
     content = path.read_bytes()
     path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
@@ -268,15 +267,15 @@ def test_a_file_that_was_cut_off_is_never_taken_for_more_than_its_whole_lines(
     assert touch.counts[:-1].tolist() == whole.counts[: len(touch) - 1].tolist()
 
 
-def test_a_stream_that_it_does_not_hold_is_refused(write: Write) -> None:
+def test_a_missing_stream_is_refused(write: Write) -> None:
     trace = CsvTrace(write(HEADER, "0,1,2,3,4,5,6"))
-    with pytest.raises(InputError, match=r"holds no Motion stream of finger 0$"):
+    with pytest.raises(InputError, match=r"has no Motion stream of finger 0$"):
         trace.read(Motion, 0)
-    with pytest.raises(InputError, match=r"holds no Touch stream of finger 1$"):
+    with pytest.raises(InputError, match=r"has no Touch stream of finger 1$"):
         trace.read(Touch, 1)
 
 
-def test_a_speed_becomes_a_motion_along_x_where_it_is_told(write: Write) -> None:
+def test_a_speed_becomes_a_motion_along_x(write: Write) -> None:
     path = write(
         f"{HEADER},speed", "0,1,2,3,4,5,6,12.5", "1,1,2,3,4,5,6,", '2,1,2,3,4,5,6,""', "3,1,2,3,4,5,6,-4"
     )
@@ -289,7 +288,7 @@ def test_a_speed_becomes_a_motion_along_x_where_it_is_told(write: Write) -> None
     assert len(trace.touch) == 4
 
 
-def test_a_velocity_has_three_or_six_columns_and_goes_before_a_speed(write: Write) -> None:
+def test_a_velocity_has_three_or_six_columns_and_precedes_a_speed(write: Write) -> None:
     linear = CsvTrace(write(f"{HEADER},VX,vy,vz,speed", "0,1,2,3,4,5,6,1,2,3,9"))
     assert linear.motion.velocity.tolist() == [[1, 2, 3, 0, 0, 0]]
     assert "speed" not in linear.columns.columns
@@ -314,7 +313,7 @@ def test_a_speed_that_is_no_number_is_named_by_line_and_column(write: Write, spe
         ("ns", "7", 7),
     ],
 )
-def test_a_time_has_the_unit_that_is_told_or_that_ends_its_name(
+def test_a_time_has_the_given_unit_or_that_of_its_name(
     write: Write, unit: str, time: str, expected: int
 ) -> None:
     told = CsvTrace(write(HEADER, f"{time},1,2,3,4,5,6"), ColumnMap(units={"time": unit}))

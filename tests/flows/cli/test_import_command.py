@@ -17,7 +17,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     (tmp_path / "lab.csv").write_text(TRACE)
     checked = slipflow("import", "lab.csv", "out", "--dry-run", cwd=tmp_path)
     assert checked.returncode == 0, checked.stderr
-    assert "counts   p0 p1 p2 p3 p4 p5  (raw, guessed from the names)" in checked.stdout
+    assert "counts   p0 p1 p2 p3 p4 p5  (raw, recognised by name)" in checked.stdout
     assert "labels of the file: 150 slip, 150 static" in checked.stdout
     assert "dry run: nothing written" in checked.stderr
     assert not (tmp_path / "out").exists()
@@ -34,7 +34,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     done = slipflow("import", "lab.csv", "out", *columns, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert (found["written"], found["guessed"], found["finger"]) == (True, [], 2)
+    assert (found["written"], found["recognised"], found["finger"]) == (True, [], 2)
     samples = pl.read_parquet(tmp_path / "out/sessions/lab/samples/*.parquet")
     assert samples["label"].to_list() == [k // 50 % 2 for k in range(300)]
     judged = slipflow("evaluate", "out", "--split", "all", "--method", "psd", "--json", cwd=tmp_path)
@@ -51,7 +51,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
         (["import", "lab.csv", "out", "--units", "time=h"], "unit of time is 'h', must be one of s, ms"),
         (["import", "lab.csv", "out", "--map", "label=p9"], "lab.csv, line 1: has the columns"),
         (["import", "lab.csv", "out", "--map", "label=p0"], "lab.csv, line 2, column p0: is '500', must be"),
-        (["import", "lab.csv", "out", "--rate", "50"], "comes at 100.0 rows per second, not at 50"),
+        (["import", "lab.csv", "out", "--rate", "50"], "has 100.0 rows per second, not 50"),
         (["import", "lab.csv", "out", "--delay", "soon"], "with its unit: 500ms"),
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
         (["import", "lab.csv", "out", "--session", "../x"], "must be a file name"),
