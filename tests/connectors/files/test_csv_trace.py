@@ -192,8 +192,8 @@ def test_a_negative_count_is_not_raw(write: Write) -> None:
         (
             "t,s1,s2,s3,s4,s5",
             (
-                "has the columns 't s1 s2 s3 s4 s5', none recognised as counts; map it, for example counts=p0..p5, or "
-                "counts=left,right,top,bottom,tip,base"
+                "has the columns 't s1 s2 s3 s4 s5', none recognised as counts; map it, for example "
+                "counts=p0..p5, or counts=left,right,top,bottom,tip,base"
             ),
         ),
         (
