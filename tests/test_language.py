@@ -15,9 +15,26 @@ from flows.cli.main import app
 
 ROOT: Final = Path(__file__).parents[1]
 FOLDERS: Final = ("operators", "connectors", "storage", "flows", "deploy")
-UNFINISHED: Final = ("operators", "connectors", "storage", "flows", "deploy", "docs", "ARCHITECTURE.md")
+UNFINISHED: Final = (
+    "operators",
+    "connectors/emulators",
+    "connectors/files",
+    "connectors/sim",
+    "storage",
+    "flows/cli/detectors.py",
+    "flows/lab",
+    "flows/learn",
+    "flows/lift.py",
+    "flows/live.py",
+    "flows/record.py",
+    "flows/relabel.py",
+    "flows/report",
+    "docs",
+    "ARCHITECTURE.md",
+)
 
 FIRST_WORDS: Final = re.compile(r"(What|How|Whether|That|Where|Who|When|Which|Whose)\b")
+UNFINISHED_COMMANDS: Final = ("slipflow train", "slipflow evaluate", "slipflow chart", "slipflow stress")
 # Words and phrases with a plainer term; the reason or the term is the second part.
 AVOID: Final = {
     r"told|tells?": "log, report, print, state",
@@ -125,8 +142,12 @@ def test_pages_use_plain_words() -> None:
 
 
 def test_the_help_of_an_option_states_its_effect() -> None:
-    found = [(name, text) for name, text in options(typer.main.get_command(app)) if finished(ROOT / "flows")]
-    assert [each for each in found if re.match(r"(Of|As|By|To|In|With)\b", each[1])] == []
+    found = [
+        each for each in options(typer.main.get_command(app)) if not each[0].startswith(UNFINISHED_COMMANDS)
+    ]
+    assert [
+        each for each in found if re.match(r"(Of|As|By|What|How|Whether|That|Where|Without)\b", each[1])
+    ] == []
 
 
 def test_avoided_words_are_found_and_allowed_uses_are_not() -> None:
