@@ -1,7 +1,7 @@
-"""Flow of one fingertip: score it, publish each slip event, and optionally record it.
+"""Slip detection on the machine of a fingertip: publish slip events, and record them on request.
 
-The systemd unit and the container in this folder run it. Copy and change it as needed.
-"""  # noqa: INP001 - runs from where it was copied to
+The systemd unit and the container in this folder run this file. Copy and adapt it.
+"""  # noqa: INP001 - not a package: it is copied
 
 from pathlib import Path
 
@@ -21,7 +21,17 @@ def fingertip(
     rig: str = "fingertip",
     out: Path | None = None,
 ) -> Flow:
-    """Score row `row` of I2C bus `bus` (none: the simulated rig); record into `out` (none: do not record)."""
+    """Detect slip on one fingertip.
+
+    Args:
+        bus: I2C bus; None: simulated rig.
+        row: Row of the fingertip on the bus.
+        detector: Built-in detector or weights file.
+        broker: Broker URL; None: print only. The run starts even if the broker is down.
+        site: Site name used in topics.
+        rig: Rig name used in topics.
+        out: Folder of a dataset to record into; None: do not record.
+    """
     flow = Flow("fingertip")
     touch = flow.source(SimulatedRig().touch if bus is None else TakkTile(bus, (row,)))
     debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)
@@ -31,9 +41,7 @@ def fingertip(
     sinks: list[Sink[Slips | Faults]] = [Console()]
     if broker:
         rules = debounce.threshold, debounce.consecutive
-        sinks.append(
-            Mqtt(broker, site, rig, identify_detector(detector), *rules, connect_required=False)
-        )  # record even without a broker
+        sinks.append(Mqtt(broker, site, rig, identify_detector(detector), *rules, connect_required=False))
     if out:
         dataset = Dataset(out)
         touch.to(dataset)

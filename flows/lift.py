@@ -1,4 +1,4 @@
-"""Hold what slips: feel slip, and command the grip force that stops it."""
+"""Grip force control: detect slip of a held object and command the force that stops it."""
 
 from typing import Final
 
@@ -15,65 +15,72 @@ from operators.errors import InputError, ParameterError
 from operators.grip import GripController
 from storage import load_debounce, load_detector
 
-WEAKEST: Final = ForceScale().weakest  # N, of a Robotiq 3-finger gripper
-CLOSES: Final = 300 * ms  # ns; simulated fingers are there at once
-COMES: Final = 2 * s  # ns; real ones close in 1.4 s
+WEAKEST: Final = ForceScale().weakest  # N, least force of a Robotiq 3-finger gripper
+SIMULATED_SETTLE: Final = 300 * ms  # ns; simulated fingers close at once
+REAL_SETTLE: Final = 2 * s  # ns; real fingers close in 1.4 s
 
 
-def lift(  # noqa: PLR0917 - a flow's parameters are given by name
+def lift(  # noqa: PLR0917 - flow parameters are passed by name
     detector: str = "tcn_grasp",
     thing: str = "ball",
     force: Force = 0.0,
-    most: Force = 10.0,
+    max_force: Force = 10.0,
     bus: int | None = None,
     gripper: str | None = None,
     seed: int = 0,
 ) -> Flow:
-    """Grip with `force` at first, feel slip, and grip harder, never above `most`.
+    """Grip an object, detect slip, and raise the force until it stops.
 
-    Without hardware it is an object of the simulated scene, `thing`, which is lifted after 3 s; where no
-    force is given it is half of what would hold it. With hardware, `bus` is the I2C bus of a fingertip and
-    `gripper` the address of a Robotiq 3-finger gripper, which cannot grip with less than 15 N; somebody else
-    moves the arm. The hand must be open for the first second.
+    Without hardware, a simulated object is lifted after 3 s. With hardware, the arm is moved by another program;
+    a Robotiq 3-finger gripper has a least force of 15 N. The hand must be open during the first second.
+
+    Args:
+        detector: Built-in detector or weights file.
+        thing: Simulated object.
+        force: Initial force; 0: half the force that holds the simulated object, or the gripper's least force.
+        max_force: Upper limit of the force.
+        bus: I2C bus of the fingertip.
+        gripper: Address of the gripper.
+        seed: Random seed of the simulation.
 
     Raises:
-        InputError: if only one of bus and gripper is given.
-        ParameterError: on a value that cannot be used.
+        InputError: if only one of `bus` and `gripper` is given.
+        ParameterError: if a parameter is invalid.
     """
     flow = Flow("lift")
     source: Source[Touch]
     hand: Sink[Commands]
     if (bus is None) != (gripper is None):
-        raise InputError(
-            "lift", "takes a bus and a gripper, or neither: give both, as bus=1 gripper=10.0.0.3"
-        )
+        raise InputError("lift", "needs both bus and gripper, or neither: set bus=1 and gripper=10.0.0.3")
     if bus is not None and gripper is not None:
-        source, hand = TakkTile(bus=bus), Gripper(gripper, limits=(WEAKEST, max(most, WEAKEST)))
-        rule = controller(detector, force or WEAKEST, most, COMES)
+        source, hand = TakkTile(bus=bus), Gripper(gripper, limits=(WEAKEST, max(max_force, WEAKEST)))
+        rule = grip_controller(detector, force or WEAKEST, max_force, REAL_SETTLE)
     else:
         if thing not in OBJECTS:
             raise ParameterError("lift", "thing", thing, f"one of {', '.join(OBJECTS)}")
         held = Handling(named(thing), seed)
         source, hand = held.touch, held.hand
-        rule = controller(detector, force or least_force(held.held) / 2, most)
-    scores, commands = held_by(flow, source, load_detector(detector), rule)
+        rule = grip_controller(detector, force or least_force(held.held) / 2, max_force)
+    scores, commands = declare_grip(flow, source, load_detector(detector), rule)
     (scores | (load_debounce(detector) or Debounce())).to(Console())
     commands.to(hand)
     return flow
 
 
-def controller(detector: str, force: float, most: float = 10.0, settle: int = CLOSES) -> Grip:
-    """Our rule, with the threshold that the detector's card names; `settle` ns for the hand to close in."""
+def grip_controller(
+    detector: str, force: float, max_force: float = 10.0, settle: int = SIMULATED_SETTLE
+) -> Grip:
+    """Return a controller with the threshold of the detector's card; the hand closes within `settle` ns."""
     card = load_debounce(detector) or Debounce()
-    return Grip(force=force, most=max(most, force), threshold=card.threshold, settle=settle)
+    return Grip(force=force, max_force=max(max_force, force), threshold=card.threshold, settle=settle)
 
 
-def held_by(
+def declare_grip(
     flow: Flow, source: Source[Touch], detector: Detector, grip: GripController, scans: int = 100
 ) -> tuple[Stream[Scores], Stream[Commands]]:
-    """Declare how a fingertip's touch comes to grip commands: what it scores, what it commands.
+    """Declare the path from touch to grip commands, and return the scores and the commands.
 
-    The first `scans` scans are those of an open hand.
+    The hand is open during the first `scans` samples.
     """
     touch = flow.source(source)
     scores = touch | Zero(scans=scans) | Score(detector)

@@ -1,4 +1,4 @@
-"""Feel slip as it happens: score a fingertip, print each slip event, publish it if a broker is given."""
+"""Live slip detection: score a fingertip, print slip events and faults, and publish them to a broker."""
 
 from connectors import Console, Mqtt, SimulatedRig
 from flows.graph import Flow
@@ -9,7 +9,15 @@ from storage import identify_detector, load_debounce, load_detector
 def live(
     detector: str = "tcn", broker: str | None = None, site: str = "lab", rig: str = "rig", seed: int = 0
 ) -> Flow:
-    """Score with `detector`, a built-in one or a file of weights; publish to `broker`, as mqtt://localhost."""
+    """Detect slip on the simulated fingertip, and publish events if a broker is given.
+
+    Args:
+        detector: Built-in detector or weights file.
+        broker: Broker URL, such as mqtt://localhost; None: print only.
+        site: Site name used in topics.
+        rig: Rig name used in topics.
+        seed: Random seed of the simulation.
+    """
     flow = Flow("live")
     touch = flow.source(SimulatedRig(seed=seed).touch)
     debounce = load_debounce(detector) or Debounce(consecutive=2, release=10)

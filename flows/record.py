@@ -1,4 +1,4 @@
-"""Record synchronized, labelled samples of a fingertip dragged by an arm."""
+"""Recording of synchronized, labelled samples of a fingertip that an arm drags over a surface."""
 
 from connectors import SimulatedRig
 from flows.graph import Flow, Stream
@@ -6,15 +6,19 @@ from flows.graph.quantity import Duration, Speed
 from operators import Align, Label, Zero, Zeroed, ms
 from storage import Dataset
 
-ARM_LATENCY = 70 * ms  # how much later than the barometers the simulated arm tells of the same instant
+ARM_LATENCY = 70 * ms  # simulated arm velocity arrives this much after the touch
 
 
 def record(
     out: str = "recordings", seed: int = 0, speed: Speed = 0.003, delay: Duration = ARM_LATENCY
 ) -> Flow:
-    """Record into `out`; a sample slips where the arm is faster than `speed`.
+    """Record the simulated rig and label its samples.
 
-    The simulated arm tells of its motion `delay` after the barometers felt it.
+    Args:
+        out: Folder of the dataset.
+        seed: Random seed of the simulation.
+        speed: Arm speed above which a sample is slip.
+        delay: Lag of the arm's velocity relative to the touch.
     """
     flow = Flow("record")
     declare_recording(flow, SimulatedRig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))
@@ -22,10 +26,10 @@ def record(
 
 
 def declare_recording(flow: Flow, rig: SimulatedRig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
-    """Declare how the streams of a rig, and the samples labelled from them, come into a dataset.
+    """Declare the recording of a rig: its streams, and the samples labelled from them.
 
     Returns:
-        The zeroed touch, for what else is to be made of it.
+        The zeroed touch.
     """
     touch = flow.source(rig.touch)
     motion = flow.source(rig.motion)

@@ -1,4 +1,4 @@
-"""Derive samples and slips anew from recordings: for an archive, when a label or a detector has changed."""
+"""New samples and slips from recordings, after a change of labels or detector."""
 
 from connectors import SimulatedRig
 from flows.graph import Flow
@@ -11,13 +11,16 @@ from storage import Dataset, load_debounce, load_detector
 def relabel(
     out: str = "relabelled", detector: str = "tcn", speed: Speed = 0.003, delay: Duration = ARM_LATENCY
 ) -> Flow:
-    """Label and score recordings into `out`: run it with --replay.
+    """Label and score recordings again; run it with --replay.
 
-    A sample slips where the arm is faster than `speed`; the arm tells of it `delay` late.
-    `detector` is a built-in one or a file of weights.
+    Args:
+        out: Folder of the new dataset.
+        detector: Built-in detector or weights file.
+        speed: Arm speed above which a sample is slip.
+        delay: Lag of the arm's velocity relative to the touch.
     """
     flow = Flow("relabel")
-    rig, dataset = SimulatedRig(), Dataset(out)  # what was recorded takes the rig's place
+    rig, dataset = SimulatedRig(), Dataset(out)  # --replay replaces the rig by the recording
     touch = flow.source(rig.touch)
     motion = flow.source(rig.motion)
 

@@ -1,4 +1,4 @@
-"""Pure operators over typed batches: no I/O, no clock, no event loop."""
+"""Operators over typed batches: pure functions with state; no I/O, no clock, no event loop."""
 
 from operators.align import Align
 from operators.batch import (

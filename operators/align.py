@@ -1,4 +1,4 @@
-"""The arm's motion at the instant of each touch."""
+"""Alignment of the arm's motion with the touch samples."""
 
 from dataclasses import dataclass, field
 from math import isfinite, nan
@@ -6,16 +6,16 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from operators.batch import Flags, Motion, Reals, Sample, Zeroed, constant, maker, ms, s
+from operators.batch import Flags, Motion, Reals, Sample, Zeroed, constant, fast_constructor, ms, s
 from operators.chain import Chain
-from operators.errors import ParameterError
+from operators.checks import check_at_least, check_choice
 from operators.operator import Join
-from operators.rotation import Real, between
+from operators.rotation import Real, interpolate_rotation
 
 How = Literal["nearest", "previous", "linear"]
 
-_FAR: Final = 2**62  # ns, further than any two stamps lie apart
-_made: Final = maker(Sample)
+_FAR: Final = 2**62  # ns, more than the distance of any two stamps
+_new_sample: Final = fast_constructor(Sample)
 _MATCHED: Final = constant([True])  # (1,)
 _UNMATCHED: Final = constant([False])  # (1,)
 _NO_MOTION: Final = constant([[nan] * 6])  # (1, 6)
@@ -23,73 +23,74 @@ _NO_MOTION: Final = constant([[nan] * 6])  # (1, 6)
 
 @dataclass
 class Align(Join[Zeroed, Motion, Sample]):
-    """Join by event time: give each touch, at t, the motion of that instant.
+    """Join each zeroed touch sample with the arm's motion at its time t.
 
-    By `how`, that is the motion of
+    `how` selects the motion:
 
     - ``previous``: the last row up to t;
-    - ``nearest``: that or the first row after t, whichever is nearer; at a tie the later;
-    - ``linear``: the row at t, or between those two, in proportion; rotations at constant rate.
+    - ``nearest``: the last row up to t or the first one after t, whichever is nearer; the later one in a tie;
+    - ``linear``: interpolation between these two; rotations at constant rate.
 
-    Of several rows with one stamp, the one next to the other side of t is meant: the last up to t, the
-    first after. Rows further from t than `within` do not count, nor do rows whose velocity is not finite.
-    A touch without motion is kept: its velocity and pose are NaN and `matched` is False.
+    Rows further from t than `within` are ignored, as are rows whose velocity is not finite. Touch samples
+    without motion are kept: velocity and pose are NaN and `matched` is False.
 
-    A touch is decided when motion newer than t has come, or with what is there when the touch stream has
-    gone on by `wait` or has ended. So `wait` is the most that missing motion delays a touch. Motion is kept
-    for `keep`: a touch that comes later than motion newer than t + `keep` finds no match.
+    A touch sample is released once motion newer than t has arrived, or without it when the touch stream is
+    `wait` ahead or ends. The result is exact if motion lags touch by at most `wait` (`wait` - `within` for
+    nearest and linear, which look ahead) and touch lags motion by at most `keep`. With ``how="previous"`` and
+    ``wait=0`` no sample is delayed.
 
-    The result is the ideal join as long as touch lags motion by `keep` at most, and motion lags touch by
-    `wait` at most, or `wait` - `within` for nearest and linear, which look ahead. With ``wait=0`` and
-    ``how="previous"`` every touch is decided at once.
+    Args:
+        within: Largest distance of motion from t, ns.
+        how: Selection of the motion.
+        wait: Longest delay of a touch sample by missing motion, ns; at least `within`, except for previous.
+        keep: Time for which motion is kept, ns; `Zero` delays touch while it measures the baseline.
 
     Raises:
-        ParameterError: on a value that cannot be used; `wait` is at least `within`, but for previous.
+        ParameterError: if a parameter is invalid.
+
+    >>> zeroed = Zeroed(np.array([10 * ms]), *np.zeros((2, 1, 6), np.int16), np.ones((1, 6), bool))
+    >>> motion = Motion(np.array([8 * ms, 16 * ms]), np.zeros(2, int), np.ones((2, 6)), np.zeros((2, 6)))
+    >>> Align().push(zeroed, motion).matched
+    array([ True])
     """
 
-    within: int = 20 * ms  # ns
+    within: int = 20 * ms
     how: How = "nearest"
-    wait: int = 100 * ms  # ns, for motion
-    keep: int = 10 * s  # ns, motion; more than touch may lag, as it does while `Zero` takes its baseline
+    wait: int = 100 * ms
+    keep: int = 10 * s
     _motion: Chain[Motion] = field(
         default_factory=lambda: Chain(Motion), init=False, repr=False, compare=False
     )
-    _newest: int = field(default=-_FAR, init=False, repr=False)  # ns, of the motion
+    _newest: int = field(default=-_FAR, init=False, repr=False)  # ns, newest motion
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.how not in get_args(How):
-            raise ParameterError("Align", "how", self.how, "nearest, previous or linear")
-        for name in ("within", "keep"):
-            if getattr(self, name) < 0:
-                raise ParameterError("Align", name, getattr(self, name), "at least 0 ns")
-        least = 0 if self.how == "previous" else self.within
-        if self.wait < least:
-            raise ParameterError(
-                "Align", "wait", self.wait, f"at least {least} ns, to see the rows after a touch"
-            )
+        check_choice("Align", "how", self.how, get_args(How))
+        check_at_least("Align", "within", self.within, 0, "ns")
+        check_at_least("Align", "keep", self.keep, 0, "ns")
+        check_at_least("Align", "wait", self.wait, 0 if self.how == "previous" else self.within, "ns")
 
     def process(self, left: Zeroed, right: Motion) -> Sample:
-        """Take motion first, then touch; give the touch rows that are decided."""
-        oldest = self._newest - self.keep  # that a new touch may be
+        """Store the motion, then return the touch samples that can be matched."""
+        oldest = self._newest - self.keep  # ns, oldest touch that still has all its motion
         if right.time.size:
-            self._remember(right)
+            self._store(right)
         if left.time.size:
             self._held.append(left)
-        passed = self._order_left.newest - self.wait  # touch up to here has waited long enough
+        passed = self._late_left.newest - self.wait  # touch up to here need not wait any longer
         rows = self._held.take(max(self._newest, passed + 1))
         samples = Sample.empty() if rows is None else self._match(rows, oldest)
         if right.time.size:
-            # not at every row, which is slow
+            # in larger steps: dropping single rows is slow
             self._motion.forget(self._newest - self.keep - self.within, self.keep // 8)
         return samples
 
     def flush(self) -> Sample:
-        """Give the touch rows that still wait, with what is there."""
+        """Return the waiting touch samples, matched with the motion so far."""
         rows = self._held.take(_FAR)
         return Sample.empty() if rows is None else self._match(rows, -_FAR)
 
-    def _remember(self, motion: Motion) -> None:
+    def _store(self, motion: Motion) -> None:
         if motion.time.size == 1:
             [velocity] = motion.velocity.tolist()
             kept = isfinite(sum(velocity)) or all(map(isfinite, velocity))  # a sum may overflow
@@ -108,14 +109,14 @@ class Align(Join[Zeroed, Motion, Sample]):
         time = motion.time
         after = time.searchsorted(rows.time, "right")  # (n,) the first newer row
         around = np.concatenate(([-_FAR], time, [_FAR]))
-        behind, ahead = rows.time - around[after], around[after + 1] - rows.time  # (n,) ns
+        since, ahead = rows.time - around[after], around[after + 1] - rows.time  # (n,) ns
         if self.how == "previous":
-            matched = behind <= self.within
+            matched = since <= self.within
         elif self.how == "nearest":
-            matched = np.minimum(behind, ahead) <= self.within
-            after += ahead <= behind
+            matched = np.minimum(since, ahead) <= self.within
+            after += ahead <= since
         else:
-            matched = (behind == 0) | (np.maximum(behind, ahead) <= self.within)
+            matched = (since == 0) | (np.maximum(since, ahead) <= self.within)
         matched &= rows.time >= oldest
         after -= 1
         if matched.all():
@@ -125,48 +126,50 @@ class Align(Join[Zeroed, Motion, Sample]):
             source = after[matched]
             velocity[matched], pose[matched] = motion.velocity[source], motion.pose[source]
         if self.how == "linear":
-            inside = matched & (behind > 0)
+            inside = matched & (since > 0)
             source = after[inside] + 1
-            part = behind[inside] / (behind + ahead)[inside]  # (m,)
-            with np.errstate(invalid="ignore"):  # what is infinite becomes NaN
-                moved = _moved(list(velocity[inside].T), list(motion.velocity[source].T), part)
-                posed = _posed(list(pose[inside].T), list(motion.pose[source].T), part)
-            velocity[inside], pose[inside] = np.transpose(moved), np.transpose(posed)
+            part = since[inside] / (since + ahead)[inside]  # (m,)
+            with np.errstate(invalid="ignore"):  # infinite values become NaN
+                linear = _interpolate(list(velocity[inside].T), list(motion.velocity[source].T), part)
+                pose_rows = _interpolate_pose(list(pose[inside].T), list(motion.pose[source].T), part)
+            velocity[inside], pose[inside] = np.transpose(linear), np.transpose(pose_rows)
         return _sample(rows, velocity, pose, matched)
 
     def _match_one(self, rows: Zeroed, oldest: int) -> Sample:
         instant = rows.time.item(0)
         before, after = self._motion.around(instant)
-        behind = instant - before.time.item(0) if before is not None else _FAR
+        since = instant - before.time.item(0) if before is not None else _FAR
         ahead = after.time.item(0) - instant if after is not None else _FAR
-        motion, off = before, behind
-        if self.how == "nearest" and ahead <= behind:
+        motion, off = before, since
+        if self.how == "nearest" and ahead <= since:
             motion, off = after, ahead
-        elif self.how == "linear" and behind:
-            off = max(behind, ahead)
+        elif self.how == "linear" and since:
+            off = max(since, ahead)
         if motion is None or off > self.within or instant < oldest:
             return _sample(rows, _NO_MOTION, _NO_MOTION, _UNMATCHED)
         velocity, pose = motion.velocity, motion.pose
-        if self.how == "linear" and behind and after is not None:
-            part = behind / (behind + ahead)
+        if self.how == "linear" and since and after is not None:
+            part = since / (since + ahead)
             with np.errstate(invalid="ignore"):
-                moved = _moved(velocity[0].tolist(), after.velocity[0].tolist(), part)
-                posed = _posed(pose[0].tolist(), after.pose[0].tolist(), part)
-            velocity, pose = np.array([moved]), np.array([posed])
+                linear = _interpolate(velocity[0].tolist(), after.velocity[0].tolist(), part)
+                pose_rows = _interpolate_pose(pose[0].tolist(), after.pose[0].tolist(), part)
+            velocity, pose = np.array([linear]), np.array([pose_rows])
         return _sample(rows, velocity, pose, _MATCHED)
 
 
-def _moved(first: list[Real], second: list[Real], part: Real) -> list[Real]:
-    """Components on the straight way from one to another."""
+def _interpolate(first: list[Real], second: list[Real], part: Real) -> list[Real]:
+    """Interpolate each component linearly."""
     return [a + part * (b - a) for a, b in zip(first, second, strict=True)]
 
 
-def _posed(first: list[Real], second: list[Real], part: Real) -> list[Real]:
-    """Components of a pose between two: the place moves straight, the rotation turns evenly."""
-    x, y, z = _moved(first[:3], second[:3], part)
-    u, v, w = between((first[3], first[4], first[5]), (second[3], second[4], second[5]), part)
+def _interpolate_pose(first: list[Real], second: list[Real], part: Real) -> list[Real]:
+    """Interpolate a pose: the position linearly, the rotation at constant rate."""
+    x, y, z = _interpolate(first[:3], second[:3], part)
+    u, v, w = interpolate_rotation((first[3], first[4], first[5]), (second[3], second[4], second[5]), part)
     return [x, y, z, u, v, w]
 
 
 def _sample(rows: Zeroed, velocity: Reals, pose: Reals, matched: Flags) -> Sample:
-    return _made(rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, rows.finger)
+    return _new_sample(
+        rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, rows.finger
+    )

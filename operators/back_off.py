@@ -1,4 +1,4 @@
-"""Delays between attempts at something that fails."""
+"""Retry delays with exponential back-off."""
 
 from dataclasses import dataclass, field
 

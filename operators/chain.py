@@ -1,4 +1,4 @@
-"""Rows of a stream, kept in the batches that they came in."""
+"""Rows of a stream, stored in their original batches."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterable
@@ -8,10 +8,9 @@ from operators.batch import AnyBatch, concat
 
 
 class Chain(Generic[AnyBatch]):
-    """Rows of one fingertip in order of time, appended behind and taken from the front.
+    """Queue of the rows of one fingertip, ordered by time.
 
-    Batches are kept and given out as they are: one row at a time, nothing is copied. A pickle holds the
-    rows as one batch.
+    Batches are stored and returned without copying where possible. A pickle holds the rows as one batch.
 
     >>> import numpy as np
     >>> from operators.batch import Batch
@@ -23,30 +22,30 @@ class Chain(Generic[AnyBatch]):
 
     def __init__(self, kind: type[AnyBatch], batches: Iterable[AnyBatch] = ()) -> None:
         self._kind, self._batches = kind, list(batches)
-        self._newest = [batch.time.item(-1) for batch in self._batches]  # ns, of each batch
+        self._newest = [batch.time.item(-1) for batch in self._batches]  # ns, newest row of each batch
 
     def append(self, batch: AnyBatch) -> None:
-        """Keep at least one row more, none older than those kept."""
+        """Append a batch of at least one row, none older than the rows before."""
         self._batches.append(batch)
         self._newest.append(batch.time.item(-1))
 
     def take(self, before: int) -> AnyBatch | None:
-        """Give up the rows older than `before` (ns); None if there are none."""
+        """Remove and return the rows older than `before` (ns); None if there are none."""
         if not self._batches or self._batches[0].time.item(0) >= before:
             return None
         taken = self._cut(before)
         return taken[0] if len(taken) == 1 else concat(self._kind, taken)
 
     def forget(self, before: int, slack: int = 0) -> None:
-        """Give up the rows older than `before` (ns), if one of them is older by more than `slack` (ns)."""
+        """Remove the rows older than `before` (ns), if the oldest is more than `slack` (ns) older."""
         if self._batches and self._batches[0].time.item(0) < before - slack:
             self._cut(before)
 
     def around(self, time: int) -> tuple[AnyBatch | None, AnyBatch | None]:
-        """The last row up to an instant (ns) and the first after it, each None if there is none."""
-        batches, place = self._batches, bisect_right(self._newest, time)
-        before = batches[place - 1] if place else None
-        after = batches[place] if place < len(batches) else None
+        """Return the last row up to a time (ns) and the first one after it, or None."""
+        batches, index = self._batches, bisect_right(self._newest, time)
+        before = batches[index - 1] if index else None
+        after = batches[index] if index < len(batches) else None
         if after is not None and after.time.size > 1:
             row = int(after.time.searchsorted(time, "right"))
             if row:
@@ -55,7 +54,7 @@ class Chain(Generic[AnyBatch]):
         return (before if before is None or before.time.size == 1 else before[-1:]), after
 
     def over(self, first: int, last: int) -> AnyBatch:
-        """The rows from the last up to `first` (ns) to the first after `last`, and maybe some more."""
+        """Return the rows from the last one up to `first` (ns) to the first one after `last`, at least."""
         start, stop = bisect_right(self._newest, first), bisect_right(self._newest, last)
         return concat(self._kind, self._batches[max(start - 1, 0) : stop + 1])
 

@@ -1,4 +1,4 @@
-"""Checks of parameters, each of which raises the same `ParameterError` for the same mistake."""
+"""Checks of parameter values."""
 
 from collections.abc import Iterable
 

@@ -1,24 +1,33 @@
-"""Slip events out of single decisions."""
+"""Debouncing of slip probabilities."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from operators.batch import SLIP, STATIC, UNKNOWN, Scores, Slips
+from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 
 
 @dataclass
 class Debounce(Operator[Scores, Slips]):
-    """A slip begins after `consecutive` slip decisions in a row and ends after `release` static ones.
+    """Convert slip probabilities to slip events: onset and end.
 
-    The paper's robot tests register a slip after two. A NaN score decides nothing and breaks either run. A
-    slip lasts at least `minimum` from its start, the first decision of its run: an end that would come
-    sooner waits. A slip still open when the stream ends is given no end.
+    A slip starts after `consecutive` decisions for slip in a row, and ends after `release` decisions against
+    it. NaN is no decision and interrupts both. A slip that is open at the end of the stream gets no end.
+
+    Args:
+        threshold: Smallest probability that is a decision for slip, above 0, at most 1.
+        consecutive: Decisions that start a slip; 2 in the paper's robot tests.
+        release: Decisions that end a slip.
+        minimum: Shortest slip, ns, from the first decision of its onset.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is invalid.
+
+    References:
+        "Under Pressure" (2021), section V-B.
 
     >>> scores = Scores(np.arange(5), np.array([0.9, 0.8, 0.9, 0.1, 0.2]))
     >>> slips = Debounce().push(scores)
@@ -26,36 +35,32 @@ class Debounce(Operator[Scores, Slips]):
     (array([1, 0], dtype=int8), array([0, 3]), array([1, 4]))
     """
 
-    threshold: float = 0.5  # the least probability that is a slip decision
-    consecutive: int = 2  # decisions
-    release: int = 2  # decisions
-    minimum: int = 0  # ns
-    _decision: int = field(default=UNKNOWN, init=False, repr=False)  # of the run at hand
-    _length: int = field(default=0, init=False, repr=False)  # of the run at hand, decisions
-    _start: int = field(default=0, init=False, repr=False)  # of the run at hand, ns
-    _state: int = field(default=STATIC, init=False, repr=False)  # SLIP while a slip lasts
-    _earliest: int = field(default=0, init=False, repr=False)  # that the slip at hand may end, ns
+    threshold: float = 0.5
+    consecutive: int = 2
+    release: int = 2
+    minimum: int = 0
+    _decision: int = field(default=UNKNOWN, init=False, repr=False)  # of the current run
+    _length: int = field(default=0, init=False, repr=False)  # decisions in the current run
+    _start: int = field(default=0, init=False, repr=False)  # ns, start of the current run
+    _state: int = field(default=STATIC, init=False, repr=False)  # SLIP during a slip
+    _earliest: int = field(default=0, init=False, repr=False)  # ns, earliest end of the current slip
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold <= 1:
             raise ParameterError("Debounce", "threshold", self.threshold, "above 0 and at most 1")
-        for name, least, unit in (
-            ("consecutive", 1, "decision"),
-            ("release", 1, "decision"),
-            ("minimum", 0, "ns"),
-        ):
-            if getattr(self, name) < least:
-                raise ParameterError("Debounce", name, getattr(self, name), f"at least {least} {unit}")
+        check_at_least("Debounce", "consecutive", self.consecutive, 1, "decision")
+        check_at_least("Debounce", "release", self.release, 1, "decision")
+        check_at_least("Debounce", "minimum", self.minimum, 0, "ns")
 
     def process(self, batch: Scores) -> Slips:
-        """Give the onsets and ends that the batch decides."""
+        """Return the onsets and ends within the batch."""
         threshold, consecutive, release = self.threshold, self.consecutive, self.release
         run, length, start, state = self._decision, self._length, self._start, self._state
         rows: list[int] = []
         starts: list[int] = []
         states: list[int] = []
         values = zip(batch.time.tolist(), batch.probability.tolist(), strict=True)
-        for row, (time, probability) in enumerate(values):  # on floats: as fast as arrays of whole runs
+        for row, (time, probability) in enumerate(values):  # Python floats: as fast as numpy here
             decision = SLIP if probability >= threshold else STATIC if probability < threshold else UNKNOWN
             if decision == run:
                 length += 1

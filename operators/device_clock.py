@@ -1,8 +1,8 @@
-"""A device's clock on the host: when was what the device stamped?
+"""Conversion of device time stamps to host time.
 
-A source stamps rows with their arrival, which comes late, now more, now less. `DeviceClock` gives them the
-host time of the device's own stamp instead, up to the constant part of the way, which nobody can see from one
-end. Record the raw stream too: it keeps both stamps as they were, and `fit_clock` knows better afterwards.
+A source stamps rows at arrival, after a varying delay. `DeviceClock` replaces the arrival time by the host
+time of the device's own stamp, up to the constant part of the delay, which cannot be measured from one end.
+Record the raw stream as well: it keeps both stamps, and `fit_clock` is more accurate afterwards.
 """
 
 from dataclasses import dataclass, field
@@ -17,21 +17,24 @@ from operators.operator import Operator
 
 @dataclass
 class DeviceClock(Operator[Motion, Motion]):
-    """Put each row at the host time of its device stamp; what it takes is stamped with its arrival.
+    """Replace arrival times by the host times of the device's own stamps.
 
-    Online, so a row is placed by what came before it: by the lower envelope of (arrival - device stamp) over
-    a `window`, a line with an offset and a drift (see `operators.envelope`). Time never decreases, and is
-    never later than the arrival. For some seconds after an epoch began it is wrong by about the least
-    lateness seen so far, then by some 0.1 ms where rows are up to 20 ms late. Where hardly any row comes in
-    time, it stays wrong by about the least lateness of a `window`. When the way gets longer for good, as over
-    another network, the times follow within a `window`; a drift that changes is followed as slowly.
+    The host time of a row follows from the lower envelope of (arrival - device stamp) over the `window`
+    before it: a line with offset and drift (see `operators.envelope`). Time never decreases and is never
+    later than the arrival. During the first seconds of an epoch the error is about the smallest delay so
+    far; after that about 0.1 ms if rows are up to 20 ms late. If the delay increases permanently or the
+    drift changes, the times follow within a `window`.
 
-    An epoch begins where the device's clock goes back, as a controller's does when it restarts, where it
-    disagrees with the host's by more than `jump` about how far two rows lie apart, and after five windows
-    without a row.
+    A new epoch starts when the device's clock steps back (a controller restart), when device and host
+    disagree by more than `jump` on the interval between two rows, and after five windows without rows.
+
+    Args:
+        window: Length of the envelope in device time, ns.
+        drift: Largest drift, s/s; crystals stay below 200e-6.
+        jump: Largest disagreement on an interval within an epoch, ns.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is invalid.
 
     >>> from operators.batch import ms
     >>> device = np.arange(5) * 8 * ms
@@ -41,89 +44,103 @@ class DeviceClock(Operator[Motion, Motion]):
     array([ 3,  8, 16, 24, 32])
     """
 
-    window: int = 120 * s  # of device time
-    drift: float = 200e-6  # s/s, at most; crystals stay below
+    window: int = 120 * s
+    drift: float = 200e-6
     jump: int = 2 * s
     _envelope: Envelope = field(init=False, repr=False, compare=False)
-    _newest: int | None = field(default=None, init=False, repr=False)  # ns, given
+    _newest: int | None = field(default=None, init=False, repr=False)  # ns, of the output
 
     def __post_init__(self) -> None:
         self._envelope = Envelope(self.window, self.drift, self.jump)
 
     def process(self, batch: Motion) -> Motion:
-        """Place each row."""
-        place, newest, times = self._envelope.place, self._newest, list[int]()
+        """Return the rows with host times."""
+        host_time, newest, times = self._envelope.host_time, self._newest, list[int]()
         for device, arrival in zip(batch.device_time.tolist(), batch.time.tolist(), strict=True):
-            time = place(device, arrival)
+            time = host_time(device, arrival)
             newest = time if newest is None else max(newest, time)
             times.append(newest)
         self._newest = newest
-        return _at(batch, np.array(times, np.int64))
+        return _with_time(batch, np.array(times, np.int64))
 
 
 @dataclass
 class WatchClock(Operator[Motion, Clocks]):
-    """Tell every few seconds, and when an epoch ends, how the device's clock stands to the host's.
+    """Report the relation of the device's clock to the host's periodically and at the end of each epoch.
 
-    It takes the rows that `DeviceClock` takes, has its parameters, and draws the same lines. The residual is
-    by how much the rows since the last telling came late, in the mean.
+    Takes the same input and parameters as `DeviceClock` and uses the same envelope. The residual is the mean
+    lateness of the rows since the last report.
+
+    Args:
+        window: As in `DeviceClock`, ns.
+        drift: As in `DeviceClock`, s/s.
+        jump: As in `DeviceClock`, ns.
+        every: Interval of the reports in device time, ns.
+
+    Raises:
+        ParameterError: if a parameter is invalid.
+
+    >>> arrivals = np.arange(3) * 8 * 10**6
+    >>> motion = Motion(1_000 * s + arrivals, arrivals, np.zeros((3, 6)), np.zeros((3, 6)))
+    >>> clock = WatchClock(every=16 * 10**6)
+    >>> (clock.push(motion).offset // s).tolist()
+    [1000]
     """
 
-    window: int = 120 * s  # of device time
-    drift: float = 200e-6  # s/s, at most
+    window: int = 120 * s
+    drift: float = 200e-6
     jump: int = 2 * s
-    every: int = 5 * s  # of device time
+    every: int = 5 * s
     _envelope: Envelope = field(init=False, repr=False, compare=False)
-    _since: int = field(default=0, init=False, repr=False)  # ns, device stamp of the first row not told of
-    _rows: int = field(default=0, init=False, repr=False)  # not told of
-    _late: int = field(default=0, init=False, repr=False)  # ns, all of them together
-    _placed: int = field(default=0, init=False, repr=False)  # ns, host time of the newest
-    _told: int | None = field(default=None, init=False, repr=False)  # ns, of the newest row given
+    _since: int = field(default=0, init=False, repr=False)  # ns, device stamp of the first unreported row
+    _rows: int = field(default=0, init=False, repr=False)  # unreported
+    _late: int = field(default=0, init=False, repr=False)  # ns, their total lateness
+    _placed: int = field(default=0, init=False, repr=False)  # ns, host time of the newest row
+    _reported: int | None = field(default=None, init=False, repr=False)  # ns, time of the newest report
     _finger: int = field(default=EVERY, init=False, repr=False)
 
     def __post_init__(self) -> None:
         self._envelope = Envelope(self.window, self.drift, self.jump)
 
     def process(self, batch: Motion) -> Clocks:
-        """Give what the rows complete."""
-        envelope, told = self._envelope, list[Clocks]()
+        """Return the reports that the rows complete."""
+        envelope, reports = self._envelope, list[Clocks]()
         self._finger = batch.finger
         for device, arrival in zip(batch.device_time.tolist(), batch.time.tolist(), strict=True):
-            if self._rows and (device - self._since >= self.every or envelope.begins(device, arrival)):
-                told.append(self._tell())
+            if self._rows and (device - self._since >= self.every or envelope.starts_epoch(device, arrival)):
+                reports.append(self._report())
             if not self._rows:
                 self._since = device
-            self._placed = envelope.place(device, arrival)
+            self._placed = envelope.host_time(device, arrival)
             self._rows += 1
             self._late += arrival - self._placed
-        return concat(Clocks, told)
+        return concat(Clocks, reports)
 
     def flush(self) -> Clocks:
-        """Give what the last rows tell."""
-        return self._tell() if self._rows else Clocks.empty()
+        """Return the report of the remaining rows."""
+        return self._report() if self._rows else Clocks.empty()
 
-    def _tell(self) -> Clocks:
+    def _report(self) -> Clocks:
         envelope = self._envelope
-        time = self._placed if self._told is None else max(self._told, self._placed)
+        time = self._placed if self._reported is None else max(self._reported, self._placed)
         offset, residual = self._placed - envelope.device, self._late / self._rows / s
-        self._told, self._rows, self._late = time, 0, 0
+        self._reported, self._rows, self._late = time, 0, 0
         return _clocks(time, offset, envelope.slope, residual, self._finger)
 
 
 def fit_clock(motion: Motion, *, drift: float = 200e-6, jump: int = 2 * s) -> tuple[Motion, Clocks]:
-    """Do for a whole recording what `DeviceClock` does online: one line under all rows of an epoch.
+    """Convert a whole recording like `DeviceClock`, with one line per epoch.
 
-    Up to the constant part of the way, time is then right within some 0.01 ms where rows are up to 20 ms late
-    and the drift is constant. A residual that is larger than online shows a drift that was not.
+    Up to the constant part of the delay, times are accurate to about 0.01 ms if rows are up to 20 ms late
+    and the drift is constant. A residual larger than that of `WatchClock` indicates a changing drift.
 
     Args:
-        motion: Rows as received, in their order.
+        motion: Rows as received, in order.
         drift: As in `DeviceClock`, s/s.
         jump: As in `DeviceClock`, ns.
 
     Returns:
-        The rows at the host times of their device stamps, and for each epoch how its clock stood to the
-        host's when it began.
+        Rows with host times, and the clock relation at the start of each epoch.
     """
     if not len(motion):
         return motion, Clocks.empty()
@@ -138,10 +155,10 @@ def fit_clock(motion: Motion, *, drift: float = 200e-6, jump: int = 2 * s) -> tu
         time[start:stop] = arrival[0] + x + np.rint(offset + slope * x).astype(np.int64)
         first, late = time.item(start), float((arrival - time[start:stop]).mean()) / s
         clocks.append(_clocks(first, first - device.item(0), slope, late, motion.finger))
-    return _at(motion, np.maximum.accumulate(time)), concat(Clocks, clocks)
+    return _with_time(motion, np.maximum.accumulate(time)), concat(Clocks, clocks)
 
 
-def _at(motion: Motion, time: Times) -> Motion:
+def _with_time(motion: Motion, time: Times) -> Motion:
     return Motion(time, motion.device_time, motion.velocity, motion.pose, finger=motion.finger)
 
 

@@ -1,13 +1,15 @@
-"""The lower envelope of (arrival - device stamp): what a device's clock shows, seen through a late network.
+"""Lower envelope of (arrival - device stamp): the device's clock without the delay of the network.
 
-With x the device's stamp and y = arrival - x, both since the first row, a row comes at the clock's offset
-plus however late it is, and never early. So the clock is the highest line under all rows::
+With x the device stamp and y = arrival - x, both relative to the first row, y is the clock's offset plus a
+delay that is never negative. So the clock is the highest line under all rows::
 
     minimise mean(y - a - b x)  with  a + b x <= y  for every row
 
-a is its offset, b its drift. It touches the rows that were least late, and is the edge of the lower convex
-hull under the mean of x. Source: Moon, Skelly, Towsley, "Estimation and removal of clock skew from network
-delay measurements", INFOCOM 1999.
+a is the offset, b the drift. The line is the edge of the lower convex hull below the mean of x.
+
+References:
+    Moon, Skelly, Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM
+    1999.
 """
 
 from dataclasses import dataclass, field
@@ -17,21 +19,20 @@ from typing import Final
 import numpy as np
 
 from operators.batch import Reals, s
-from operators.errors import ParameterError
+from operators.checks import check_at_least
 
-BLOCKS: Final = 60  # of a window: of each the row that was least late is kept
-PAUSE: Final = 5  # windows
-_SPAN: Final = 5 * s
+BLOCKS: Final = 60  # per window; the least late row of each block is kept
+PAUSE: Final = 5  # windows without rows, after which a new epoch starts
+_SPAN: Final = 5 * s  # least span of rows for a drift
 
 
 def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
-    """The line under rows (n,), n at least 1, in the order of their x.
+    """Return the highest line under at least one row, (n,) each, ordered by x.
 
     Args:
-        x: Device stamps, ns since any of them.
-        y: Arrivals after those, ns.
-        limit: The steepest that it may be, either way (s/s). It is level where the rows cover less than five
-            seconds: they do not tell of a drift.
+        x: Device stamps, ns relative to any origin.
+        y: Arrival minus device stamp, ns.
+        limit: Largest absolute drift, s/s. The drift is 0 if the rows cover less than five seconds.
 
     Returns:
         Offset at x = 0 (ns) and drift (s/s).
@@ -56,67 +57,66 @@ def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
 
 @dataclass
 class Envelope:
-    """The envelope of a stream so far, and where it puts each row.
+    """Running envelope of a stream.
 
-    Time is cut into blocks of a `window`'s sixtieth. The line under the sixty that came before a block holds
-    for all of it, sunk under every row that came earlier than the line says. Then it is drawn again.
+    Time is divided into blocks of 1/60 `window`. The line under the 60 blocks before a block applies to the
+    whole block; rows earlier than the line lower it. At the end of the block the line is fitted again.
 
-    A new epoch begins where the device's clock goes back, or where the two clocks disagree about how far two
-    rows lie apart by more than `jump`: that is another clock, and nothing is known of it. So it does after a
-    pause of five windows, by when the drift may have changed.
+    A new epoch starts when the device's clock steps back, when device and host disagree by more than `jump`
+    on the interval between two rows, or after five windows without rows.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is invalid.
     """
 
     window: int  # ns of device time
-    drift: float  # s/s, at most
-    jump: int  # ns
+    drift: float  # s/s, largest
+    jump: int  # ns, largest disagreement on an interval
     epoch: int = -1  # counts from 0
     device: int = 0  # ns, stamp of the newest row
     arrival: int = 0  # ns, of the newest row
-    offset: float = 0.0  # ns, of the line at the epoch's first row
+    offset: float = 0.0  # ns, of the line, at the epoch's first row
     slope: float = 0.0  # s/s, of the line
     _origin: int = 0  # ns, device stamp of the epoch's first row
-    _began: int = 0  # ns, its arrival
-    _sunk: float = 0.0  # ns, at most 0
-    _block: int = 0  # number of the present one
-    _least: tuple[int, int, float] = (0, 0, inf)  # x, y and lateness of its row that was least late
-    _kept: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # x and y, by block
+    _began: int = 0  # ns, arrival of the epoch's first row
+    _lowered: float = 0.0  # ns, by which the line was lowered in this block; at most 0
+    _block: int = 0  # index of the current block
+    _least: tuple[int, int, float] = (0, 0, inf)  # x, y and lateness of its least late row
+    _kept: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # x and y, per block
 
     def __post_init__(self) -> None:
-        for name, least, unit in (("window", BLOCKS, "ns"), ("drift", 0, "s/s"), ("jump", 0, "ns")):
-            if not getattr(self, name) >= least:
-                raise ParameterError("DeviceClock", name, getattr(self, name), f"at least {least} {unit}")
+        check_at_least("DeviceClock", "window", self.window, BLOCKS, "ns")
+        check_at_least("DeviceClock", "drift", self.drift, 0, "s/s")
+        check_at_least("DeviceClock", "jump", self.jump, 0, "ns")
 
-    def begins(self, device: int, arrival: int) -> bool:
-        """Whether the next row, with these stamps (ns), begins an epoch."""
+    def starts_epoch(self, device: int, arrival: int) -> bool:
+        """Return whether the next row, with these stamps (ns), starts an epoch."""
         step = device - self.device
         known = 0 <= step <= PAUSE * self.window and abs(arrival - self.arrival - step) <= self.jump
         return self.epoch < 0 or not known
 
-    def place(self, device: int, arrival: int) -> int:
-        """Take the next row's stamps (ns); give the host time of the device's (ns), which is no later."""
-        if self.begins(device, arrival):
+    def host_time(self, device: int, arrival: int) -> int:
+        """Return the host time (ns) of the next row, no later than its arrival."""
+        if self.starts_epoch(device, arrival):
             self.epoch += 1
             self._origin, self._began, self._block, self._kept = device, arrival, 0, []
-            self.offset = self.slope = self._sunk = 0.0
+            self.offset = self.slope = self._lowered = 0.0
             self._least = 0, 0, inf
         self.device, self.arrival = device, arrival
         x = device - self._origin
         y = arrival - self._began - x
         if (block := x * BLOCKS // self.window) != self._block:
             self._block = block
-            self._draw()
+            self._fit()
         lateness = y - (self.offset + self.slope * x)
         if lateness < self._least[2]:
             self._least = x, y, lateness
-            self._sunk = min(self._sunk, lateness)
-        return min(arrival, self._began + x + round(self.offset + self.slope * x + self._sunk))
+            self._lowered = min(self._lowered, lateness)
+        return min(arrival, self._began + x + round(self.offset + self.slope * x + self._lowered))
 
-    def _draw(self) -> None:
-        """Draw the line under the newest blocks."""
+    def _fit(self) -> None:
+        """Fit the line to the newest blocks."""
         self._kept = [*self._kept[1 - BLOCKS :], self._least[:2]]
         x, y = np.array(self._kept, np.float64).T  # (blocks,) each
         self.offset, self.slope = line(x, y, self.drift)
-        self._sunk, self._least = 0.0, (0, 0, inf)
+        self._lowered, self._least = 0.0, (0, 0, inf)

@@ -1,4 +1,4 @@
-"""What a reading that did not come is taken to be: the last that did."""
+"""Replacement of missing readings by the last valid one."""
 
 from typing import TypeVar
 
@@ -11,18 +11,18 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 def forward_fill(values: NDArray[Scalar], valid: Flags, last: NDArray[Scalar]) -> NDArray[Scalar]:
-    """Values in which the last valid one of a column stands for its invalid ones.
+    """Replace each invalid value by the last valid one of its column.
 
     Args:
         values: (n, m)
         valid: (n, m)
-        last: (m,) what stands for invalid values before any valid one
+        last: (m,) replacements before the first valid value
 
     >>> values, valid = np.array([[7], [0], [9]]), np.array([[True], [False], [True]])
     >>> forward_fill(values, valid, np.zeros(1, np.int64)).ravel()
     array([7, 7, 9])
     """
-    if np.count_nonzero(valid) == valid.size:  # as valid.all(), in a third of the time for few rows
+    if np.count_nonzero(valid) == valid.size:  # faster than valid.all() for few rows
         return values
     source = np.where(valid, np.arange(1, len(values) + 1)[:, None], 0)  # (n, m) 0: `last`
     np.maximum.accumulate(source, axis=0, out=source)

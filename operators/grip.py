@@ -1,4 +1,4 @@
-"""How hard to grip, out of how sure a detector is of slip."""
+"""Grip force control from slip probabilities."""
 
 import math
 from abc import abstractmethod
@@ -9,65 +9,77 @@ from typing import Final
 import numpy as np
 
 from operators.batch import Commands, Scores, ms, s
+from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
 from operators.operator import Operator
 
-_LONGEST: Final = 50 * ms  # ns, between two decisions of one slip: what is longer is a gap
+_LONGEST: Final = 50 * ms  # ns, longest interval between two decisions; more is a gap
 
 
 @dataclass
 class GripController(Operator[Scores, Commands]):
-    """What rules for the grip force share: limits, the first command, and letting go.
+    """Convert slip probabilities to grip force commands (base class of the control rules).
 
-    The first decision commands `force`: the hand closes. What is felt within `settle` of it is the touch
-    itself and decides nothing. A slip is registered when `consecutive` decisions in a row say so; a NaN
-    breaks the run. A command is given when it differs from the one before by `resolution`, or is a limit.
+    The first decision commands `force`, which closes the hand. Decisions within `settle` after it are
+    ignored, as the contact itself causes them. A slip is registered after `consecutive` decisions for slip
+    in a row; NaN interrupts the run. A command is issued if it differs from the last one by `resolution`, or
+    is a limit.
 
-    An object that still slips when `most` has been commanded for `patience` is given up: the force falls to
-    `least`, in one command, and nothing more is commanded until the operator is made afresh.
+    If the object still slips after `max_force` has been commanded for `give_up_after`, the controller gives
+    up: it commands `min_force` once, and nothing more until the operator is reset.
+
+    Args:
+        force: Initial force, N.
+        min_force: Lower limit, N.
+        max_force: Upper limit, N.
+        rate: Fastest increase, N/s.
+        threshold: Smallest probability that is a decision for slip.
+        consecutive: Decisions that register a slip.
+        settle: Time after the first command without decisions, ns.
+        give_up_after: Time of slip at `max_force` before giving up, ns.
+        resolution: Smallest change of a command, N.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is invalid.
     """
 
-    force: float = 0.5  # N, to begin with
-    least: float = 0.0  # N
-    most: float = 10.0  # N
-    rate: float = 40.0  # N/s, at which commands rise at most
-    threshold: float = 0.5  # the least probability that is a slip decision
-    consecutive: int = 2  # decisions
-    settle: int = 300 * ms  # ns
-    patience: int = 1 * s  # ns
-    resolution: float = 0.02  # N
-    _asked: float = field(default=math.nan, init=False, repr=False)  # N, by the newest command
-    _aim: float = field(default=0.0, init=False, repr=False)  # N
-    _begun: int = field(default=0, init=False, repr=False)  # ns, of the first decision
-    _before: int = field(default=0, init=False, repr=False)  # ns, of the newest decision
+    force: float = 0.5
+    min_force: float = 0.0
+    max_force: float = 10.0
+    rate: float = 40.0
+    threshold: float = 0.5
+    consecutive: int = 2
+    settle: int = 300 * ms
+    give_up_after: int = 1 * s
+    resolution: float = 0.02
+    _commanded: float = field(default=math.nan, init=False, repr=False)  # N, latest command
+    _aim: float = field(default=0.0, init=False, repr=False)  # N, desired force
+    _begun: int = field(default=0, init=False, repr=False)  # ns, first decision
+    _before: int = field(default=0, init=False, repr=False)  # ns, latest decision
     _run: int = field(default=0, init=False, repr=False)  # slip decisions in a row
-    _full: int = field(default=0, init=False, repr=False)  # ns that it has slipped with all force
+    _full: int = field(default=0, init=False, repr=False)  # ns of slip at the upper limit
     _given_up: bool = field(default=False, init=False, repr=False)
 
     def __post_init__(self) -> None:
         name = type(self).__name__
-        if not 0 <= self.least <= self.force <= self.most < math.inf:
-            must_be = f"from least to most, {self.least:g} to {self.most:g} N, both at least 0 and finite"
+        if not 0 <= self.min_force <= self.force <= self.max_force < math.inf:
+            must_be = f"from min_force to max_force, {self.min_force:g} to {self.max_force:g} N, finite"
             raise ParameterError(name, "force", self.force, must_be)
         if not 0 < self.threshold <= 1:
             raise ParameterError(name, "threshold", self.threshold, "above 0 and at most 1")
-        for key, unit in (("rate", "N/s"), ("resolution", "N")):
-            if not getattr(self, key) > 0:
-                raise ParameterError(name, key, getattr(self, key), f"above 0 {unit}")
-        for key, lowest, unit in (("consecutive", 1, "decision"), ("settle", 0, "ns"), ("patience", 0, "ns")):
-            if getattr(self, key) < lowest:
-                raise ParameterError(name, key, getattr(self, key), f"at least {lowest} {unit}")
+        check_above(name, "rate", self.rate, 0, "N/s")
+        check_above(name, "resolution", self.resolution, 0, "N")
+        check_at_least(name, "consecutive", self.consecutive, 1, "decision")
+        check_at_least(name, "settle", self.settle, 0, "ns")
+        check_at_least(name, "give_up_after", self.give_up_after, 0, "ns")
 
     @property
     def given_up(self) -> bool:
-        """Whether it has let go of an object that all force did not hold."""
+        """True after the controller has released an object that slips at the upper limit."""
         return self._given_up
 
     def process(self, batch: Scores) -> Commands:
-        """Give the commands that the decisions make."""
+        """Return the commands that follow from the decisions."""
         rows: list[int] = []
         forces: list[float] = []
         values = zip(batch.time.tolist(), batch.probability.tolist(), strict=True)
@@ -83,20 +95,20 @@ class GripController(Operator[Scores, Commands]):
 
     @abstractmethod
     def aim(self, time: int, gone: float, probability: float, *, registered: bool) -> float:
-        """The force (N) that is right now; limits are not its business.
+        """Return the desired force (N), before limits.
 
         Args:
-            time: Of the decision, ns.
-            gone: Since the one before, s; 0 after a gap.
-            probability: Of slip; NaN: unknown.
+            time: Time of the decision, ns.
+            gone: Time since the last decision, s; 0 after a gap.
+            probability: Probability of slip; NaN: unknown.
             registered: Whether a slip is registered.
         """
 
     def _decide(self, time: int, probability: float) -> float:
-        """The force to command, N; NaN: none."""
-        if math.isnan(self._asked):
+        """Return the force to command, N; NaN: no command."""
+        if math.isnan(self._commanded):
             self._begun = self._before = time
-            self._aim = self._asked = self.force
+            self._aim = self._commanded = self.force
             return self.force
         if self._given_up:
             return math.nan
@@ -108,129 +120,141 @@ class GripController(Operator[Scores, Commands]):
         if not settled:
             return math.nan
         wanted = self.aim(time, gone, probability, registered=registered)
-        self._aim = min(max(wanted, self.least), self.most, self._aim + self.rate * gone)
-        if registered and self._asked == self.most:
+        self._aim = min(max(wanted, self.min_force), self.max_force, self._aim + self.rate * gone)
+        if registered and self._commanded == self.max_force:
             self._full += since
-            if self._full >= self.patience:
+            if self._full >= self.give_up_after:
                 self._given_up = True
-                self._asked = self.least
-                return self.least
+                self._commanded = self.min_force
+                return self.min_force
         elif not registered:
             self._full = 0
-        if self._aim == self._asked or (
-            abs(self._aim - self._asked) < self.resolution and self._aim not in (self.most, self.least)
+        if self._aim == self._commanded or (
+            abs(self._aim - self._commanded) < self.resolution
+            and self._aim not in (self.max_force, self.min_force)
         ):
             return math.nan
-        self._asked = self._aim
+        self._commanded = self._aim
         return self._aim
 
 
 @dataclass
 class StepGrip(GripController):
-    """The paper's rule: each registered slip raises the force by a step ("Under Pressure", 2021, V-B).
+    """Raise the grip force by a step per registered slip, as in the paper.
 
-    A slip that lasts is registered again after `consecutive` more decisions. The force never falls. The paper
-    does not say how large its step was.
+    A lasting slip is registered again after `consecutive` more decisions. The force never decreases.
+
+    Args:
+        step: Force step, N; the paper does not state its value.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is invalid.
+
+    References:
+        "Under Pressure" (2021), section V-B.
 
     >>> scores = Scores(np.arange(6) * 10 * ms, np.array([0.1, 0.9, 0.9, 0.9, 0.9, 0.1]))
     >>> StepGrip(force=1.0, step=0.2, settle=0).push(scores).force
     array([1. , 1.2, 1.4])
     """
 
-    step: float = 0.15  # N
+    step: float = 0.15
     _wanted: float = field(default=0.0, init=False, repr=False)  # N
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.step > 0:
-            raise ParameterError("StepGrip", "step", self.step, "above 0 N")
+        check_above("StepGrip", "step", self.step, 0, "N")
         self._wanted = self.force
 
     def aim(self, time: int, gone: float, probability: float, *, registered: bool) -> float:  # noqa: ARG002
-        """A step more for each registered slip."""
+        """Add a step per registered slip."""
         if registered:
             self._run = 0
-            self._wanted = min(self._wanted + self.step, self.most)
+            self._wanted = min(self._wanted + self.step, self.max_force)
         return self._wanted
 
 
 @dataclass
 class Grip(GripController):
-    """Force in proportion to the evidence of slip, and no more; in shares of itself, as it knows no scale.
+    """Raise the grip force in proportion to the evidence of slip, and lower it again afterwards.
 
-    While a slip is registered the force grows by ``gain * e * (1 + T / soon)`` per second, in shares of what
-    it was when that slip began; T is how long it has lasted, and e how far the probability is above the
-    threshold, 0 to 1. What a command does is not felt before `latency` has passed; until then a hand that
-    grips harder stirs the fingertip itself: so the force is at most `reach` times what it was `latency`
-    ago.
+    During a registered slip the force grows by ``gain * e * (1 + T / doubling_time)`` per second, relative
+    to the force at the start of the slip. T is the duration of the slip and e, from 0 to 1, the probability
+    above the threshold. The effect of a command is measured `latency` later; until then a closing hand
+    itself disturbs the fingertip. So the force is limited to `max_ratio` times the force `latency` ago.
 
-    What slips was gripped with what was commanded `latency` ago, so that force is too little. `margin` above
-    the newest such force is taken to be enough: once nothing has slipped for `calm`, the force falls to
-    there, but not below `keep` of what it was when the slip ended.
+    The force `latency` before a slip decision was too low. `margin` above the latest such force is assumed
+    to hold the object: after `quiet_time` without slip, the force decreases to that value, but not below
+    `min_ratio` of the force at the end of the slip.
+
+    Args:
+        gain: Growth rate, 1/s.
+        doubling_time: Duration of slip after which the growth rate has doubled, ns.
+        max_ratio: Largest force, relative to the force `latency` ago.
+        margin: Assumed margin above the latest force that slipped, relative to that force.
+        min_ratio: Smallest force, relative to the force at the end of the slip.
+        latency: Time from a command to the detector's reaction, ns.
+        quiet_time: Time without slip before the force decreases, ns.
+        release_rate: Rate of the decrease, relative to the force, 1/s.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is invalid.
 
     >>> scores = Scores(np.arange(5) * 10 * ms, np.array([0.1, 1.0, 1.0, 1.0, 0.1]))
     >>> Grip(force=1.0, gain=10.0, settle=0).push(scores).force
     array([1.     , 1.1    , 1.20125])
     """
 
-    gain: float = 22.0  # 1/s
-    soon: int = 800 * ms  # ns, of slip, after which the force grows twice as fast
-    reach: float = 4.0  # times the force of `latency` ago, at most
-    margin: float = 0.5  # above the force that slipped last
-    keep: float = 0.65  # of the force when a slip ends, at least
-    latency: int = 160 * ms  # ns, from a command over its force to what the detector makes of it
-    calm: int = 200 * ms  # ns
-    ease: float = 1.5  # 1/s, of itself, that the force falls by
-    _first: float = field(default=0.0, init=False, repr=False)  # N, that the slip at hand began with
-    _lasted: float = field(default=0.0, init=False, repr=False)  # s, of the slip at hand
-    _slipped: float = field(default=0.0, init=False, repr=False)  # N, that did not hold
-    _reached: float = field(default=0.0, init=False, repr=False)  # N, when the newest slip ended
-    _since: int = field(default=0, init=False, repr=False)  # ns, of the newest decision within a slip
-    # ns, N: what was commanded when, `latency` back
+    gain: float = 22.0
+    doubling_time: int = 800 * ms
+    max_ratio: float = 4.0
+    margin: float = 0.5
+    min_ratio: float = 0.65
+    latency: int = 160 * ms
+    quiet_time: int = 200 * ms
+    release_rate: float = 1.5
+    _first: float = field(default=0.0, init=False, repr=False)  # N, at the start of the current slip
+    _lasted: float = field(default=0.0, init=False, repr=False)  # s, duration of the current slip
+    _slipped: float = field(default=0.0, init=False, repr=False)  # N, latest force that did not hold
+    _reached: float = field(default=0.0, init=False, repr=False)  # N, at the end of the latest slip
+    _since: int = field(default=0, init=False, repr=False)  # ns, latest decision within a slip
+    # (ns, N) of each command within `latency`
     _given: deque[tuple[int, float]] = field(
         default_factory=deque[tuple[int, float]], init=False, repr=False, compare=False
     )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for key in ("gain", "margin", "ease"):
+        for key in ("gain", "margin", "release_rate"):
             if not 0 <= getattr(self, key) < math.inf:
                 raise ParameterError("Grip", key, getattr(self, key), "at least 0 and finite")
-        if not 0 <= self.keep <= 1:
-            raise ParameterError("Grip", "keep", self.keep, "from 0 to 1")
-        if not self.reach > 1:
-            raise ParameterError("Grip", "reach", self.reach, "above 1")
-        for key, lowest in (("soon", 1), ("latency", 0), ("calm", 0)):
-            if getattr(self, key) < lowest:
-                raise ParameterError("Grip", key, getattr(self, key), f"at least {lowest} ns")
+        check_between("Grip", "min_ratio", self.min_ratio, 0, 1)
+        check_above("Grip", "max_ratio", self.max_ratio, 1)
+        check_at_least("Grip", "doubling_time", self.doubling_time, 1, "ns")
+        check_at_least("Grip", "latency", self.latency, 0, "ns")
+        check_at_least("Grip", "quiet_time", self.quiet_time, 0, "ns")
 
     def aim(self, time: int, gone: float, probability: float, *, registered: bool) -> float:
-        """The force that evidence and margin ask for."""
+        """Grow with the evidence of slip; decrease to the margin afterwards."""
         force, earlier = self._aim, self._earlier(time)
         if registered:
             if not self._lasted:
                 self._first = force
             certain = 1 - self.threshold
             evidence = (probability - self.threshold) / certain if certain else 1.0
-            pace = self.gain * evidence * (1 + self._lasted * s / self.soon)  # 1/s
+            pace = self.gain * evidence * (1 + self._lasted * s / self.doubling_time)  # 1/s
             self._lasted += gone
             self._slipped, self._since = earlier, time
-            self._reached = min(force + pace * gone * self._first, max(force, self.reach * earlier))
+            self._reached = min(force + pace * gone * self._first, max(force, self.max_ratio * earlier))
             return self._reached
         self._lasted = 0.0
-        enough = max(self._slipped * (1 + self.margin), self._reached * self.keep)
-        if not self._slipped or force <= enough or time - self._since < self.calm:
+        enough = max(self._slipped * (1 + self.margin), self._reached * self.min_ratio)
+        if not self._slipped or force <= enough or time - self._since < self.quiet_time:
             return force
-        return max(force * (1 - self.ease * gone), enough)
+        return max(force * (1 - self.release_rate * gone), enough)
 
     def _earlier(self, time: int) -> float:
-        """The force (N) that was commanded `latency` ago; keep what may be asked for later."""
+        """Return the force (N) commanded `latency` ago, and store the current one."""
         given = self._given
         given.append((time, self._aim))
         while len(given) > 1 and given[1][0] <= time - self.latency:

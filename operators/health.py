@@ -1,4 +1,4 @@
-"""Barometers that cannot be trusted."""
+"""Detection of faulty barometers."""
 
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -7,19 +7,20 @@ from typing import Final
 import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
+from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 from operators.forward_fill import forward_fill
 from operators.operator import Operator
 from operators.tail import Tail
 
-_PAUSE: Final = 25 * ms  # a longer pause of the stream counts as this long
-_SPAN: Final = 200 * ms  # of rows examined together
+_PAUSE: Final = 25 * ms  # longer pauses of the stream count as this long
+_SPAN: Final = 200 * ms  # of rows that are examined together
 _QUIET: Final = 1.5  # counts, standard deviation; 0.43 to 0.7 unloaded, 4 to 10 under a static load
-_READINGS: Final = 10  # that a second must have to be called quiet
+_READINGS: Final = 10  # least number of readings in a quiet second
 
 
 class FaultKind(IntEnum):
-    """What is wrong with a barometer."""
+    """Kind of a barometer's fault."""
 
     DEAD = 0
     STUCK = 1
@@ -29,64 +30,76 @@ class FaultKind(IntEnum):
 
 @dataclass
 class Health(Operator[Touch, Faults]):
-    """Tell when a barometer's fault begins and ends; of one instant in the order of cells, then kinds.
+    """Report the start and end of each barometer's faults; rows of one time are ordered by cell, then kind.
 
-    - dead: no answer for `dead_after`. A cell that answers now and then is not dead.
-    - stuck: its valid counts have not changed for `stuck_after`. Noise alone moves a sound cell by a count
-      within a few readings; a cell pinned at the end of its range may be saturated and stuck.
+    - dead: no answer for `dead_after`.
+    - stuck: valid counts unchanged for `stuck_after`. Noise changes the counts of a working cell within a few
+      readings. A cell at the end of its range can be saturated and stuck.
     - saturated: raw counts at `floor` or below, or at `ceiling` or above, for `saturated_after`. Overload
-      wraps from 0 to 1023, so both ends mean it. Zeroed counts do not show it.
-    - drifting: the mean of a quiet second is more than `drift` from that of the first quiet one. A second
-      (of event time) is quiet if the counts spread by less than 1.5, as unloaded cells do and contact does
-      not. So the stream should begin unloaded, drift while in contact is not seen, and a load that is
-      perfectly still is taken for drift; so is a cell at its floor in zeroed counts, not in raw ones.
+      wraps from 0 to 1023, so both ends indicate it. Not detected in zeroed counts.
+    - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second. A
+      second of event time is quiet if the standard deviation is below 1.5 counts, as in unloaded cells but
+      not in contact. So the stream should start unloaded, drift in contact is not detected, and a perfectly
+      constant load is reported as drift, as is, in zeroed counts, a cell at its floor.
 
-    A fault but drift ends once the cell was sound for `clear_after`. Above 0, that makes one fault of many
-    where a cell is pressed to the end of its range again and again.
+    All faults except drift end after `clear_after` without fault. A value above 0 merges the repeated faults
+    of a cell that is pressed to the end of its range again and again.
 
-    Where the stream pauses nothing is known: a pause counts as 25 ms at most. Faults are told up to 200 ms
-    after their time, because rows are examined that many at once.
+    Pauses of the stream count as 25 ms at most. Faults are reported up to 200 ms late, since rows are
+    examined in blocks of that length.
+
+    Args:
+        dead_after: Time without answer, ns.
+        stuck_after: Time without change, ns.
+        saturated_after: Time at the end of the range, ns.
+        clear_after: Time without fault that ends it, ns.
+        floor: Raw count, 1 % of full scale.
+        ceiling: Raw count.
+        drift: Difference of means, counts.
 
     Raises:
-        ParameterError: on a value that cannot be used.
+        ParameterError: if a parameter is invalid.
+
+    >>> time, cells = np.arange(0, 1000 * ms, 10 * ms), np.zeros((100, 6), np.int16)
+    >>> faults = Health().push(Touch(time, cells + 500, cells, np.arange(6) + cells != 2))
+    >>> faults.barometer, faults.kind, faults.time // ms
+    (array([2], dtype=int8), array([0], dtype=int8), array([500]))
     """
 
     dead_after: int = 500 * ms
     stuck_after: int = 2 * s
     saturated_after: int = 50 * ms
     clear_after: int = 0
-    floor: int = 10  # raw count, 1 % of full scale
-    ceiling: int = 1013  # raw count
-    drift: float = 30.0  # counts
+    floor: int = 10
+    ceiling: int = 1013
+    drift: float = 30.0
     _waiting: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
     _raw: bool = field(default=True, init=False, repr=False)
-    _time: int | None = field(default=None, init=False, repr=False)  # ns, of the newest row examined
-    _age: int = field(default=0, init=False, repr=False)  # ns, of the stream without its pauses
-    _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid
-    _sound: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last seen sound, by kind
-    _faulty: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last at fault, by kind
+    _time: int | None = field(default=None, init=False, repr=False)  # ns, newest examined row
+    _age: int = field(default=0, init=False, repr=False)  # ns, age of the stream without its pauses
+    _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid counts
+    _sound: Times = field(init=False, repr=False, compare=False)  # (3, 6) age without fault, by kind
+    _faulty: Times = field(init=False, repr=False, compare=False)  # (3, 6) age at the last fault, by kind
     _active: Flags = field(init=False, repr=False, compare=False)  # (6, 4) by cell and kind
-    _sums: Times = field(init=False, repr=False, compare=False)  # (3, 6) readings, their sum, their squares
+    _sums: Times = field(init=False, repr=False, compare=False)  # (3, 6) count, sum and sum of squares
     _first: Reals = field(init=False, repr=False, compare=False)  # (6,) mean of the first quiet second
 
     def __post_init__(self) -> None:
-        spans = (("dead_after", "ns"), ("stuck_after", "ns"), ("saturated_after", "ns"))
-        for name, unit in (*spans, ("drift", "counts")):
-            if getattr(self, name) <= 0:
-                raise ParameterError("Health", name, getattr(self, name), f"above 0 {unit}")
-        if self.clear_after < 0:
-            raise ParameterError("Health", "clear_after", self.clear_after, "at least 0 ns")
+        for name in ("dead_after", "stuck_after", "saturated_after"):
+            check_above("Health", name, getattr(self, name), 0, "ns")
+        check_above("Health", "drift", self.drift, 0, "counts")
+        check_at_least("Health", "clear_after", self.clear_after, 0, "ns")
         if self.floor >= self.ceiling:
-            raise ParameterError("Health", "floor", self.floor, f"below the ceiling, {self.ceiling}")
+            raise ParameterError("Health", "floor", self.floor, f"below ceiling, {self.ceiling}")
         self._last = np.full(BAROMETERS, (self.floor + self.ceiling) // 2, np.int16)
         self._sound = np.zeros((3, BAROMETERS), np.int64)
-        self._faulty = np.full((3, BAROMETERS), -self.clear_after, np.int64)  # never yet
+        self._faulty = np.full((3, BAROMETERS), -self.clear_after, np.int64)  # none yet
         self._active = np.zeros((BAROMETERS, len(FaultKind)), np.bool_)
         self._sums = np.zeros((3, BAROMETERS), np.int64)
         self._first = np.full(BAROMETERS, np.nan)
 
     def process(self, batch: Touch) -> Faults:
-        """Give the faults that began or ended in the rows examined."""
+        """Return the faults that started or ended in the examined rows."""
         self._raw = not isinstance(batch, Zeroed)
         waiting = self._waiting
         if not len(waiting) and batch.time.item(-1) - batch.time.item(0) >= _SPAN:
@@ -97,7 +110,7 @@ class Health(Operator[Touch, Faults]):
         return self.flush()
 
     def flush(self) -> Faults:
-        """Give what the rows not yet examined show."""
+        """Return the faults in the rows not yet examined."""
         rows = self._waiting.rows
         if not len(rows):
             return Faults.empty()
@@ -125,7 +138,7 @@ class Health(Operator[Touch, Faults]):
         )
 
     def _lasting(self, kind: FaultKind, sound: Flags, age: Times, after: int) -> Flags:
-        """Where a cell has not been seen sound for `after`, or was so `clear_after` ago; (n, 6)."""
+        """Return where a cell has a fault that lasted `after` and did not end `clear_after` ago; (n, 6)."""
         seen = np.maximum.accumulate(np.where(sound, age, self._sound[kind]), axis=0)
         self._sound[kind] = seen[-1]
         faulty = age - seen >= after  # (n, 6)
@@ -134,21 +147,21 @@ class Health(Operator[Touch, Faults]):
         return faulty | (age - last < self.clear_after)
 
     def _drifting(self, time: Times, counts: Counts, valid: Flags) -> Flags:
-        """Where the last quiet second of a cell lies off its first; (n, 6)."""
+        """Return where the last quiet second of a cell differs from its first one; (n, 6)."""
         second = time // s
         before = second[:1] if self._time is None else [self._time // s]
-        begun = np.flatnonzero(np.diff(second, prepend=before))  # (k,) rows that begin another second
+        begun = np.flatnonzero(np.diff(second, prepend=before))  # (k,) first rows of further seconds
         bounds = np.concatenate(([0], begun, [len(time)]))
         known = np.where(valid, counts, 0).astype(np.int64)
         sums = np.stack((valid, known, known * known), axis=1).cumsum(axis=0)  # (n, 3, 6)
         sums = np.diff(np.concatenate((np.zeros_like(sums[:1]), sums))[bounds], axis=0)  # (k + 1, 3, 6)
         sums[0] += self._sums
         self._sums = sums[-1]
-        state = self._judge(sums[:-1], self._active[:, FaultKind.DRIFTING])  # (k + 1, 6)
+        state = self._compare(sums[:-1], self._active[:, FaultKind.DRIFTING])  # (k + 1, 6)
         return np.repeat(state, np.diff(bounds), axis=0)
 
-    def _judge(self, sums: Times, state: Flags) -> Flags:
-        """The state at hand, and after each complete second; (k + 1, 6)."""
+    def _compare(self, sums: Times, state: Flags) -> Flags:
+        """Return the current state, and that after each complete second; (k + 1, 6)."""
         readings, total, squares = sums.swapaxes(0, 1)  # (k, 6)
         mean = total / np.maximum(readings, 1)
         quiet = (readings >= _READINGS) & (readings * squares - total**2 < (_QUIET * readings) ** 2)

@@ -1,44 +1,53 @@
-"""What the arm does in the air is no slip."""
+"""Masking of slip labels without contact."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from operators.batch import SLIP, UNKNOWN, Labelled
-from operators.errors import ParameterError
+from operators.checks import check_at_least
 from operators.operator import Operator
-from operators.rotation import quaternion, turn
+from operators.rotation import quaternion, rotate
 
 
 @dataclass
 class MaskLifted(Operator[Labelled, Labelled]):
-    """Take back the slip labels of samples whose fingertip is not where it touches the surface.
+    """Replace slip labels by unknown while the fingertip is lifted off the surface.
 
-    `Label` knows how fast the arm is, not whether anything is touched. The label becomes unknown where the
-    TCP is further than `margin` above the plane through `place`, whose pose looks into the surface, along its
-    z. On a curved surface that is the plane through its highest point: use a margin that spans it.
+    `Label` uses the arm's speed only. This operator masks slip where the TCP is more than `margin` above the
+    contact plane. On a curved surface, that is the plane through its highest point: choose a margin that
+    covers the surface.
+
+    Args:
+        contact_pose: TCP pose at first contact, m and rotation vector; z points into the surface.
+        margin: Tolerance above the contact plane, m.
 
     Raises:
-        ParameterError: on a margin below 0.
+        ParameterError: if the margin is below 0.
+
+    >>> samples = Labelled.empty()
+    >>> len(MaskLifted((0, 0, 0.1, 3.14, 0, 0)).push(samples))
+    0
     """
 
-    contact_pose: tuple[float, float, float, float, float, float]  # m and rotation vector: it just touches
-    margin: float = 0.002  # m
+    contact_pose: tuple[float, float, float, float, float, float]
+    margin: float = 0.002
 
     def __post_init__(self) -> None:
-        if not self.margin >= 0:
-            raise ParameterError("MaskLifted", "margin", self.margin, "at least 0 m")
+        check_at_least("MaskLifted", "margin", self.margin, 0, "m")
 
     def process(self, batch: Labelled) -> Labelled:
-        """Take labels back."""
+        """Return the batch with masked labels."""
         x, y, z, *rotation = self.contact_pose
-        u, v, w = turn((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
+        u, v, w = rotate((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
         pose = batch.pose  # (n, 6)
-        deep = u * (pose[:, 0] - x) + v * (pose[:, 1] - y) + w * (pose[:, 2] - z)  # (n,) m; NaN: unknown
-        airborne = (deep < -self.margin) & (batch.label == SLIP)
-        if not airborne.any():
+        deep = (
+            u * (pose[:, 0] - x) + v * (pose[:, 1] - y) + w * (pose[:, 2] - z)
+        )  # (n,) m, below the contact plane; NaN: unknown
+        lifted = (deep < -self.margin) & (batch.label == SLIP)
+        if not lifted.any():
             return batch
-        label = np.where(airborne, np.int8(UNKNOWN), batch.label).astype(np.int8)
+        label = np.where(lifted, np.int8(UNKNOWN), batch.label).astype(np.int8)
         return Labelled(
             batch.time,
             batch.counts,

@@ -1,7 +1,7 @@
-"""What an operator is: a pure, restartable step from batches to batches.
+"""Base classes of operators and joins.
 
-The law that every operator keeps: **cutting the input anywhere changes nothing**. However a stream is cut
-into batches, the concatenated output is the same, bit for bit.
+Invariant of every operator: **cutting the input anywhere changes nothing**. However a stream is cut into
+batches, the concatenated output is identical, bit for bit.
 """
 
 from abc import ABC, abstractmethod
@@ -21,18 +21,18 @@ Right = TypeVar("Right", bound=Batch, contravariant=True)
 Out = TypeVar("Out", bound=Batch, covariant=True)
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
-_BEGINNING = int(np.iinfo(np.int64).min)
+_EARLIEST = int(np.iinfo(np.int64).min)
 
 
 @dataclass
 class LateRowFilter:
-    """Keeps one input in order: a row older than the newest one seen is late; it is dropped and counted."""
+    """Filter that drops and counts late rows: rows older than the newest one before them."""
 
-    newest: int = _BEGINNING  # ns
+    newest: int = _EARLIEST  # ns
     late: int = 0  # rows
 
     def filter(self, batch: SomeBatch) -> SomeBatch:
-        """The rows that are not late; equal stamps are kept, in their order of arrival."""
+        """Return the rows that are not late; rows with equal stamps keep their order of arrival."""
         time, newest = batch.time, self.newest
         if len(time) == 1:
             first = time.item(0)
@@ -53,102 +53,102 @@ class LateRowFilter:
 
 @dataclass
 class Step(ABC):
-    """What operators and joins have in common: parameters are fields, state is fields with ``init=False``."""
+    """Common base of operators and joins: parameters are fields, state is fields with ``init=False``."""
 
     def reset_copy(self) -> Self:
-        """The same parameters, the state forgotten."""
+        """Return a copy with the same parameters and initial state."""
         return replace(self)
 
     @property
     @abstractmethod
     def late(self) -> int:
-        """Rows dropped because they came after newer ones of the same stream."""
+        """Rows dropped because they arrived after newer ones."""
 
 
 @dataclass
 class Operator(Step, Generic[In, Out]):
-    """One stream in, one stream out.
+    """Operator with one input stream and one output stream.
 
-    Subclasses are dataclasses that write `process`, and `flush` where the end of the stream completes
-    something. Both must be pure: no I/O, no clock, no waiting. State is pickled whole to snapshot it.
+    Subclasses are dataclasses that implement `process`, and `flush` if the end of the stream completes
+    output. Both must be pure: no I/O, no clock, no waiting. State must pickle, for snapshots.
     """
 
-    _order: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
+    _late_filter: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
 
     def push(self, batch: In) -> Out:
-        """Take the next rows; give what they complete, which may be nothing.
+        """Process the next rows and return the output, which may be empty.
 
-        An empty batch gives an empty batch. Late rows are dropped and counted in `late`.
+        Late rows are dropped and counted in `late`.
         """
-        if batch.time.size and (kept := self._order.filter(batch)).time.size:  # `len` costs a call
+        if batch.time.size and (kept := self._late_filter.filter(batch)).time.size:  # faster than `len`
             return self.process(kept)
         return cast("Out", output_type(type(self)).empty())
 
     @abstractmethod
     def process(self, batch: In) -> Out:
-        """Take at least one row; time never decreases."""
+        """Process at least one row; time never decreases."""
 
     def flush(self) -> Out:
-        """Give what the end of the stream completes."""
+        """Return the output that the end of the stream completes."""
         return cast("Out", output_type(type(self)).empty())
 
     @property
     def late(self) -> int:
-        """Rows dropped because they came after newer ones."""
-        return self._order.late
+        """Rows dropped because they arrived after newer ones."""
+        return self._late_filter.late
 
 
 @dataclass
 class Join(Step, Generic[Left, Right, Out]):
-    """Two streams in, one stream out.
+    """Operator with two input streams and one output stream.
 
-    Rows given in one call arrived together; a replay gives both streams a slice of the same time span,
-    a live run gives one of them rows and the other an empty batch.
+    A replay passes slices of both streams for the same time span. A live run passes rows of one stream and an
+    empty batch for the other.
     """
 
-    _order_left: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
-    _order_right: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
+    _late_left: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
+    _late_right: LateRowFilter = field(default_factory=LateRowFilter, init=False, repr=False)
 
     def push(self, left: Left, right: Right) -> Out:
-        """Take the next rows of either stream; give what they complete, which may be nothing."""
+        """Process the next rows of either stream and return the output, which may be empty."""
         if left.time.size:
-            left = self._order_left.filter(left)
+            left = self._late_left.filter(left)
         if right.time.size:
-            right = self._order_right.filter(right)
+            right = self._late_right.filter(right)
         if left.time.size or right.time.size:
             return self.process(left, right)
         return cast("Out", output_type(type(self)).empty())
 
     @abstractmethod
     def process(self, left: Left, right: Right) -> Out:
-        """Take at least one row of either; time never decreases within each."""
+        """Process at least one row of either stream; time never decreases within each."""
 
     def flush(self) -> Out:
-        """Give what the end of both streams completes."""
+        """Return the output that the end of both streams completes."""
         return cast("Out", output_type(type(self)).empty())
 
     @property
     def late(self) -> int:
-        """Rows dropped because they came after newer ones."""
-        return self._order_left.late + self._order_right.late
+        """Rows dropped because they arrived after newer ones."""
+        return self._late_left.late + self._late_right.late
 
 
 @cache
 def input_types(kind: type[Step]) -> tuple[type[Batch], ...]:
-    """The batch types that a step takes, as its `process` declares them.
+    """Return the input types that the annotations of `process` declare.
 
     Raises:
-        ParameterError: if it does not declare them.
+        ParameterError: if an annotation is missing.
     """
     return _declared(kind)[:-1]
 
 
 @cache
 def output_type(kind: type[Step]) -> type[Batch]:
-    """The batch type that a step gives, as its `process` declares it.
+    """Return the output type that the annotations of `process` declare.
 
     Raises:
-        ParameterError: if it does not declare it.
+        ParameterError: if an annotation is missing.
     """
     return _declared(kind)[-1]
 
@@ -159,6 +159,8 @@ def _declared(kind: type[Step]) -> tuple[type[Batch], ...]:
     names = [*list(signature(process).parameters)[1:], "return"]
     for name in names:
         if not (isinstance(hints.get(name), type) and issubclass(hints[name], Batch)):
-            like = "a batch type, as in def process(self, batch: Zeroed) -> Scores"
-            raise ParameterError(kind.__name__, f"the annotation of process, {name},", hints.get(name), like)
+            must_be = "a batch type, as in def process(self, batch: Zeroed) -> Scores"
+            raise ParameterError(
+                kind.__name__, f"the annotation of process, {name},", hints.get(name), must_be
+            )
     return tuple(hints[name] for name in names)

@@ -1,7 +1,6 @@
-"""Rotations of the pose's rotation vector: its direction is the axis, its length the angle in rad.
+"""Rotation vectors: the direction is the axis, the length the angle in rad.
 
-Written by component, so that one row as floats and many rows as arrays take the same steps and agree bit
-for bit. Elementwise sine and cosine are numpy's in both.
+The functions take components, as floats for one row or as arrays for many rows; both give identical bits.
 """
 
 from math import sqrt
@@ -15,21 +14,21 @@ Real = TypeVar("Real", float, Reals)  # one value, or (n,) of them
 Vector: TypeAlias = tuple[Real, Real, Real]
 Quaternion: TypeAlias = tuple[Real, Real, Real, Real]  # w, x, y, z; of unit length
 
-_TINY: Final = 1e-300  # no rotation is a rotation by almost nothing: saves a division by zero
+_TINY: Final = 1e-300  # added to angles, to avoid a division by zero
 
 
 def quaternion(rotation: Vector[Real]) -> Quaternion[Real]:
-    """The unit quaternion of a rotation vector."""
+    """Return the unit quaternion of a rotation vector."""
     x, y, z = rotation
-    half = root(x * x + y * y + z * z) / 2 + _TINY
+    half = square_root(x * x + y * y + z * z) / 2 + _TINY
     scale = _each(np.sin, half) / half / 2
     return _each(np.cos, half), scale * x, scale * y, scale * z
 
 
-def turn(vector: tuple[float, float, float], by: Quaternion[Real]) -> Vector[Real]:
-    """A fixed vector, turned.
+def rotate(vector: tuple[float, float, float], by: Quaternion[Real]) -> Vector[Real]:
+    """Rotate a constant vector.
 
-    >>> turn((0.0, 0.0, 1.0), quaternion((np.pi / 2, 0.0, 0.0)))
+    >>> rotate((0.0, 0.0, 1.0), quaternion((np.pi / 2, 0.0, 0.0)))
     (0.0, -1.0, 2.220446049250313e-16)
     """
     w, x, y, z = by
@@ -38,12 +37,18 @@ def turn(vector: tuple[float, float, float], by: Quaternion[Real]) -> Vector[Rea
     return a + w * u + (y * t - z * v), b + w * v + (z * u - x * t), c + w * t + (x * v - y * u)
 
 
-def between(first: Vector[Real], second: Vector[Real], part: Real) -> Vector[Real]:
-    """The rotation vector a part (0 to 1) of the shortest way from one rotation to another.
+def interpolate_rotation(first: Vector[Real], second: Vector[Real], part: Real) -> Vector[Real]:
+    """Interpolate between two rotations along the shortest path.
 
-    Its length is pi at most; it is NaN where either is not finite.
+    Args:
+        first: Rotation vector at `part` 0.
+        second: Rotation vector at `part` 1.
+        part: Position on the path, 0 to 1.
 
-    >>> between((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.25)
+    Returns:
+        Rotation vector of length pi at most; NaN if an input is not finite.
+
+    >>> interpolate_rotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.25)
     (0.0, 0.25, 0.0)
     """
     start = w, x, y, z = quaternion(first)
@@ -51,19 +56,19 @@ def between(first: Vector[Real], second: Vector[Real], part: Real) -> Vector[Rea
     return _vector(_product(start, quaternion((part * a, part * b, part * c))))
 
 
-def turned(first: Vector[Real], by: Vector[Real]) -> Vector[Real]:
-    """The rotation vector of a rotation and then another, both in the base frame.
+def compose(first: Vector[Real], by: Vector[Real]) -> Vector[Real]:
+    """Return the rotation vector of `first` followed by `by`, both in the base frame.
 
-    >>> turned((0.0, 0.0, 1.0), by=(0.0, 0.0, 1.0))
+    >>> compose((0.0, 0.0, 1.0), by=(0.0, 0.0, 1.0))
     (0.0, 0.0, 2.0)
     """
     return _vector(_product(quaternion(by), quaternion(first)))
 
 
-def onward(first: Vector[Real], second: Vector[Real]) -> Vector[Real]:
-    """The rotation vector, in the base frame, that turns one rotation into another the shortest way.
+def rotation_difference(first: Vector[Real], second: Vector[Real]) -> Vector[Real]:
+    """Return the shortest rotation, in the base frame, from `first` to `second`.
 
-    >>> onward((0.0, 0.0, 1.5), (0.0, 0.0, 1.0))
+    >>> rotation_difference((0.0, 0.0, 1.5), (0.0, 0.0, 1.0))
     (0.0, 0.0, -0.5)
     """
     w, x, y, z = quaternion(first)
@@ -83,21 +88,21 @@ def _product(p: Quaternion[Real], q: Quaternion[Real]) -> Quaternion[Real]:
 
 def _vector(q: Quaternion[Real]) -> Vector[Real]:
     w, x, y, z = q
-    sine = root(x * x + y * y + z * z) + _TINY
+    sine = square_root(x * x + y * y + z * z) + _TINY
     angle = 2 * _each(np.arctan2, sine, abs(w)) * (1.0 - 2.0 * (w < 0))  # q and -q are one rotation
     scale = angle / sine
     return scale * x, scale * y, scale * z
 
 
-def root(value: Real) -> Real:
-    """The square root."""
+def square_root(value: Real) -> Real:
+    """Return the square root."""
     if isinstance(value, float):
         return sqrt(value)
     return _each(np.sqrt, value)
 
 
 def _each(function: np.ufunc, *values: Real) -> Real:
-    """A function of numpy's; of floats it gives a float, on which arithmetic is fast."""
+    """Apply a numpy function; return Python floats for floats, since their arithmetic is faster."""
     found: Any = function(*values)
     result: Real = found if found.ndim else found.item()
     return result

@@ -1,4 +1,4 @@
-"""The newest rows of a stream, kept in memory taken beforehand."""
+"""Newest rows of a stream, in preallocated memory."""
 
 from typing import Any, Final, Generic
 
@@ -7,20 +7,19 @@ from numpy.typing import NDArray
 
 from operators.batch import AnyBatch, Times, layout
 
-_ROWS: Final = 1024  # of a block, at least
+_ROWS: Final = 1024  # smallest size of a block
 
 
 class Tail(Generic[AnyBatch]):
-    """Rows appended one behind the other and dropped from the front.
+    """Queue of rows: appended at the end, dropped at the front.
 
-    When the block is full, the rows still kept move to a new one; nothing is ever written over. So what was
-    given out as a view stays true, and memory is bounded by the rows kept and the largest batch appended.
-    A pickle holds the kept rows only.
+    When the block is full, its rows are copied to a new block; nothing is ever overwritten, so views remain
+    valid. Memory is bounded by the rows in use and the largest batch. A pickle holds the rows in use only.
 
     Attributes:
-        block: the memory, of which the rows from `start` to `stop` are in use.
-        start: the oldest row kept.
-        stop: one past the newest row.
+        block: Memory; the rows from `start` to `stop` are in use.
+        start: Index of the oldest row.
+        stop: Index after the newest row.
 
     >>> from operators.batch import Batch
     >>> tail = Tail(Batch)
@@ -33,7 +32,7 @@ class Tail(Generic[AnyBatch]):
     block: AnyBatch
     start: int
     stop: int
-    _cells: list[NDArray[Any]]  # the block's columns, each row with a length: the fastest to set one of
+    _cells: list[NDArray[Any]]  # columns of the block as 2-d arrays: the fastest way to set one row
 
     def __init__(self, kind: type[AnyBatch]) -> None:
         self.__setstate__(kind.empty())
@@ -43,16 +42,16 @@ class Tail(Generic[AnyBatch]):
 
     @property
     def time(self) -> Times:
-        """The time of the rows kept, as a view."""
+        """Time of the rows, as a view."""
         return self.block.time[self.start : self.stop]
 
     @property
     def rows(self) -> AnyBatch:
-        """The rows kept, as views."""
+        """Rows in use, as views."""
         return self.block[self.start : self.stop]
 
     def append(self, batch: AnyBatch) -> None:
-        """Copy rows behind those kept; columns that the kind lacks fall away."""
+        """Append copies of rows; columns that the type lacks are dropped."""
         size = batch.time.size
         if self.stop + size > self._size or self._finger != batch.finger:
             self._renew(batch)
@@ -66,7 +65,7 @@ class Tail(Generic[AnyBatch]):
         self.stop = stop
 
     def drop(self, count: int) -> None:
-        """Forget the oldest `count` rows."""
+        """Drop the oldest `count` rows."""
         self.start += count
 
     def _renew(self, batch: AnyBatch) -> None:

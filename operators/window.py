@@ -1,4 +1,4 @@
-"""The samples up to each instant, without copying them."""
+"""Sliding windows of samples, without copies."""
 
 from dataclasses import dataclass, field
 from typing import TypeVar
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, Touch, Windows
-from operators.errors import ParameterError
+from operators.checks import check_at_least
 from operators.operator import Operator
 from operators.tail import Tail
 
@@ -16,27 +16,35 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 @dataclass
 class Window(Operator[Touch, Windows]):
-    """The newest `length` samples at every `hop`-th sample, once there are as many.
+    """Collect the newest `length` samples at every `hop`-th sample, starting with the first full window.
 
-    Windows overlap in memory and are read-only; that memory is never written again, so they may be kept.
+    Windows are read-only views that overlap in memory; the memory is never overwritten, so they may be kept.
+
+    Args:
+        length: Length of a window, samples.
+        hop: Distance between windows, samples.
 
     Raises:
-        ParameterError: if `length` or `hop` is no number of samples.
+        ParameterError: if `length` or `hop` is below 1.
+
+    >>> cells = np.zeros((5, 6), np.int16)
+    >>> touch = Touch(np.arange(5), cells, cells, cells == 0)
+    >>> Window(length=3, hop=2).push(touch).counts.shape
+    (2, 3, 6)
     """
 
-    length: int = 100  # samples
-    hop: int = 1  # samples
+    length: int = 100
+    hop: int = 1
     _tail: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
     _due: int = field(default=0, init=False, repr=False)  # samples until the next window is complete
 
     def __post_init__(self) -> None:
-        for name in ("length", "hop"):
-            if getattr(self, name) < 1:
-                raise ParameterError("Window", name, getattr(self, name), "at least 1 sample")
+        check_at_least("Window", "length", self.length, 1, "sample")
+        check_at_least("Window", "hop", self.hop, 1, "sample")
         self._due = self.length
 
     def process(self, batch: Touch) -> Windows:
-        """Give the windows whose newest sample is in the batch."""
+        """Return the windows whose newest sample is in the batch."""
         tail, due, size, hop = self._tail, self._due, len(batch), self.hop
         tail.append(batch)
         if size < due:
@@ -58,7 +66,7 @@ class Window(Operator[Touch, Windows]):
         return windows
 
     def _overlapping(self, rows: NDArray[Scalar], newest: int, count: int) -> NDArray[Scalar]:
-        # what sliding_window_view gives, in a tenth of the time; (count, length, 6)
+        # (count, length, 6), ten times as fast as sliding_window_view
         row, item = rows.strides
         windows = np.ndarray(
             (count, self.length, BAROMETERS),

@@ -1,48 +1,61 @@
-"""Counts relative to the unloaded fingertip."""
+"""Subtraction of the baseline."""
 
 from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed, maker
+from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed, fast_constructor
+from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.tail import Tail
 
 _FULL: Final = 1023  # counts, of the 10-bit converter
-_made: Final = maker(Zeroed)
+_new_zeroed: Final = fast_constructor(Zeroed)
 
 
 @dataclass
 class Zero(Operator[Touch, Zeroed]):
-    """Subtract the baseline: what each barometer reads while nothing touches the fingertip.
+    """Subtract the baseline, the counts of the unloaded fingertip.
 
-    When it is not given it is measured, as in TakkTile's own code: the median of a cell's valid counts in
-    the first `scans` scans, rounded half to even. Those scans are held back until it is known. A cell that
-    never answered in them has no baseline and stays invalid. What is zeroed already passes unchanged.
+    Without a given baseline, it is measured as in TakkTile's own code: the median of a cell's valid counts
+    in the first `scans` samples, rounded half to even. These samples are delayed until it is known. A cell
+    without valid counts has no baseline and stays invalid. Zeroed input passes unchanged.
+
+    Args:
+        baseline: Raw counts of each cell, or one value for all cells; None: measure.
+        scans: Samples for the measurement.
 
     Raises:
-        ParameterError: on a baseline that no cell reads, or too few `scans`.
+        ParameterError: if the baseline is out of range or `scans` is below 1.
+
+    >>> cells = np.full((1, 6), 700, np.int16)
+    >>> touch = Touch(np.zeros(1, int), cells, cells, cells > 0)
+    >>> Zero(baseline=710).push(touch).counts
+    array([[-10, -10, -10, -10, -10, -10]], dtype=int16)
     """
 
-    baseline: int | tuple[int, ...] | None = None  # raw ADC counts, of all cells or of each; None: measured
+    baseline: int | tuple[int, ...] | None = None
     scans: int = 100
     _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (1, 6)
-    _known: Flags | None = field(default=None, init=False, repr=False, compare=False)  # (6,); None: all are
+    _known: Flags | None = field(
+        default=None, init=False, repr=False, compare=False
+    )  # (6,) cells with a baseline; None: all
     _held: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        if self.scans < 1:
-            raise ParameterError("Zero", "scans", self.scans, "at least 1 sample")
+        check_at_least("Zero", "scans", self.scans, 1, "sample")
         if self.baseline is not None:
             cells = (self.baseline,) * BAROMETERS if isinstance(self.baseline, int) else self.baseline
             if len(cells) != BAROMETERS or not all(0 <= cell <= _FULL for cell in cells):
-                raise ParameterError("Zero", "baseline", self.baseline, f"one or six counts, 0 to {_FULL}")
+                raise ParameterError(
+                    "Zero", "baseline", self.baseline, f"one or six counts from 0 to {_FULL}"
+                )
             self._offset = np.array([cells], np.int16)
 
     def process(self, batch: Touch) -> Zeroed:
-        """Give the batch with the baseline subtracted, or hold it back."""
+        """Return the batch with the baseline subtracted, or delay it."""
         if isinstance(batch, Zeroed):
             return batch
         if self._offset is not None:
@@ -51,7 +64,7 @@ class Zero(Operator[Touch, Zeroed]):
         return self._release() if len(self._held) >= self.scans else Zeroed.empty()
 
     def flush(self) -> Zeroed:
-        """Give what is held back, with the baseline that it shows."""
+        """Return the delayed samples, zeroed with their own baseline."""
         return self._release() if len(self._held) else Zeroed.empty()
 
     def _release(self) -> Zeroed:
@@ -66,4 +79,4 @@ class Zero(Operator[Touch, Zeroed]):
 
     def _subtract(self, batch: Touch, offset: Counts) -> Zeroed:
         valid = batch.valid if self._known is None else batch.valid & self._known
-        return _made(batch.time, batch.counts - offset, batch.temperature, valid, batch.finger)
+        return _new_zeroed(batch.time, batch.counts - offset, batch.temperature, valid, batch.finger)

@@ -5,7 +5,7 @@ from math import inf
 import numpy as np
 
 from operators.batch import Commands, Reals, s
-from operators.rotation import turned
+from operators.rotation import compose
 
 
 class FreeArm:
@@ -55,6 +55,6 @@ class FreeArm:
         velocity = self._velocity + change * (span / ramp if ramp > span else 1.0)
         travel = (self._velocity + velocity) / 2 * rising + velocity * (span - rising)  # (6,)
         self._pose[:3] += travel[:3]
-        rotation = turned(tuple(self._pose[3:].tolist()), tuple(travel[3:].tolist()))
+        rotation = compose(tuple(self._pose[3:].tolist()), tuple(travel[3:].tolist()))
         self._pose[3:] = rotation
         self._time, self._velocity = time, velocity

@@ -13,7 +13,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from operators.batch import Reals
-from operators.rotation import onward
+from operators.rotation import rotation_difference
 
 Task: TypeAlias = Literal["none", "line", "speed", "stop"]
 
@@ -83,7 +83,7 @@ class Drive:
         self._nearest, self._stalled, self.lost = np.inf, 0.0, False
 
     def _follow(self, pose: Reals) -> None:
-        turn = onward(tuple(pose[3:].tolist()), tuple(self._target[3:].tolist()))
+        turn = rotation_difference(tuple(pose[3:].tolist()), tuple(self._target[3:].tolist()))
         remaining = np.concatenate((self._target[:3] - pose[:3], turn))  # (6,)
         distance = _extent(remaining)
         self._progress(distance, POSE_TOLERANCE / 10)

@@ -11,7 +11,7 @@ from connectors.ur.rtde_client import RtdeClient
 from operators.checks import check_above
 from operators.errors import ParameterError
 from operators.ports import Clock
-from operators.rotation import onward
+from operators.rotation import rotation_difference
 
 OUTPUTS: Final = {
     "timestamp": "DOUBLE",
@@ -67,7 +67,9 @@ class ArmState(NamedTuple):
 
     def stands_at(self, pose: tuple[float, ...]) -> bool:
         """Return whether the arm stands still at a pose (6,)."""
-        turn = hypot(*onward((self.pose[3], self.pose[4], self.pose[5]), (pose[3], pose[4], pose[5])))
+        turn = hypot(
+            *rotation_difference((self.pose[3], self.pose[4], self.pose[5]), (pose[3], pose[4], pose[5]))
+        )
         near = dist(self.pose[:3], pose[:3]) < POSITION_TOLERANCE and turn < ROTATION_TOLERANCE
         return self.still and near
 

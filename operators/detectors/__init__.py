@@ -1,4 +1,4 @@
-"""Slip detectors: each judges the newest sample of a window of counts."""
+"""Slip detectors: each computes the probability of slip of the newest sample of a window."""
 
 from collections.abc import Callable
 
@@ -23,8 +23,8 @@ __all__ = [
     "Tcn",
 ]
 
-DETECTORS: dict[str, Callable[[], Detector]] = {"psd": Psd}  # by name, those that need no weights
-TRAINED: dict[str, Callable[[Weights], Detector]] = {  # those that do; the default first
+DETECTORS: dict[str, Callable[[], Detector]] = {"psd": Psd}  # by name, without weights
+TRAINED: dict[str, Callable[[Weights], Detector]] = {  # by name, with weights; the default first
     "tcn": Tcn,
     "tcn_grasp": GraspTcn,
     "paper_tcn": PaperTcn,

@@ -1,4 +1,4 @@
-"""What a slip detector is."""
+"""Interfaces of slip detectors."""
 
 from typing import Protocol, runtime_checkable
 
@@ -6,23 +6,23 @@ from operators.batch import Counts, Reals
 
 
 class Detector(Protocol):
-    """Judges windows of counts, each by itself: what stands beside it in the array changes no bit."""
+    """Slip detector on windows; each result depends on its own window only, bit for bit."""
 
     @property
     def name(self) -> str:
-        """What it is called on the command line and in reports."""
+        """Name on the command line and in reports."""
         ...
 
     @property
     def length(self) -> int:
-        """Samples of one window."""
+        """Length of a window, samples."""
         ...
 
     def score(self, windows: Counts | Reals) -> Reals:
-        """How sure it is that the newest sample of each window is slip.
+        """Return the probability that the newest sample of each window is slip.
 
         Args:
-            windows: (n, length, 6) zeroed counts, newest last; not to be written to
+            windows: (n, length, 6) zeroed counts, newest last; read-only
 
         Returns:
             (n,) 0 to 1
@@ -31,25 +31,25 @@ class Detector(Protocol):
 
 
 class Stream(Protocol):
-    """A streaming detector at work on some fingertips; pickles with what it remembers."""
+    """State of a streaming detector for one or more fingertips; can be pickled."""
 
     def push(self, counts: Counts | Reals) -> Reals:
-        """Take the next samples in order.
+        """Process the next samples in order.
 
         Args:
             counts: (n, fingers, 6) zeroed counts
 
         Returns:
-            (n, fingers) how sure it is that each sample is slip; once `length` samples were pushed, what
-            `score` says of the window behind it, to 1e-5. However the samples are cut, the same bits.
+            (n, fingers) probability of slip at each sample. After `length` samples it agrees with `score` of
+            the same window to 1e-5. Cutting the samples anywhere changes no bit.
         """
         ...
 
 
 @runtime_checkable
 class Streaming(Detector, Protocol):
-    """A detector that remembers what it needs of the past, so that a sample costs little."""
+    """Detector that can process samples one by one, at low cost per sample."""
 
     def stream(self, fingers: int = 1) -> Stream:
-        """A new stream that has seen nothing, of `fingers` fingertips that are sampled together."""
+        """Return a new stream for `fingers` fingertips that are sampled together."""
         ...

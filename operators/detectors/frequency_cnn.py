@@ -1,51 +1,58 @@
-"""The paper's frequency CNN, as a plain numpy forward pass, and the one that its authors trained."""
+"""Frequency CNN of the paper, and the variant that its authors trained; numpy inference."""
 
 from typing import Final
 
 import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Reals
-from operators.detectors.weights import Floats, Weights, check
+from operators.detectors.weights import Floats, Weights, check_weights
 from operators.errors import InputError
 
-BINS: Final = 51  # of a spectrum, 0 to 50 Hz
-PIXELS: Final = (5, 4, 3, 0, 1, 2)  # the cell at each pixel of the image, its two rows one after the other
+BINS: Final = 51  # bins of a spectrum, 0 to 50 Hz
+PIXELS: Final = (5, 4, 3, 0, 1, 2)  # cell of each pixel of the image, row by row
 
 _LENGTH: Final = 100  # samples
-_SUREST: Final = 700.0  # nats: exp of more overflows
-_BESIDE: Final = np.pad(np.arange(6).reshape(2, 3), 1, constant_values=6)  # (4, 5) the pixels, 6 around them
-_SAME: Final = np.lib.stride_tricks.sliding_window_view(_BESIDE, (3, 3)).reshape(6, 9)
-_VALID: Final = np.lib.stride_tricks.sliding_window_view(_BESIDE[1:3, 1:4], (2, 2)).reshape(2, 4)
+_LARGEST: Final = 700.0  # exp of more overflows
+_PADDED: Final = np.pad(np.arange(6).reshape(2, 3), 1, constant_values=6)  # (4, 5) pixels, surrounded by 6
+_SAME: Final = np.lib.stride_tricks.sliding_window_view(_PADDED, (3, 3)).reshape(6, 9)
+_VALID: Final = np.lib.stride_tricks.sliding_window_view(_PADDED[1:3, 1:4], (2, 2)).reshape(2, 4)
 _SPECTRUM: Final = np.fft.rfft(np.eye(_LENGTH))  # (100, 51)
-PARTS: Final = np.concatenate((_SPECTRUM.real, _SPECTRUM.imag), axis=1)  # (100, 102) of the DFT
+PARTS: Final = np.concatenate(
+    (_SPECTRUM.real, _SPECTRUM.imag), axis=1
+)  # (100, 102) real and imaginary parts of the DFT
 
 
 class FrequencyCnn:
-    """Slip seen in the spectrum of each barometer over a second, laid out as an image of the fingertip.
+    """Detect slip in the spectra of the barometers over 1 s, arranged as an image of the fingertip.
 
-    The pixels of the (2, 3) image are the cells 5 4 3 over 0 1 2; its 51 channels are |DFT| of the cell's
-    standardised counts, with no window function. A 3x3 convolution to 50 channels keeps the image's size
-    (zeros beside it), a 2x2 one to 20 channels leaves (1, 2) pixels; dense layers of 40, 20 and 2 follow.
+    The pixels of the (2, 3) image are the cells 5 4 3 above 0 1 2. The 51 channels are |DFT| of the
+    standardised counts, without window function. A 3x3 convolution to 50 channels with zero padding and a
+    2x2 convolution to 20 channels without padding leave (1, 2) pixels; dense layers of 40, 20 and 2 units
+    follow.
 
-    Each layer but the last has batch norm and ReLU, the convolutions ReLU first. Batch norm is folded away:
-    after ReLU into the next layer, which sees no zeros beside the image, else into its own layer. Before that
-    the network has the paper's 29,782 parameters: 23,000 + 4,020 of the convolutions, 1,640 + 820 + 42 of the
-    dense layers, 260 of batch norm. No other padding gives that number.
+    All layers but the last have batch norm and ReLU; the convolutions apply ReLU first. Batch norm is folded
+    into the next layer after ReLU, else into its own layer. Before folding, the network has the paper's
+    29,782 parameters: 23,000 + 4,020 in the convolutions, 1,640 + 820 + 42 in the dense layers and 260 in
+    batch norm. No other padding gives that number.
 
     Args:
         weights: ``conv0/kernel`` (rows, columns, in, out), ``conv0/bias``, ``conv1/...``; ``dense0/kernel``
-            (in, out), ``.../bias``, ``dense1/...``, ``out/...``; and ``mean`` and ``std``, those of the
-            counts in training. `shapes` names them all.
+            (in, out), ``.../bias``, ``dense1/...``, ``out/...``; ``mean`` and ``std`` of the counts in
+            training. `shapes` lists them.
 
     Raises:
-        InputError: an array is missing, has another shape, or is not finite, or a ``std`` is not above 0.
+        InputError: if an array is missing, has a wrong shape or is not finite, or if a ``std`` is not above
+        0.
+
+    References:
+        "Under Pressure" (2021), frequency CNN.
     """
 
     name = "frequency_cnn"
     length = _LENGTH
 
     def __init__(self, weights: Weights) -> None:
-        check(type(self).__name__, weights, shapes())
+        check_weights(type(self).__name__, weights, shapes())
         if not (weights["std"] > 0).all():
             raise InputError(
                 f"{type(self).__name__} weights", f"std is {weights['std'].min()}, must be above 0"
@@ -60,11 +67,11 @@ class FrequencyCnn:
         self._out_bias = float(np.diff(weights["out/bias"])[0])
 
     def score(self, windows: Counts | Reals) -> Reals:
-        """The probability of slip of each window (n, 100, 6) of zeroed counts; (n,)."""
+        """Return the probability of slip of each window (n, 100, 6) of zeroed counts; (n,)."""
         count = len(windows)
-        values = np.zeros((count, BAROMETERS + 1, BINS), np.float32)  # the last pixel stands for all around
+        values = np.zeros((count, BAROMETERS + 1, BINS), np.float32)  # the last pixel is the padding
         values[:, :BAROMETERS] = self._image((windows - self._mean) / self._std)[:, PIXELS]
-        # a matrix product for each window: one for all would round as their number has it
+        # one matrix product per window: the rounding of a common one depends on the number of windows
         for taps, kernel, bias in self._convolutions:
             seen = values[:, taps].reshape(count, len(taps), len(kernel))
             values = np.maximum(seen @ kernel + bias, 0)  # (n, 6, 50), (n, 2, 20)
@@ -72,30 +79,30 @@ class FrequencyCnn:
         for kernel, bias in self._dense:
             values = np.maximum(values @ kernel + bias, 0)  # (n, 1, 40), (n, 1, 20)
         logit = (values @ self._out)[:, 0, 0].astype(np.float64) + self._out_bias  # (n,)
-        return 1 / (1 + np.exp(np.minimum(-logit, _SUREST)))
+        return 1 / (1 + np.exp(np.minimum(-logit, _LARGEST)))
 
     def _image(self, inputs: Reals) -> Reals:
-        """The spectra (n, 6, 51) of standardised counts (n, 100, 6), in the order of the cells."""
+        """Return the spectra (n, 6, 51) of standardised counts (n, 100, 6), ordered by cell."""
         return _magnitude(inputs.swapaxes(1, 2))
 
 
 class InterleavedFrequencyCnn(FrequencyCnn):
-    """The same network on the image that the paper's authors made in their code.
+    """Detect slip with the same network on the image that the authors' code computes.
 
-    They reshaped a window (100, 6) to (6, 100), where they meant to transpose it. So a pixel is not the
-    spectrum of a barometer: its 100 values are 16 or 17 successive samples of all six, one barometer after
-    the other, and the six pixels follow each other in time, the newest at cell 5.
+    Their code reshapes a window (100, 6) to (6, 100) instead of transposing it. So a pixel is not the
+    spectrum of one barometer: its 100 values are 16 or 17 successive samples of all six barometers,
+    interleaved. The six pixels follow each other in time, the newest at cell 5.
     """
 
     name = "frequency_cnn_interleaved"
 
     def _image(self, inputs: Reals) -> Reals:
-        """The spectra (n, 6, 51) of standardised counts (n, 100, 6), interleaved."""
+        """Return the spectra (n, 6, 51) of standardised counts (n, 100, 6), interleaved."""
         return _magnitude(inputs.reshape(-1, BAROMETERS, _LENGTH))
 
 
 def shapes() -> dict[str, tuple[int, ...]]:
-    """The shape of each array of weights."""
+    """Return the shape of each array of weights."""
     kernels = {
         "conv0": (3, 3, BINS, 50),
         "conv1": (2, 2, 50, 20),
@@ -114,10 +121,9 @@ def _flat(kernel: Floats) -> Floats:
 
 
 def _magnitude(rows: Reals) -> Reals:
-    """|DFT| of rows (n, 6, 100); (n, 6, 51).
+    """Return |DFT| of rows (n, 6, 100); (n, 6, 51).
 
-    As a matrix product a window is transformed alike whatever stands beside it, in the order that it has in
-    memory.
+    With a matrix product, the rounding of a window does not depend on other windows.
     """
     parts = rows.astype(np.float64, order="C") @ PARTS
     magnitude: Reals = np.sqrt(np.square(parts[..., :BINS]) + np.square(parts[..., BINS:]))

@@ -1,4 +1,4 @@
-"""The paper's temporal convolutional network (its Table I), as a plain numpy forward pass."""
+"""Temporal convolutional network of the paper; numpy inference."""
 
 from dataclasses import dataclass
 from typing import Final, Self
@@ -6,7 +6,7 @@ from typing import Final, Self
 import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Reals
-from operators.detectors.weights import Floats, Weights, check
+from operators.detectors.weights import Floats, Weights, check_weights
 
 _LENGTH: Final = 100  # samples
 _BLOCKS: Final = 4
@@ -19,27 +19,31 @@ _ALPHA: Final = np.float32(1.0507009873554805 * 1.6732632423543772)  # of SELU, 
 
 
 class PaperTcn:
-    """Four residual blocks of two causal convolutions, dilated 1, 2, 4 and 8, and two dense layers.
+    """Detect slip with the temporal convolutional network of the paper.
 
-    Each of these layers is followed by layer norm and SELU. The receptive field, 211 samples, is longer
-    than the window, so the zeros before its start are part of the function. Only what the last step sees
-    is computed: past a block dilated d that is each 2d-th step, so every block halves the steps and none
-    needs a dilation.
+    Four residual blocks of two causal convolutions, dilated 1, 2, 4 and 8, and two dense layers, each
+    followed by layer norm and SELU. The receptive field of 211 samples is longer than the window, so the
+    zero padding is part of the function. Only the steps that the last step depends on are computed: after a
+    block with dilation d, every 2d-th step. So each block halves the number of steps and needs no dilation.
 
     Args:
-        weights: by name, in the shapes of Keras: ``block0/conv0/kernel`` (taps, in, out), ``.../bias``,
-            ``block0/ln0/gamma``, ``.../beta``, up to ``out/bias``; and ``mean`` and ``std``, those of the
-            counts in training. `shapes` names them all.
+        weights: Arrays by name, in the shapes of Keras: ``block0/conv0/kernel`` (taps, in, out),
+        ``.../bias``,
+            ``block0/ln0/gamma``, ``.../beta``, up to ``out/bias``; ``mean`` and ``std`` of the counts in
+            training. `shapes` lists them.
 
     Raises:
-        InputError: an array is missing, has another shape, or is not finite.
+        InputError: if an array is missing, has a wrong shape, or is not finite.
+
+    References:
+        "Under Pressure" (2021), Table I.
     """
 
     name = "paper_tcn"
     length = _LENGTH
 
     def __init__(self, weights: Weights) -> None:
-        check("PaperTcn", weights, shapes())
+        check_weights("PaperTcn", weights, shapes())
         steps = [_LENGTH]
         while len(steps) < _BLOCKS:
             steps.append(_halved(steps[-1]))  # into each block: 100, 50, 25, 13
@@ -58,14 +62,14 @@ class PaperTcn:
         self._out_bias = float(np.diff(weights["out/bias"])[0])
 
     def score(self, windows: Counts | Reals) -> Reals:
-        """The probability of slip of each window (n, 100, 6) of zeroed counts; (n,)."""
+        """Return the probability of slip of each window (n, 100, 6) of zeroed counts; (n,)."""
         return self.probability(((windows - self._mean) / self._std).astype(np.float32, order="C"))
 
     def probability(self, inputs: Floats) -> Reals:
-        """The same of standardised counts (n, 100, 6)."""
+        """Return the probability of slip of standardised counts (n, 100, 6); (n,)."""
         values = inputs
         for number, (first, second) in enumerate(self._blocks):
-            residual = values[:, 1 - values.shape[1] % 2 :: 2]  # each second step, back from the last
+            residual = values[:, 1 - values.shape[1] % 2 :: 2]  # every second step, counted from the last
             if number == 0:
                 residual = residual @ self._match + self._match_bias
             values = _selu(second(_taps(first(_taps(values, 1)), 2)) + residual)
@@ -78,13 +82,13 @@ class PaperTcn:
 
 @dataclass(frozen=True)
 class _Layer:
-    """A linear layer, layer norm over its outputs, SELU.
+    """Linear layer, layer norm over its outputs, SELU.
 
-    The norm subtracts the mean of the outputs, so that is taken out of the weights beforehand.
+    The mean that the norm subtracts is removed from the weights in advance.
     """
 
     kernel: Floats  # (inputs, outputs)
-    bias: Floats  # (steps, outputs), as are the next two: repeated, for speed
+    bias: Floats  # (steps, outputs), as the next two: repeated for speed
     gamma: Floats
     beta: Floats
 
@@ -97,7 +101,7 @@ class _Layer:
         return cls((kernel - kernel.mean(axis=1, keepdims=True)).astype(np.float32), *repeated)
 
     def __call__(self, values: Floats) -> Floats:
-        """(n, steps, inputs) to (n, steps, outputs)."""
+        """Map (n, steps, inputs) to (n, steps, outputs)."""
         outputs = values @ self.kernel + self.bias
         mean = np.full((outputs.shape[2],) * 2, 1 / outputs.shape[2], np.float32)  # as a matrix: faster
         outputs /= np.sqrt(np.square(outputs) @ mean + _EPSILON)
@@ -119,7 +123,7 @@ def _halved(steps: int) -> int:
 
 
 def _taps(values: Floats, stride: int) -> Floats:
-    """What a causal convolution sees at each `stride`-th step, back from the last, after zeros.
+    """Return the zero-padded inputs of a causal convolution at every `stride`-th step from the last.
 
     Args:
         values: (n, steps, channels)
@@ -138,7 +142,7 @@ def _taps(values: Floats, stride: int) -> Floats:
 
 
 def shapes() -> dict[str, tuple[int, ...]]:
-    """The shape of each array of weights."""
+    """Return the shape of each array of weights."""
     result: dict[str, tuple[int, ...]] = {"mean": (BAROMETERS,), "std": (BAROMETERS,)}
 
     def linear(name: str, *kernel: int) -> None:

@@ -1,36 +1,36 @@
-"""The TCN sample by sample: cached causal convolutions, compiled.
+"""Streaming inference of the TCN: cached causal convolutions, compiled with numba.
 
-A layer of d times dilated taps sees every d-th of its inputs. These are kept in d interleaved rings, each
-value written twice, `taps` slots apart; so what the taps see is always one contiguous run, oldest first, and
-a layer is one product of a matrix and a vector. A ring of 4 taps after its inputs 0 to 5::
+A layer with dilation d reads every d-th of its inputs. They are stored in d interleaved rings, each value
+twice, `taps` slots apart. So the inputs of the taps are always contiguous, oldest first, and a layer is one
+product of a matrix and a vector. A ring of 4 taps after the inputs 0 to 5::
 
-    4 5 2 3 4 5 2 3       the newest, 5, stands in slots 1 and 5; the run 2 3 4 5 begins behind the first
+    4 5 2 3 4 5 2 3       the newest, 5, is in slots 1 and 5; the inputs 2 3 4 5 start after the first
 
-A sample's arithmetic depends neither on how many samples nor on how many fingertips are given at once.
+The result of a sample depends neither on the number of samples nor on the number of fingertips per call.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 import numpy as np
 from numba import njit, types
 
 from operators.batch import BAROMETERS, Counts, Reals, Times
+from operators.checks import check_at_least
+from operators.detectors.causal_layer import CausalLayer
 from operators.detectors.weights import Floats
 from operators.errors import ParameterError
 
 if TYPE_CHECKING:
     from numba.core.typing.templates import Signature
 
-    from operators.detectors.tcn import Tcn
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _TAPS, _CHANNELS, _DILATION, _RINGS, _KERNEL, _SKIP = range(6)  # columns of the table of layers
 _SIGNATURES: Final = [
     types.boolean(
-        types.Array(scalar, 3, "A", readonly=True),  # any strides; what may be written to is taken as well
+        types.Array(scalar, 3, "A", readonly=True),  # any strides, writeable or not
         types.float64[:, ::1],
         types.float32[:, ::1],
         types.int64,
@@ -42,7 +42,7 @@ _SIGNATURES: Final = [
 
 
 def _compiled(signatures: "list[Signature] | None" = None) -> Callable[[Function], Function]:
-    """As machine code, kept on disk, that lets other threads run; its sums are taken on vector units."""
+    """Return a decorator that compiles to cached machine code without GIL, with vectorised sums."""
     sums = {"reassoc", "contract", "nsz"}
     decorate = njit(signatures, cache=True, nogil=True, error_model="numpy", fastmath=sums)
     return cast("Callable[[Function], Function]", decorate)
@@ -50,37 +50,37 @@ def _compiled(signatures: "list[Signature] | None" = None) -> Callable[[Function
 
 @_compiled()
 def _slot(layers: Times, layer: int, time: int) -> int:
-    """Where in memory a layer's input of that time stands; it does again taps * channels further on."""
+    """Return the memory slot of a layer's input at a time; its copy is taps * channels later."""
     taps, dilation = layers[layer, _TAPS], layers[layer, _DILATION]
     slot = time % dilation * 2 * taps + time // dilation % taps
-    place: int = layers[layer, _RINGS] + slot * layers[layer, _CHANNELS]
-    return place
+    index: int = layers[layer, _RINGS] + slot * layers[layer, _CHANNELS]
+    return index
 
 
 @_compiled()
 def _product(row: Floats, run: Floats) -> np.float32:
-    """As np.dot; its call of BLAS would take longer than the sum."""
+    """Return the dot product; faster than np.dot, whose BLAS call takes longer than the sum."""
     value = np.float32(0)
     for i in range(len(run)):
         value += row[i] * run[i]
     return value
 
 
-@_compiled(_SIGNATURES)  # when this module is loaded: the first sample must not wait
+@_compiled(_SIGNATURES)  # compile at import, before the first sample
 def advance(  # noqa: PLR0917 - a compiled function takes no keywords
     counts: Counts | Reals, probability: Reals, memory: Floats, seen: int, weights: Floats, layers: Times
 ) -> bool:
-    """Take the next samples; False if their shape is not the memory's, and nothing was done.
+    """Process the next samples; return False, without any change, if their shape does not match the memory.
 
     Args:
         counts: (n, fingers, 6)
-        probability: (n, fingers), to be written.
-        memory: (fingers, size) the counts before, then each layer's rings; changed in place.
-        seen: how many samples came before.
-        weights: (m,) scales of counts and of steps; each layer's kernel (outputs, taps, inputs) and bias.
-        layers: (layers + 1, 6) taps, channels of the input, dilation, where in memory the rings begin, where
-            in weights the kernel does, and whether the input of the layer before is added. The last row is
-            where the logit goes.
+        probability: (n, fingers), output
+        memory: (fingers, size) previous counts, then the rings of each layer; changed in place
+        seen: Number of samples before.
+        weights: (m,) scales of counts and of steps; kernel (outputs, taps, inputs) and bias of each layer
+        layers: (layers + 1, 6) taps, input channels, dilation, offset of the rings in `memory`, offset of the
+            kernel in `weights`, and whether the input of the previous layer is added; the last row is the
+            logit
     """
     size, fingers, cells = counts.shape
     if fingers != len(memory) or cells != BAROMETERS:
@@ -118,21 +118,32 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
 
 
 class TcnStream:
-    """A TCN at work on some fingertips, a fingertip's samples in order; pickles with what it remembers.
+    """State of a TCN for one or more fingertips; can be pickled.
 
-    Before the first sample, the inputs of every layer are 0, as if a whole recording were padded with zeros
-    before each convolution; the first sample's step is 0. That is forgotten after `length` samples.
+    Before the first sample, the inputs of all layers are 0, as if the recording were zero-padded before each
+    convolution, and the first step is 0. This has no effect after `length` samples.
+
+    Args:
+        layers: Layers of the network.
+        position_scale: Scale of the counts.
+        step_scale: Scale of the steps.
+        fingers: Number of fingertips.
 
     Raises:
-        ParameterError: if there is no fingertip.
+        ParameterError: if `fingers` is below 1.
     """
 
-    def __init__(self, tcn: "Tcn", fingers: int = 1) -> None:
-        if fingers < 1:
-            raise ParameterError("TcnStream", "fingers", fingers, "at least 1")
-        rows, weights = list[list[int]](), [np.array([tcn.position_scale, tcn.step_scale])]
+    def __init__(
+        self,
+        layers: Sequence[CausalLayer],
+        position_scale: np.float32,
+        step_scale: np.float32,
+        fingers: int = 1,
+    ) -> None:
+        check_at_least("TcnStream", "fingers", fingers, 1)
+        rows, weights = list[list[int]](), [np.array([position_scale, step_scale])]
         memory = BAROMETERS
-        for layer in tcn.layers:
+        for layer in layers:
             taps, channels, _ = layer.kernel.shape
             rows.append([taps, channels, layer.dilation, memory, sum(map(len, weights)), layer.skip])
             weights += [layer.kernel.transpose(2, 0, 1).ravel(), layer.bias]
@@ -144,10 +155,10 @@ class TcnStream:
         self._seen = 0  # samples
 
     def push(self, counts: Counts | Reals) -> Reals:
-        """The probability of slip of each of the next samples (n, fingers, 6) of zeroed counts; (n, fingers).
+        """Return the probability of slip of the next samples (n, fingers, 6) of zeroed counts; (n, fingers).
 
         Raises:
-            ParameterError: if the counts have another shape.
+            ParameterError: if the counts have a wrong shape.
         """
         if counts.dtype.char != "h":  # int16
             counts = counts.astype(np.float64)

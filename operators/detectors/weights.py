@@ -1,4 +1,4 @@
-"""What a detector with weights is made of: named arrays, checked before they are used."""
+"""Weights of detectors: named arrays, checked before use."""
 
 from collections.abc import Mapping
 from typing import Any, TypeAlias
@@ -13,13 +13,13 @@ Weights: TypeAlias = Mapping[str, NDArray[Any]]
 Shapes: TypeAlias = Mapping[str, tuple[int, ...]]
 
 
-def check(owner: str, weights: Weights, shapes: Shapes) -> None:
-    """Make sure that the arrays named in `shapes` are there, have these shapes and are finite.
+def check_weights(owner: str, weights: Weights, shapes: Shapes) -> None:
+    """Check that all arrays in `shapes` exist, have these shapes and are finite.
 
     Raises:
-        InputError: naming the first that is not so.
+        InputError: naming the first invalid array.
 
-    >>> check("Net", {"bias": np.zeros(3)}, {"bias": (2,)})
+    >>> check_weights("Net", {"bias": np.zeros(3)}, {"bias": (2,)})
     Traceback (most recent call last):
     operators.errors.InputError: Net weights: bias has shape (3,), must be (2,)
     """

@@ -16,7 +16,7 @@ from flows.graph import Flow
 from flows.graph.loading import load
 from flows.graph.testing import TestSink, run_virtually
 from flows.graph.validation import problems
-from flows.lift import controller, held_by, lift
+from flows.lift import declare_grip, grip_controller, lift
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Commands, Grip, InputError, ParameterError, Run, s
@@ -53,7 +53,7 @@ def test_what_is_lifted_is_one_of_the_scenes_objects() -> None:
 
 
 def test_hardware_is_given_whole_or_not_at_all() -> None:
-    with pytest.raises(InputError, match="bus and a gripper"):
+    with pytest.raises(InputError, match="needs both bus and gripper"):
         lift(gripper="10.0.0.3")
     assert [node.name for node in lift(gripper="10.0.0.3", bus=1).sinks()] == ["console", "gripper"]
     assert [node.name for node in lift().sinks()] == ["console", "hand"]
@@ -63,9 +63,9 @@ def test_hardware_is_given_whole_or_not_at_all() -> None:
 def test_what_is_gripped_too_weakly_is_held_by_the_flow_and_lost_without(*, ruled: bool) -> None:
     ball = named("ball")
     handling, commands, flow = Handling(ball, seed=3), TestSink(), Flow("lift")
-    rule = controller(DETECTOR, least_force(ball) / 2)
+    rule = grip_controller(DETECTOR, least_force(ball) / 2)
     rule = rule if ruled else Grip(force=rule.force, gain=0.0)
-    _, given = held_by(flow, handling.touch, load_detector(DETECTOR), rule)
+    _, given = declare_grip(flow, handling.touch, load_detector(DETECTOR), rule)
     given.to(handling.hand)
     given.to(commands)
     run = _for(flow, 6)
@@ -83,12 +83,12 @@ async def _lifted(number: int, name: str) -> GraspLab:
     lab = await asyncio.to_thread(lambda: GraspLab(opened(thing, number, UP)))
     path = f"/dev/i2c-{70 + number}"
     server = GripperServer(lab, port=0, now=lab.now, activation=0.2, scale=SMALL)
-    rule = controller(DETECTOR, 0.6 * least_force(thing), settle=round(1.5 * s))
+    rule = grip_controller(DETECTOR, 0.6 * least_force(thing), settle=round(1.5 * s))
     with served(FaultyI2cBus(lab, now=lab.now), path):
         async with server:
             flow = Flow("lift")
             hand = Gripper(server.host, server.port, limits=(0.05, 10.0), scale=SMALL)
-            _, commands = held_by(flow, TakkTile(bus=path), load_detector(DETECTOR), rule)
+            _, commands = declare_grip(flow, TakkTile(bus=path), load_detector(DETECTOR), rule)
             commands.to(hand)
             run = await LiveRunner(flow, "lift", duration=SECONDS * s).execute()
     assert not any(status.error for status in run.sinks.values())

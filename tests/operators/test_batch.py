@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from operators import Batch, BatchError, Labelled, Motion, Scores, Slips, Touch, Windows, Zeroed, concat
-from operators.batch import columns, constant, maker
+from operators.batch import columns, constant, fast_constructor
 
 KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
 
@@ -18,7 +18,7 @@ def _columns(kind: type[Batch], rows: int) -> list[Any]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_a_maker_makes_is_what_the_constructor_makes(kind: type[Batch]) -> None:
     values = _columns(kind, 3)
-    made, constructed = maker(kind)(*values, 5), kind(*values, finger=5)
+    made, constructed = fast_constructor(kind)(*values, 5), kind(*values, finger=5)
     assert type(made) is kind
     assert made.finger == constructed.finger == 5
     for name in columns(kind):
@@ -26,14 +26,14 @@ def test_what_a_maker_makes_is_what_the_constructor_makes(kind: type[Batch]) -> 
 
 
 def test_what_a_maker_makes_cannot_be_changed() -> None:
-    made: Any = maker(Scores)(*_columns(Scores, 1), 5)
+    made: Any = fast_constructor(Scores)(*_columns(Scores, 1), 5)
     with pytest.raises(FrozenInstanceError):
         made.finger = 6
 
 
 def test_a_maker_takes_every_column() -> None:
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'finger'"):
-        maker(Scores)(*_columns(Scores, 1))
+        fast_constructor(Scores)(*_columns(Scores, 1))
 
 
 def test_a_constant_cannot_be_written_to() -> None:

@@ -209,7 +209,17 @@ CASES: Final = [
     Case(Debounce(), (_scores,)),
     Case(Debounce(threshold=0.88, consecutive=3, release=1, minimum=80 * ms), (_scores,)),
     Case(Grip(), (_scores,)),
-    Case(Grip(most=0.7, settle=0, patience=80 * ms, ease=5.0, calm=20 * ms, reach=9.0), (_scores,)),
+    Case(
+        Grip(
+            max_force=0.7,
+            settle=0,
+            give_up_after=80 * ms,
+            release_rate=5.0,
+            quiet_time=20 * ms,
+            max_ratio=9.0,
+        ),
+        (_scores,),
+    ),
     Case(StepGrip(settle=50 * ms), (_scores,)),
     Case(Health(), (_touch(Touch),)),
     Case(Health(dead_after=30 * ms, stuck_after=50 * ms, drift=3), (_touch(Zeroed),)),

@@ -37,16 +37,16 @@ def test_the_line_lies_under_all_rows_and_no_other_lies_higher_in_their_mean(
 
 
 def test_the_first_row_comes_when_it_came() -> None:
-    assert envelope().place(7 * s, 1000 * s) == 1000 * s
+    assert envelope().host_time(7 * s, 1000 * s) == 1000 * s
 
 
 def test_a_late_row_is_put_where_the_earliest_way_says_and_an_early_one_where_it_came() -> None:
     clock = envelope()
-    clock.place(0, 1000 * s)
-    assert clock.place(1 * s, 1001 * s + 30 * ms) == 1001 * s
-    assert clock.place(2 * s, 1002 * s - 5 * ms) == 1002 * s - 5 * ms
+    clock.host_time(0, 1000 * s)
+    assert clock.host_time(1 * s, 1001 * s + 30 * ms) == 1001 * s
+    assert clock.host_time(2 * s, 1002 * s - 5 * ms) == 1002 * s - 5 * ms
     assert (
-        clock.place(2 * s + ms, 1002 * s + 40 * ms) == 1002 * s - 4 * ms
+        clock.host_time(2 * s + ms, 1002 * s + 40 * ms) == 1002 * s - 4 * ms
     )  # in that block: the way is shorter
 
 
@@ -54,7 +54,7 @@ def test_a_drift_is_learnt_from_the_rows_that_were_least_late() -> None:
     clock = envelope()
     for row in range(2000):
         late = row % 7 * ms
-        placed = clock.place(row * 10 * ms, 1000 * s + round(row * 10.005 * ms) + late)
+        placed = clock.host_time(row * 10 * ms, 1000 * s + round(row * 10.005 * ms) + late)
         assert row < 1000 or placed == pytest.approx(1000 * s + row * 10.005 * ms, abs=0.02 * ms)
     assert clock.slope == pytest.approx(0.0005, rel=1e-3)
 
@@ -73,10 +73,10 @@ def test_a_drift_is_learnt_from_the_rows_that_were_least_late() -> None:
 )
 def test_another_clock_and_a_long_pause_begin_an_epoch(device: int, arrival: int, *, begins: bool) -> None:
     clock = envelope()
-    assert clock.begins(5 * s, 1000 * s)
-    clock.place(5 * s, 1000 * s)
-    assert clock.begins(5 * s + device, 1000 * s + arrival) is begins
-    clock.place(5 * s + device, 1000 * s + arrival)
+    assert clock.starts_epoch(5 * s, 1000 * s)
+    clock.host_time(5 * s, 1000 * s)
+    assert clock.starts_epoch(5 * s + device, 1000 * s + arrival) is begins
+    clock.host_time(5 * s + device, 1000 * s + arrival)
     assert clock.epoch == int(begins)
 
 

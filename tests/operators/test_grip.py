@@ -40,7 +40,7 @@ def test_the_surer_it_is_the_faster_the_force_grows() -> None:
 
 
 def test_the_longer_it_slips_the_faster_the_force_grows() -> None:
-    force = _pushed(_soon(gain=5.0, reach=99.0), [0.0] + [1.0] * 20).force
+    force = _pushed(_soon(gain=5.0, max_ratio=99.0), [0.0] + [1.0] * 20).force
     assert (np.diff(force, 2)[1:] > 0).all()
 
 
@@ -50,7 +50,7 @@ def test_the_force_grows_in_shares_of_what_the_slip_began_with() -> None:
 
 
 def test_what_a_command_does_is_awaited_before_the_force_grows_on() -> None:
-    grip = _soon(gain=40.0, reach=1.5, latency=100 * ms, resolution=1e-9)
+    grip = _soon(gain=40.0, max_ratio=1.5, latency=100 * ms, resolution=1e-9)
     commands = _pushed(grip, [0.0] + [1.0] * 40)
     time, force = commands.time / 1e9, commands.force
     before = force[np.searchsorted(time, time - 0.1 - 1e-9, "left").clip(0) - (time > 0.1)]
@@ -59,13 +59,21 @@ def test_what_a_command_does_is_awaited_before_the_force_grows_on() -> None:
 
 
 def test_commands_rise_no_faster_than_the_rate() -> None:
-    commands = _pushed(_soon(gain=1000.0, rate=5.0, reach=99.0), [0.0] + [1.0] * 20)
+    commands = _pushed(_soon(gain=1000.0, rate=5.0, max_ratio=99.0), [0.0] + [1.0] * 20)
     assert (np.diff(commands.force) <= 5.0 * np.diff(commands.time) / 1e9 + 1e-12).all()
     assert commands.force[-1] > 1.5
 
 
 def test_once_nothing_slips_the_force_falls_to_the_margin_above_what_slipped_and_no_further() -> None:
-    grip = _soon(latency=30 * ms, margin=0.2, calm=50 * ms, ease=2.0, reach=99.0, keep=0.0, resolution=1e-9)
+    grip = _soon(
+        latency=30 * ms,
+        margin=0.2,
+        quiet_time=50 * ms,
+        release_rate=2.0,
+        max_ratio=99.0,
+        min_ratio=0.0,
+        resolution=1e-9,
+    )
     rising = _pushed(grip, [0.0] + [1.0] * 10).force
     after = _pushed(grip, [0.0] * 200, since=11).force
     assert (np.diff(after) < 0).all()
@@ -73,7 +81,7 @@ def test_once_nothing_slips_the_force_falls_to_the_margin_above_what_slipped_and
 
 
 def test_it_keeps_a_share_of_what_it_was_when_the_slip_ended() -> None:
-    grip = _soon(margin=0.0, keep=0.8, calm=50 * ms, ease=2.0, resolution=1e-9)
+    grip = _soon(margin=0.0, min_ratio=0.8, quiet_time=50 * ms, release_rate=2.0, resolution=1e-9)
     rising = _pushed(grip, [0.0] + [1.0] * 10).force
     assert _pushed(grip, [0.0] * 200, since=11).force[-1] == pytest.approx(0.8 * rising[-1])
 
@@ -83,12 +91,12 @@ def test_it_stays_while_nothing_has_ever_slipped() -> None:
 
 
 def test_the_force_stays_within_its_limits() -> None:
-    force = _pushed(_soon(most=1.3, patience=10_000 * ms), [0.0] + [1.0] * 50).force
+    force = _pushed(_soon(max_force=1.3, give_up_after=10_000 * ms), [0.0] + [1.0] * 50).force
     assert force.max() == force[-1] == 1.3
 
 
 def test_what_slips_with_all_force_is_given_up_once_and_let_go() -> None:
-    grip = _soon(most=1.3, least=0.1, patience=200 * ms)
+    grip = _soon(max_force=1.3, min_force=0.1, give_up_after=200 * ms)
     force = _pushed(grip, [0.0] + [1.0] * 60).force
     assert force[-2:].tolist() == [1.3, 0.1]
     assert grip.given_up
@@ -97,7 +105,7 @@ def test_what_slips_with_all_force_is_given_up_once_and_let_go() -> None:
 
 
 def test_a_pause_in_the_slip_begins_its_patience_anew() -> None:
-    grip = _soon(most=1.1, patience=200 * ms)
+    grip = _soon(max_force=1.1, give_up_after=200 * ms)
     _pushed(grip, [0.0] + ([1.0] * 15 + [0.0]) * 20)
     assert not grip.given_up
 
@@ -119,14 +127,14 @@ def test_the_papers_rule_adds_a_step_for_each_registered_slip_and_never_takes_on
     ("kind", "settings"),
     [
         (Grip, {"force": 11.0}),
-        (Grip, {"least": -1.0}),
+        (Grip, {"min_force": -1.0}),
         (Grip, {"threshold": 0.0}),
         (Grip, {"rate": 0.0}),
         (Grip, {"consecutive": 0}),
         (Grip, {"gain": -1.0}),
-        (Grip, {"reach": 1.0}),
-        (Grip, {"keep": 1.5}),
-        (Grip, {"soon": 0}),
+        (Grip, {"max_ratio": 1.0}),
+        (Grip, {"min_ratio": 1.5}),
+        (Grip, {"doubling_time": 0}),
         (StepGrip, {"step": 0.0}),
     ],
 )

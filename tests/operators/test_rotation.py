@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from operators.batch import Reals
-from operators.rotation import between, onward, quaternion, turn, turned
+from operators.rotation import compose, interpolate_rotation, quaternion, rotate, rotation_difference
 
 angles = st.floats(-4, 4)
 vectors = st.tuples(angles, angles, angles)
@@ -21,7 +21,7 @@ def test_a_vector_turns_as_scipy_turns_it(
     rotation: tuple[float, float, float], vector: tuple[float, float, float]
 ) -> None:
     expected = Rotation.from_rotvec(rotation).apply(vector)
-    np.testing.assert_allclose(turn(vector, quaternion(rotation)), expected, atol=1e-14)
+    np.testing.assert_allclose(rotate(vector, quaternion(rotation)), expected, atol=1e-14)
 
 
 @given(first=vectors, second=vectors, part=parts)
@@ -31,7 +31,7 @@ def test_between_two_rotations_the_way_is_that_of_slerp(
     ends = Rotation.from_rotvec([first, second])
     if (ends[0].inv() * ends[1]).magnitude() > 3.14:
         return  # half a turn apart, either way is as short
-    found = Rotation.from_rotvec(between(first, second, part))
+    found = Rotation.from_rotvec(interpolate_rotation(first, second, part))
     assert (found.inv() * Slerp([0, 1], ends)(part)).magnitude() < 1e-7
 
 
@@ -40,7 +40,7 @@ def test_the_way_between_rotations_begins_and_ends_at_them(
     first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> None:
     for part, end in ((0.0, first), (1.0, second)):
-        found = Rotation.from_rotvec(between(first, second, part))
+        found = Rotation.from_rotvec(interpolate_rotation(first, second, part))
         assert (found.inv() * Rotation.from_rotvec(end)).magnitude() < 1e-7
 
 
@@ -48,11 +48,11 @@ def test_the_way_between_rotations_begins_and_ends_at_them(
 def test_one_rotation_and_what_is_onward_make_the_other(
     first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> None:
-    both = Rotation.from_rotvec(turned(first, by=second))
+    both = Rotation.from_rotvec(compose(first, by=second))
     assert (both.inv() * Rotation.from_rotvec(second) * Rotation.from_rotvec(first)).magnitude() < 1e-7
-    way = onward(first, second)
+    way = rotation_difference(first, second)
     assert np.linalg.norm(way) < np.pi + 1e-9
-    end = Rotation.from_rotvec(turned(first, by=way))
+    end = Rotation.from_rotvec(compose(first, by=way))
     assert (end.inv() * Rotation.from_rotvec(second)).magnitude() < 1e-7
 
 
@@ -61,14 +61,14 @@ def test_floats_and_arrays_agree_bit_for_bit(
     rows: list[tuple[tuple[float, float, float], tuple[float, float, float], float]],
 ) -> None:
     firsts, seconds, part = zip(*rows, strict=True)
-    found = between(_columns(*firsts), _columns(*seconds), np.array(part))
-    np.testing.assert_array_equal(np.transpose(found), [between(*row) for row in rows])
-    turned = turn((0.6, 0.0, 0.8), quaternion(_columns(*firsts)))
+    found = interpolate_rotation(_columns(*firsts), _columns(*seconds), np.array(part))
+    np.testing.assert_array_equal(np.transpose(found), [interpolate_rotation(*row) for row in rows])
+    turned = rotate((0.6, 0.0, 0.8), quaternion(_columns(*firsts)))
     np.testing.assert_array_equal(
-        np.transpose(turned), [turn((0.6, 0.0, 0.8), quaternion(row)) for row in firsts]
+        np.transpose(turned), [rotate((0.6, 0.0, 0.8), quaternion(row)) for row in firsts]
     )
 
 
 def test_no_rotation_turns_nothing() -> None:
-    assert turn((1.0, 2.0, 3.0), quaternion((0.0, 0.0, 0.0))) == (1, 2, 3)
-    assert between((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5) == (0, 0, 0)
+    assert rotate((1.0, 2.0, 3.0), quaternion((0.0, 0.0, 0.0))) == (1, 2, 3)
+    assert interpolate_rotation((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.5) == (0, 0, 0)

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 from connectors.ur.control_process import Pose
 from connectors.ur.path_follower import Point
-from operators.rotation import onward, quaternion, turn, turned
+from operators.rotation import compose, quaternion, rotate, rotation_difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,9 @@ class Line:
         >>> Line((0.5, 0, 0, 0, 0, 0), speed=0.25, acceleration=0.5).seconds((0, 0, 0, 0, 0, 0))
         2.5
         """
-        way = max(math.dist(start[:3], self.pose[:3]), math.hypot(*onward(start[3:], self.pose[3:])))
+        way = max(
+            math.dist(start[:3], self.pose[:3]), math.hypot(*rotation_difference(start[3:], self.pose[3:]))
+        )
         if way * self.acceleration < self.speed**2:
             return 2 * math.sqrt(way / self.acceleration)
         return way / self.speed + self.speed / self.acceleration
@@ -51,7 +53,7 @@ class Slide:
     def end(self, start: Pose) -> Pose:
         """Return the pose at the end: the distance lost while speeding up is gained while slowing down."""
         x, y, z, a, b, c = (each * self._cruise for each in self.velocity)
-        u, v, w = turned(start[3:], by=(a, b, c))
+        u, v, w = compose(start[3:], by=(a, b, c))
         return start[0] + x, start[1] + y, start[2] + z, u, v, w
 
     def seconds(self, start: Pose) -> float:
@@ -171,15 +173,15 @@ def offset_pose(pose: Pose, offset: Point = (0.0, 0.0, 0.0), yaw: float = 0.0) -
     [0.4, -0.01, 0.12]
     """
     by = quaternion((pose[3], pose[4], pose[5]))
-    x, y, z = turn(offset, by)
-    a, b, c = turn((0.0, 0.0, yaw), by)
-    u, v, w = turned((pose[3], pose[4], pose[5]), by=(a, b, c)) if yaw else pose[3:]
+    x, y, z = rotate(offset, by)
+    a, b, c = rotate((0.0, 0.0, yaw), by)
+    u, v, w = compose((pose[3], pose[4], pose[5]), by=(a, b, c)) if yaw else pose[3:]
     return pose[0] + x, pose[1] + y, pose[2] + z, u, v, w
 
 
 def spin_velocity(pose: Pose, spin: float) -> Pose:
     """Return the velocity in the base frame of a rotation about a pose's own z (rad/s)."""
-    return 0.0, 0.0, 0.0, *turn((0.0, 0.0, spin), quaternion((pose[3], pose[4], pose[5])))
+    return 0.0, 0.0, 0.0, *rotate((0.0, 0.0, spin), quaternion((pose[3], pose[4], pose[5])))
 
 
 def shift_steps(steps: Sequence[Step], by: Point) -> list[Step]:
@@ -203,7 +205,7 @@ def raise_pose(pose: Pose, surface: Pose, clearance: float) -> Pose:
     >>> [round(each, 6) for each in up[:3]]
     [0.1, 0.0, 0.01]
     """
-    x, y, z = turn((0.0, 0.0, 1.0), quaternion((surface[3], surface[4], surface[5])))
+    x, y, z = rotate((0.0, 0.0, 1.0), quaternion((surface[3], surface[4], surface[5])))
     depth = x * (pose[0] - surface[0]) + y * (pose[1] - surface[1]) + z * (pose[2] - surface[2])
     lift = max(0.0, depth + clearance)
     return pose[0] - lift * x, pose[1] - lift * y, pose[2] - lift * z, *pose[3:]

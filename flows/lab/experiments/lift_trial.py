@@ -108,7 +108,7 @@ def _lift_ending(trace: Trace, rule: GripController, least: float, delay: float)
     low = float(trace.gripper_height[-1] - trace.height[-1])
     if not dropped and not trace.on_table[-1] and low < ROOM and np.ptp(trace.slide[last]) < RESTS:
         return "held"
-    if trace.commanded[-1] <= rule.least:
+    if trace.commanded[-1] <= rule.min_force:
         return "given up"
     if math.isnan(delay) or delay > LATE:
         return "missed"

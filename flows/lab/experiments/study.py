@@ -11,7 +11,7 @@ import numpy as np
 
 from connectors.sim.objects import OBJECTS, Object, named
 from flows.lab.experiments.trial import Conditions, Trace
-from flows.lift import controller
+from flows.lift import grip_controller
 from flows.run.processes import one_thread, process_map
 from operators import GripController, StepGrip
 from operators.checks import check_at_least, check_choice
@@ -67,7 +67,7 @@ class Method:
 
     def controller(self) -> GripController:
         """Return the controller, with the threshold from the detector's model card."""
-        ours = controller(self.detector, 0.5)
+        ours = grip_controller(self.detector, 0.5)
         if self.rule == STEPS:
             return StepGrip(threshold=ours.threshold)
         return replace(ours, gain=0.0, margin=0.0) if self.rule == NONE else ours

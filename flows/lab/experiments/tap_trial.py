@@ -67,7 +67,7 @@ def tap(
     force = trial.least_force * float(random.uniform(*FIRM))
     constant = StepGrip(
         force=force,
-        most=max(force, rule.most),
+        max_force=max(force, rule.max_force),
         threshold=rule.threshold,
         consecutive=rule.consecutive,
         step=_NO_STEP,

@@ -14,7 +14,7 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.experiments.gripper_model import Actuator, GripperModel
-from flows.lift import held_by
+from flows.lift import declare_grip
 from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, s
 from operators.checks import check_above
 from operators.detectors import Detector
@@ -163,7 +163,7 @@ def run_trial(
     flow, scored, commanded = Flow("trial"), TestSink(), TestSink()
     waiting = round(conditions.rate * BASELINE)
     scans = max(waiting, detector.length)
-    scores, commands = held_by(flow, TestSource(Touch, fingers=(0,)), detector, rule, scans)
+    scores, commands = declare_grip(flow, TestSource(Touch, fingers=(0,)), detector, rule, scans)
     scores.to(scored)
     commands.to(commanded)
     plan = CompiledFlow(flow)

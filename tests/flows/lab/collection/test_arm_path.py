@@ -18,7 +18,7 @@ from flows.lab.collection.arm_path import (
     shift_steps,
     spin_velocity,
 )
-from operators.rotation import onward
+from operators.rotation import rotation_difference
 
 START: Pose = (0.4, 0.1, 0.2, math.pi, 0.0, 0.0)  # looks down
 
@@ -42,7 +42,7 @@ def test_the_duration_of_a_pure_rotation_follows_from_its_angle() -> None:
 def test_the_angle_of_a_slide_includes_its_ramps(time: float, angle: float, seconds: float) -> None:
     slide = Slide(spin_velocity(START, 1.0), time, 1.0)
     end = slide.end(START)
-    assert math.hypot(*onward(START[3:], end[3:])) == pytest.approx(angle)
+    assert math.hypot(*rotation_difference(START[3:], end[3:])) == pytest.approx(angle)
     assert slide.seconds(START) == pytest.approx(seconds)
     assert end[:3] == START[:3]
 
