@@ -31,8 +31,9 @@ def lift(  # noqa: PLR0917 - flow parameters are passed by name
 ) -> Flow:
     """Grip an object, detect slip, and raise the force until it stops.
 
-    Without hardware, a simulated object is lifted after 3 s. With hardware, the arm is moved by another program;
-    a Robotiq 3-finger gripper has a least force of 15 N. The hand must be open during the first second.
+    Without hardware, a simulated object is lifted after 3 s. With hardware, the arm is moved by another
+    program; a Robotiq 3-finger gripper has a least force of 15 N. The hand must be open during the first
+    second.
 
     Args:
         detector: Built-in detector or weights file.

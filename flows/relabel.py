@@ -31,6 +31,6 @@ def relabel(
 
     samples.to(dataset)
     slips.to(dataset)
-    flow.source(rig.episodes).to(dataset)  # as recorded, if they were
+    flow.source(rig.episodes).to(dataset)  # copied, if recorded
     flow.source(rig.truth).to(dataset)
     return flow

@@ -14,7 +14,7 @@ def check_above(owner: str, name: str, value: float, low: float, unit: str = "")
         ParameterError: if it is not.
     """
     if not value > low:
-        raise ParameterError(owner, name, value, f"above {low:g} {unit}".rstrip())
+        raise ParameterError(owner, name, value, f"above {_number(low)} {unit}".rstrip())
 
 
 def check_at_least(owner: str, name: str, value: float, least: float, unit: str = "") -> None:
@@ -28,7 +28,7 @@ def check_at_least(owner: str, name: str, value: float, least: float, unit: str 
         ParameterError: if it is not.
     """
     if not value >= least:
-        raise ParameterError(owner, name, value, f"at least {least:g} {unit}".rstrip())
+        raise ParameterError(owner, name, value, f"at least {_number(least)} {unit}".rstrip())
 
 
 def check_between(owner: str, name: str, value: float, low: float, high: float, *, unit: str = "") -> None:
@@ -42,7 +42,7 @@ def check_between(owner: str, name: str, value: float, low: float, high: float, 
         ParameterError: if it is not.
     """
     if not low <= value <= high:
-        raise ParameterError(owner, name, value, f"from {low:g} to {high:g} {unit}".rstrip())
+        raise ParameterError(owner, name, value, f"from {_number(low)} to {_number(high)} {unit}".rstrip())
 
 
 def check_choice(owner: str, name: str, value: object, choices: Iterable[object]) -> None:
@@ -58,3 +58,7 @@ def check_choice(owner: str, name: str, value: object, choices: Iterable[object]
     known = list(choices)
     if value not in known:
         raise ParameterError(owner, name, value, f"one of {', '.join(map(str, known))}")
+
+
+def _number(value: float) -> str:
+    return str(value) if isinstance(value, int) else f"{value:g}"  # whole ns in full

@@ -238,14 +238,14 @@ def test_an_array_that_is_not_finite_is_named() -> None:
 
 @pytest.mark.parametrize("dilations", [[1.0, 3.0], [1, 0], [1, -3], [1, 1001]])
 def test_dilations_that_are_no_whole_numbers_in_range_are_refused(dilations: list[float]) -> None:
-    with pytest.raises(InputError, match="must hold whole numbers from 1 to 1000"):
+    with pytest.raises(InputError, match="must be whole numbers from 1 to 1000"):
         Tcn(_weights() | {"dilations": np.array(dilations)})
 
 
 def test_a_convolution_that_belongs_to_no_block_is_refused() -> None:
     with pytest.raises(InputError, match="conv2/kernel is one too many for the 1 blocks"):
         Tcn(_weights() | {"dilations": np.array([1])})
-    with pytest.raises(InputError, match="must hold whole numbers"):
+    with pytest.raises(InputError, match="must be whole numbers"):
         Tcn(_weights() | {"dilations": np.zeros(0, np.int64)})
 
 
