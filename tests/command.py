@@ -1,4 +1,4 @@
-"""The command line as a user meets it: whole processes."""
+"""The command line in processes of its own."""
 
 import subprocess
 import sys
@@ -9,13 +9,13 @@ SLIPFLOW: Final = (sys.executable, "-c", "from flows.cli.main import main; main(
 
 
 def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """What a command comes to that ends by itself."""
+    """Run a command to its end."""
     command = [*SLIPFLOW, *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=cwd)
 
 
 def error(*arguments: str | Path, cwd: Path | None = None) -> str:
-    """The one line that a mistake gives."""
+    """Return the one-line error of a command, without its prefix."""
     done = slipflow(*arguments, cwd=cwd)
     assert done.returncode == 2, done
     [line] = done.stderr.splitlines()

@@ -14,15 +14,15 @@ from flows.graph.testing import run_virtually
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
 
-LIMIT = 120.0  # s, after which a coroutine hangs
+LIMIT = 120.0  # s, for a coroutine
 
-settings.register_profile("slipflow", deadline=None, max_examples=50)  # machines are noisy: no test is timed
+settings.register_profile("slipflow", deadline=None, max_examples=50)  # no deadline: machines vary in speed
 settings.load_profile("slipflow")
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
-    """Run a test that is a coroutine in an event loop of its own, in virtual time if it is so marked."""
+    """Run an async test in a new event loop, in virtual time if it is marked so."""
     test = pyfuncitem.obj
     if not iscoroutinefunction(test):
         return None
@@ -35,7 +35,7 @@ def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
 
 
 class SetClock:
-    """Shows what it is set to; waiting sets it."""
+    """Clock that shows the time it is set to; waiting sets it."""
 
     def __init__(self, time: int) -> None:
         self.time = time
@@ -49,20 +49,20 @@ class SetClock:
 
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder of what outlives a run: not the user's."""
+    """Folder for state that outlives a run, instead of the user's."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     return tmp_path / "state"
 
 
 @pytest.fixture
 def run() -> Run:
-    """A run that began 90 s after the start of 1970, 10 s ago."""
+    """Run that began 90 s after the start of 1970, 10 s ago."""
     return Run("run1", "live", SetClock(100_000_000_000), 90_000_000_000)
 
 
 @pytest.fixture
 def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Nobody logs an error, nor asyncio what happens in a callback."""
+    """Require that no error is logged, also by asyncio for a callback."""
     yield
     records = [*caplog.get_records("setup"), *caplog.get_records("call")]
     assert not [record for record in records if record.levelno >= logging.ERROR]
@@ -70,20 +70,20 @@ def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
 
 @pytest.fixture
 def links(monkeypatch: pytest.MonkeyPatch) -> list[Link]:
-    """The connections to brokers that are made, or tried."""
+    """Connections to brokers that are made or attempted."""
     made = list[Link]()
     connect = Link.connect
 
-    async def remembered(self: Link) -> None:
+    async def record_and_connect(self: Link) -> None:
         made.append(self)
         await connect(self)
 
-    monkeypatch.setattr(Link, "connect", remembered)
+    monkeypatch.setattr(Link, "connect", record_and_connect)
     return made
 
 
 @pytest.fixture
 def broker(tmp_path: Path) -> Iterator[TestBroker]:
-    """A running mosquitto that lets everybody do everything."""
+    """Running mosquitto without access control."""
     with TestBroker(tmp_path) as server:
         yield server

@@ -1,10 +1,10 @@
-"""Looking into objects whose parts are nobody else's business."""
+"""Access to private attributes in tests."""
 
 from typing import Any
 
 
-def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - whatever it is
-    """A private part of an object, or a part of that one."""
+def inside(owner: object, *names: str) -> Any:  # noqa: ANN401 - any attribute
+    """Return a private attribute of an object, or an attribute of that attribute."""
     for name in names:
         owner = vars(owner)[name]
     return owner

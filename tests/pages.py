@@ -1,4 +1,4 @@
-"""Reading the pages of the project: their fenced blocks, tables, and the commands that they show."""
+"""Reading of the documentation pages: fenced blocks, tables and commands."""
 
 import re
 import shlex
@@ -11,31 +11,31 @@ PAGES = sorted([ROOT / "README.md", ROOT / "ARCHITECTURE.md", *(ROOT / "docs").r
 
 _FENCE = re.compile(r"^```(\w+)(?: (\S+))?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 _COMMAND = re.compile(r"(?:^|[;&|]\s*|\bdo\s+)slipflow (?=[a-z-])")
-_SPOKEN = re.compile(r"`slipflow ([a-z][^`]*)`")
+_MENTIONED = re.compile(r"`slipflow ([a-z][^`]*)`")
 _ENDS = {">", "|", ";", "&&", "||", ">>", "&"}
 
 
 class Block(NamedTuple):
-    """A fenced block."""
+    """Fenced block."""
 
     language: str
-    name: str  # what stands behind the language: the file to save it as
+    name: str  # file to save it as, after the language
     body: str
 
 
 def blocks(page: Path) -> list[Block]:
-    """The fenced blocks of a page, in order."""
+    """Return the fenced blocks of a page in order."""
     return [Block(*found) for found in _FENCE.findall(page.read_text(encoding="utf-8"))]
 
 
 def block(page: Path, name: str) -> str:
-    """The block of that name."""
+    """Return the block with this name."""
     [found] = [each.body for each in blocks(page) if each.name == name]
     return found
 
 
 def table(page: Path, heading: str) -> list[dict[str, str]]:
-    """The rows of the first table under a heading, by column."""
+    """Return the rows of the first table under a heading, by column."""
     section = page.read_text(encoding="utf-8").split(f"\n{heading}\n", 1)[1].split("\n#", 1)[0]
     lines = re.findall(r"^\|(.*)\|$", section, re.MULTILINE)
     cells = [[cell.strip() for cell in line.split("|")] for line in lines]
@@ -43,7 +43,7 @@ def table(page: Path, heading: str) -> list[dict[str, str]]:
 
 
 def commands(page: Path) -> Iterator[list[str]]:
-    """The words behind ``slipflow`` of each command in the page's code."""
+    """Yield the words after ``slipflow`` of each command in the page's code."""
     text, fenced = page.read_text(encoding="utf-8").replace("\\\n", " "), False
     for line in text.splitlines():
         if line.startswith("```"):
@@ -53,9 +53,9 @@ def commands(page: Path) -> Iterator[list[str]]:
                 yield _words(line.strip()[found.end() :])
 
 
-def spoken(page: Path) -> Iterator[list[str]]:
-    """The words of each command that the page's prose names, which may be less than a whole one."""
-    for text in _SPOKEN.findall(page.read_text(encoding="utf-8")):
+def mentioned(page: Path) -> Iterator[list[str]]:
+    """Yield the words of each command in the page's prose, which may be incomplete."""
+    for text in _MENTIONED.findall(page.read_text(encoding="utf-8")):
         yield _words(" ".join(text.split()))
 
 
@@ -63,5 +63,5 @@ def _words(text: str) -> list[str]:
     lexer = shlex.shlex(text, posix=True, punctuation_chars=True)
     lexer.whitespace_split, lexer.commenters = True, "#"
     words = list(lexer)
-    end = next((place for place, word in enumerate(words) if word in _ENDS), len(words))
+    end = next((number for number, word in enumerate(words) if word in _ENDS), len(words))
     return words[:end]

@@ -1,4 +1,4 @@
-"""The pages: their blocks run, their commands are those of the command line, their links lead somewhere."""
+"""The documentation pages: their blocks run, their commands and links exist."""
 
 import json
 import os
@@ -14,10 +14,10 @@ import typer.main
 from flows.cli.main import app
 from flows.graph.drawing import mermaid
 from flows.graph.loading import load
-from tests.pages import PAGES, ROOT, blocks, commands, spoken
+from tests.pages import PAGES, ROOT, blocks, commands, mentioned
 
 RUN = ["tutorial/own-detector.md", "how-to/extend.md", "reference/dataset.md", "reference/mqtt.md"]
-SHOWN = re.compile(r"[\d.,:]+|\s+")  # what may differ from run to run: numbers, and how wide they are
+SHOWN = re.compile(r"[\d.,:]+|\s+")  # may differ between runs: numbers and padding
 
 
 def run(command: list[str], folder: Path) -> str:
@@ -40,9 +40,7 @@ def same_but_for_numbers(line: str) -> str:
 
 
 @pytest.mark.parametrize("name", RUN)
-def test_every_block_of_the_page_runs_in_order_and_prints_what_the_page_says(
-    name: str, tmp_path: Path
-) -> None:
+def test_every_block_runs_in_order_and_prints_the_text_on_the_page(name: str, tmp_path: Path) -> None:
     printed, ran = "", 0
     for block in blocks(ROOT / "docs" / name):
         if block.language == "python" and block.name.endswith(".py"):
@@ -57,7 +55,7 @@ def test_every_block_of_the_page_runs_in_order_and_prints_what_the_page_says(
         elif block.language in {"text", "mermaid"} and printed:
             lines = {same_but_for_numbers(line) for line in printed.splitlines()}
             assert {same_but_for_numbers(line) for line in block.body.splitlines()} <= lines, printed
-    assert ran or name == "reference/mqtt.md"  # whose files are run by tests/test_docs_mqtt.py
+    assert ran or name == "reference/mqtt.md"  # tests/test_docs_mqtt.py runs its files
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -71,7 +69,7 @@ def test_every_block_of_python_compiles(page: Path) -> None:
 
 
 def resolved(words: list[str]) -> tuple[Any, list[str]]:
-    """The command that the first words name, and the rest."""
+    """Return the command that the first words name, and the remaining words."""
     command: Any = typer.main.get_command(app)
     while hasattr(command, "commands"):
         assert words, f"{command.name} needs a command"
@@ -81,24 +79,24 @@ def resolved(words: list[str]) -> tuple[Any, list[str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_in_code_is_one_that_the_command_line_takes(page: Path) -> None:
+def test_every_command_in_code_is_valid(page: Path) -> None:
     for words in commands(page):
         command, rest = resolved(words)
-        command.make_context(f"slipflow {' '.join(words)}", list(rest))  # which raises if it is not
+        command.make_context(f"slipflow {' '.join(words)}", list(rest))  # raises an error if it is not
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_command_in_prose_is_there_and_has_the_options(page: Path) -> None:
-    for words in spoken(page):
+def test_every_command_in_prose_exists_with_its_options(page: Path) -> None:
+    for words in mentioned(page):
         command, rest = resolved(words)
         options = {name for each in command.params for name in (*each.opts, *each.secondary_opts)}
         assert {word for word in rest if word.startswith("-")} <= options, words
 
 
-def test_a_command_that_is_not_there_is_noticed(tmp_path: Path) -> None:
+def test_an_unknown_command_or_option_is_found(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("    slipflow simulate OUT --plann tiny  # no such option\n\n`slipflow dance`\n")
-    [words], [named] = commands(page), spoken(page)
+    [words], [named] = commands(page), mentioned(page)
     command, rest = resolved(words)
     with pytest.raises(Exception, match="--plann"):
         command.make_context("slipflow", rest)
@@ -110,7 +108,7 @@ def test_a_command_that_is_not_there_is_noticed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_every_link_leads_to_a_file(page: Path) -> None:
+def test_every_link_target_exists(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
         assert re.match(r"https?://", target) or (page.parent / target).exists(), target
 
