@@ -109,7 +109,7 @@ class Outbox:
         return [(epoch.name, epoch.sent) for epoch in self._epochs[-EPOCHS_ANNOUNCED:]]
 
     async def append(self, drafts: Sequence[Event]) -> None:
-        """Number and store events; their own epoch and number are ignored.
+        """Store events under new numbers; their own epoch and number are ignored.
 
         Raises:
             EndpointError: if the file cannot be written and memory is full; then none is stored.
@@ -224,7 +224,7 @@ class Outbox:
             self._take(self._number(drafts), self._epochs[-1])
 
     def _number(self, drafts: Sequence[Event]) -> list[Entry]:
-        """Number the drafts in the present epoch, which counts them once they are taken."""
+        """Return the drafts numbered in the present epoch, which counts them once they are taken."""
         epoch, now, entries = self._epochs[-1], int(time.time()), list[Entry]()
         for seq, draft in enumerate(drafts, epoch.last + 1):
             payload = replace(draft, epoch=epoch.name, seq=seq).encode()
