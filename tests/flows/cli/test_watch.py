@@ -29,7 +29,7 @@ def test_events_are_printed_a_line_each_and_what_is_wrong_beside(
     told, _, late = line.partition("here after ")
     assert told == "1970-01-01 00:00:01.000  lab/ur10 finger 0  slip onset  p 0.93  " + soon
     assert re.fullmatch(r"\d{5}\.\d days\n", late)
-    assert watch.stderr.readline().startswith("left out: slip/v1/lab/ur10/1/event: ")
+    assert watch.stderr.readline().startswith("ignoring malformed message: slip/v1/lab/ur10/1/event: ")
     watch.terminate()
     watch.communicate()
 
