@@ -78,7 +78,7 @@ def topic(row: dict[str, str]) -> str:
     return f"{RIG}/{row['topic'].strip('`')}".replace("<finger>", "0").replace("<name>", "logger-1")
 
 
-def test_what_a_rig_publishes_is_what_the_page_shows(broker: TestBroker, run: Run) -> None:
+def test_a_rig_publishes_the_documents_of_the_page(broker: TestBroker, run: Run) -> None:
     rows = table(PAGE, "## Topics")
     topics = [topic(row) for row in rows if row["topic"] != "`replay/request`"]
     listener = broker.listen(f"{RIG}/#")
@@ -106,7 +106,7 @@ def test_what_a_rig_publishes_is_what_the_page_shows(broker: TestBroker, run: Ru
     assert shown("state").keys() == published["state"].keys()
 
 
-def test_the_retained_documents_have_the_fields_that_the_page_names(broker: TestBroker, run: Run) -> None:
+def test_the_retained_documents_have_the_fields_of_the_page(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/#")
     found = dict[str, Received]()
 
@@ -126,9 +126,7 @@ def test_the_retained_documents_have_the_fields_that_the_page_names(broker: Test
 
 
 @pytest.mark.parametrize("live", [True, False])
-def test_a_replay_publishes_what_the_page_shows_as_another_rig(
-    broker: TestBroker, run: Run, *, live: bool
-) -> None:
+def test_a_replay_publishes_as_another_rig(broker: TestBroker, run: Run, *, live: bool) -> None:
     rows = table(PAGE, "## Topics")
     [command] = [words for words in commands(PAGE) if "--rig" in words]
     followed = f"slip/v1/lab/{command[command.index('--rig') + 1]}"
@@ -301,7 +299,7 @@ def ros(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return done
 
 
-def test_the_bridge_ends_in_order_at_ctrl_c(ros: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bridge_shuts_down_on_ctrl_c(ros: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     module = loaded("slip_bridge.py")
 
     async def interrupted(_: object) -> None:
@@ -313,7 +311,7 @@ def test_the_bridge_ends_in_order_at_ctrl_c(ros: list[str], monkeypatch: pytest.
 
 
 @pytest.mark.usefixtures("ros")
-def test_the_bridge_gives_each_event_to_ros(
+def test_the_bridge_publishes_each_event_to_ros(
     broker: TestBroker, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     module = loaded("slip_bridge.py")
@@ -329,7 +327,7 @@ def test_the_bridge_gives_each_event_to_ros(
 
 
 @pytest.mark.usefixtures("ros")
-def test_an_event_that_the_bridge_gets_late_does_not_turn_the_state_back() -> None:
+def test_a_late_event_does_not_change_the_state() -> None:
     bridge = vars(loaded("slip_bridge.py"))["SlipBridge"]()
     for seq, time, onset in ((1, 10, True), (3, 30, False), (2, 20, True)):
         bridge.publish(

@@ -16,6 +16,6 @@ def test_building_connectors_imports_nothing_heavy() -> None:
     assert done.stdout == "\n"
 
 
-def test_what_is_exported_is_there_and_sorted() -> None:
+def test_exports_exist_and_are_sorted() -> None:
     assert connectors.__all__ == sorted(connectors.__all__)
     assert all(hasattr(connectors, name) for name in connectors.__all__)

@@ -53,7 +53,7 @@ def test_each_onset_and_each_end_is_one_line_with_its_latency(run: Run) -> None:
     ]
 
 
-def test_what_is_replayed_has_no_latency(run: Run) -> None:
+def test_a_replay_prints_no_latency(run: Run) -> None:
     run.live = False
     onset, _ = printed(io.StringIO(), run, slips(0, EVERY))
     assert onset == "1970-01-01 00:00:00.000  finger every  slip onset  p 0.93"
@@ -76,7 +76,7 @@ def test_a_terminal_gets_the_same_lines_in_colour(run: Run, monkeypatch: pytest.
         assert line in colour
 
 
-def test_a_console_stands_for_its_stream() -> None:
+def test_the_destination_of_a_console_is_its_stream() -> None:
     assert Console().destination == Console().destination
     assert Console(io.StringIO()).destination != ""
 
@@ -125,6 +125,6 @@ def test_as_json_a_replay_names_its_recording(run: Run) -> None:
     assert "recording" not in objects(run, slips(0))[0]
 
 
-def test_a_format_that_is_none_is_refused() -> None:
+def test_an_unknown_format_is_rejected() -> None:
     with pytest.raises(ParameterError, match="one of text, json"):
         Console(format=cast("Literal['json']", "xml"))

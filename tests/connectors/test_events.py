@@ -91,7 +91,7 @@ def test_every_event_satisfies_the_schema_and_is_read_back_the_same(event: Event
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), float("-inf")])
-def test_a_number_that_json_lacks_goes_out_as_null(number: float) -> None:
+def test_nan_and_infinity_become_null(number: float) -> None:
     payload = replace(EVENT, probability=number).encode()
     assert is_valid(payload)
     assert Event.decode(payload).probability is None
@@ -100,7 +100,9 @@ def test_a_number_that_json_lacks_goes_out_as_null(number: float) -> None:
 
 @pytest.mark.parametrize("path", READ, ids=str)
 @pytest.mark.parametrize("value", [True, ["x"], {"x": "y"}, -1.5, "\n"], ids=repr)
-def test_a_value_that_the_schema_refuses_is_refused_by_name(path: tuple[str | int, ...], value: Json) -> None:
+def test_a_value_that_violates_the_schema_is_rejected_by_name(
+    path: tuple[str | int, ...], value: Json
+) -> None:
     payload = altered(path, value)
     if is_valid(payload):
         Event.decode(payload)
@@ -112,14 +114,14 @@ def test_a_value_that_the_schema_refuses_is_refused_by_name(path: tuple[str | in
 
 
 @pytest.mark.parametrize("path", [path for path in READ if path != ("data", "degraded", 0)], ids=str)
-def test_a_field_that_is_missing_is_named(path: tuple[str | int, ...]) -> None:
+def test_a_missing_field_is_named(path: tuple[str | int, ...]) -> None:
     assert not is_valid(altered(path))
     with pytest.raises(InputError, match=f"{path[-1]} is missing"):
         Event.decode(altered(path))
 
 
 @given(st.dictionaries(names, st.text()))
-def test_fields_that_nobody_knows_are_ignored(unknown: dict[str, str]) -> None:
+def test_unknown_fields_are_ignored(unknown: dict[str, str]) -> None:
     document = json.loads(EVENT.encode())
     for place in (document, document["data"], document["data"]["model"], document["data"]["degraded"][0]):
         place.update({key: value for key, value in unknown.items() if key not in place})
@@ -137,7 +139,7 @@ json_values = st.recursive(
 @given(st.binary() | json_values.map(json.dumps).map(str.encode))
 @example(b"[" * 100_000)
 @example(b'{"data": NaN}')
-def test_no_payload_does_worse_than_be_refused(payload: bytes) -> None:
+def test_any_malformed_payload_raises_an_input_error(payload: bytes) -> None:
     with pytest.raises(InputError, match=r"^here: ") as caught:
         Event.decode(payload, "here")
     assert str(caught.value).isprintable()
@@ -156,7 +158,7 @@ def test_no_payload_does_worse_than_be_refused(payload: bytes) -> None:
         ("source", "/lab/a%0Ab/0"),
     ],
 )
-def test_fields_that_contradict_each_other_are_refused(name: str, value: str) -> None:
+def test_contradictory_fields_are_rejected(name: str, value: str) -> None:
     with pytest.raises(InputError, match="must be"):
         Event.decode(altered((name,), value))
 

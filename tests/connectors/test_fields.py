@@ -4,7 +4,7 @@ from connectors.fields import MESSAGE_MAX, Fields
 from operators.errors import InputError
 
 
-def test_what_is_too_large_is_refused_unread() -> None:
+def test_a_too_large_message_is_rejected_unparsed() -> None:
     payload = b'{"a": "' + b"x" * MESSAGE_MAX + b'"}'
     with pytest.raises(
         InputError, match=rf"^here: is {len(payload)} bytes long; the limit is {MESSAGE_MAX}$"
@@ -14,7 +14,7 @@ def test_what_is_too_large_is_refused_unread() -> None:
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xff", b"[1]", b"NaN", b"[" * 60_000])
-def test_what_is_no_object_is_refused(payload: bytes) -> None:
+def test_non_objects_are_rejected(payload: bytes) -> None:
     with pytest.raises(InputError, match=r"^here: "):
         Fields.parse(payload, "here")
 
@@ -24,7 +24,7 @@ def test_ranges_are_pairs_in_order() -> None:
 
 
 @pytest.mark.parametrize("ranges", [1, [1], [[1]], [[2, 1]], [[0, 1]], [[1, 2.5]], [[1, True]], [[1, 2, 3]]])
-def test_what_are_no_ranges_is_refused_by_name(ranges: list[object]) -> None:
+def test_malformed_ranges_are_rejected_by_name(ranges: list[object]) -> None:
     with pytest.raises(InputError, match=r"^here: missing.* must be"):
         Fields({"missing": ranges}, "here").ranges("missing")  # type: ignore[dict-item]
 

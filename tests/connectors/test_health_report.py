@@ -37,7 +37,7 @@ def touch_of(reports: HealthReports) -> dict[str, Json]:
     return touch
 
 
-def test_a_rate_is_that_since_the_report_before(run: Run, clock: Present) -> None:
+def test_a_rate_is_since_the_previous_report(run: Run, clock: Present) -> None:
     run.sources["touch"] = touch = SourceStatus(rows=1000, up=True)
     reports = HealthReports(run)
     reports.next()
@@ -46,7 +46,7 @@ def test_a_rate_is_that_since_the_report_before(run: Run, clock: Present) -> Non
     assert touch_of(reports)["rate_hz"] == 50
 
 
-def test_a_rate_does_not_count_the_time_before_a_source_gave_anything(run: Run, clock: Present) -> None:
+def test_a_rate_excludes_the_time_before_the_first_row(run: Run, clock: Present) -> None:
     run.sources["touch"] = touch = SourceStatus(up=True)
     reports = HealthReports(run)
     assert touch_of(reports)["rate_hz"] is None
@@ -60,7 +60,7 @@ def test_a_rate_does_not_count_the_time_before_a_source_gave_anything(run: Run, 
     assert touch_of(reports)["rate_hz"] == 0  # it gives nothing any more
 
 
-def test_a_rate_in_no_time_is_not_known(run: Run) -> None:
+def test_a_rate_over_zero_time_is_unknown(run: Run) -> None:
     run.sources["touch"] = SourceStatus(rows=1000, up=True)
     reports = HealthReports(run)
     reports.next()
@@ -76,7 +76,7 @@ def test_a_source_is_up_stale_or_down(run: Run) -> None:
     assert touch_of(reports)["state"] == "down"
 
 
-def test_a_report_tells_lag_gaps_and_what_the_sinks_dropped(run: Run) -> None:
+def test_a_report_has_lag_gaps_and_dropped_rows(run: Run) -> None:
     gap = Gap(91 * s, 92 * s, "unplugged")
     run.sources["touch"] = SourceStatus(rows=10, late=2, newest=100 * s - 5 * ms, up=True, gaps=[gap])
     run.sources["motion"] = SourceStatus()
@@ -97,7 +97,7 @@ def test_a_report_tells_lag_gaps_and_what_the_sinks_dropped(run: Run) -> None:
     assert report["sinks"]["mqtt"]["error"] is None
 
 
-def test_the_newest_steps_of_the_hosts_clock_are_told(run: Run) -> None:
+def test_a_report_has_the_newest_steps_of_the_host_clock(run: Run) -> None:
     run.clock_steps += [ClockStep(k * s, k * ms) for k in range(20)]
     steps = HealthReports(run).next()["clock_steps"]
     assert steps == [{"time": k * s, "offset": k * ms} for k in range(10, 20)]

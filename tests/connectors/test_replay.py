@@ -71,7 +71,7 @@ times = st.lists(st.integers(0, 10**12), min_size=1, max_size=30).map(sorted)
 
 
 @given(times, st.floats(0.01, 100), st.integers(0, 10**15))
-def test_paced_and_full_speed_give_the_same_rows_with_the_recorded_stamps(
+def test_paced_and_full_speed_yield_the_same_rows_with_recorded_timestamps(
     time: list[int], pace: float, start: int
 ) -> None:
     recording = Recorded({0: time})
@@ -80,7 +80,7 @@ def test_paced_and_full_speed_give_the_same_rows_with_the_recorded_stamps(
     assert rows(paced) == rows(fast) == (time, recording.streams[0].probability.tolist())
 
 
-def test_a_paced_row_comes_alone_when_it_is_due() -> None:
+def test_a_paced_row_is_its_own_batch_when_due() -> None:
     source = Replay(Recorded({0: [5 * s, 5 * s + 10 * ms, 5 * s + 30 * ms]}), Scores)
     assert [(now, len(batch)) for now, batch in replay(source, VirtualClock(100 * s))] == [
         (100 * s, 1),
@@ -94,21 +94,21 @@ def test_twice_the_pace_takes_half_the_time() -> None:
     assert [now for now, _ in replay(source, VirtualClock(0))] == [0, 2 * s]
 
 
-def test_streams_that_share_an_origin_keep_their_distance() -> None:
+def test_streams_with_one_origin_stay_in_step() -> None:
     origin = 7 * s
     early, late = (Replay(Recorded({0: [t]}), Scores, origin=origin) for t in (7 * s, 9 * s))
     assert [now for now, _ in replay(early, VirtualClock(0))] == [0]
     assert [now for now, _ in replay(late, VirtualClock(0))] == [2 * s]
 
 
-def test_full_speed_never_waits_and_gives_large_batches() -> None:
+def test_full_speed_never_waits_and_yields_large_batches() -> None:
     clock = VirtualClock(0)
     batches = replay(Replay(Recorded({0: list(range(2500))}), Scores, pace=None), clock)
     assert [len(batch) for _, batch in batches] == [1000, 1000, 500]
     assert clock.waits == 0
 
 
-def test_fingertips_take_turns_by_their_stamps() -> None:
+def test_fingertips_are_merged_by_timestamp() -> None:
     source = Replay(Recorded({0: [0, 2, 4], 1: [1, 2, 3]}), Scores)
     assert source.fingers == (0, 1)
     batches = replay(source, VirtualClock(0))
@@ -122,19 +122,19 @@ def test_fingertips_take_turns_by_their_stamps() -> None:
     ]
 
 
-def test_only_the_fingertips_asked_for_are_given() -> None:
+def test_only_the_given_fingertips_are_replayed() -> None:
     source = Replay(Recorded({0: [0], 1: [1]}), Scores, (1,))
     assert source.fingers == (1,)
     assert [batch.finger for _, batch in replay(source, VirtualClock(0))] == [1]
 
 
-def test_a_second_connection_gives_the_stream_again() -> None:
+def test_a_second_connection_repeats_the_stream() -> None:
     source, clock = Replay(Recorded({0: [0, s]}), Scores), VirtualClock(0)
     assert rows(replay(source, clock)) == rows(replay(source, clock))
     assert clock.time == 2 * s
 
 
-def test_what_was_not_recorded_cannot_be_replayed() -> None:
+def test_a_missing_stream_cannot_be_replayed() -> None:
     recording: Recording = Recorded({0: [0]})
     with pytest.raises(InputError, match=r"^recorded: has no Motion stream$"):
         Replay(recording, Motion)
@@ -143,12 +143,12 @@ def test_what_was_not_recorded_cannot_be_replayed() -> None:
 
 
 @pytest.mark.parametrize("pace", [0.0, -1.0, float("nan")])
-def test_a_pace_that_is_none_is_refused(pace: float) -> None:
+def test_an_invalid_pace_is_rejected(pace: float) -> None:
     with pytest.raises(ParameterError, match=r"^Replay: pace is "):
         Replay(Recorded({0: [0]}), Scores, pace=pace)
 
 
-def test_it_tells_what_it_replays() -> None:
+def test_the_source_names_its_recording() -> None:
     source = Replay(Recorded({0: [0]}), Scores)
     assert (str(source), source.kind, source.describe()) == (
         "Replay(recorded, Scores)",

@@ -25,12 +25,12 @@ def judge(path: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_a_compose_file_keeps_to_the_schema_of_the_specification(name: str) -> None:
+def test_a_compose_file_satisfies_the_schema_of_the_specification(name: str) -> None:
     done = judge(DEPLOY / name)
     assert done.returncode == 0, done.stdout
 
 
-def test_the_schema_refuses_a_key_that_is_misspelt(tmp_path: Path) -> None:
+def test_the_schema_rejects_a_misspelt_key(tmp_path: Path) -> None:
     broken = tmp_path / "compose.yaml"
     broken.write_text((DEPLOY / "compose.yaml").read_text().replace("stop_grace_period", "stop_grace_time"))
     done = judge(broken)
@@ -39,7 +39,7 @@ def test_the_schema_refuses_a_key_that_is_misspelt(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_the_recorder_is_given_settings_that_its_flow_has(name: str) -> None:
+def test_the_recorder_sets_existing_parameters_of_its_flow(name: str) -> None:
     run, file, *settings = read(name)["services"]["recorder"]["command"]
     assert (run, file) == ("run", "/opt/slipflow/fingertip.py")
     values = dict(setting.removeprefix("--set=").split("=", 1) for setting in settings)
@@ -48,7 +48,7 @@ def test_the_recorder_is_given_settings_that_its_flow_has(name: str) -> None:
     assert {"Mqtt", "Dataset"} <= {type(node.part).__name__ for node in flow.sinks()}
 
 
-def test_no_port_is_open_to_other_machines_and_nothing_runs_with_rights() -> None:
+def test_no_port_is_public_and_no_container_is_privileged() -> None:
     services = read("compose.yaml")["services"]
     for name, service in services.items():
         assert all(port.startswith("127.0.0.1:") for port in service.get("ports", ())), name
@@ -57,7 +57,7 @@ def test_no_port_is_open_to_other_machines_and_nothing_runs_with_rights() -> Non
         assert service["security_opt"] == ["no-new-privileges:true"], name
 
 
-def test_what_is_mounted_is_shipped_or_a_password_that_its_owner_makes() -> None:
+def test_mounted_files_are_shipped_or_passwords() -> None:
     compose = read("compose.yaml")
     mounts = [each for service in compose["services"].values() for each in service["volumes"]]
     sources = {mount.split(":")[0] for mount in mounts} - set(compose["volumes"])
@@ -67,7 +67,7 @@ def test_what_is_mounted_is_shipped_or_a_password_that_its_owner_makes() -> None
     assert {"./mosquitto/mosquitto.conf", "./mosquitto/acl"} <= sources
 
 
-def test_the_mounts_are_where_the_broker_looks_for_them() -> None:
+def test_mounts_match_the_brokers_configuration() -> None:
     conf = (DEPLOY / "mosquitto" / "mosquitto.conf").read_text()
     places = {mount.split(":")[1] for mount in read("compose.yaml")["services"]["broker"]["volumes"]}
     for option in ("password_file", "acl_file", "persistence_location"):

@@ -23,7 +23,7 @@ def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_hadolint_would_find_an_image_that_is_not_pinned(tmp_path: Path) -> None:
+def test_hadolint_detects_an_unpinned_image(tmp_path: Path) -> None:
     loose = tmp_path / "Dockerfile"
     loose.write_text(TEXT.replace(":3.11.13-slim-bookworm", ""))
     assert "DL3006" in lint(loose).stdout
@@ -35,7 +35,7 @@ def test_images_have_full_versions_and_are_slim() -> None:
     assert all(re.fullmatch(r"python:3\.\d+\.\d+-slim-\w+", image) for image in images)
 
 
-def test_every_package_is_installed_by_its_hash_and_never_compiled() -> None:
+def test_every_package_is_installed_from_a_hashed_wheel() -> None:
     installs = [part for step in STEPS for part in step.split("&&") if " install " in part and "pip" in part]
     assert len(installs) == 3
     *packages, ours = installs
@@ -44,14 +44,14 @@ def test_every_package_is_installed_by_its_hash_and_never_compiled() -> None:
     assert any("pip wheel" in step and "--no-deps --no-build-isolation" in step for step in STEPS)
 
 
-def test_the_last_stage_installs_nothing_and_runs_as_a_user_without_rights() -> None:
+def test_the_last_stage_installs_nothing_and_runs_unprivileged() -> None:
     assert not [step for step in LAST if re.search(r"\b(pip|apt|apt-get|gcc|curl)\b", step)]
     users = [step for step in LAST if step.startswith("USER")]
     assert users == ["USER 10001:10001"]
     assert LAST.index(users[0]) < next(n for n, step in enumerate(LAST) if step.startswith("ENTRYPOINT"))
 
 
-def test_what_is_kept_can_be_written_where_the_image_is_read_only() -> None:
+def test_state_is_writable_in_a_read_only_image() -> None:
     [volumes] = [json.loads(step.removeprefix("VOLUME")) for step in LAST if step.startswith("VOLUME")]
     environment = " ".join(step for step in LAST if step.startswith("ENV"))
     kept = re.findall(r"(?:XDG_STATE_HOME|NUMBA_CACHE_DIR)=(/\w+)", environment)
@@ -60,7 +60,7 @@ def test_what_is_kept_can_be_written_where_the_image_is_read_only() -> None:
     assert {*kept, start} == set(volumes)
 
 
-def test_docker_is_sent_what_it_copies_and_no_password() -> None:
+def test_the_build_context_has_the_copied_files_and_no_password() -> None:
     sent = (DEPLOY / "Dockerfile.dockerignore").read_text().split("\n")
     allowed = [line[1:] for line in sent if line.startswith("!")]
     assert "*" in sent

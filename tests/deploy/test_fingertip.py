@@ -44,23 +44,21 @@ def work(folder: Path, *settings: str, without: Sequence[str] = ()) -> subproces
     )
 
 
-def test_by_default_it_scores_a_fingertip_on_the_bus_and_tells_the_broker() -> None:
+def test_by_default_it_scores_a_fingertip_on_the_bus_and_publishes() -> None:
     flow = load(FLOW).flow()
     assert problems(flow) == []
     assert [type(node.part).__name__ for node in flow.sources()] == ["TakkTile"]
     assert {type(node.part).__name__ for node in flow.sinks()} == {"Console", "Mqtt"}
 
 
-def test_it_records_where_it_is_told_to_and_publishes_only_to_a_broker(tmp_path: Path) -> None:
+def test_it_records_into_a_folder_and_publishes_only_with_a_broker(tmp_path: Path) -> None:
     flow = load(FLOW).flow({"out": str(tmp_path), "broker": "none", "bus": "none"})
     assert problems(flow) == []
     assert {type(node.part).__name__ for node in flow.sinks()} == {"Console", "Dataset"}
 
 
 @pytest.mark.parametrize("without", [sorted(LEFT_OUT)])
-def test_it_feels_and_records_without_what_a_small_install_leaves_out(
-    tmp_path: Path, without: list[str]
-) -> None:
+def test_it_works_without_the_packages_missing_at_the_edge(tmp_path: Path, without: list[str]) -> None:
     done = work(tmp_path, "broker=none", without=without)
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout.splitlines()[-1])
@@ -71,7 +69,7 @@ def test_it_feels_and_records_without_what_a_small_install_leaves_out(
     assert sum(len(batch) for batch in session.read(Slips, 0)) > 0
 
 
-def test_it_records_while_its_broker_is_away_and_keeps_the_events(tmp_path: Path) -> None:
+def test_it_records_without_its_broker_and_keeps_the_events(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]  # where nobody listens, once it is closed
     done = work(tmp_path, f"broker=mqtt://127.0.0.1:{port}", without=sorted(LEFT_OUT))

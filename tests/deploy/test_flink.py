@@ -42,18 +42,18 @@ def pods() -> dict[str, Any]:
     }
 
 
-def test_the_compose_file_keeps_to_the_schema_of_the_specification() -> None:
+def test_the_compose_file_satisfies_the_schema_of_the_specification() -> None:
     done = compose_judged(COMPOSE)
     assert done.returncode == 0, done.stdout
 
 
-def test_the_schema_refuses_a_service_key_that_is_misspelt(tmp_path: Path) -> None:
+def test_the_schema_rejects_a_misspelt_service_key(tmp_path: Path) -> None:
     broken = tmp_path / "compose.yaml"
     broken.write_text(COMPOSE.read_text().replace("mem_limit", "memory_limit"))
     assert "memory_limit" in compose_judged(broken).stdout
 
 
-def test_the_kubernetes_file_keeps_to_the_schemas_of_its_kinds() -> None:
+def test_the_kubernetes_file_satisfies_its_schemas() -> None:
     done = kubernetes_judged(KUBERNETES)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("passed for resource") == len(read(KUBERNETES))
@@ -62,9 +62,7 @@ def test_the_kubernetes_file_keeps_to_the_schemas_of_its_kinds() -> None:
 @pytest.mark.parametrize(
     ("right", "wrong"), [("runAsNonRoot:", "runAsNonroot:"), ("periodSeconds: 2", "periodSeconds: two")]
 )
-def test_the_schemas_refuse_what_is_misspelt_or_of_another_type(
-    right: str, wrong: str, tmp_path: Path
-) -> None:
+def test_the_schemas_reject_misspelt_keys_and_wrong_types(right: str, wrong: str, tmp_path: Path) -> None:
     broken = tmp_path / "kubernetes.yaml"
     broken.write_text(KUBERNETES.read_text().replace(right, wrong))
     assert kubernetes_judged(broken).returncode == 1
@@ -76,7 +74,7 @@ def test_hadolint_finds_nothing_in_the_dockerfile() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_the_image_has_java_17_and_pythons_of_full_versions_that_pyflink_takes() -> None:
+def test_the_image_has_java_17_and_a_pinned_supported_python() -> None:
     images = [step.split()[1] for step in STEPS if step.startswith("FROM")]
     assert [re.sub(r"-slim", "", image) for image in images] == ["python:3.11.13-bookworm"] * 2
     assert any("openjdk-17-jre-headless" in step for step in LAST)
@@ -94,7 +92,7 @@ def test_every_package_is_installed_by_its_hash() -> None:
     ] == []
 
 
-def test_flink_is_the_one_that_runs_on_one_machine_and_all_that_slipflow_needs_is_there() -> None:
+def test_the_image_has_the_same_flink_as_one_machine_and_all_dependencies() -> None:
     pins = [line.split()[0] for line in (FLINK / "requirements.txt").read_text().splitlines() if "==" in line]
     [flink] = re.findall(r"apache-flink==\S+", (DEPLOY / "cluster").read_text())
     assert flink in pins
@@ -103,12 +101,12 @@ def test_flink_is_the_one_that_runs_on_one_machine_and_all_that_slipflow_needs_i
     assert wanted <= {pin.split("==")[0] for pin in pins}
 
 
-def test_the_image_is_used_without_rights_and_has_nothing_that_installs() -> None:
+def test_the_image_runs_unprivileged_without_installers() -> None:
     assert not [step for step in LAST if re.search(r"\b(pip|gcc|curl)\b", step)]
     assert [step for step in LAST if step.startswith("USER")] == ["USER 10001:10001"]
 
 
-def test_docker_is_sent_what_it_copies() -> None:
+def test_the_build_context_has_the_copied_files() -> None:
     sent = (FLINK / "Dockerfile.dockerignore").read_text().splitlines()
     steps = [step for step in STEPS if step.startswith("COPY") and "--from" not in step]
     copied = [source for step in steps for source in step.split()[1:-1]]
@@ -117,7 +115,7 @@ def test_docker_is_sent_what_it_copies() -> None:
     assert [source for source in copied if not (ROOT / source).exists()] == []
 
 
-def test_all_find_the_job_manager_by_its_name_and_ports() -> None:
+def test_name_and_ports_of_the_job_manager_match() -> None:
     [settings] = read(FLINK / "config.yaml")
     manager, server = settings["jobmanager"]["rpc"], settings["blob"]["server"]
     ports = {"rpc": manager["port"], "blob": server["port"], "rest": settings["rest"]["port"]}
@@ -132,7 +130,7 @@ def test_all_find_the_job_manager_by_its_name_and_ports() -> None:
     assert container["ports"] == [{"name": "rpc", "containerPort": settings["taskmanager"]["rpc"]["port"]}]
 
 
-def test_a_service_finds_its_pods_and_a_deployment_its_own() -> None:
+def test_selectors_match_the_pods() -> None:
     documents = read(KUBERNETES)
     [service] = [each for each in documents if each["kind"] == "Service"]
     labels = {
@@ -147,7 +145,7 @@ def test_a_service_finds_its_pods_and_a_deployment_its_own() -> None:
             assert each["spec"]["selector"]["matchLabels"] == labels[each["metadata"]["name"]]
 
 
-def test_recordings_and_checkpoints_are_on_the_volume_that_all_share() -> None:
+def test_recordings_and_checkpoints_are_on_the_shared_volume() -> None:
     [settings] = read(FLINK / "config.yaml")
     assert settings["execution"]["checkpointing"]["dir"].startswith("file:///data/")
     [compose] = read(COMPOSE)
@@ -159,7 +157,7 @@ def test_recordings_and_checkpoints_are_on_the_volume_that_all_share() -> None:
         assert {"name": "data", "mountPath": "/data"} in pod["containers"][0]["volumeMounts"]
 
 
-def test_nobody_from_outside_reaches_what_can_run_code() -> None:
+def test_the_job_manager_is_not_reachable_from_outside() -> None:
     services = read(COMPOSE)[0]["services"]
     assert all(port.startswith("127.0.0.1:") for each in services.values() for port in each.get("ports", ()))
     documents = read(KUBERNETES)
@@ -173,7 +171,7 @@ def test_nobody_from_outside_reaches_what_can_run_code() -> None:
             ] == []  # fmt: skip
 
 
-def test_containers_run_without_rights_and_are_looked_after() -> None:
+def test_containers_are_unprivileged_and_have_probes() -> None:
     for name, service in read(COMPOSE)[0]["services"].items():
         assert service["read_only"], name
         assert service["cap_drop"] == ["ALL"], name

@@ -47,9 +47,7 @@ async def send(
         await link.leave()
 
 
-def test_a_rig_publishes_and_a_reader_gets_what_it_missed_and_what_comes(
-    shipped: TestBroker, run: Run
-) -> None:
+def test_a_reader_gets_missed_and_new_events(shipped: TestBroker, run: Run) -> None:
     async def main() -> list[int]:
         login("fingertip")
         sink = Mqtt(shipped.url, "lab", "fingertip")
@@ -80,7 +78,7 @@ def test_a_rig_publishes_and_a_reader_gets_what_it_missed_and_what_comes(
         ("reader", "other"),
     ],
 )
-def test_what_the_list_does_not_allow_is_refused(shipped: TestBroker, user: str, topic: str) -> None:
+def test_other_topics_are_refused(shipped: TestBroker, user: str, topic: str) -> None:
     with pytest.raises(EndpointError, match=f"refuses to publish {topic}"):
         asyncio.run(send(shipped, user, topic))
 
@@ -88,7 +86,7 @@ def test_what_the_list_does_not_allow_is_refused(shipped: TestBroker, user: str,
 @pytest.mark.parametrize(
     ("user", "password"), [(None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "felt")]
 )
-def test_who_has_no_password_is_not_let_in(
+def test_a_client_without_a_password_is_refused(
     shipped: TestBroker, user: str | None, password: str | None
 ) -> None:
     login(user, password)
@@ -96,7 +94,7 @@ def test_who_has_no_password_is_not_let_in(
         asyncio.run(connect(Broker.parse(shipped.url), "stranger"))
 
 
-def test_a_rig_reads_requests_to_itself_and_nothing_else(shipped: TestBroker) -> None:
+def test_a_rig_reads_only_its_own_requests(shipped: TestBroker) -> None:
     async def main() -> tuple[str, bytes]:
         login("fingertip")
         link = await connect(Broker.parse(shipped.url), "rig")
@@ -113,7 +111,7 @@ def test_a_rig_reads_requests_to_itself_and_nothing_else(shipped: TestBroker) ->
     assert asyncio.run(main()) == (f"{RIG}/replay/request", b"{}")
 
 
-def test_what_is_retained_outlives_a_kill_of_the_broker(shipped: TestBroker, tmp_path: Path) -> None:
+def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBroker, tmp_path: Path) -> None:
     async def retained() -> tuple[str, bytes]:
         login("reader")
         link = await connect(Broker.parse(shipped.url), "test-reader")
@@ -135,6 +133,6 @@ def test_what_is_retained_outlives_a_kill_of_the_broker(shipped: TestBroker, tmp
     assert asyncio.run(retained()) == (f"{RIG}/head", b"remembered")
 
 
-def test_no_password_is_kept_with_the_project() -> None:
+def test_no_password_is_in_the_repository() -> None:
     ignored = (DEPLOY / ".gitignore").read_text().split()
     assert {"/mosquitto/passwords", "/mosquitto/*.password"} <= set(ignored)

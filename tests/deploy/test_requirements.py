@@ -21,12 +21,12 @@ def pins(name: str) -> dict[str, tuple[str, list[str]]]:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_every_package_has_one_version_and_the_hashes_of_its_files(name: str) -> None:
+def test_every_package_has_one_version_and_hashes(name: str) -> None:
     assert pins(name)
 
 
 @pytest.mark.parametrize(("name", "without"), [("requirements.txt", set[str]()), ("edge.txt", LEFT_OUT)])
-def test_the_versions_are_such_as_the_project_asks_for(name: str, without: set[str]) -> None:
+def test_the_versions_satisfy_the_project(name: str, without: set[str]) -> None:
     found, asked = pins(name), [Requirement(each) for each in PROJECT["project"]["dependencies"]]
     assert {canonicalize_name(each.name) for each in asked} - set(found) == without
     for each in asked:
@@ -34,11 +34,11 @@ def test_the_versions_are_such_as_the_project_asks_for(name: str, without: set[s
             assert each.specifier.contains(found[canonicalize_name(each.name)][0]), each
 
 
-def test_what_makes_the_wheel_is_what_the_project_asks_for() -> None:
+def test_the_build_tools_satisfy_the_project() -> None:
     [asked] = [Requirement(each) for each in PROJECT["build-system"]["requires"]]
     assert asked.specifier.contains(pins("build.txt")[asked.name][0])
 
 
-def test_the_edge_has_no_other_versions_than_the_rest() -> None:
+def test_the_edge_has_the_same_versions() -> None:
     everything = pins("requirements.txt")
     assert {name: everything[name] for name in pins("edge.txt")} == pins("edge.txt")

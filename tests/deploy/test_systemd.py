@@ -27,7 +27,7 @@ def verify(folder: Path, text: str) -> str:
     return done.stdout + done.stderr
 
 
-def test_systemd_has_nothing_to_say_about_the_unit(tmp_path: Path) -> None:
+def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
     assert PROGRAM in TEXT
     assert verify(tmp_path, TEXT) == ""
 
@@ -36,7 +36,7 @@ def test_systemd_has_nothing_to_say_about_the_unit(tmp_path: Path) -> None:
     ("right", "wrong"),
     [("Restart=always", "Restart=sometimes"), ("KillMode=mixed", "KilMode=mixed")],
 )
-def test_a_mistake_in_the_unit_would_be_told(tmp_path: Path, right: str, wrong: str) -> None:
+def test_systemd_reports_a_mistake_in_the_unit(tmp_path: Path, right: str, wrong: str) -> None:
     assert right in TEXT
     assert re.search(r"slipflow.service:\d+: ", verify(tmp_path, TEXT.replace(right, wrong)))
 
@@ -55,14 +55,14 @@ def test_the_service_is_locked_down(tmp_path: Path) -> None:
     assert float(found[1]) <= EXPOSURE
 
 
-def test_it_is_started_again_however_it_ended() -> None:
+def test_it_is_restarted_after_any_exit() -> None:
     assert (
         "\nRestart=always\n" in TEXT
     )  # a hang-up, which stops it before it can commit, is a clean end to systemd
     assert "\nStartLimitIntervalSec=0\n" in TEXT
 
 
-def test_the_group_of_the_bus_comes_with_what_the_page_installs() -> None:
+def test_the_group_of_the_bus_comes_with_the_documented_packages() -> None:
     # Without the group the unit does not start, and Debian has it from this package only.
     assert "\nSupplementaryGroups=i2c\n" in TEXT
     [install] = re.findall(r"^    sudo apt-get install (python3-venv.*)$", PAGE, re.MULTILINE)
@@ -74,11 +74,11 @@ def test_the_password_reaches_the_sink_as_a_credential() -> None:
     assert f"\nEnvironment={PASSWORD_FILE}=%d/{source}\n" in TEXT
 
 
-def test_the_outbox_can_see_which_start_of_the_system_this_is() -> None:
+def test_the_outbox_can_read_the_boot_id() -> None:
     assert not re.search(r"^ProcSubset=pid", TEXT, re.MULTILINE)
 
 
-def test_the_shipped_settings_are_those_of_the_shipped_flow() -> None:
+def test_the_shipped_settings_match_the_shipped_flow() -> None:
     lines = (DEPLOY / "systemd" / "settings").read_text().splitlines()
     settings = dict(line.split("=", 1) for line in lines if not line.startswith("#"))
     assert set(settings) == {"SETTINGS", "SLIPFLOW_MQTT_USER"}

@@ -37,7 +37,7 @@ def test_a_url_names_scheme_host_and_port(url: str, shown: str) -> None:
         "mqtt://[::1",
     ],
 )
-def test_what_is_no_address_of_a_broker_is_refused(url: str) -> None:
+def test_malformed_urls_are_rejected(url: str) -> None:
     with pytest.raises(ParameterError, match=r"^Mqtt: url is .*, must be like mqtt://host"):
         Broker.parse(url)
 
@@ -45,13 +45,13 @@ def test_what_is_no_address_of_a_broker_is_refused(url: str) -> None:
 @pytest.mark.parametrize(
     "url", ["mqtt://me:secret@localhost", "mqtt://me:secret@localhost:port", "me:secret@host"]
 )
-def test_a_url_with_credentials_is_refused_and_does_not_show_them(url: str) -> None:
+def test_a_url_with_credentials_is_rejected_without_showing_them(url: str) -> None:
     with pytest.raises(ParameterError) as caught:
         Broker.parse(url)
     assert "secret" not in str(caught.value)
 
 
-def test_the_refusal_of_credentials_says_where_they_belong() -> None:
+def test_the_error_for_credentials_names_the_environment_variables() -> None:
     with pytest.raises(ParameterError, match=f"set {USER} and {PASSWORD}"):
         Broker.parse("mqtt://user@localhost")
 
@@ -81,7 +81,7 @@ def test_the_password_comes_from_the_environment_or_a_file(
         ("no certificate", r"contains no CA certificate in PEM format \(SLIPFLOW_MQTT_CA\)"),
     ],
 )
-def test_authorities_that_cannot_be_read_are_an_error_that_names_the_variable(
+def test_unreadable_ca_certificates_are_an_error_that_names_the_variable(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: str | None, complaint: str
 ) -> None:
     if content:

@@ -41,14 +41,14 @@ async def use(broker: Broker | str, *topics: str, qos: int = 1) -> None:
         await link.leave()
 
 
-def test_what_was_sent_has_arrived(broker: TestBroker) -> None:
+def test_a_sent_message_has_arrived(broker: TestBroker) -> None:
     listener = broker.listen("a/#")
     asyncio.run(use(broker.url, "a/b", "a/c"))
     asyncio.run(use(broker.url, "a/d", qos=0))
     assert [listener.next().topic for _ in range(3)] == ["a/b", "a/c", "a/d"]
 
 
-async def test_a_connection_waits_for_no_full_packets_and_not_long_for_an_answer(broker: TestBroker) -> None:
+async def test_a_connection_sets_tcp_nodelay_and_short_timeouts(broker: TestBroker) -> None:
     link = await connect(Broker.parse(broker.url), "test")
     client = vars(link)["_client"]
     assert client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
@@ -56,7 +56,7 @@ async def test_a_connection_waits_for_no_full_packets_and_not_long_for_an_answer
     await link.leave()
 
 
-def test_nobody_listening_is_one_clear_line(broker: TestBroker) -> None:
+def test_a_refused_connection_is_one_clear_line(broker: TestBroker) -> None:
     broker.stop()
     with pytest.raises(EndpointError) as caught:
         asyncio.run(use(broker.url))
@@ -70,7 +70,7 @@ def test_an_unknown_host_is_one_clear_line(host: str) -> None:
         asyncio.run(use(f"mqtt://{host}"))
 
 
-def test_a_silent_server_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connecting_to_a_silent_server_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TIMEOUT", 0.1)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"mqtt://127.0.0.1:{listening.getsockname()[1]}"
@@ -81,7 +81,7 @@ def test_a_silent_server_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
             asyncio.run(use(url))
 
 
-def test_a_server_that_hangs_up_is_given_up_at_once() -> None:
+def test_a_server_that_disconnects_is_an_error_at_once() -> None:
     async def hang_up(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.close()
 
@@ -95,7 +95,7 @@ def test_a_server_that_hangs_up_is_given_up_at_once() -> None:
         asyncio.run(main())
 
 
-def test_an_attempt_that_is_cancelled_leaves_nothing_behind(
+def test_a_cancelled_attempt_leaves_no_open_connection(
     broker: TestBroker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun, go_on, links = threading.Event(), threading.Event(), list[Link]()
@@ -124,7 +124,7 @@ def test_an_attempt_that_is_cancelled_leaves_nothing_behind(
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 @pytest.mark.parametrize("turns", range(4))
-def test_a_lost_connection_is_noticed_while_sending(
+def test_a_lost_connection_is_detected_while_sending(
     broker: TestBroker, number: signal.Signals, turns: int
 ) -> None:
     async def main() -> None:
@@ -141,7 +141,7 @@ def test_a_lost_connection_is_noticed_while_sending(
     asyncio.run(main(), debug=True)
 
 
-async def test_an_answer_that_does_not_come_is_given_up(
+async def test_a_missing_acknowledgement_times_out(
     broker: TestBroker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "TIMEOUT", 0.2)
@@ -154,7 +154,7 @@ async def test_an_answer_that_does_not_come_is_given_up(
     await link.leave()
 
 
-def test_a_user_with_the_right_password_may_do_what_the_broker_allows(guarded: TestBroker) -> None:
+def test_a_user_with_the_right_password_can_publish_and_subscribe(guarded: TestBroker) -> None:
     asyncio.run(use(guarded.url, "mine/a"))
 
 
@@ -204,21 +204,19 @@ def secure(tmp_path: Path) -> Iterator[TestBroker]:
 
 
 @pytest.mark.parametrize("name", ["SSL_CERT_FILE", CA])
-def test_mqtts_talks_to_a_broker_whose_certificate_it_trusts(
+def test_mqtts_connects_to_a_trusted_broker(
     secure: TestBroker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
     monkeypatch.setenv(name, str(tmp_path / "certificate.pem"))
     asyncio.run(use(secure.url.replace("mqtt:", "mqtts:"), "a"))
 
 
-def test_mqtts_talks_to_no_broker_whose_certificate_it_does_not_trust(secure: TestBroker) -> None:
+def test_mqtts_rejects_an_untrusted_certificate(secure: TestBroker) -> None:
     with pytest.raises(EndpointError, match=rf"certificate verify failed: [^;(]*; set {CA} to the file .*$"):
         asyncio.run(use(secure.url.replace("mqtt:", "mqtts:")))
 
 
-def test_plain_mqtt_on_a_port_for_tls_and_tls_on_a_plain_port_are_errors_before_patience_ends(
-    secure: TestBroker, tmp_path: Path
-) -> None:
+def test_mixing_up_tls_and_plain_ports_fails_fast_with_a_hint(secure: TestBroker, tmp_path: Path) -> None:
     (tmp_path / "plain").mkdir()
     plain = TestBroker(tmp_path / "plain")
     try:
@@ -232,7 +230,7 @@ def test_plain_mqtt_on_a_port_for_tls_and_tls_on_a_plain_port_are_errors_before_
         plain.close()
 
 
-def test_a_silent_server_is_given_up_while_shaking_hands_too(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tls_handshake_with_a_silent_server_times_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "TIMEOUT", 0.1)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         url = f"mqtts://127.0.0.1:{listening.getsockname()[1]}"
@@ -242,7 +240,7 @@ def test_a_silent_server_is_given_up_while_shaking_hands_too(monkeypatch: pytest
             asyncio.run(use(url))
 
 
-def test_messages_sent_together_arrive_in_order_and_each_refusal_is_told(guarded: TestBroker) -> None:
+def test_messages_sent_together_arrive_in_order_and_each_refusal_is_reported(guarded: TestBroker) -> None:
     async def main() -> list[str]:
         link = await connect(Broker.parse(guarded.url), "test")
         topics = [f"mine/{number}" for number in range(40)]
@@ -262,7 +260,7 @@ def test_messages_sent_together_arrive_in_order_and_each_refusal_is_told(guarded
     assert [number for number, refusal in enumerate(refusals) if refusal] == [7]
 
 
-async def test_a_message_larger_than_anything_of_ours_is_not_delivered(broker: TestBroker) -> None:
+async def test_a_message_larger_than_the_limit_is_not_delivered(broker: TestBroker) -> None:
     link = await connect(Broker.parse(broker.url), "test")
     await link.listen("a/#")
     await link.send("a/large", b"x" * (module.PACKET_MAX + 1))

@@ -74,7 +74,7 @@ async def publishing(broker: TestBroker, run: Run, **options: Any) -> AsyncGener
         await sink.close()
 
 
-async def test_events_of_all_rigs_or_of_one_are_given(broker: TestBroker, links: list[Link]) -> None:
+async def test_a_consumer_follows_all_rigs_or_one(broker: TestBroker, links: list[Link]) -> None:
     expected = [publish(broker, 1, "a", "-r"), publish(broker, 2, "b", "-r")]
     async with Consumer(broker.url) as events:
         found = [await anext(events), await anext(events)]
@@ -84,7 +84,7 @@ async def test_events_of_all_rigs_or_of_one_are_given(broker: TestBroker, links:
     assert not any(link.alive for link in links)
 
 
-async def test_a_replay_is_followed_by_its_name_and_is_none_of_any(broker: TestBroker) -> None:
+async def test_a_replay_is_followed_only_by_its_name(broker: TestBroker) -> None:
     expected = [publish(broker, 1, "a-replay", "-r"), publish(broker, 2, "b", "-r")]
     broker.publish("slip/v1/lab/a-replay/head", '{"epoch": "ab", "last_seq": 9}', "-r")
     reports = list[str]()
@@ -100,14 +100,14 @@ async def test_a_replay_is_followed_by_its_name_and_is_none_of_any(broker: TestB
     assert not reports
 
 
-async def test_an_event_that_says_nothing_of_its_latency_is_given(broker: TestBroker) -> None:
+async def test_an_event_without_latency_is_delivered(broker: TestBroker) -> None:
     old = replace(EVENT, latency=None)
     broker.publish(f"{UR10}/0/event", old.encode().decode(), "-r")
     async with Consumer(broker.url) as events:
         assert await anext(events) == old
 
 
-async def test_what_is_malformed_is_reported_in_one_line_and_left_out(broker: TestBroker) -> None:
+async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: TestBroker) -> None:
     reports = list[str]()
     bad = [
         ("0/event", "{}"),
@@ -132,14 +132,14 @@ async def test_what_is_malformed_is_reported_in_one_line_and_left_out(broker: Te
     assert f"ignoring malformed message: {UR10}/3/event: is 100000 bytes long; the limit is 65536" in reports
 
 
-async def test_a_copy_of_an_event_is_not_given_again(broker: TestBroker) -> None:
+async def test_a_duplicate_event_is_not_delivered(broker: TestBroker) -> None:
     async with Consumer(broker.url) as events:
         for seq in (1, 1, 2, 1, 2, 3):
             publish(broker, seq)
         assert await take(events, 3) == [1, 2, 3]
 
 
-async def test_an_event_that_was_missed_is_asked_for_and_comes_late(
+async def test_a_missed_event_is_fetched_and_arrives_late(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reports, read = list[str](), vars(Consumer)["_process"]
@@ -156,9 +156,7 @@ async def test_an_event_that_was_missed_is_asked_for_and_comes_late(
     assert not reports
 
 
-async def test_the_newest_event_is_missed_too_when_only_the_head_tells(
-    broker: TestBroker, run: Run, tmp_path: Path
-) -> None:
+async def test_a_head_beyond_the_newest_event_is_a_gap(broker: TestBroker, run: Run, tmp_path: Path) -> None:
     async with publishing(broker, run) as sink:
         async with Consumer(broker.url, position_file=tmp_path / "position") as events:
             await following(events)
@@ -171,7 +169,7 @@ async def test_the_newest_event_is_missed_too_when_only_the_head_tells(
             assert await take(events, 2) == [2, 3]
 
 
-async def test_it_asks_again_until_there_is_an_answer(
+async def test_a_gap_request_is_repeated_until_it_is_answered(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(consumer, "REQUEST_EVERY", 0.05)
@@ -187,7 +185,7 @@ async def test_it_asks_again_until_there_is_an_answer(
             assert await found == [1, 2]
 
 
-async def test_all_that_is_kept_is_given_from_the_start_page_by_page(broker: TestBroker, run: Run) -> None:
+async def test_since_start_delivers_all_kept_events(broker: TestBroker, run: Run) -> None:
     async with publishing(broker, run) as sink:
         for _ in range(12):
             await sink.write(slips(*[1, 0] * 50))
@@ -196,7 +194,7 @@ async def test_all_that_is_kept_is_given_from_the_start_page_by_page(broker: Tes
             assert await take(events, 1200) == list(range(1, 1201))
 
 
-async def test_what_is_no_longer_kept_is_reported_as_lost(broker: TestBroker, run: Run) -> None:
+async def test_events_that_are_no_longer_kept_are_reported_as_lost(broker: TestBroker, run: Run) -> None:
     reports = list[str]()
     async with publishing(broker, run) as sink:
         await sink.write(slips(*[1, 0] * 5))
@@ -210,7 +208,7 @@ async def test_what_is_no_longer_kept_is_reported_as_lost(broker: TestBroker, ru
         assert reports == [f"lab/ur10: events 1 to 6 of epoch {outbox.epoch} are lost: no longer kept"]
 
 
-async def test_an_outbox_that_was_lost_is_reported_and_its_successor_followed(
+async def test_a_lost_outbox_is_reported_and_the_new_one_followed(
     broker: TestBroker, run: Run, tmp_path: Path
 ) -> None:
     reports = list[str]()
@@ -226,9 +224,7 @@ async def test_an_outbox_that_was_lost_is_reported_and_its_successor_followed(
     assert reports == [f"lab/ur10: epoch {epoch} is no longer kept; lost events: any after 2"]
 
 
-async def test_a_lost_broker_is_reported_and_what_was_missed_meanwhile_comes(
-    broker: TestBroker, run: Run
-) -> None:
+async def test_a_lost_broker_is_reported_and_missed_events_are_fetched(broker: TestBroker, run: Run) -> None:
     reports = list[str]()
     async with publishing(broker, run) as sink, Consumer(broker.url, report=reports.append) as events:
         await following(events)
@@ -246,7 +242,9 @@ async def test_a_lost_broker_is_reported_and_what_was_missed_meanwhile_comes(
     assert all(report.endswith("reconnecting") for report in reports[:-1])
 
 
-async def test_what_came_before_the_loss_is_still_given(broker: TestBroker, links: list[Link]) -> None:
+async def test_messages_received_before_a_lost_connection_are_delivered(
+    broker: TestBroker, links: list[Link]
+) -> None:
     publish(broker, 1, "ur10", "-r")
     async with Consumer(broker.url, report=lambda _: None) as events:
         assert await take(events, 1) == [1]
@@ -258,7 +256,7 @@ async def test_what_came_before_the_loss_is_still_given(broker: TestBroker, link
         assert await take(events, 2) == [2, 3]
 
 
-async def test_messages_that_came_too_fast_are_reported_and_the_events_asked_for(
+async def test_dropped_messages_are_reported_and_their_events_fetched(
     broker: TestBroker, run: Run, links: list[Link], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reports = list[str]()
@@ -287,7 +285,7 @@ asyncio.run(main(*sys.argv[1:]))
 """
 
 
-async def test_a_consumer_that_is_killed_goes_on_where_it_was_and_misses_nothing(
+async def test_a_killed_consumer_resumes_and_misses_nothing(
     broker: TestBroker, run: Run, tmp_path: Path
 ) -> None:
     command = [sys.executable, "-c", CONSUME, broker.url, str(tmp_path / "position")]
@@ -316,7 +314,7 @@ async def test_a_consumer_that_is_killed_goes_on_where_it_was_and_misses_nothing
         assert min(found) <= 2
 
 
-async def test_an_event_that_was_not_finished_is_given_again(broker: TestBroker, tmp_path: Path) -> None:
+async def test_an_event_in_progress_is_delivered_again(broker: TestBroker, tmp_path: Path) -> None:
     for expected in ([1, 2], [2, 3], [3, 4]):
         async with Consumer(broker.url, position_file=tmp_path / "position") as events:
             if expected[0] == 1:
@@ -328,7 +326,7 @@ async def test_an_event_that_was_not_finished_is_given_again(broker: TestBroker,
             assert await take(events, 2) == expected
 
 
-async def test_a_position_that_cannot_be_saved_is_reported_and_events_go_on(
+async def test_an_unwritable_position_file_is_reported_and_events_continue(
     broker: TestBroker, tmp_path: Path
 ) -> None:
     reports, folder = list[str](), tmp_path / "there"
@@ -341,7 +339,7 @@ async def test_a_position_that_cannot_be_saved_is_reported_and_events_go_on(
     assert set(reports) == {f"{folder}/position: cannot be written: No such file or directory"}
 
 
-async def test_two_cannot_go_on_from_one_position_and_the_second_may_once_the_first_has_left_or_failed(
+async def test_one_consumer_at_a_time_can_use_a_position_file(
     broker: TestBroker, tmp_path: Path, links: list[Link]
 ) -> None:
     for _ in range(2):
@@ -358,7 +356,7 @@ async def test_two_cannot_go_on_from_one_position_and_the_second_may_once_the_fi
                 pass
 
 
-async def test_a_wait_that_is_cancelled_loses_no_event(broker: TestBroker) -> None:
+async def test_cancelling_a_wait_loses_no_event(broker: TestBroker) -> None:
     async with Consumer(broker.url) as events:
         for seq in range(1, 6):
             waiting = asyncio.create_task(anext(events))
@@ -369,7 +367,7 @@ async def test_a_wait_that_is_cancelled_loses_no_event(broker: TestBroker) -> No
             assert await take(events, 1) == [seq]
 
 
-async def test_a_position_that_is_none_is_an_error(broker: TestBroker, tmp_path: Path) -> None:
+async def test_a_malformed_position_file_is_an_error(broker: TestBroker, tmp_path: Path) -> None:
     (tmp_path / "position").write_text("{}")
     with pytest.raises(InputError, match="is not a position"):
         async with Consumer(broker.url, position_file=tmp_path / "position"):
@@ -379,7 +377,7 @@ async def test_a_position_that_is_none_is_an_error(broker: TestBroker, tmp_path:
 @pytest.mark.parametrize(
     "parameters", [{"site": "#"}, {"rig": "a/b"}, {"site": ""}, {"since": "then"}, {"url": "localhost"}]
 )
-def test_what_cannot_be_followed_is_refused(parameters: dict[str, Any]) -> None:
+def test_invalid_parameters_are_rejected(parameters: dict[str, Any]) -> None:
     options: dict[str, Any] = {"url": "mqtt://localhost", **parameters}
     with pytest.raises(ParameterError, match=r"^Consumer: "):
         Consumer(**options)

@@ -49,7 +49,7 @@ def altered(request: GapRequest | GapAnswer, **values: Any) -> bytes:  # noqa: A
         7,
     ],
 )
-def test_an_answer_goes_nowhere_but_below_the_rigs_own_replay(topic: object) -> None:
+def test_a_reply_topic_must_be_below_the_rigs_replay_topic(topic: object) -> None:
     with pytest.raises(InputError, match=rf"^{RIG}/replay/request: reply_to is .*must be"):
         GapRequest.decode(altered(REQUEST, reply_to=topic), RIG)
 
@@ -58,19 +58,19 @@ def test_an_answer_goes_nowhere_but_below_the_rigs_own_replay(topic: object) -> 
     ("name", "value"),
     [("epoch", 1), ("from", 0), ("to", 2), ("to", 2**63), ("from", True), ("epoch", ...), ("from", ...)],
 )
-def test_a_request_that_makes_no_sense_is_refused_by_name(name: str, value: object) -> None:
+def test_a_malformed_request_names_its_field(name: str, value: object) -> None:
     with pytest.raises(InputError, match=f"{name} is"):
         GapRequest.decode(altered(REQUEST, **{name: value}), RIG)
 
 
 @given(st.binary())
-def test_no_payload_does_worse_than_be_refused(payload: bytes) -> None:
+def test_any_malformed_payload_raises_an_input_error(payload: bytes) -> None:
     with pytest.raises(InputError):
         GapRequest.decode(payload, RIG)
 
 
 @pytest.mark.parametrize("missing", [[[2, 4]], [[9, 10]], [[5, 4]], 7, ...])
-def test_an_answer_that_tells_of_more_than_it_covers_is_refused(missing: object) -> None:
+def test_an_answer_with_missing_beyond_its_range_is_rejected(missing: object) -> None:
     payload = altered(GapAnswer("ab", 3, 9, ()), missing=missing)
     with pytest.raises(InputError, match="missing"):
         GapAnswer.read(Fields.parse(payload, "here"))
@@ -107,7 +107,7 @@ def ask(given: GapReplies, epoch: str, first: int, last: int, name: str = "me") 
     given.request(GapRequest(epoch, first, last, f"{RIG}/replay/{name}").encode())
 
 
-def test_events_come_as_they_were_and_the_closing_document_last(tmp_path: Path) -> None:
+def test_a_reply_has_the_original_events_and_the_closing_document_last(tmp_path: Path) -> None:
     async def body(given: GapReplies, outbox: Outbox) -> None:
         ask(given, outbox.epoch, 3, 40)
         messages = await answers(given)
@@ -122,7 +122,7 @@ def test_events_come_as_they_were_and_the_closing_document_last(tmp_path: Path) 
     use(tmp_path, 50, body)
 
 
-def test_a_turn_is_short_and_the_requests_take_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_requests_are_answered_in_turn_in_slices(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gap_replay, "SLICE", 4)
 
     async def body(given: GapReplies, outbox: Outbox) -> None:
@@ -136,7 +136,7 @@ def test_a_turn_is_short_and_the_requests_take_turns(tmp_path: Path, monkeypatch
     use(tmp_path, 50, body)
 
 
-def test_an_answer_is_a_page_and_says_how_far_it_reaches(
+def test_an_answer_is_bounded_and_states_its_last_number(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(gap_replay, "ANSWER_MAX", 20)
@@ -150,7 +150,7 @@ def test_an_answer_is_a_page_and_says_how_far_it_reaches(
     use(tmp_path, 50, body)
 
 
-def test_what_is_no_longer_kept_is_said_to_be_missing_however_much_it_is(tmp_path: Path) -> None:
+def test_events_no_longer_kept_are_listed_as_missing(tmp_path: Path) -> None:
     async def body(given: GapReplies, outbox: Outbox) -> None:
         outbox.acknowledge(await outbox.next(500))
         outbox.acknowledge(await outbox.next(500))
@@ -171,7 +171,7 @@ def test_what_is_no_longer_kept_is_said_to_be_missing_however_much_it_is(tmp_pat
     use(tmp_path, 600, body)
 
 
-def test_what_cannot_be_read_now_is_not_said_to_be_lost(
+def test_an_unreadable_outbox_does_not_report_events_as_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def body(given: GapReplies, outbox: Outbox) -> None:
@@ -185,7 +185,7 @@ def test_what_cannot_be_read_now_is_not_said_to_be_lost(
     use(tmp_path, 5, body)
 
 
-def test_numbers_that_were_never_given_get_no_answer(tmp_path: Path) -> None:
+def test_unused_numbers_get_no_answer(tmp_path: Path) -> None:
     async def body(given: GapReplies, outbox: Outbox) -> None:
         ask(given, outbox.epoch, 6, 9)
         assert not await answers(given)
@@ -209,7 +209,7 @@ def test_malformed_requests_are_ignored_and_logged_once(
     )
 
 
-def test_only_so_many_requests_wait_and_each_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pending_requests_are_bounded_and_unique(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gap_replay, "PENDING_MAX", 3)
 
     async def body(given: GapReplies, outbox: Outbox) -> None:

@@ -101,7 +101,7 @@ async def test_events_arrive_in_order_and_satisfy_the_schema(broker: TestBroker,
     assert found == [first, second, third]
 
 
-async def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, run: Run) -> None:
+async def test_a_late_subscriber_gets_the_retained_documents(broker: TestBroker, run: Run) -> None:
     run.describe["touch"] = {"sensor": "TakkTile", "rate_hz": 100.0, "noise": float("nan")}
     found: dict[str, Any] = {}
     sink = Mqtt(broker.url)
@@ -144,7 +144,7 @@ async def test_what_a_late_subscriber_must_know_is_retained(broker: TestBroker, 
     }
 
 
-async def test_leaving_in_order_says_offline_and_when(
+async def test_a_regular_end_publishes_offline_with_its_time(
     broker: TestBroker, run: Run, links: list[Link]
 ) -> None:
     listener = broker.listen(f"{RIG}/status")
@@ -156,7 +156,7 @@ async def test_leaving_in_order_says_offline_and_when(
     assert (farewell["state"], farewell["since"]) == ("offline", "1970-01-01T00:01:40.000000000Z")
 
 
-async def test_faults_mark_the_events_while_they_last(broker: TestBroker, run: Run) -> None:
+async def test_events_are_degraded_while_a_fault_lasts(broker: TestBroker, run: Run) -> None:
     listener = broker.listen(f"{RIG}/+/event")
     sink = Mqtt(broker.url)
     async with opened(sink, run):
@@ -172,7 +172,7 @@ async def test_faults_mark_the_events_while_they_last(broker: TestBroker, run: R
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
-async def test_a_broker_that_comes_back_gets_the_events_and_all_that_it_should_retain(
+async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents(
     broker: TestBroker, run: Run, number: signal.Signals
 ) -> None:
     sink = Mqtt(broker.url)
@@ -193,7 +193,7 @@ async def test_a_broker_that_comes_back_gets_the_events_and_all_that_it_should_r
         assert {f"{RIG}/info", f"{RIG}/health"} < set(found)
 
 
-async def test_events_that_waited_arrive_in_order_however_many_they_are(
+async def test_many_pending_events_arrive_in_order(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sink, gate, connect = Mqtt(broker.url), asyncio.Event(), Link.connect
@@ -215,7 +215,7 @@ async def test_events_that_waited_arrive_in_order_however_many_they_are(
         assert found == list(range(1, 801))
 
 
-async def test_what_the_broker_did_not_get_is_sent_by_the_next_run_and_the_numbers_go_on(
+async def test_the_next_run_sends_unsent_events_and_continues_the_numbers(
     broker: TestBroker, run: Run, caplog: pytest.LogCaptureFixture
 ) -> None:
     sink = Mqtt(broker.url)
@@ -238,7 +238,7 @@ async def test_what_the_broker_did_not_get_is_sent_by_the_next_run_and_the_numbe
     assert len({each.epoch for each in found}) == 1
 
 
-async def test_a_writer_that_is_cancelled_loses_nothing_that_it_wrote(broker: TestBroker, run: Run) -> None:
+async def test_a_cancelled_write_loses_no_event(broker: TestBroker, run: Run) -> None:
     listener, sink = broker.listen(f"{RIG}/+/event"), Mqtt(broker.url)
     async with opened(sink, run):
 
@@ -266,7 +266,7 @@ async def test_two_runs_cannot_publish_as_one_rig(broker: TestBroker, run: Run) 
         await sent(first)
 
 
-async def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_says_so(
+async def test_events_continue_while_the_outbox_fails_and_the_health_reports_it(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
@@ -302,7 +302,7 @@ async def test_alerts_go_on_while_the_outbox_cannot_be_written_and_the_health_sa
     caplog.clear()  # that was an error, and meant
 
 
-async def test_who_asks_for_events_gets_them_and_no_other_topic_does(broker: TestBroker, run: Run) -> None:
+async def test_requested_events_go_only_to_the_reply_topic(broker: TestBroker, run: Run) -> None:
     sink = Mqtt(broker.url)
     async with opened(sink, run):
         await sink.write(slips(1, 0, 1))
@@ -317,7 +317,7 @@ async def test_who_asks_for_events_gets_them_and_no_other_topic_does(broker: Tes
         assert read(found[2])["missing"] == []
 
 
-async def test_health_is_published_again_and_again(
+async def test_health_is_published_periodically(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
@@ -337,7 +337,7 @@ async def test_health_is_published_again_and_again(
         assert reports[-1]["clock"] == clock
 
 
-async def test_without_any_event_the_connection_is_made_again_and_its_loss_logged_once(
+async def test_an_idle_connection_is_restored_and_its_loss_logged_once(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.01)
@@ -364,7 +364,7 @@ async def test_without_any_event_the_connection_is_made_again_and_its_loss_logge
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-async def test_a_run_ends_in_peace_though_the_broker_is_gone_or_hangs(
+async def test_a_run_ends_without_error_if_the_broker_is_gone_or_hangs(
     broker: TestBroker, run: Run, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link, "TIMEOUT", 0.1)
@@ -390,9 +390,7 @@ asyncio.run(main(*sys.argv[1:]))
 """
 
 
-async def test_a_killed_run_is_offline_soon_but_not_if_another_has_taken_its_place(
-    broker: TestBroker, run: Run
-) -> None:
+async def test_a_killed_run_becomes_offline_unless_another_took_over(broker: TestBroker, run: Run) -> None:
     command = [sys.executable, "-c", PUBLISH_AND_WAIT, broker.url]
     started = [
         subprocess.Popen([*command, rig], stdout=subprocess.PIPE, text=True) for rig in ("rig", "lost")
@@ -411,9 +409,7 @@ async def test_a_killed_run_is_offline_soon_but_not_if_another_has_taken_its_pla
         assert read(status)["session"] == "run1"
 
 
-async def test_a_connection_that_is_back_soon_was_never_offline(
-    broker: TestBroker, run: Run, links: list[Link]
-) -> None:
+async def test_a_quick_reconnect_is_never_offline(broker: TestBroker, run: Run, links: list[Link]) -> None:
     sink, lost = Mqtt(broker.url), Mqtt(broker.url, rig="lost")
     listener = broker.listen("slip/v1/lab/+/status")
     async with opened(sink, run):
@@ -430,13 +426,15 @@ async def test_a_connection_that_is_back_soon_was_never_offline(
         await lost.close()
 
 
-def test_a_run_that_cannot_connect_does_not_begin(broker: TestBroker, run: Run) -> None:
+def test_a_run_that_cannot_connect_does_not_start(broker: TestBroker, run: Run) -> None:
     broker.stop()
     with pytest.raises(EndpointError, match=rf"^{broker.url}: {REFUSED}$"):
         asyncio.run(Mqtt(broker.url).open(run))
 
 
-def test_a_run_that_may_not_publish_does_not_begin(tmp_path: Path, run: Run, links: list[Link]) -> None:
+def test_a_run_without_the_right_to_publish_does_not_start(
+    tmp_path: Path, run: Run, links: list[Link]
+) -> None:
     rights = tmp_path / "rights"
     rights.write_text("topic read #\n")
     with TestBroker(tmp_path, "allow_anonymous true", f"acl_file {rights}") as broker:
@@ -447,7 +445,7 @@ def test_a_run_that_may_not_publish_does_not_begin(tmp_path: Path, run: Run, lin
         assert not links[0].alive
 
 
-async def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_come_when_it_is_allowed(
+async def test_a_refused_topic_delays_no_other_and_is_sent_once_allowed(
     tmp_path: Path,
     run: Run,
     links: list[Link],
@@ -484,7 +482,7 @@ async def test_a_topic_that_the_broker_refuses_holds_up_no_other_and_its_events_
     ]
 
 
-def test_two_sinks_of_one_rig_share_a_place() -> None:
+def test_two_sinks_of_one_rig_have_the_same_destination() -> None:
     assert (
         Mqtt("mqtt://localhost").destination
         == Mqtt("mqtt://localhost:1883").destination
@@ -493,7 +491,7 @@ def test_two_sinks_of_one_rig_share_a_place() -> None:
     assert Mqtt("mqtt://localhost").destination != Mqtt("mqtt://localhost", rig="other").destination
 
 
-def test_a_rig_says_before_it_is_replayed_where_that_goes(run: Run) -> None:
+def test_the_destination_of_a_replay_is_known_before_it_starts(run: Run) -> None:
     sink, again = Mqtt("mqtt://127.0.0.1:1"), Mqtt("mqtt://127.0.0.1:1", rig="rig-replay")
     assert sink.destination == f"mqtt://127.0.0.1:1/{RIG}"
     assert (
@@ -538,7 +536,7 @@ async def test_an_event_of_a_replay_has_no_latency_and_satisfies_the_schema(
         ("keep_for", 0.0),
     ],
 )
-def test_a_parameter_that_no_event_could_carry_is_refused(name: str, value: Any) -> None:  # noqa: ANN401
+def test_parameters_out_of_range_are_rejected(name: str, value: Any) -> None:  # noqa: ANN401
     parameters: dict[str, Any] = {"url": "mqtt://localhost", name: value}
     with pytest.raises(ParameterError, match=f"^Mqtt: {name} is "):
         Mqtt(**parameters)

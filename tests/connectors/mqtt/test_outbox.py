@@ -57,7 +57,7 @@ class Failing:
         monkeypatch.setattr(OutboxFile, "append", fail)
 
 
-async def test_numbers_go_on_from_run_to_run_and_what_was_not_acknowledged_is_given_again(
+async def test_numbers_continue_from_run_to_run_and_unacknowledged_events_are_sent_again(
     tmp_path: Path,
 ) -> None:
     path, epochs = tmp_path / "o.sqlite", list[str]()
@@ -79,7 +79,7 @@ async def test_numbers_go_on_from_run_to_run_and_what_was_not_acknowledged_is_gi
         await until(lambda: box.waiting == 0)
 
 
-async def test_each_is_given_once_until_it_is_rewound_and_then_what_is_not_acknowledged(
+async def test_entries_are_returned_once_and_after_a_rewind_the_unacknowledged_ones(
     tmp_path: Path,
 ) -> None:
     async with opened(tmp_path / "o.sqlite") as box:
@@ -97,7 +97,7 @@ async def test_each_is_given_once_until_it_is_rewound_and_then_what_is_not_ackno
         assert [entry.seq for entry in await box.next(2)] == [400, 500]
 
 
-async def test_a_range_is_given_as_far_as_it_is_kept_and_says_how_far_that_is(tmp_path: Path) -> None:
+async def test_a_range_is_returned_with_the_last_number_covered(tmp_path: Path) -> None:
     async with opened(tmp_path / "o.sqlite") as box:
         await box.append([DRAFT] * 600)
         for first, last, limit, expected, far in (
@@ -111,9 +111,7 @@ async def test_a_range_is_given_as_far_as_it_is_kept_and_says_how_far_that_is(tm
         assert await box.between("unknown", 3, 9, 10) == ([], 9)
 
 
-async def test_old_events_are_forgotten_once_there_are_more_than_it_keeps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_old_events_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
     async with opened(tmp_path / "o.sqlite", keep=10) as box:
         await box.append([DRAFT] * 50)
@@ -131,7 +129,7 @@ async def test_old_events_are_forgotten_once_there_are_more_than_it_keeps(
 FULL = sqlite3.OperationalError("database or disk is full")
 
 
-async def test_while_it_cannot_be_written_events_go_on_in_an_epoch_of_their_own_and_are_kept_later(
+async def test_events_from_memory_have_their_own_epoch_and_are_stored_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
@@ -162,7 +160,7 @@ async def test_while_it_cannot_be_written_events_go_on_in_an_epoch_of_their_own_
     assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
 
 
-async def test_a_disk_that_does_not_answer_holds_up_no_event_and_no_number_is_given_twice(
+async def test_a_hanging_disk_delays_no_event_and_no_number_is_used_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.05)
@@ -201,9 +199,7 @@ async def test_memory_is_bounded_while_the_disk_is_full(
         failing.error = None
 
 
-async def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_an_outbox_opens_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, full = tmp_path / "o.sqlite", [True]
     async with opened(path) as box:
         await box.append([DRAFT] * 3)
@@ -231,7 +227,7 @@ async def test_a_disk_that_is_full_from_the_beginning_is_no_reason_not_to_begin(
         assert [entry.seq for entry in await box.next(9)] == [1, 2, 3, 1]
 
 
-async def test_a_file_that_is_damaged_while_it_is_used_is_set_aside_and_events_go_on(tmp_path: Path) -> None:
+async def test_a_file_damaged_in_use_is_renamed_and_events_continue(tmp_path: Path) -> None:
     path = tmp_path / "o.sqlite"
     async with opened(path) as box:
         await box.append([DRAFT] * 600)
@@ -249,7 +245,7 @@ async def test_a_file_that_is_damaged_while_it_is_used_is_set_aside_and_events_g
     assert list(tmp_path.glob("o.sqlite.damaged-*"))
 
 
-async def test_being_cancelled_while_it_takes_events_takes_them_whole(tmp_path: Path) -> None:
+async def test_a_cancelled_append_stores_all_events_or_none(tmp_path: Path) -> None:
     async with opened(tmp_path / "o.sqlite") as box:
         for turns in range(6):
             writing = asyncio.create_task(box.append([DRAFT, DRAFT]))
@@ -263,7 +259,7 @@ async def test_being_cancelled_while_it_takes_events_takes_them_whole(tmp_path: 
         assert len(numbers) % 2
 
 
-async def test_two_cannot_use_one_file_and_the_second_says_what_to_do(tmp_path: Path) -> None:
+async def test_a_file_in_use_is_an_error_with_a_remedy(tmp_path: Path) -> None:
     async with opened(tmp_path / "o.sqlite"):
         with pytest.raises(EndpointError, match=r"is in use: .* name another rig or outbox"):
             await Outbox(tmp_path / "o.sqlite", keep=1, keep_for=1).open()
@@ -271,7 +267,7 @@ async def test_two_cannot_use_one_file_and_the_second_says_what_to_do(tmp_path: 
         await box.append([DRAFT])
 
 
-async def test_what_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
+async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(EndpointError, match=r"o\.sqlite: cannot be used: "):
         async with opened(tmp_path / "file" / "o.sqlite") as box:
@@ -294,7 +290,7 @@ def durable(box: Outbox) -> bool:
     return bool(inside(box, "_durable") == inside(box, "_written"))
 
 
-async def test_after_a_power_cut_no_number_is_given_twice_and_what_was_lost_is_known_to_be(
+async def test_after_a_power_cut_no_number_is_used_twice_and_lost_events_are_known(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
@@ -329,7 +325,7 @@ async def test_after_a_power_cut_no_number_is_given_twice_and_what_was_lost_is_k
     assert epochs[3] != epochs[0] == epochs[1] == epochs[2]
 
 
-async def test_the_mark_that_numbers_may_be_lost_is_there_before_there_is_one(
+async def test_the_mark_that_numbers_may_be_lost_is_written_before_the_first_number(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, epochs = tmp_path / "o.sqlite", list[str]()
@@ -352,7 +348,7 @@ async def test_the_mark_that_numbers_may_be_lost_is_there_before_there_is_one(
     assert len(set(epochs)) == 3
 
 
-async def test_no_event_waits_until_it_is_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_events_do_not_wait_for_fsync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stuck, sync = threading.Event(), OutboxFile.sync
 
     def slow(file: OutboxFile) -> None:
@@ -370,7 +366,7 @@ async def test_no_event_waits_until_it_is_durable(tmp_path: Path, monkeypatch: p
         assert not box.error
 
 
-async def test_what_could_not_be_made_durable_is_written_again_under_its_numbers(
+async def test_events_whose_fsync_failed_are_written_again_with_their_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failures, sync = [OSError(5, "Input/output error")], OutboxFile.sync
@@ -395,7 +391,7 @@ async def test_what_could_not_be_made_durable_is_written_again_under_its_numbers
         )
 
 
-async def test_a_failure_while_events_are_written_spoils_neither_their_numbers_nor_those_after(
+async def test_a_failure_during_a_write_preserves_all_numbers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writing, go, append = threading.Event(), threading.Event(), OutboxFile.append
@@ -423,7 +419,7 @@ async def test_a_failure_while_events_are_written_spoils_neither_their_numbers_n
         assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
 
 
-async def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came_before_it(
+async def test_events_written_during_a_failure_are_kept_with_earlier_ones(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     failing, writing, go = threading.Event(), threading.Event(), threading.Event()
@@ -456,7 +452,9 @@ async def test_what_is_being_written_while_the_disk_fails_is_kept_with_what_came
         assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
 
 
-async def test_the_log_is_emptied_in_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_write_ahead_log_is_checkpointed_when_idle(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
     emptied, checkpoint = threading.Event(), OutboxFile.checkpoint
 

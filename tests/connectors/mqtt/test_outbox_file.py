@@ -28,7 +28,7 @@ def contents(file: OutboxFile, last: int = 1000) -> list[Entry]:
     return [each for epoch in file.epochs for each in file.between(epoch, 1, last, 10_000)]
 
 
-def test_what_was_written_is_there_when_it_is_opened_again(tmp_path: Path) -> None:
+def test_written_events_are_found_after_reopening(tmp_path: Path) -> None:
     entries = filled(tmp_path / "o.sqlite")
     file = OutboxFile(tmp_path / "o.sqlite")
     assert (file.highest, file.waiting, file.renewed) == (20, 5, False)
@@ -40,7 +40,7 @@ def test_what_was_written_is_there_when_it_is_opened_again(tmp_path: Path) -> No
     file.close()
 
 
-def test_ids_whose_fate_was_not_known_are_forgotten_with_what_is_written_next(tmp_path: Path) -> None:
+def test_uncertain_ids_are_deleted_by_the_next_write(tmp_path: Path) -> None:
     filled(tmp_path / "o.sqlite")
     file = OutboxFile(tmp_path / "o.sqlite")
     file.append([(entry(22, "cd", 21), True)], [Epoch("ab", 0, 19, 15), Epoch("cd", 21, 1)], [20, 21])
@@ -48,7 +48,7 @@ def test_ids_whose_fate_was_not_known_are_forgotten_with_what_is_written_next(tm
     file.close()
 
 
-def test_only_what_need_not_be_sent_is_pruned_by_count_and_by_age(tmp_path: Path) -> None:
+def test_only_sent_events_are_pruned_by_count_and_age(tmp_path: Path) -> None:
     filled(tmp_path / "o.sqlite")
     file = OutboxFile(tmp_path / "o.sqlite")
     file.prune(12, 0)
@@ -60,7 +60,7 @@ def test_only_what_need_not_be_sent_is_pruned_by_count_and_by_age(tmp_path: Path
     file.close()
 
 
-def test_epochs_without_events_are_forgotten_but_for_the_newest(tmp_path: Path) -> None:
+def test_epochs_without_events_are_deleted_except_the_newest(tmp_path: Path) -> None:
     file = OutboxFile(tmp_path / "o.sqlite")
     file.append([(entry(1), False)], [Epoch("ab", 0, 1, 1), *(Epoch(f"e{n}", 1) for n in range(20))])
     file.prune(100, 0)
@@ -98,9 +98,7 @@ def never_wrong(entries: list[Entry], found: tuple[list[Entry], bool] | None) ->
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_flipped_bit_is_never_an_event_that_was_not_or_a_number_given_twice(
-    tmp_path: Path, seed: int
-) -> None:
+def test_a_flipped_bit_never_invents_an_event_or_reuses_a_number(tmp_path: Path, seed: int) -> None:
     entries = filled(tmp_path / "o.sqlite")
     content, chance = bytearray((tmp_path / "o.sqlite").read_bytes()), random.Random(seed)  # noqa: S311
     for turn in range(25):
@@ -112,7 +110,7 @@ def test_a_flipped_bit_is_never_an_event_that_was_not_or_a_number_given_twice(
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_flipped_bit_in_the_log_of_a_killed_run_takes_back_no_number(tmp_path: Path, seed: int) -> None:
+def test_a_flipped_bit_in_the_log_of_a_killed_run_reuses_no_number(tmp_path: Path, seed: int) -> None:
     entries, content, log = abandoned(tmp_path / "o.sqlite")
     chance = random.Random(seed)  # noqa: S311 - not for secrets
     assert len(log) > 30 * 4096
@@ -152,7 +150,7 @@ def cut_off(path: Path) -> None:
 
 
 @pytest.mark.parametrize(("damage", "kept"), [(in_a_payload, 19), (no_database, 0), (cut_off, 0)])
-def test_a_damaged_file_is_set_aside_and_what_is_intact_carried_over(
+def test_a_damaged_file_is_renamed_and_its_intact_events_copied(
     tmp_path: Path, damage: Callable[[Path], None], kept: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "o.sqlite"
@@ -171,7 +169,7 @@ def test_a_damaged_file_is_set_aside_and_what_is_intact_carried_over(
     assert survey(path) == (found[0], False)
 
 
-def test_a_file_that_is_something_else_is_refused_and_stays(tmp_path: Path) -> None:
+def test_another_kind_of_file_is_rejected_and_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "other.sqlite"
     other = sqlite3.connect(path)
     other.execute("CREATE TABLE precious (x)")
@@ -188,7 +186,7 @@ def test_a_file_that_is_something_else_is_refused_and_stays(tmp_path: Path) -> N
         OutboxFile(tmp_path / "o.sqlite")
 
 
-def test_a_row_that_changes_under_a_run_is_noticed_when_it_is_read(tmp_path: Path) -> None:
+def test_a_row_changed_during_a_run_is_detected_on_read(tmp_path: Path) -> None:
     filled(tmp_path / "o.sqlite")
     file = OutboxFile(tmp_path / "o.sqlite")
     inside(file, "_db").execute("UPDATE events SET payload = x'00' WHERE id = 17")

@@ -32,7 +32,7 @@ def test_every_event_is_new_once(numbers: list[int]) -> None:
     assert taken == list(dict.fromkeys(numbers))
 
 
-def test_a_rig_begins_with_the_next_event_or_with_its_first() -> None:
+def test_a_new_rig_starts_with_its_next_or_its_first_event() -> None:
     for everything, missed in (False, []), (True, [("ab", 1, 6)]):
         by_event, by_head = Position(everything=everything), Position(everything=everything)
         assert by_event.take(event(7))
@@ -41,7 +41,7 @@ def test_a_rig_begins_with_the_next_event_or_with_its_first() -> None:
         assert gaps(by_head) == missed
 
 
-def test_a_head_that_is_ahead_shows_what_is_missed() -> None:
+def test_a_newer_head_reveals_gaps() -> None:
     position = Position()
     position.announce(UR10, {"ab": 5})
     position.take(event(7))
@@ -51,14 +51,14 @@ def test_a_head_that_is_ahead_shows_what_is_missed() -> None:
     assert gaps(position) == [("ab", 8, 9)]
 
 
-def test_a_new_epoch_of_a_rig_that_is_known_is_wanted_from_its_first_event() -> None:
+def test_a_new_epoch_of_a_known_rig_is_missed_from_its_first_event() -> None:
     position = Position()
     position.announce(UR10, {"ab": 5})
     assert position.announce(UR10, {"ab": 6, "cd": 2}) == []
     assert gaps(position) == [("ab", 6, 6), ("cd", 1, 2)]
 
 
-def test_what_an_answer_says_is_no_longer_kept_is_reported_once_and_missed_no_more() -> None:
+def test_missing_events_of_an_answer_are_reported_lost_once() -> None:
     position = Position(everything=True)
     position.announce(UR10, {"ab": 9})
     position.take(event(3))
@@ -72,7 +72,7 @@ def test_what_an_answer_says_is_no_longer_kept_is_reported_once_and_missed_no_mo
     assert position.settle(("lab", "other"), answer) == []
 
 
-def test_an_epoch_that_the_rig_knows_no_more_is_reported_with_what_is_lost() -> None:
+def test_an_epoch_no_longer_kept_is_reported_with_its_lost_events() -> None:
     position = Position()
     position.announce(UR10, {"ab": 5})
     position.take(event(8))
@@ -81,7 +81,7 @@ def test_an_epoch_that_the_rig_knows_no_more_is_reported_with_what_is_lost() -> 
     assert position.announce(UR10, {"cd": 0}) == []
 
 
-def test_memory_is_bounded_and_what_is_given_up_for_it_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_bounded_and_given_up_gaps_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(position, "GAPS_MAX", 3)
     monkeypatch.setattr(position, "RIGS_MAX", 2)
     here, lost = Position(everything=True), list[str]()
@@ -95,7 +95,7 @@ def test_memory_is_bounded_and_what_is_given_up_for_it_reported(monkeypatch: pyt
     assert here.encode().count(b'"site"') == 2
 
 
-def test_it_is_read_back_from_its_file_as_it_was(tmp_path: Path) -> None:
+def test_a_saved_position_is_loaded_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "position"
     before = load(path)
     before.announce(UR10, {"ab": 5})
@@ -112,14 +112,14 @@ def test_it_is_read_back_from_its_file_as_it_was(tmp_path: Path) -> None:
     "content",
     [b"", b"{}", b'{"format":2,"rigs":[]}', b'{"format":1,"rigs":[{}]}', b"\0" * 100, b"[" * 10_000],
 )
-def test_a_file_that_is_none_is_refused_with_what_to_do(tmp_path: Path, content: bytes) -> None:
+def test_a_malformed_file_is_an_error_with_a_remedy(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "position"
     path.write_bytes(content)
     with pytest.raises(InputError, match=rf"^{path}: .*delete it to start over$"):
         load(path)
 
 
-def test_a_folder_that_is_not_there_is_an_error_of_one_line(tmp_path: Path) -> None:
+def test_a_missing_folder_is_an_error_of_one_line(tmp_path: Path) -> None:
     with pytest.raises(EndpointError, match=r"position: cannot be written: No such file or directory$"):
         save(tmp_path / "absent" / "position", b"")
     with pytest.raises(EndpointError, match=r"position: cannot be written: No such file or directory$"):
@@ -128,7 +128,7 @@ def test_a_folder_that_is_not_there_is_an_error_of_one_line(tmp_path: Path) -> N
         load(tmp_path)
 
 
-def test_only_one_may_go_on_from_it_and_the_second_is_told_what_to_do(tmp_path: Path) -> None:
+def test_a_position_file_in_use_is_an_error_with_a_remedy(tmp_path: Path) -> None:
     held = lock_position(tmp_path / "position")
     with pytest.raises(EndpointError, match=r"position: is in use by another consumer; name another file$"):
         lock_position(tmp_path / "position")
@@ -146,6 +146,6 @@ def test_only_one_may_go_on_from_it_and_the_second_is_told_what_to_do(tmp_path: 
         b'{"epoch":"a","last_seq":1,"before":[' + b",".join([b"{}"] * 16) + b"]}",
     ],
 )
-def test_a_head_that_is_malformed_is_refused(head: bytes) -> None:
+def test_a_malformed_head_is_rejected(head: bytes) -> None:
     with pytest.raises(InputError, match=r"^here: "):
         read_heads(Fields.parse(head, "here"))

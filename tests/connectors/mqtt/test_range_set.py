@@ -9,7 +9,7 @@ ranges = st.lists(st.tuples(st.integers(1, 40), st.integers(0, 6)).map(lambda r:
 
 
 @given(ranges, st.integers(1, 50), st.integers(1, 50))
-def test_it_is_the_set_of_what_was_added(added: list[tuple[int, int]], first: int, last: int) -> None:
+def test_it_contains_exactly_the_added_numbers(added: list[tuple[int, int]], first: int, last: int) -> None:
     numbers, expected = RangeSet(added), {n for low, high in added for n in range(low, high + 1)}
     assert {n for n in range(60) if n in numbers} == expected
     assert numbers.highest == max(expected, default=0)

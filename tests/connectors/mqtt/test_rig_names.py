@@ -10,7 +10,7 @@ from operators.ports import Run
 
 @pytest.mark.parametrize("live", [True, False])
 @pytest.mark.parametrize("rig", ["ur10", "ur10-replay", "replay", "-replay"])
-def test_a_replay_is_never_called_as_a_live_rig_may_be(run: Run, rig: str, *, live: bool) -> None:
+def test_a_replay_never_has_the_name_of_a_live_rig(run: Run, rig: str, *, live: bool) -> None:
     name = name_in_run(replace(run, recording="stroke", live=live), "Mqtt", rig)
     assert name == replay_name(rig)
     assert is_replay(name)
@@ -46,14 +46,14 @@ def test_every_rig_has_its_own_outbox_in_the_state_folder(
 
 
 @pytest.mark.parametrize("part", ["", "a/b", "+", "a+", "#", "a\0b", "a\nb"])
-def test_what_is_no_topic_level_is_refused(part: str) -> None:
+def test_invalid_topic_levels_are_rejected(part: str) -> None:
     with pytest.raises(ParameterError, match=r"^Mqtt: site is"):
         rig_topic("Mqtt", part, "rig")
     with pytest.raises(ParameterError, match=r"^Mqtt: rig is"):
         rig_topic("Mqtt", "lab", part)
 
 
-def test_only_the_wildcard_asked_for_is_let_through() -> None:
+def test_only_the_given_wildcard_is_accepted() -> None:
     assert rig_topic("watch", "+", "rig", wildcard="+") == "slip/v1/+/rig"
     with pytest.raises(ParameterError):
         rig_topic("watch", "#", "rig", wildcard="+")

@@ -139,7 +139,7 @@ def draft(finger: str) -> Event:
     return Event("lab", "rig", finger, "", 0, onset=True, time=1, probability=0.9, latency=1.0)
 
 
-async def test_each_event_is_sent_once_in_order_and_what_follows_only_when_the_broker_has_it(
+async def test_events_are_sent_once_in_order_and_documents_after_their_acknowledgement(
     tmp_path: Path, peer: Peer
 ) -> None:
     async with opened(tmp_path) as (sending, outbox):
@@ -157,7 +157,7 @@ async def test_each_event_is_sent_once_in_order_and_what_follows_only_when_the_b
     assert peer.got[-1] == ("status", "offline")
 
 
-async def test_a_new_connection_gets_what_is_retained_first_and_then_all_that_was_not_acknowledged(
+async def test_a_new_connection_gets_retained_documents_and_then_unacknowledged_events(
     tmp_path: Path, peer: Peer
 ) -> None:
     async with opened(tmp_path) as (sending, outbox):
@@ -181,7 +181,7 @@ async def test_a_new_connection_gets_what_is_retained_first_and_then_all_that_wa
     assert max(second.batches) <= sender.WINDOW
 
 
-async def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_there(
+async def test_without_a_required_connection_a_sender_starts_and_sends_later(
     tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
     peer.away = True
@@ -201,7 +201,7 @@ async def test_a_patient_one_begins_without_its_broker_and_sends_all_once_it_is_
     assert "connected again, 2 events pending" in back
 
 
-async def test_a_patient_one_tells_at_once_of_a_password_that_cannot_be_read(
+async def test_an_unreadable_password_is_an_error_even_without_a_required_connection(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(PASSWORD_FILE, str(tmp_path / "nowhere"))
@@ -210,7 +210,7 @@ async def test_a_patient_one_tells_at_once_of_a_password_that_cannot_be_read(
             await sending.start("me", WILL, ONLINE, connect_required=False)
 
 
-async def test_of_what_is_retained_the_newest_is_sent(tmp_path: Path, peer: Peer) -> None:
+async def test_only_the_newest_retained_document_is_sent(tmp_path: Path, peer: Peer) -> None:
     async with opened(tmp_path) as (sending, _):
         await sending.start("me", WILL, ONLINE)
         peer.holds.clear()
@@ -223,7 +223,7 @@ async def test_of_what_is_retained_the_newest_is_sent(tmp_path: Path, peer: Peer
     assert [what for topic, what in peer.got if topic == "health"] == ["0", "49"]
 
 
-async def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_allowed(
+async def test_a_refused_topic_delays_only_itself_and_is_sent_in_order_once_allowed(
     tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.WARNING):
@@ -247,9 +247,7 @@ async def test_a_refused_topic_waits_for_itself_and_comes_in_order_when_it_is_al
     ]
 
 
-async def test_what_is_refused_at_the_beginning_is_an_error_and_the_connection_is_left(
-    tmp_path: Path, peer: Peer
-) -> None:
+async def test_a_refusal_at_the_start_is_an_error_and_disconnects(tmp_path: Path, peer: Peer) -> None:
     peer.refused.add(ONLINE.topic)
     async with opened(tmp_path) as (sending, _):
         with pytest.raises(EndpointError, match="refuses"):
@@ -257,7 +255,7 @@ async def test_what_is_refused_at_the_beginning_is_an_error_and_the_connection_i
         assert [each.left for each in peer.connections] == [True]
 
 
-async def test_where_nobody_may_ask_events_are_sent_and_that_is_told_once(
+async def test_a_refused_request_topic_is_logged_once_and_events_are_sent(
     tmp_path: Path, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
     peer.refused.add(f"{RIG}/replay/request")
@@ -271,7 +269,7 @@ async def test_where_nobody_may_ask_events_are_sent_and_that_is_told_once(
     assert sum("consumers cannot request missed events" in message for message in caplog.messages) == 1
 
 
-async def test_events_wait_for_no_more_than_a_slice_of_an_answer(tmp_path: Path, peer: Peer) -> None:
+async def test_events_wait_for_at_most_one_slice_of_a_reply(tmp_path: Path, peer: Peer) -> None:
     async with opened(tmp_path) as (sending, outbox):
         await sending.start("me", WILL, ONLINE)
         await outbox.append([DRAFT] * 100)
@@ -289,9 +287,7 @@ async def test_events_wait_for_no_more_than_a_slice_of_an_answer(tmp_path: Path,
     assert kinds[begun:] == [*["0/event"] * 40, *["replay/you"] * (101 - begun)]
 
 
-async def test_closing_sends_what_still_can_be_and_waits_no_longer_than_it_may(
-    tmp_path: Path, peer: Peer
-) -> None:
+async def test_closing_sends_pending_messages_within_its_timeout(tmp_path: Path, peer: Peer) -> None:
     async with opened(tmp_path) as (sending, outbox):
         await sending.start("me", WILL, ONLINE)
         await outbox.append([DRAFT] * 50)
@@ -308,7 +304,7 @@ async def test_closing_sends_what_still_can_be_and_waits_no_longer_than_it_may(
         assert outbox.waiting == 1
 
 
-async def test_a_broker_that_is_away_is_told_once_and_again_when_it_is_back(
+async def test_an_unavailable_broker_is_logged_once_and_again_when_it_returns(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, peer: Peer, caplog: pytest.LogCaptureFixture
 ) -> None:
     tries = list[Any]()

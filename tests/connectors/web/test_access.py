@@ -10,13 +10,13 @@ from operators.errors import InputError, ParameterError
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 
 
-def test_on_this_machine_everybody_is_let_in() -> None:
+def test_loopback_needs_no_token() -> None:
     assert Access.of("127.0.0.1", None).accepts_cookie(None)
     assert Access.of("localhost", None).accepts_cookie(None)
 
 
 @pytest.mark.parametrize("host", ["::", "192.168.1.5", "rig.lab"])
-def test_elsewhere_there_must_be_a_token(host: str) -> None:
+def test_other_addresses_need_a_token(host: str) -> None:
     with pytest.raises(ParameterError, match=f"token is None, must be set.* {TOKEN}"):
         Access.of(host, None)
     assert Access.of(host, SECRET).token == SECRET
@@ -36,13 +36,13 @@ def test_the_token_comes_from_the_environment_or_a_file(
 
 
 @pytest.mark.parametrize("token", ["short", "x" * 300, "0123456789 abcdef", "0123456789abcdef\n", "é" * 20])
-def test_a_token_that_could_be_guessed_or_not_be_sent_is_refused_and_not_shown(token: str) -> None:
+def test_a_malformed_token_is_rejected_and_not_shown(token: str) -> None:
     with pytest.raises(ParameterError) as caught:
         Access.of("127.0.0.1", token)
     assert token not in str(caught.value)
 
 
-def test_only_the_cookie_of_the_token_opens() -> None:
+def test_only_the_cookie_of_the_token_is_accepted() -> None:
     access = Access(SECRET)
     assert access.accepts_cookie(access.cookie)
     assert Access(SECRET).cookie == access.cookie  # a page comes back after a restart
@@ -55,18 +55,18 @@ def test_only_the_cookie_of_the_token_opens() -> None:
     assert SECRET not in access.cookie
 
 
-def test_nobody_knows_a_token_where_there_is_none() -> None:
+def test_without_a_token_none_is_accepted() -> None:
     assert not Access().accepts_token("")
 
 
 @pytest.mark.parametrize(
     "host", ["evil.example", "evil.example:8765", "", "localhost.evil.example", "a b", "[::1"]
 )
-def test_a_name_that_is_not_ours_is_refused(host: str) -> None:
+def test_foreign_host_names_are_rejected(host: str) -> None:
     assert not Access().is_own_host(host)
 
 
-def test_addresses_and_names_of_this_machine_are_ours() -> None:
+def test_addresses_and_names_of_this_machine_are_accepted() -> None:
     for host in (
         "127.0.0.1:8765",
         "10.0.0.7",
@@ -78,5 +78,5 @@ def test_addresses_and_names_of_this_machine_are_ours() -> None:
         assert Access().is_own_host(host), host
 
 
-def test_what_no_browser_is_to_read_goes_by_any_name() -> None:
+def test_any_name_accepts_all_hosts() -> None:
     assert Access(any_name=True).is_own_host("robot.example")

@@ -73,7 +73,7 @@ def shaking(seconds: int) -> list[Touch]:
     return batches
 
 
-def test_a_running_flow_is_seen_and_a_slip_turns_the_page_red(watched: Watched) -> None:
+def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(watched: Watched) -> None:
     tab, addresses = watched.tab, list[str]()
     flow = Flow("felt")
     zeroed = flow.source(TestSource(Touch, shaking(60), fingers=(0,))) | Zero()
@@ -110,7 +110,7 @@ def test_a_running_flow_is_seen_and_a_slip_turns_the_page_red(watched: Watched) 
     assert {url.split("/")[2] for url in watched.asked} == {addresses[0].split("/")[2]}
 
 
-def test_the_page_comes_back_by_itself_when_its_server_does(watched: Watched) -> None:
+def test_the_page_reconnects_to_a_restarted_server(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as first:
         port = int(first.url.rpartition(":")[2])
@@ -130,7 +130,7 @@ def test_the_page_comes_back_by_itself_when_its_server_does(watched: Watched) ->
     assert all("ERR_" in complaint for complaint in watched.complaints)  # while nobody was there
 
 
-def test_a_server_that_comes_back_with_another_token_asks_for_it(watched: Watched) -> None:
+def test_a_server_restarted_with_another_token_asks_for_it(watched: Watched) -> None:
     tab, one, other = watched.tab, "0123456789abcdef", "fedcba9876543210"
     with ServedPage(token=one) as first:
         port = int(first.url.rpartition(":")[2])
@@ -144,7 +144,7 @@ def test_a_server_that_comes_back_with_another_token_asks_for_it(watched: Watche
         expect(tab.locator(".count").first).to_have_text("77")
 
 
-def test_maps_have_the_layout_of_the_sensor_and_tell_faults(watched: Watched) -> None:
+def test_maps_have_the_layout_of_the_sensor_and_show_faults(watched: Watched) -> None:
     with ServedPage() as served:
         watched.tab.goto(served.url)
         served.feel(-10, -11, -12, -13, -14, -15)
@@ -163,7 +163,7 @@ def test_maps_have_the_layout_of_the_sensor_and_tell_faults(watched: Watched) ->
         expect(watched.tab.locator("#recording")).to_have_text("Recording, 1,234 rows")
 
 
-def test_every_control_is_reached_and_used_by_the_keyboard(watched: Watched) -> None:
+def test_every_control_works_with_the_keyboard(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as served:
         tab.goto(served.url)
@@ -194,7 +194,7 @@ def test_every_control_is_reached_and_used_by_the_keyboard(watched: Watched) -> 
         expect(tab.locator(".count").nth(6)).to_have_text("99")
 
 
-def test_a_slip_is_said_aloud_and_named_in_the_title(watched: Watched) -> None:
+def test_a_slip_is_announced_and_shown_in_the_title(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as served:
         tab.goto(served.url)
@@ -212,7 +212,7 @@ def test_a_slip_is_said_aloud_and_named_in_the_title(watched: Watched) -> None:
         expect(tab.get_by_role("table", name="Pressure of fingertip 0")).to_be_visible()
 
 
-def test_without_motion_there_is_no_empty_chart_of_it(watched: Watched) -> None:
+def test_without_motion_the_speed_chart_is_hidden(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as served:
         tab.goto(served.url)
@@ -228,7 +228,7 @@ def test_without_motion_there_is_no_empty_chart_of_it(watched: Watched) -> None:
     assert watched.complaints == []
 
 
-def test_a_tile_keeps_its_height_whatever_is_said_of_its_fingertip(watched: Watched) -> None:
+def test_a_tile_keeps_its_height_in_every_state(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as served:
         tab.goto(served.url)
@@ -260,7 +260,7 @@ def test_nothing_is_cut_off_at_the_side(watched: Watched, width: int) -> None:
         assert tab.evaluate("() => document.documentElement.scrollWidth") == width
 
 
-def test_who_lacks_the_token_is_told_what_to_do_and_may_enter_it(watched: Watched) -> None:
+def test_the_token_can_be_entered_on_the_page(watched: Watched) -> None:
     token, tab = "0123456789abcdef", watched.tab
     with ServedPage(token=token) as served:
         tab.goto(served.url)
@@ -283,7 +283,7 @@ def test_who_lacks_the_token_is_told_what_to_do_and_may_enter_it(watched: Watche
         assert watched.complaints == []
 
 
-def test_the_token_in_the_address_opens_the_page_and_leaves_the_address(watched: Watched) -> None:
+def test_a_token_in_the_url_opens_the_page_and_is_removed_from_the_url(watched: Watched) -> None:
     with ServedPage(token="0123456789abcdef") as served:  # noqa: S106 - of this test
         watched.tab.goto(served.page.login_url)
         served.feel(-10)
@@ -342,7 +342,7 @@ def test_a_recorded_session_is_scrubbed_by_slider_keys_and_events(watched: Watch
     assert watched.complaints == []
 
 
-def test_space_plays_and_stops_unless_what_has_the_focus_takes_it(watched: Watched, run: Run) -> None:
+def test_space_plays_and_stops_unless_the_focused_element_uses_it(watched: Watched, run: Run) -> None:
     tab = watched.tab
     with ServedRecording(a_minute(run)) as served:
         tab.goto(served.url)
@@ -374,7 +374,7 @@ def test_space_plays_and_stops_unless_what_has_the_focus_takes_it(watched: Watch
     assert watched.complaints == []
 
 
-def test_a_thinned_picture_of_all_keeps_the_figures_of_the_recording(watched: Watched, run: Run) -> None:
+def test_thinned_curves_keep_the_figures_of_the_recording(watched: Watched, run: Run) -> None:
     """A row in a thousand is another; no figure may be that of its neighbours, nor its own theirs."""
     rows, odd = 200_000, 123_456
     recorded = SessionCurves(threshold=0.78)

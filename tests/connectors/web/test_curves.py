@@ -6,7 +6,7 @@ from connectors.web.curves import GAP, curve_json, plotted_values, thin_curve
 from operators.batch import Motion, Scores, Touch, ms, s
 
 
-def test_a_cell_that_did_not_answer_is_null() -> None:
+def test_an_invalid_cell_is_null() -> None:
     counts, valid = np.arange(6, dtype=np.int16)[None], np.array([[True, True, True, False, True, True]])
     touch = Touch(np.array([s]), counts, counts, valid)
     assert (
@@ -21,7 +21,7 @@ def test_speed_is_that_of_the_tcp_in_mm_per_second() -> None:
     assert plotted_values(motion) == pytest.approx([5.0])
 
 
-def test_a_probability_that_is_not_known_is_null() -> None:
+def test_an_unknown_probability_is_null() -> None:
     scores = Scores(np.array([s, s + 10 * ms]), np.array([0.5, np.nan]))
     assert encode(curve_json(scores.time, plotted_values(scores), s)) == b'{"t":[0.0,10.0],"v":[0.5,null]}'
 
@@ -37,7 +37,7 @@ def test_thinning_loses_no_peak_of_any_column() -> None:
     assert (thin[0], thin[-1]) == (0, 10_000)
 
 
-def test_each_column_of_pixels_has_its_own_rows_however_unevenly_they_came() -> None:
+def test_unevenly_spaced_rows_stay_in_their_pixel_columns() -> None:
     time = np.concatenate(
         (np.arange(0, 100), np.arange(900, 1000, 10))
     )  # of 10 columns the first and the last
@@ -47,7 +47,7 @@ def test_each_column_of_pixels_has_its_own_rows_however_unevenly_they_came() -> 
 
 
 @pytest.mark.parametrize("columns", [2, 1000])
-def test_no_line_bridges_a_pause(columns: int) -> None:
+def test_no_line_crosses_a_pause(columns: int) -> None:
     before = np.arange(10) * ms
     after = before[-1] + GAP + 1 + before
     time, values = thin_curve(np.concatenate((before, after)), np.ones((20, 6)), 0, 2 * GAP, columns)
@@ -56,14 +56,14 @@ def test_no_line_bridges_a_pause(columns: int) -> None:
     assert np.isnan(values[gap]).all()
 
 
-def test_a_few_rows_are_given_as_they_are() -> None:
+def test_few_rows_are_not_thinned() -> None:
     time, values = np.arange(4), np.array([1.0, 2.0, 3.0, 4.0])
     thin, kept = thin_curve(time, values, 0, 3, 2)
     assert (thin.tolist(), kept.tolist()) == ([0, 1, 2, 3], [1, 2, 3, 4])
     assert len(thin_curve(time[:0], values[:0], 0, 3, 2)[0]) == 0
 
 
-def test_what_is_not_known_hides_nothing_beside_it() -> None:
+def test_a_nan_hides_no_other_value_of_its_column() -> None:
     values = np.full(100, np.nan)
     values[51] = 7.0
     _, kept = thin_curve(np.arange(100), values, 0, 99, 5)

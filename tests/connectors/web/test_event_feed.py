@@ -31,7 +31,7 @@ async def read_all(connection: socket.socket) -> None:
         pass
 
 
-def test_a_browser_that_takes_nothing_is_dropped_and_costs_little_until_then() -> None:
+def test_a_stalled_browser_is_disconnected_and_uses_bounded_memory() -> None:
     async def main() -> None:
         asked = asyncio.Event()
 
@@ -59,7 +59,7 @@ def test_a_browser_that_takes_nothing_is_dropped_and_costs_little_until_then() -
     asyncio.run(main())
 
 
-def test_a_browser_that_takes_nothing_holds_up_no_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stalled_browser_does_not_delay_closing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "CLOSE_TIMEOUT", 0.05)
 
     async def main() -> None:
@@ -88,7 +88,7 @@ def test_a_browser_that_takes_nothing_holds_up_no_end(monkeypatch: pytest.Monkey
     asyncio.run(main())
 
 
-def test_a_browser_that_goes_is_forgotten_at_once() -> None:
+def test_a_disconnected_browser_is_removed_at_once() -> None:
     async def main() -> None:
         feed = EventFeed(hello)
         server = await served(feed)
@@ -104,7 +104,7 @@ def test_a_browser_that_goes_is_forgotten_at_once() -> None:
     asyncio.run(main())
 
 
-def test_what_is_told_meanwhile_comes_after_the_hello() -> None:
+def test_messages_sent_during_the_hello_come_after_it() -> None:
     async def main() -> None:
         asked, go = asyncio.Event(), asyncio.Event()
 
@@ -130,7 +130,7 @@ def test_what_is_told_meanwhile_comes_after_the_hello() -> None:
     asyncio.run(main())
 
 
-def test_a_browser_that_lost_frames_is_told_how_many() -> None:
+def test_a_browser_receives_the_number_of_its_lost_messages() -> None:
     async def main() -> None:
         feed = EventFeed(hello)
         server = await served(feed)
@@ -146,7 +146,7 @@ def test_a_browser_that_lost_frames_is_told_how_many() -> None:
     asyncio.run(main())
 
 
-def test_there_is_room_for_so_many_browsers_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_number_of_pages_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "PAGES_MAX", 1)
 
     async def main() -> None:
@@ -163,7 +163,7 @@ def test_there_is_room_for_so_many_browsers_only(monkeypatch: pytest.MonkeyPatch
     asyncio.run(main())
 
 
-def test_messages_are_given_together_in_their_order() -> None:
+def test_queued_messages_are_joined_in_order() -> None:
     async def main() -> None:
         page = PageQueue()
         page.put(b"a")
@@ -189,7 +189,7 @@ def test_the_oldest_messages_are_lost_and_counted() -> None:
     asyncio.run(main())
 
 
-def test_a_message_longer_than_all_that_may_wait_is_lost() -> None:
+def test_a_message_longer_than_the_queue_is_lost() -> None:
     async def main() -> None:
         page = PageQueue(limit=2)
         page.put(b"123")
@@ -200,7 +200,7 @@ def test_a_message_longer_than_all_that_may_wait_is_lost() -> None:
     asyncio.run(main())
 
 
-def test_the_end_comes_after_what_waits() -> None:
+def test_the_end_comes_after_queued_messages() -> None:
     async def main() -> None:
         page = PageQueue()
         page.put(b"last")

@@ -33,7 +33,7 @@ async def next_of(heard: Heard, name: str) -> dict[str, Any]:
     raise AssertionError(name)
 
 
-def test_who_comes_late_hears_what_was_before_and_then_what_comes(run: Run) -> None:
+def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> None:
     async def main() -> None:
         page = Page(port=0, threshold=0.78)
         await page.open(run)
@@ -54,7 +54,7 @@ def test_who_comes_late_hears_what_was_before_and_then_what_comes(run: Run) -> N
     asyncio.run(main())
 
 
-def test_what_comes_together_goes_out_in_one_frame(run: Run) -> None:
+def test_rows_that_arrive_together_share_a_frame(run: Run) -> None:
     async def main() -> None:
         async with opened(Page(port=0), run) as (page, heard):
             await next_of(heard, "hello")
@@ -84,7 +84,7 @@ def test_health_is_that_of_the_run(run: Run) -> None:
     asyncio.run(main())
 
 
-def test_the_end_of_a_run_is_told_after_all_that_came_before(run: Run) -> None:
+def test_the_end_of_a_run_is_sent_last(run: Run) -> None:
     async def main() -> list[str]:
         page = Page(port=0)
         await page.open(run)
@@ -105,7 +105,7 @@ def test_the_end_of_a_run_is_told_after_all_that_came_before(run: Run) -> None:
     assert asyncio.run(main())[-2:] == ["frame", "end"]
 
 
-def test_the_end_tells_the_count_of_a_recorder_that_was_not_done_yet(run: Run) -> None:
+def test_the_end_has_the_final_count_of_a_slow_recorder(run: Run) -> None:
     recorder = run.sinks["dataset"] = SinkStatus(rows=7, queued=1, records=True)
 
     async def record() -> None:
@@ -153,7 +153,7 @@ def test_without_a_browser_closing_waits_for_no_recorder(run: Run) -> None:
     asyncio.run(main())
 
 
-def test_the_usual_port_is_left_to_whom_has_it_and_a_port_asked_for_is_not(run: Run) -> None:
+def test_a_busy_default_port_is_replaced_but_a_given_one_is_an_error(run: Run) -> None:
     async def main() -> None:
         told = list[str]()
         first, second = Page(opened=told.append), Page(opened=told.append)
@@ -170,22 +170,22 @@ def test_the_usual_port_is_left_to_whom_has_it_and_a_port_asked_for_is_not(run: 
 
 
 @pytest.mark.parametrize("wrong", [{"port": 70_000}, {"port": -1}, {"threshold": 1.5}])
-def test_what_cannot_be_is_refused(wrong: dict[str, Any]) -> None:
+def test_parameters_out_of_range_are_rejected(wrong: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=f"Page: {next(iter(wrong))}"):
         Page(**wrong)
 
 
-def test_others_than_this_machine_need_a_token(run: Run) -> None:
+def test_other_machines_need_a_token(run: Run) -> None:
     with pytest.raises(ParameterError, match="SLIPFLOW_PAGE_TOKEN"):
         asyncio.run(Page(0, "192.0.2.1").open(run))
 
 
-def test_two_pages_of_a_flow_have_two_places() -> None:
+def test_two_pages_have_two_destinations() -> None:
     assert Page().destination == "http://127.0.0.1:8765"
     assert Page(80, "::1").destination == "http://[::1]:80"
 
 
-def test_a_replay_at_full_speed_lets_browsers_have_their_turn(run: Run) -> None:
+def test_a_replay_at_full_speed_still_serves_browsers(run: Run) -> None:
     run.live = False
 
     async def main() -> None:

@@ -18,7 +18,7 @@ async def asked(url: str, **headers: str) -> tuple[int, str, str]:
         return response.status, response.headers["Content-Type"], await response.text()
 
 
-def test_a_run_is_measured_while_it_lasts_and_no_longer(run: Run) -> None:
+def test_metrics_are_served_only_during_the_run(run: Run) -> None:
     run.sources["touch"] = SourceStatus(rows=5)
     heard = list[str]()
 
@@ -40,7 +40,7 @@ def test_a_run_is_measured_while_it_lasts_and_no_longer(run: Run) -> None:
     assert families["slipflow_slip_latency_seconds"].type == "histogram"
 
 
-def test_only_this_machine_reaches_it_and_no_page_in_disguise(run: Run) -> None:
+def test_only_this_machine_reaches_it_without_dns_rebinding(run: Run) -> None:
     async def main() -> None:
         metrics = Metrics(0)
         assert metrics.destination == "http://127.0.0.1:0"
@@ -56,7 +56,7 @@ def test_only_this_machine_reaches_it_and_no_page_in_disguise(run: Run) -> None:
     asyncio.run(main())
 
 
-def test_a_port_that_is_taken_is_one_clear_error(run: Run) -> None:
+def test_a_port_in_use_is_one_clear_error(run: Run) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(EndpointError, match=rf"http://127\.0\.0\.1:{port}: cannot serve metrics there"):
@@ -64,6 +64,6 @@ def test_a_port_that_is_taken_is_one_clear_error(run: Run) -> None:
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
-def test_a_port_that_cannot_be_is_refused(port: int) -> None:
+def test_an_invalid_port_is_rejected(port: int) -> None:
     with pytest.raises(ParameterError, match="from 0 to 65535"):
         Metrics(port)

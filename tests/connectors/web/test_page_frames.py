@@ -35,7 +35,7 @@ def document(frame: dict[str, Json]) -> dict[str, Any]:
     return read
 
 
-def test_a_frame_tells_what_is_new_of_each_stream(frames: Frames) -> None:
+def test_a_frame_has_the_new_rows_of_each_stream(frames: Frames) -> None:
     frames.add(touch(Zeroed, START + 10 * ms, -7, finger=2))
     frames.add(Scores(np.array([START + 10 * ms]), np.array([0.25]), finger=2))
     velocity = np.array([[0.1, 0, 0, 0, 0, 0]])
@@ -52,7 +52,7 @@ def test_a_frame_tells_what_is_new_of_each_stream(frames: Frames) -> None:
     assert document(frames.rows().document(START))["touch"]["2"]["t"] == [10.0]
 
 
-def test_raw_counts_give_way_to_zeroed_ones(frames: Frames) -> None:
+def test_zeroed_counts_replace_raw_ones(frames: Frames) -> None:
     frames.add(touch(Touch, START, 700))
     assert document(frames.next())["touch"]["0"] == {"t": [0.0], "v": [[700.0] * 6], "zeroed": False}
     frames.add(touch(Zeroed, START, -3))
@@ -89,7 +89,7 @@ def test_the_newest_events_are_kept(frames: Frames) -> None:
     assert [event["id"] for event in events] == [EVENTS_KEPT + 49, EVENTS_KEPT + 50]
 
 
-def test_faults_are_told_while_they_last(frames: Frames) -> None:
+def test_faults_are_listed_while_they_last(frames: Frames) -> None:
     def fault(kind: FaultKind, *, active: bool) -> Faults:
         cell, kinds = np.array([3], np.int8), np.array([kind], np.int8)
         return Faults(np.array([START]), cell, kinds, np.array([active]), finger=0)
@@ -101,7 +101,7 @@ def test_faults_are_told_while_they_last(frames: Frames) -> None:
     assert document(frames.next())["faults"] == {}
 
 
-def test_more_fingertips_than_can_be_shown_are_left_out(frames: Frames) -> None:
+def test_fingertips_beyond_the_limit_are_ignored(frames: Frames) -> None:
     for finger in range(FINGERS_MAX + 9):
         frames.add(touch(Zeroed, START, -1, finger))
         frames.add(touch(Touch, START, 1, 100 + finger))
@@ -115,7 +115,7 @@ def scores(*times: int) -> Scores:
     return Scores(np.array(times, np.int64), np.zeros(len(times)))
 
 
-def test_a_track_gives_what_is_new_once_and_keeps_it() -> None:
+def test_a_track_returns_new_rows_once_and_keeps_them() -> None:
     track = Track(Scores)
     assert track.take() is None
     track.add(scores(0, 10 * ms))
@@ -127,7 +127,7 @@ def test_a_track_gives_what_is_new_once_and_keeps_it() -> None:
     assert track.rows.time.tolist() == [0, 10 * ms, 20 * ms]
 
 
-def test_of_each_5_ms_the_first_row_is_kept_however_rows_are_cut() -> None:
+def test_the_first_row_of_each_5_ms_is_kept_for_any_batch_cuts() -> None:
     time = range(0, s, 2 * ms)
     whole, cut = Track(Scores), Track(Scores)
     whole.add(scores(*time))
@@ -137,14 +137,14 @@ def test_of_each_5_ms_the_first_row_is_kept_however_rows_are_cut() -> None:
     assert len(whole.rows) == s // STEP
 
 
-def test_rows_older_than_one_that_came_are_left_out() -> None:
+def test_rows_older_than_their_predecessors_are_dropped() -> None:
     track = Track(Scores)
     track.add(scores(100 * ms, 50 * ms, 110 * ms))
     track.add(scores(70 * ms))
     assert track.rows.time.tolist() == [100 * ms, 110 * ms]
 
 
-def test_a_track_is_bounded_even_if_nobody_takes_it() -> None:
+def test_a_track_is_bounded_without_reads() -> None:
     track = Track(Scores)
     for second in range(120):
         track.add(scores(*range(second * s, (second + 1) * s, ms)))
@@ -155,7 +155,7 @@ def test_a_track_is_bounded_even_if_nobody_takes_it() -> None:
     assert track.rows.time[-1] - track.rows.time[0] <= KEPT
 
 
-def test_rows_that_were_given_stay_as_they_were() -> None:
+def test_returned_rows_do_not_change() -> None:
     track = Track(Scores)
     track.add(scores(*range(0, s, 10 * ms)))
     new = track.take()

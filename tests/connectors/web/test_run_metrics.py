@@ -31,7 +31,7 @@ def slips(*times: int, state: int = 1, finger: int = 0) -> Slips:
     return Slips(time, np.full(len(time), state, np.int8), time, np.full(len(time), 0.9), finger=finger)
 
 
-def test_sources_are_told_as_the_runner_counts_them(run: Run) -> None:
+def test_source_metrics_match_the_runners_counts(run: Run) -> None:
     measures = RunMetrics(run)
     run.sources["touch"] = SourceStatus(rows=500, late=3, newest=NOW - 30 * ms, up=True)
     run.sources["motion"] = SourceStatus(failures=4, error="unplugged", gaps=[Gap(s, 3 * s, "unplugged")])
@@ -48,7 +48,7 @@ def test_sources_are_told_as_the_runner_counts_them(run: Run) -> None:
     assert at(read(measures), "slipflow_source_rows_total", source="touch") == 600
 
 
-def test_sinks_are_told_as_the_runner_counts_them(run: Run) -> None:
+def test_sink_metrics_match_the_runners_counts(run: Run) -> None:
     run.sinks["mqtt"] = SinkStatus(rows=7, queued=2, dropped=5, failures=3, error="mqtt://host: refused")
     run.sinks["dataset"] = SinkStatus(rows=9)
     measures = RunMetrics(run)
@@ -78,7 +78,7 @@ def test_the_latency_of_slips_is_a_histogram_by_finger(run: Run) -> None:
     assert at(found, "slipflow_slip_events_total", finger="0", state="end") == 1
 
 
-def test_what_is_replayed_has_events_but_no_latency(run: Run) -> None:
+def test_a_replay_has_events_but_no_latency(run: Run) -> None:
     run.live = False
     measures = RunMetrics(run)
     measures.add(slips(s))
@@ -87,7 +87,7 @@ def test_what_is_replayed_has_events_but_no_latency(run: Run) -> None:
     assert not any(name.startswith("slipflow_slip_latency") for name, _ in found)
 
 
-def test_a_fault_is_one_while_it_lasts(run: Run) -> None:
+def test_a_fault_metric_is_1_while_it_lasts(run: Run) -> None:
     def fault(*, active: bool) -> Faults:
         kind = np.full(1, FaultKind.STUCK, np.int8)
         return Faults(np.array([s]), np.array([3], np.int8), kind, np.array([active]), finger=1)
@@ -99,7 +99,7 @@ def test_a_fault_is_one_while_it_lasts(run: Run) -> None:
     assert at(read(measures), "slipflow_barometer_fault", **labels) == 0
 
 
-def test_clocks_are_told_by_their_newest_row(run: Run) -> None:
+def test_clock_metrics_are_those_of_the_newest_row(run: Run) -> None:
     measures = RunMetrics(run)
     assert at(read(measures), "slipflow_host_clock_offset_seconds") == 0
     measures.add(Clocks(np.array([s, 2 * s]), np.array([3 * s, 4 * s]), np.full(2, 5e-5), np.full(2, 4e-3)))
@@ -113,7 +113,7 @@ def test_clocks_are_told_by_their_newest_row(run: Run) -> None:
     assert at(found, "slipflow_host_clock_steps_total") == 1
 
 
-def test_a_name_with_quotes_and_line_ends_is_read_back(run: Run) -> None:
+def test_a_name_with_quotes_and_line_ends_is_escaped(run: Run) -> None:
     run.sources['a "b"\n\\c'] = SourceStatus(rows=1)
     assert at(read(RunMetrics(run)), "slipflow_source_rows_total", source='a "b"\n\\c') == 1
     assert (
@@ -122,7 +122,7 @@ def test_a_name_with_quotes_and_line_ends_is_read_back(run: Run) -> None:
     )
 
 
-def test_a_replay_says_what_of_and_measures_no_latency_though_it_is_paced(run: Run) -> None:
+def test_a_paced_replay_names_its_recording_and_has_no_latency(run: Run) -> None:
     run.recording = "stroke-9"
     measures = RunMetrics(run)
     measures.add(slips(NOW - 10 * ms))

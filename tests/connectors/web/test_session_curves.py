@@ -53,7 +53,7 @@ def test_a_long_window_is_thinned_to_the_pixels_and_keeps_its_peak(run: Run) -> 
     assert scores["t"][at - 1] <= 543_210 <= scores["t"][at]
 
 
-def test_the_figures_of_an_instant_are_those_recorded_however_the_curves_are_thinned(run: Run) -> None:
+def test_values_at_a_time_are_not_thinned(run: Run) -> None:
     time = START + np.arange(100_000) * 10 * ms
     recorded = kept(run, Scores(time, np.arange(100_000) % 100 / 100, finger=0), felt(START, -7))
     seen: dict[str, Any] = {**recorded.values_at(543_215)}
@@ -64,7 +64,7 @@ def test_the_figures_of_an_instant_are_those_recorded_however_the_curves_are_thi
     assert before["scores"]["0"]["t"] == []
 
 
-def test_what_is_told_first_are_the_span_the_fingertips_and_all_events(run: Run) -> None:
+def test_the_contents_have_the_span_the_fingertips_and_all_events(run: Run) -> None:
     batches: list[Zeroed | Slips] = [
         felt(START + 10 * ms, -40, finger=1),
         felt(START, -300, finger=0),
@@ -79,7 +79,7 @@ def test_what_is_told_first_are_the_span_the_fingertips_and_all_events(run: Run)
     assert (event["t"], event["finger"], event["onset"], event["latency"]) == (20, "1", True, None)
 
 
-def test_events_of_several_fingertips_are_in_the_order_of_time_and_numbered_so(run: Run) -> None:
+def test_events_of_several_fingertips_are_sorted_and_numbered_by_time(run: Run) -> None:
     times = {0: (10, 40), 1: (20, 30), 2: (5, 40)}
     batches = [
         slip(START + at * ms, state, finger=finger)
@@ -98,18 +98,18 @@ def test_events_of_several_fingertips_are_in_the_order_of_time_and_numbered_so(r
     ]
 
 
-def test_late_rows_do_not_turn_a_curve_back(run: Run) -> None:
+def test_late_rows_are_dropped_from_a_curve(run: Run) -> None:
     batches = [felt(START + k * ms, -1) for k in (0, 20, 10, 30)]
     assert cut(kept(run, *batches), 0, 100)["touch"]["0"]["t"] == [0, 20, 30]
 
 
-def test_a_cell_that_never_answered_scales_nothing(run: Run) -> None:
+def test_an_always_invalid_cell_does_not_scale_the_maps(run: Run) -> None:
     touch = felt(START, -5)
     silent = Zeroed(touch.time, touch.counts, touch.temperature, np.zeros((1, 6), np.bool_), finger=0)
     assert kept(run, silent).contents()["deepest"] is None
 
 
-def test_a_session_too_long_for_memory_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_too_long_for_memory_is_rejected(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROWS_MAX", 2)
     with pytest.raises(InputError, match="run1: is too long for a page, which shows at most 2 rows"):
         kept(run, *[felt(START + k * ms, -1) for k in range(3)])

@@ -9,7 +9,7 @@ from tests.connectors.mqtt.broker_process import PATIENCE
 from tests.connectors.web.reading import felt, slip
 
 
-def test_a_browser_is_given_the_session_and_any_window_of_it(run: Run) -> None:
+def test_the_server_returns_the_session_and_any_window(run: Run) -> None:
     async def main() -> None:
         recorded = SessionCurves()
         await recorded.open(run)

@@ -34,7 +34,7 @@ async def get(session: ClientSession, url: str, **headers: str) -> tuple[int, st
         return response.status, await response.text(), response
 
 
-def test_every_answer_forbids_what_comes_from_elsewhere() -> None:
+def test_every_response_has_security_headers() -> None:
     async def main() -> None:
         async with served(Access()) as (session, url):
             for path in ("/data", "/nothing"):
@@ -49,7 +49,7 @@ def test_every_answer_forbids_what_comes_from_elsewhere() -> None:
     asyncio.run(main())
 
 
-def test_a_name_made_to_lead_here_is_refused() -> None:
+def test_a_rebound_host_name_is_rejected() -> None:
     async def main() -> None:
         async with served(Access()) as (session, url):
             assert (await get(session, f"{url}/data", Host="evil.example"))[0] == 421
@@ -58,7 +58,7 @@ def test_a_name_made_to_lead_here_is_refused() -> None:
     asyncio.run(main())
 
 
-def test_without_the_token_a_line_says_what_to_do() -> None:
+def test_without_the_token_the_response_has_a_remedy() -> None:
     async def main() -> None:
         async with served(Access(SECRET)) as (session, url):
             status, text, _ = await get(session, f"{url}/data")
@@ -68,7 +68,7 @@ def test_without_the_token_a_line_says_what_to_do() -> None:
     asyncio.run(main())
 
 
-def test_the_entrance_has_the_token_and_the_address_has_not() -> None:
+def test_the_login_url_has_the_token_and_the_url_has_not() -> None:
     async def main() -> None:
         server = WebServer("127.0.0.1", 0, Access(SECRET), "numbers")
         await server.open({"/data": answer})
@@ -81,7 +81,7 @@ def test_the_entrance_has_the_token_and_the_address_has_not() -> None:
     asyncio.run(main())
 
 
-def test_a_port_that_is_taken_is_told_unless_a_spare_one_may_be() -> None:
+def test_a_port_in_use_is_an_error_unless_any_port_will_do() -> None:
     async def main() -> None:
         with socket.create_server(("127.0.0.1", 0)) as taken:
             port = taken.getsockname()[1]
@@ -101,7 +101,7 @@ def test_a_port_that_is_taken_is_told_unless_a_spare_one_may_be() -> None:
 
 
 @pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 80), ("nowhere.invalid", 0)])
-def test_a_place_that_is_not_ours_is_refused(host: str, port: int) -> None:
+def test_a_foreign_address_is_an_error(host: str, port: int) -> None:
     with pytest.raises(
         EndpointError, match=rf"http://{host}:{port}: cannot serve numbers there: .*choose an"
     ):
@@ -121,7 +121,7 @@ def page_served(use: Callable[[ClientSession, str], Awaitable[None]], token: str
     asyncio.run(main())
 
 
-def test_the_page_and_all_that_it_names_is_served() -> None:
+def test_the_page_and_all_its_files_are_served() -> None:
     async def use(session: ClientSession, url: str) -> None:
         status, page, response = await get(session, f"{url}/")
         assert (status, response.content_type) == (200, "text/html")
@@ -159,7 +159,7 @@ def test_nothing_else_is_served(path: str) -> None:
     page_served(use)
 
 
-def test_with_a_token_only_its_cookie_opens() -> None:
+def test_with_a_token_only_its_cookie_is_accepted() -> None:
     async def use(session: ClientSession, url: str) -> None:
         for path in ("/", "/data", "/page.js", "/nothing", "/?token=wrong", "/?token=", f"/?token={SECRET}x"):
             status, text, response = await get(session, url + path)
@@ -177,7 +177,7 @@ def test_with_a_token_only_its_cookie_opens() -> None:
     page_served(use, SECRET)
 
 
-def test_people_without_the_token_are_asked_for_it_and_programs_get_a_line() -> None:
+def test_browsers_get_a_token_form_and_programs_a_line_of_text() -> None:
     async def use(session: ClientSession, url: str) -> None:
         browser = "text/html,application/xhtml+xml,*/*;q=0.8"
         for path in ("/", "/locked.html", "/nothing"):
