@@ -1,4 +1,4 @@
-"""Aids for testing what speaks MQTT: a real broker of one's own, and an independent subscriber."""
+"""A real broker and an independent subscriber for tests: mosquitto, mosquitto_sub and mosquitto_pub."""
 
 import asyncio
 import os
@@ -16,70 +16,58 @@ from uuid import uuid4
 
 from operators.errors import EndpointError
 
-PATIENCE = 10.0  # s, for what another process must do
+PATIENCE = 10.0  # s, timeout of tests that wait for another process
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    """Wait until something is so that another thread, task or process brings about.
-
-    Raises:
-        TimeoutError: if it is not within 10 s.
-    """
+    """Wait until a condition becomes true in another thread, task or process."""
     async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110 - what brings it about knows no event loop
+        while not condition():  # noqa: ASYNC110 - no event to wait for
             await asyncio.sleep(0.01)
 
 
 class Received(NamedTuple):
-    """A message as a subscriber sees it."""
+    """A message received by a subscriber."""
 
     topic: str
     payload: str
-    retained: bool  # True: the broker had it before
+    retained: bool  # True: the broker had stored it before
 
 
 class TestListener:
-    """A mosquitto_sub whose messages are read as they come."""
+    """A mosquitto_sub process."""
 
     __test__ = False
 
     def __init__(self, port: int, *topics: str) -> None:
-        """Subscribe to topic filters of a broker on loopback, and to a topic of its own below ``test``."""
-        self._port, self._mark = port, f"test/{uuid4()}"
-        _publish(port, self._mark, "ready", "-r")
-        filters = [word for topic in (self._mark, *topics) for word in ("-t", topic)]
-        command = ["mosquitto_sub", *_where(port), *filters, "-F", "%r %t %p"]
+        """Subscribe to topic filters of a broker on loopback; return once the subscription is active."""
+        self._port, self._marker = port, f"test/{uuid4()}"
+        _publish(port, self._marker, "ready", "-r")
+        filters = [word for topic in (self._marker, *topics) for word in ("-t", topic)]
+        command = ["mosquitto_sub", *_options(port), *filters, "-F", "%r %t %p"]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self._received = Queue[Received]()
         self._reader = Thread(target=self._read)
         self._reader.start()
-        self.next(self._mark)  # so the subscription is there
+        self.next(self._marker)
 
     def next(self, topic: str | None = None) -> Received:
-        """The next message, or the next on `topic`, waiting for it.
-
-        Raises:
-            queue.Empty: if none comes within 10 s.
-        """
+        """Wait for the next message, or the next on `topic`, and return it."""
         while True:
             received = self._received.get(timeout=PATIENCE)
             if topic in (None, received.topic):
                 return received
 
     def rest(self) -> list[Received]:
-        """All that has come and was not yet asked for, in order.
-
-        Raises:
-            queue.Empty: if the broker brings nothing within 10 s.
-        """
-        _publish(self._port, self._mark, "end")
+        """Return all messages received so far and not yet returned, in order."""
+        _publish(self._port, self._marker, "end")
         found = list[Received]()
-        while (received := self.next()).topic != self._mark:
+        while (received := self.next()).topic != self._marker:
             found.append(received)
         return found
 
     def close(self) -> None:
-        """Unsubscribe."""
+        """End the process."""
         self._process.kill()
         self._process.wait()
         self._reader.join()
@@ -93,29 +81,23 @@ class TestListener:
 
 
 class TestBroker:
-    """A mosquitto of one's own on a free loopback port; what it retains is lost when it stops.
-
-    Used in a ``with`` block, it is closed at the end.
-    """
+    """A mosquitto process on a free loopback port; it loses retained messages when it stops."""
 
     __test__ = False
 
     def __init__(self, folder: Path, *settings: str) -> None:
-        """Start it, with its files in `folder`; lines of mosquitto.conf replace ``allow_anonymous true``.
-
-        Raises:
-            EndpointError: if mosquitto is not installed or does not start.
-        """
-        self._program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
-        if not (self._program and shutil.which("mosquitto_sub")):
+        """Start with files in `folder`; `settings` of mosquitto.conf replace ``allow_anonymous true``."""
+        program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+        if not (program and shutil.which("mosquitto_sub")):
             raise EndpointError("mosquitto", "not found: apt-get install mosquitto mosquitto-clients")
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port: int = free.getsockname()[1]
-        self._log, self._config = folder / "mosquitto.log", folder / "mosquitto.conf"
+        self._log, config = folder / "mosquitto.log", folder / "mosquitto.conf"
         user = ["user root"] if os.geteuid() == 0 else []
         lines = [f"listener {self.port} 127.0.0.1", "set_tcp_nodelay true", *user]
-        self._config.write_text("\n".join([*lines, *(settings or ["allow_anonymous true"]), ""]))
+        config.write_text("\n".join([*lines, *(settings or ["allow_anonymous true"]), ""]))
+        self._command = [program, "-c", str(config)]
         self.process: subprocess.Popen[bytes] | None = None
         self._listeners: list[TestListener] = []
         self.start()
@@ -128,19 +110,13 @@ class TestBroker:
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """URL of the broker."""
         return f"mqtt://127.0.0.1:{self.port}"
 
     def start(self) -> None:
-        """Start it, again after `stop`; returns once it listens.
-
-        Raises:
-            EndpointError: if it does not start, with what its log says.
-        """
-        assert self._program
+        """Start the process, also after `stop`, and wait until it listens."""
         with self._log.open("ab") as log:
-            command = [self._program, "-c", str(self._config)]
-            self.process = subprocess.Popen(command, stdout=log, stderr=log)
+            self.process = subprocess.Popen(self._command, stdout=log, stderr=log)
         for _ in range(500):
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", self.port)) == 0:
@@ -151,7 +127,7 @@ class TestBroker:
         raise EndpointError("mosquitto", f"does not start: {self._log.read_text()}")
 
     def stop(self, number: signal.Signals = signal.SIGKILL) -> None:
-        """Stop it with a signal."""
+        """End the process with a signal."""
         if self.process:
             self.process.send_signal(number)
             self.process.wait()
@@ -162,21 +138,21 @@ class TestBroker:
         _publish(self.port, topic, payload, *options)
 
     def listen(self, *topics: str) -> TestListener:
-        """A subscriber, which `close` closes."""
+        """Return a subscriber, which `close` ends."""
         self._listeners.append(listener := TestListener(self.port, *topics))
         return listener
 
     def close(self) -> None:
-        """Stop it and its subscribers."""
+        """End the broker and its subscribers."""
         for listener in self._listeners:
             listener.close()
         self.stop()
 
 
 def _publish(port: int, topic: str, payload: str, *options: str) -> None:
-    command = ["mosquitto_pub", *_where(port), "-t", topic, "-m", payload, *options]
+    command = ["mosquitto_pub", *_options(port), "-t", topic, "-m", payload, *options]
     subprocess.run(command, check=True)
 
 
-def _where(port: int) -> list[str]:
+def _options(port: int) -> list[str]:
     return ["-h", "127.0.0.1", "-p", str(port), "-V", "mqttv5", "-q", "1"]
