@@ -16,7 +16,6 @@ from flows.cli.main import app
 ROOT: Final = Path(__file__).parents[1]
 FOLDERS: Final = ("operators", "connectors", "storage", "flows", "deploy")
 UNFINISHED: Final = (
-    "operators",
     "connectors/emulators",
     "connectors/files",
     "connectors/sim",
@@ -24,10 +23,6 @@ UNFINISHED: Final = (
     "flows/cli/detectors.py",
     "flows/lab",
     "flows/learn",
-    "flows/lift.py",
-    "flows/live.py",
-    "flows/record.py",
-    "flows/relabel.py",
     "flows/report",
     "docs",
     "ARCHITECTURE.md",

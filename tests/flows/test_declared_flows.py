@@ -34,7 +34,7 @@ def run_for(flow: Flow, seconds: int, start: int = 1_700_000_000 * s) -> Run:
 
 
 @pytest.mark.parametrize("name", ["demo", "lift", "live", "record", "relabel"])
-def test_a_ready_made_flow_is_sound(name: str) -> None:
+def test_a_ready_made_flow_is_valid(name: str) -> None:
     assert problems(load(name).flow()) == []
 
 
@@ -59,12 +59,14 @@ def test_a_recorded_session_replays_to_the_same_samples(tmp_path: Path) -> None:
     assert live.equals(again)
 
 
-def test_live_prints_what_it_feels(capsys: pytest.CaptureFixture[str]) -> None:
+def test_live_prints_slip_events(capsys: pytest.CaptureFixture[str]) -> None:
     run_for(live(), 20)
     assert "slip onset" in capsys.readouterr().out
 
 
-def test_the_demo_says_what_came_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_summary_compares_onsets_with_the_truth(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     flow = demo(str(tmp_path))
     run = run_for(flow, 20)
     found = summarize(run, tmp_path, None)

@@ -43,16 +43,16 @@ def _is_held(happened: Sequence[Held]) -> bool:
     return not last.dropped and not last.on_table and last.hand - last.height < 0.02
 
 
-def test_the_ready_made_flow_is_sound() -> None:
+def test_the_ready_made_flow_is_valid() -> None:
     assert problems(load("lift").flow()) == []
 
 
-def test_what_is_lifted_is_one_of_the_scenes_objects() -> None:
+def test_an_unknown_object_is_refused() -> None:
     with pytest.raises(ParameterError, match="lift: thing is 'anvil', must be one of box, ball"):
         lift(thing="anvil")
 
 
-def test_hardware_is_given_whole_or_not_at_all() -> None:
+def test_hardware_needs_both_bus_and_gripper() -> None:
     with pytest.raises(InputError, match="needs both bus and gripper"):
         lift(gripper="10.0.0.3")
     assert [node.name for node in lift(gripper="10.0.0.3", bus=1).sinks()] == ["console", "gripper"]
@@ -60,7 +60,7 @@ def test_hardware_is_given_whole_or_not_at_all() -> None:
 
 
 @pytest.mark.parametrize("ruled", [True, False])
-def test_what_is_gripped_too_weakly_is_held_by_the_flow_and_lost_without(*, ruled: bool) -> None:
+def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> None:
     ball = named("ball")
     handling, commands, flow = Handling(ball, seed=3), TestSink(), Flow("lift")
     rule = grip_controller(DETECTOR, least_force(ball) / 2)

@@ -31,7 +31,7 @@ def test_a_changed_label_changes_the_samples_and_keeps_the_counts(tiny: Path, tm
     assert (before.label == 1).sum() > (after.label == 1).sum()
 
 
-def test_relabelling_writes_what_is_derived_and_nothing_else(tiny: Path, tmp_path: Path) -> None:
+def test_relabelling_writes_derived_streams_only(tiny: Path, tmp_path: Path) -> None:
     session = replayed(tiny, tmp_path, 0.003)
     assert set(session.tables) == {"samples", "slips", "episodes", "truth"}
     assert session.fingers(Slips) == (0,)

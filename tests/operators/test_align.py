@@ -74,7 +74,7 @@ def _kept(**column: Times | Reals) -> pl.DataFrame:
 
 @pytest.mark.parametrize("how", ["previous", "nearest", "linear"])
 @given(touch=steps, motion=steps, offset=st.integers(-50, 50), within=st.sampled_from([0, 3, 10, 30]))
-def test_the_join_is_that_of_polars(
+def test_the_join_equals_that_of_polars(
     how: How, touch: list[int], motion: list[int], offset: int, within: int
 ) -> None:
     left, right = _touch(*np.cumsum(touch)), _motion(*offset + np.cumsum(motion))
@@ -119,7 +119,7 @@ def test_a_touch_without_motion_near_enough_is_kept_and_flagged(how: How) -> Non
 
 @pytest.mark.parametrize("unknown", [np.nan, np.inf])
 @pytest.mark.parametrize("rows", [1, 3])
-def test_motion_whose_velocity_is_not_finite_is_as_if_it_had_not_come(unknown: float, rows: int) -> None:
+def test_motion_with_a_non_finite_velocity_is_ignored(unknown: float, rows: int) -> None:
     motion = _motion(0, 9, 18)
     motion.velocity[1, 5] = unknown
     align = Align()
@@ -128,13 +128,13 @@ def test_motion_whose_velocity_is_not_finite_is_as_if_it_had_not_come(unknown: f
     assert _rows(align.push(_touch(8.9, 9, 9.1), NO_MOTION)) == [0, 2, 2]
 
 
-def test_linear_gives_the_row_itself_at_its_stamp_though_it_stands_alone() -> None:
+def test_linear_returns_a_single_row_at_its_own_stamp() -> None:
     pose = np.array([[1.0, 2, 3, 4, 5, 6]])
     samples = _join(Align(how="linear"), _touch(10), _motion(10, pose=pose))
     np.testing.assert_array_equal(samples.pose, pose)
 
 
-def test_linear_moves_the_place_straight_and_turns_the_rotation_evenly() -> None:
+def test_linear_interpolates_position_and_rotation() -> None:
     pose = np.array([[0.0, 0, 0, 0, 0, 0], [1.0, 2, 3, 0, 0, np.pi / 2]])
     samples = _join(Align(how="linear"), _touch(0, 2, 5, 10), _motion(0, 10, pose=pose))
     expected = np.array([0, 0.2, 0.5, 1])[:, None] * pose[1]
@@ -143,9 +143,7 @@ def test_linear_moves_the_place_straight_and_turns_the_rotation_evenly() -> None
 
 @pytest.mark.parametrize("unknown", [np.nan, np.inf])
 @pytest.mark.parametrize("touch", [(5,), (5, 6)])
-def test_linear_knows_no_pose_between_two_of_which_one_is_unknown(
-    unknown: float, touch: tuple[int, ...]
-) -> None:
+def test_linear_gives_nan_between_a_known_and_an_unknown_pose(unknown: float, touch: tuple[int, ...]) -> None:
     pose = np.zeros((2, 6))
     pose[1] = unknown
     samples = _join(Align(how="linear"), _touch(*touch), _motion(0, 10, pose=pose))
@@ -163,7 +161,7 @@ def test_a_touch_is_given_once_newer_motion_has_come() -> None:
     assert _rows(align.push(NO_TOUCH, _motion(10.5, 10.5))) == [0]  # of those at 10, the last
 
 
-def test_a_touch_waits_no_longer_than_the_touch_stream_goes_on_by_wait() -> None:
+def test_a_touch_sample_waits_until_the_touch_stream_is_wait_ahead() -> None:
     align = Align(wait=30 * ms)
     assert len(align.push(_touch(0, 10, 29), NO_MOTION)) == 0
     samples = align.push(_touch(41), NO_MOTION)
@@ -171,14 +169,14 @@ def test_a_touch_waits_no_longer_than_the_touch_stream_goes_on_by_wait() -> None
     assert not samples.matched.any()
 
 
-def test_the_end_of_the_streams_decides_what_waits() -> None:
+def test_the_end_of_the_streams_releases_waiting_rows() -> None:
     align = Align()
     align.push(_touch(0, 10), _motion(0))
     assert _rows(align.flush()) == [0, 0]
     assert len(align.flush()) == 0
 
 
-def test_previous_without_wait_decides_at_once_by_what_came_before() -> None:
+def test_previous_without_wait_uses_earlier_motion_at_once() -> None:
     align = Align(how="previous", wait=0)
     assert _rows(align.push(_touch(10), _motion(8))) == [0]
     samples = align.push(_touch(40), NO_MOTION)

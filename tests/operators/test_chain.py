@@ -83,7 +83,7 @@ def test_a_batch_that_is_taken_whole_is_not_copied() -> None:
 
 
 @given(time=stamps, sizes=sizes, before=instants)
-def test_a_pickle_holds_the_rows_kept_only_and_goes_on(
+def test_a_pickle_holds_only_the_rows_in_use_and_resumes(
     time: list[int], sizes: list[int], before: int
 ) -> None:
     scores = _scores(time)

@@ -1,4 +1,4 @@
-"""One suite over every public operator and join: the law, and what else all of them owe."""
+"""Conformance of every public operator and join: the invariant and the further requirements."""
 
 import inspect
 import pickle
@@ -103,7 +103,7 @@ def _motion(rng: np.random.Generator, rows: int) -> Motion:
 
 
 def _clocked(rng: np.random.Generator, rows: int) -> Motion:
-    """An arm whose controller restarts, drifts, and tells late."""
+    """An arm whose controller restarts, drifts and reports late."""
     motion = _motion(rng, rows)
     up = np.cumsum(rng.choice([0, 8 * ms, 9 * ms, 800 * ms, 9 * s], rows, p=[0.02, 0.8, 0.1, 0.06, 0.02]))
     restarts = np.maximum.accumulate(np.where(rng.random(rows) < 0.01, up, 0))
@@ -271,7 +271,7 @@ def _pickled(value: Value) -> Value:
     return cast("Value", pickle.loads(pickle.dumps(value)))  # noqa: S301 our own bytes
 
 
-# --- the law ---------------------------------------------------------------------------------------------
+# --- the invariant ----------------------------------------------------------------------------------------
 
 
 @every
@@ -359,7 +359,7 @@ def test_an_empty_batch_gives_an_empty_batch(case: Case, same: Same) -> None:
 
 @every
 @pytest.mark.parametrize("rows", [3_000, 30_000])
-def test_a_snapshot_stays_small_whatever_went_in_or_stayed_away(case: Case, rows: int) -> None:
+def test_a_snapshot_stays_small_for_any_input(case: Case, rows: int) -> None:
     streams = tuple(_kept(stream) for stream in case.streams(1, rows))
     for away in [None, *range(len(streams))]:
         step = case.step.reset_copy()
@@ -371,9 +371,7 @@ def test_a_snapshot_stays_small_whatever_went_in_or_stayed_away(case: Case, rows
 
 @every
 @given(seed=seeds, rows=sizes)
-def test_what_went_in_or_came_out_is_never_written_again(
-    case: Case, same: Same, seed: int, rows: int
-) -> None:
+def test_input_and_output_are_never_modified(case: Case, same: Same, seed: int, rows: int) -> None:
     streams, step = case.streams(seed, rows), case.step.reset_copy()
     copies = _pickled(streams)
     results = [_push(step, piece) for piece in _pieces(streams, range(0, rows, 9))]

@@ -22,7 +22,7 @@ def _events(debounce: Debounce, *probability: float) -> list[Event]:
 
 
 def _reference(probability: list[float], consecutive: int, release: int, minimum: int) -> list[Event]:
-    """The rule, stated anew for each row."""
+    """Reference implementation, row by row."""
     events: list[Event] = []
     for row, value in enumerate(probability):
         slipping = bool(events) and events[-1][0] == SLIP
@@ -71,7 +71,7 @@ def test_an_end_waits_until_the_minimum_from_the_start_has_passed() -> None:
     assert _events(debounce, HIGH, HIGH, LOW, LOW, LOW, LOW, LOW) == [(SLIP, 1, 0), (STATIC, 6, 2)]
 
 
-def test_slip_again_during_the_minimum_goes_on_as_one_slip() -> None:
+def test_a_new_slip_within_the_minimum_continues_the_slip() -> None:
     debounce = Debounce(minimum=60 * ms)
     assert _events(debounce, HIGH, HIGH, LOW, LOW, HIGH, HIGH, HIGH, LOW, LOW) == [
         (SLIP, 1, 0),

@@ -155,7 +155,7 @@ def test_a_gap_that_both_clocks_agree_on_changes_nothing() -> None:
     assert len(fit_clock(stream[kept])[1]) == 1
 
 
-def test_a_pause_after_which_nobody_knows_the_drift_begins_an_epoch() -> None:
+def test_a_pause_longer_than_five_windows_starts_an_epoch() -> None:
     stream, true = late(woken, 125.0, 50e-6, seconds=60)
     device = np.concatenate((stream.device_time, stream.device_time + 3600 * s))
     arrival = np.concatenate((stream.time, stream.time + 3600 * s - 150 * ms))  # it drifted by 42 ppm
@@ -164,7 +164,7 @@ def test_a_pause_after_which_nobody_knows_the_drift_begins_an_epoch() -> None:
     assert np.percentile(error[60 * 125 + 250 :], 99) < 0.5 * ms
 
 
-def test_a_burst_after_a_stall_is_placed_where_it_belongs() -> None:
+def test_rows_of_a_burst_after_a_stall_get_their_own_times() -> None:
     stream, true = late(woken, 125.0, 50e-6, seconds=60)
     stalled = (true >= true[0] + 30 * s) & (true < true[0] + 31 * s)
     arrival = np.where(stalled, true[0] + 31 * s, stream.time)
@@ -185,7 +185,7 @@ def test_a_way_of_another_length_is_followed(longer: int) -> None:
 # --- how the clock stands --------------------------------------------------------------------------------
 
 
-def test_offset_drift_and_residual_are_told_as_they_are() -> None:
+def test_offset_drift_and_residual_are_reported() -> None:
     stream, true = late(independent, 125.0, 50e-6)
     watch = WatchClock()
     clocks = concat(Clocks, [watch.push(stream), watch.flush()])
@@ -198,7 +198,7 @@ def test_offset_drift_and_residual_are_told_as_they_are() -> None:
     assert (np.diff(clocks.time) > 0).all()
 
 
-def test_what_is_told_agrees_with_where_rows_are_put() -> None:
+def test_the_reports_agree_with_the_host_times() -> None:
     stream, _ = restarted(30 * s, 0)
     watch = WatchClock()
     clocks = concat(Clocks, [watch.push(stream), watch.flush()])

@@ -40,7 +40,7 @@ def test_the_first_row_comes_when_it_came() -> None:
     assert envelope().host_time(7 * s, 1000 * s) == 1000 * s
 
 
-def test_a_late_row_is_put_where_the_earliest_way_says_and_an_early_one_where_it_came() -> None:
+def test_a_late_row_follows_the_envelope_and_an_early_one_keeps_its_arrival() -> None:
     clock = envelope()
     clock.host_time(0, 1000 * s)
     assert clock.host_time(1 * s, 1001 * s + 30 * ms) == 1001 * s
@@ -81,6 +81,6 @@ def test_another_clock_and_a_long_pause_begin_an_epoch(device: int, arrival: int
 
 
 @pytest.mark.parametrize("wrong", [{"window": BLOCKS - 1}, {"drift": -1e-9}, {"jump": -1}])
-def test_what_cannot_be_is_refused(wrong: dict[str, int]) -> None:
+def test_invalid_parameters_are_refused(wrong: dict[str, int]) -> None:
     with pytest.raises(ParameterError, match=next(iter(wrong))):
         envelope(**wrong)

@@ -28,7 +28,7 @@ from operators.errors import os_error_reason
     ],
     ids=lambda error: type(error).__name__,
 )
-def test_an_error_travels_between_processes_with_what_it_carries(error: SlipflowError) -> None:
+def test_an_error_can_be_pickled_with_its_attributes(error: SlipflowError) -> None:
     again = pickle.loads(pickle.dumps(error))  # noqa: S301 - our own
     assert type(again) is type(error)
     assert str(again) == str(error)
@@ -51,5 +51,5 @@ def test_an_error_travels_between_processes_with_what_it_carries(error: Slipflow
         (OSError(), "OSError"),
     ],
 )
-def test_what_the_system_refuses_is_told_with_what_to_do_about_it(error: OSError, text: str) -> None:
+def test_an_error_of_the_operating_system_has_a_remedy(error: OSError, text: str) -> None:
     assert os_error_reason(error) == text

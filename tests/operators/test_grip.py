@@ -17,7 +17,7 @@ def _soon(**settings: float) -> Grip:
     return Grip(**values)
 
 
-def test_the_first_decision_commands_the_weak_force_whatever_it_says() -> None:
+def test_the_first_decision_commands_the_initial_force() -> None:
     for first in (0.0, 1.0, np.nan):
         commands = _pushed(Grip(force=0.7), [first, 0.0, 0.0])
         assert commands.force.tolist() == [0.7]
@@ -25,7 +25,7 @@ def test_the_first_decision_commands_the_weak_force_whatever_it_says() -> None:
         assert np.isnan(commands.velocity).all()
 
 
-def test_what_is_felt_while_the_hand_closes_is_not_slip() -> None:
+def test_decisions_while_the_hand_closes_are_ignored() -> None:
     assert len(_pushed(Grip(settle=200 * ms), [1.0] * 20)) == 1
     assert len(_pushed(Grip(settle=200 * ms), [1.0] * 24)) > 1
 
@@ -44,12 +44,12 @@ def test_the_longer_it_slips_the_faster_the_force_grows() -> None:
     assert (np.diff(force, 2)[1:] > 0).all()
 
 
-def test_the_force_grows_in_shares_of_what_the_slip_began_with() -> None:
+def test_the_force_grows_relative_to_that_at_the_start_of_the_slip() -> None:
     weak, strong = (_pushed(_soon(force=force), [0.0] + [0.9] * 9).force for force in (0.5, 2.0))
     assert strong == pytest.approx(4 * weak)
 
 
-def test_what_a_command_does_is_awaited_before_the_force_grows_on() -> None:
+def test_the_force_waits_for_the_effect_of_a_command() -> None:
     grip = _soon(gain=40.0, max_ratio=1.5, latency=100 * ms, resolution=1e-9)
     commands = _pushed(grip, [0.0] + [1.0] * 40)
     time, force = commands.time / 1e9, commands.force
@@ -64,7 +64,7 @@ def test_commands_rise_no_faster_than_the_rate() -> None:
     assert commands.force[-1] > 1.5
 
 
-def test_once_nothing_slips_the_force_falls_to_the_margin_above_what_slipped_and_no_further() -> None:
+def test_after_a_slip_the_force_falls_to_the_margin_above_the_force_that_slipped() -> None:
     grip = _soon(
         latency=30 * ms,
         margin=0.2,
@@ -80,7 +80,7 @@ def test_once_nothing_slips_the_force_falls_to_the_margin_above_what_slipped_and
     assert after[-1] == pytest.approx(1.2 * rising[-5])  # in force when the newest decision but three came
 
 
-def test_it_keeps_a_share_of_what_it_was_when_the_slip_ended() -> None:
+def test_the_force_does_not_fall_below_a_share_of_that_at_the_end_of_the_slip() -> None:
     grip = _soon(margin=0.0, min_ratio=0.8, quiet_time=50 * ms, release_rate=2.0, resolution=1e-9)
     rising = _pushed(grip, [0.0] + [1.0] * 10).force
     assert _pushed(grip, [0.0] * 200, since=11).force[-1] == pytest.approx(0.8 * rising[-1])
@@ -95,7 +95,7 @@ def test_the_force_stays_within_its_limits() -> None:
     assert force.max() == force[-1] == 1.3
 
 
-def test_what_slips_with_all_force_is_given_up_once_and_let_go() -> None:
+def test_an_object_that_slips_at_the_upper_limit_is_released_once() -> None:
     grip = _soon(max_force=1.3, min_force=0.1, give_up_after=200 * ms)
     force = _pushed(grip, [0.0] + [1.0] * 60).force
     assert force[-2:].tolist() == [1.3, 0.1]
@@ -104,7 +104,7 @@ def test_what_slips_with_all_force_is_given_up_once_and_let_go() -> None:
     assert not grip.reset_copy().given_up
 
 
-def test_a_pause_in_the_slip_begins_its_patience_anew() -> None:
+def test_a_pause_in_the_slip_restarts_the_time_to_giving_up() -> None:
     grip = _soon(max_force=1.1, give_up_after=200 * ms)
     _pushed(grip, [0.0] + ([1.0] * 15 + [0.0]) * 20)
     assert not grip.given_up

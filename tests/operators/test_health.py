@@ -19,7 +19,7 @@ def _touch(seconds: float, level: float = 600, seed: int = 0) -> tuple[Counts, F
 def _changes(
     counts: Counts, valid: Flags, health: Health | None = None, kind: type[Touch] = Touch, pause: int = 0
 ) -> list[Change]:
-    """What Health tells of rows 10 ms apart; a pause comes after the first second."""
+    """Return the faults of rows 10 ms apart, with a pause after the first second."""
     time = np.arange(len(counts)) * 10 * ms
     time[100:] += pause
     health = Health() if health is None else health
@@ -61,7 +61,7 @@ def test_a_cell_is_stuck_once_its_count_has_not_changed_for_two_seconds_until_it
     assert _changes(counts, valid) == [(3.0, 5, FaultKind.STUCK, True), (4.0, 5, FaultKind.STUCK, False)]
 
 
-def test_a_dead_cell_is_not_stuck_and_must_stand_still_anew_once_it_answers() -> None:
+def test_a_dead_cell_is_not_stuck_until_it_answers_without_change() -> None:
     counts, valid = _touch(6)
     counts[100:, 1] = 610
     valid[101:301, 1] = False
@@ -145,12 +145,12 @@ def test_changes_of_one_instant_come_in_the_order_of_cells_then_kinds() -> None:
     assert cells == [(0, saturated), (2, dead), (4, saturated), (5, dead)]
 
 
-def test_faults_are_told_within_200_ms() -> None:
+def test_faults_are_reported_within_200_ms() -> None:
     counts, valid = _touch(2)
     valid[:, 0] = False
     health, touch = Health(), Touch(np.arange(200) * 10 * ms, counts, counts, valid)
-    told = [row for row in range(200) if len(health.push(touch[row : row + 1]))]
-    assert told == pytest.approx([60], abs=10)  # dead since row 50
+    reported = [row for row in range(200) if len(health.push(touch[row : row + 1]))]
+    assert reported == pytest.approx([60], abs=10)  # dead since row 50
 
 
 @pytest.mark.parametrize(

@@ -56,7 +56,7 @@ def test_the_velocity_is_turned_into_the_frame_of_the_fingertip() -> None:
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_speed_is_that_of_scipys_rotation(seed: int) -> None:
+def test_the_speed_equals_that_with_scipys_rotation(seed: int) -> None:
     rng = np.random.default_rng(seed)
     velocity, pose, normal = rng.normal(size=(9, 6)), rng.normal(size=(9, 6)), rng.normal(size=3)
     turned = Rotation.from_rotvec(pose[:, 3:]).inv().apply(velocity[:, :3])
@@ -74,7 +74,7 @@ def test_without_a_pose_the_velocity_is_taken_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("rows", [1, 5])
-def test_rotation_counts_as_slip_only_if_asked_for(rows: int) -> None:
+def test_rotation_is_slip_only_with_a_rotation_threshold(rows: int) -> None:
     turning = np.tile([0.0, 0, 0, 0.12, 0.16, 0.01], (rows, 1))
     assert (_label(Label(), _sample(turning)).label == STATIC).all()
     assert (_label(Label(rotation=0.2), _sample(turning)).label == SLIP).all()
@@ -116,7 +116,7 @@ def test_a_delay_takes_speed_and_label_from_the_last_row_up_to_then(
     np.testing.assert_array_equal(labelled.label, np.where(expected < 0.3, slip, UNKNOWN))
 
 
-def test_a_delay_holds_samples_until_newer_than_their_later_instant_has_come() -> None:
+def test_a_delay_holds_samples_until_their_motion_has_arrived() -> None:
     label = Label(delay=20 * ms)
     sample = _sample(_along_x(0, 0.1, 0.2, 0.25))
     assert len(label.push(sample[:3])) == 0

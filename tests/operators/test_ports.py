@@ -12,11 +12,11 @@ def test_a_sample_of_a_live_run_has_a_latency(run: Run) -> None:
 
 
 @pytest.mark.parametrize("live", [True, False])
-def test_what_is_replayed_at_any_pace_has_no_latency(run: Run, *, live: bool) -> None:
+def test_replayed_rows_have_no_latency(run: Run, *, live: bool) -> None:
     replay = replace(run, recording="stroke-9", live=live)
     assert replay.latency(run.clock.now() - 3 * ms) is None
 
 
-def test_unless_it_says_otherwise_a_source_is_new_and_a_sink_writes_where_it_always_does() -> None:
+def test_by_default_a_source_is_new_and_a_sink_has_one_destination() -> None:
     assert TestSource(Touch).recording is None
     assert TestSink("the attic").replay_destination == "the attic"

@@ -15,7 +15,7 @@ def test_detectors_that_need_no_weights_are_known_by_their_names() -> None:
     assert {name: make().name for name, make in DETECTORS.items()} == {name: name for name in DETECTORS}
 
 
-def test_detectors_that_need_weights_are_known_by_their_names_and_say_what_is_missing() -> None:
+def test_trained_detectors_have_names_and_report_missing_weights() -> None:
     assert {name: getattr(make, "name", None) for name, make in TRAINED.items()} == {
         name: name for name in TRAINED
     }

@@ -25,7 +25,7 @@ def test_a_vector_turns_as_scipy_turns_it(
 
 
 @given(first=vectors, second=vectors, part=parts)
-def test_between_two_rotations_the_way_is_that_of_slerp(
+def test_interpolation_of_rotations_equals_scipys_slerp(
     first: tuple[float, float, float], second: tuple[float, float, float], part: float
 ) -> None:
     ends = Rotation.from_rotvec([first, second])
@@ -45,7 +45,7 @@ def test_the_way_between_rotations_begins_and_ends_at_them(
 
 
 @given(first=vectors, second=vectors)
-def test_one_rotation_and_what_is_onward_make_the_other(
+def test_a_rotation_and_the_difference_compose_to_the_other(
     first: tuple[float, float, float], second: tuple[float, float, float]
 ) -> None:
     both = Rotation.from_rotvec(compose(first, by=second))

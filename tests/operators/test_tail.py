@@ -13,7 +13,7 @@ def _scores(first: int, rows: int) -> Scores:
 
 
 @given(pushes=st.lists(st.tuples(st.sampled_from([1, 5, 300, 1500]), st.integers(0, 40)), max_size=40))
-def test_it_keeps_the_newest_rows_in_order_and_what_it_gave_out_stays_true(
+def test_rows_keep_their_order_and_views_remain_valid(
     pushes: list[tuple[int, int]],
 ) -> None:
     tail, newest = Tail(Scores), 0
@@ -42,7 +42,7 @@ def test_its_memory_is_bounded_by_the_rows_kept_and_the_largest_batch() -> None:
     assert len(tail.block) < 2000
 
 
-def test_a_pickle_holds_the_rows_kept_only_and_goes_on() -> None:
+def test_a_pickle_holds_only_the_rows_in_use_and_resumes() -> None:
     tail = Tail(Scores)
     tail.append(_scores(0, 900))
     tail.drop(895)

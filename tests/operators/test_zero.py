@@ -46,7 +46,7 @@ def test_a_cell_that_never_answered_stays_invalid() -> None:
     assert zero.push(_touch([600], start=2)).valid[0].tolist() == [True] * 4 + [False, True]
 
 
-def test_the_end_of_a_short_stream_gives_what_is_held_with_the_median_of_what_there_is() -> None:
+def test_a_short_stream_is_zeroed_with_its_own_median_at_the_end() -> None:
     zero = Zero()
     zero.push(_touch([600, 610, 620]))
     assert zero.flush().counts[:, 0].tolist() == [-10, 0, 10]
@@ -65,7 +65,7 @@ def test_a_given_baseline_is_subtracted_at_once() -> None:
     ]
 
 
-def test_what_is_zeroed_already_passes_unchanged() -> None:
+def test_zeroed_input_passes_unchanged() -> None:
     touch = _touch([600, 601])
     zeroed = Zeroed(touch.time, touch.counts, touch.temperature, touch.valid)
     assert Zero(scans=2).push(zeroed) is zeroed

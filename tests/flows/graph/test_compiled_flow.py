@@ -103,7 +103,7 @@ def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
     ]
 
 
-def test_a_compiled_says_what_each_sink_may_be_given() -> None:
+def test_a_compiled_flow_lists_the_types_of_each_sink() -> None:
     flow, one, other = Flow("felt"), TestSink("one"), TestSink("other")
     probabilities = flow.source(TestSource(Scores))
     slips = probabilities | Debounce()
@@ -125,7 +125,7 @@ def test_streams_given_together_reach_their_join_together() -> None:
     assert joined.matched.all()
 
 
-def test_flush_passes_what_operators_held_on_to_those_behind_them() -> None:
+def test_flush_passes_delayed_rows_through_the_following_operators() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Keep() | Debounce(consecutive=2)).to(TestSink())
     compiled = CompiledFlow(flow)
@@ -182,7 +182,7 @@ def test_an_operator_that_breaks_its_contract_is_named(
         compiled.push({compiled.entries[0]: scores(0.1, finger=2)})
 
 
-def test_a_compiled_goes_on_from_a_snapshot() -> None:
+def test_a_compiled_flow_resumes_from_a_snapshot() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())
     whole, first, second = CompiledFlow(flow), CompiledFlow(flow), CompiledFlow(flow)

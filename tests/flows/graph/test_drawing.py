@@ -32,6 +32,6 @@ def test_mermaid_names_every_edge_by_its_type(drawn: Flow) -> None:
     assert sorted(edges) == ["Labelled", "Motion", "Sample", "Touch", "Zeroed", "Zeroed"]
 
 
-def test_a_part_is_drawn_with_what_differs_from_its_defaults() -> None:
+def test_an_operator_is_drawn_with_its_non_default_parameters() -> None:
     assert describe(Debounce()) == "Debounce()"
     assert describe(Debounce(minimum=50 * ms)) == "Debounce(minimum=50 ms)"

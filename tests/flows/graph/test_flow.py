@@ -5,7 +5,7 @@ from flows.graph.testing import TestSink, TestSource
 from operators import Align, Debounce, Motion, Sample, Scores, Slips, Touch, Zero
 
 
-def test_a_stream_is_typed_by_what_its_operator_gives() -> None:
+def test_a_stream_has_the_output_type_of_its_operator() -> None:
     flow = Flow("f")
     slips = flow.source(TestSource(Scores)) | Debounce()
     assert slips.node.gives is Slips
@@ -35,7 +35,7 @@ def test_one_sink_object_is_one_node_however_many_streams_it_takes() -> None:
 
 
 @pytest.mark.parametrize(("fingers", "joined"), [((0, 2), (0, 2)), ((-1,), (-1,))])
-def test_what_belongs_to_every_fingertip_joins_each_of_them(
+def test_a_stream_of_all_fingertips_joins_each_of_them(
     fingers: tuple[int, ...], joined: tuple[int, ...]
 ) -> None:
     flow = Flow("f")

@@ -51,7 +51,7 @@ def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
         load(_file(tmp_path, GOOD + "\nmine = felt()\n") + ":mine").flow({"limit": "1"})
 
 
-def test_a_setting_of_a_wrong_type_is_told(tmp_path: Path) -> None:
+def test_a_setting_of_a_wrong_type_is_reported(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="felt: count is 'two', must be a whole number"):
         load(_file(tmp_path, GOOD)).flow({"count": "two"})
 
@@ -102,15 +102,13 @@ def test_a_ready_made_flow_needs_no_path(name: str) -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_a_file_is_one_line_with_its_place(
-    tmp_path: Path, code: str, message: str
-) -> None:
+def test_an_error_in_a_file_is_one_line_with_its_location(tmp_path: Path, code: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as raised:
         load(_file(tmp_path, code))
     assert "\n" not in str(raised.value)
 
 
-def test_a_missing_file_and_a_missing_flow_are_told(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_missing_flow_are_reported(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
         match=r"nowhere\.py: is neither a flow file nor a ready-made flow \(demo, lift",

@@ -48,7 +48,7 @@ def test_text_becomes_the_type_that_is_declared(kind: object, text: str, value: 
         (Force, "-inf", "a force with its unit: 2N or 0.5N"),
     ],
 )
-def test_what_is_of_another_kind_is_told_with_what_it_takes(kind: object, text: str, takes: str) -> None:
+def test_text_of_another_type_is_reported_with_the_accepted_text(kind: object, text: str, takes: str) -> None:
     with pytest.raises(ParameterError) as raised:
         Parameter("x", kind, None).value("flow", text)
     assert str(raised.value) == f"flow: x is {text!r}, must be {takes}"
@@ -64,7 +64,7 @@ def test_what_is_of_another_kind_is_told_with_what_it_takes(kind: object, text: 
         (Parameter("seed", int, 3), "seed=3"),
     ],
 )
-def test_what_is_listed_sets_the_default_again(parameter: Parameter, text: str) -> None:
+def test_the_listed_setting_parses_to_the_default(parameter: Parameter, text: str) -> None:
     listed = str(parameter).split("  (")[0]
     assert listed == text
     assert parameter.value("flow", listed.partition("=")[2]) == parameter.default
@@ -74,7 +74,7 @@ def test_a_default_without_end_is_listed_too() -> None:
     assert str(Parameter("limit", Speed, float("inf"))).startswith("limit=inf  (a speed with its unit: ")
 
 
-def test_a_program_is_told_default_and_unit() -> None:
+def test_default_and_unit_are_in_the_json() -> None:
     assert Parameter("delay", Duration, 70 * ms).as_dict() == {
         "default": 70_000_000,
         "unit": "ns",

@@ -48,13 +48,13 @@ def test_a_quantity_is_reckoned_in_its_si_unit(text: str, unit: str, value: floa
         ("9" * 10_000 + "s", "ns"),
     ],
 )
-def test_what_is_none_is_told_with_how_to_write_it(text: str, unit: str) -> None:
+def test_an_invalid_quantity_is_reported_with_examples(text: str, unit: str) -> None:
     with pytest.raises(ParameterError, match=r"flow: delay is .* with its unit: ") as raised:
         quantity("flow", "delay", text, unit)
     assert raised.value.must_be == f"{KINDS[unit].name} with its unit: {KINDS[unit].examples}"
 
 
-def test_below_zero_is_for_those_who_ask_for_it() -> None:
+def test_negative_quantities_need_signed() -> None:
     assert quantity("x", "y", "-5ms", "ns", signed=True) == -5_000_000
 
 
@@ -82,5 +82,5 @@ def test_the_examples_are_such_quantities(unit: str) -> None:
         (10.0, "N", "10N"),
     ],
 )
-def test_a_quantity_is_formatted_as_short_as_may_be(value: float, unit: str, text: str) -> None:
+def test_a_quantity_has_the_shortest_text(value: float, unit: str, text: str) -> None:
     assert format_quantity(value, unit) == text

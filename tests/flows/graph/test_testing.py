@@ -61,7 +61,7 @@ def test_an_event_clock_never_waits_and_never_goes_back() -> None:
     assert asyncio.run(main()) == 9
 
 
-def test_a_test_source_gives_each_batch_at_its_time() -> None:
+def test_a_test_source_yields_each_batch_at_its_time() -> None:
     batches = [Scores(np.array([k * 10 * ms]), np.array([0.5])) for k in range(3)]
 
     async def main() -> list[int]:
@@ -71,7 +71,7 @@ def test_a_test_source_gives_each_batch_at_its_time() -> None:
     assert run_virtually(main()) == [5 * ms, 15 * ms, 25 * ms]
 
 
-def test_a_test_sink_fails_as_told() -> None:
+def test_a_test_sink_raises_the_given_failures() -> None:
     sink = TestSink(failures=[EndpointError("x", "no")])
     batch = Scores(np.array([0]), np.array([0.5]))
     with pytest.raises(EndpointError):

@@ -36,7 +36,7 @@ def test_a_sound_flow_has_no_problems() -> None:
     assert problems(flow) == []
 
 
-def test_a_flow_without_a_source_is_told() -> None:
+def test_a_flow_without_a_source_is_reported() -> None:
     assert "no source" in _one_problem(Flow("f"))
 
 
@@ -68,7 +68,7 @@ def test_a_swapped_pair_is_two_wrong_edges() -> None:
     assert [problem.edge for problem in problems(flow)] == ["motion -> Align", "Zero -> Align"]
 
 
-def test_two_sinks_that_write_the_same_place_are_named() -> None:
+def test_two_sinks_with_one_destination_are_reported() -> None:
     flow = Flow("f")
     scores = flow.source(TestSource(Scores))
     scores.to(TestSink(destination="/data"))
@@ -79,7 +79,7 @@ def test_two_sinks_that_write_the_same_place_are_named() -> None:
     assert "scores -> testsink" in message
 
 
-def test_two_streams_of_one_type_into_one_sink_are_told_apart_only_by_fingertip() -> None:
+def test_a_sink_takes_two_streams_of_one_type_only_from_different_fingertips() -> None:
     flow, sink = Flow("f"), TestSink()
     flow.source(TestSource(Touch, fingers=(0,))).to(sink)
     flow.source(TestSource(Touch, fingers=(1,))).to(sink)
@@ -100,7 +100,7 @@ def test_a_cycle_is_named_in_the_order_of_flow() -> None:
     assert any("Debounce -> Debounce -> Debounce: is a cycle" in problem for problem in found)
 
 
-def test_one_operator_object_in_two_places_is_told() -> None:
+def test_one_operator_object_used_twice_is_reported() -> None:
     flow, shared = Flow("f"), Debounce()
     scores = flow.source(TestSource(Scores))
     (scores | shared).to(TestSink())
@@ -108,7 +108,7 @@ def test_one_operator_object_in_two_places_is_told() -> None:
     assert "scores -> Debounce: the same operator object is used twice" in _one_problem(flow)
 
 
-def test_a_stream_of_another_flow_is_told() -> None:
+def test_a_stream_of_another_flow_is_reported() -> None:
     flow, other = Flow("f"), Flow("g")
     zeroed = other.source(TestSource(Touch)) | Zero()
     motion = flow.source(TestSource(Motion), name="arm")
@@ -117,7 +117,7 @@ def test_a_stream_of_another_flow_is_told() -> None:
     assert any("Zero belongs to another flow" in str(problem) for problem in problems(flow))
 
 
-def test_state_that_runs_would_share_is_told() -> None:
+def test_state_shared_by_runs_is_reported() -> None:
     @dataclass
     class Sharing(Operator[Scores, Scores]):
         seen: list[float] = field(default_factory=list[float])
@@ -130,7 +130,7 @@ def test_state_that_runs_would_share_is_told() -> None:
     assert _one_problem(flow).startswith("Sharing: seen would be shared by all runs")
 
 
-def test_an_operator_that_does_not_declare_its_types_is_told() -> None:
+def test_an_operator_without_type_annotations_is_reported() -> None:
     class Silent(Operator[Scores, Scores]):
         def process(self, batch):  # type: ignore[no-untyped-def] # noqa: ANN001, ANN202
             return batch
@@ -141,7 +141,7 @@ def test_an_operator_that_does_not_declare_its_types_is_told() -> None:
         problems(flow)
 
 
-def test_a_sink_may_call_its_batch_as_it_likes() -> None:
+def test_the_batch_parameter_of_a_sink_may_have_any_name() -> None:
     class Named(TestSink):
         async def write(self, slips: Slips) -> None:  # type: ignore[override]
             """Take them."""
@@ -152,7 +152,7 @@ def test_a_sink_may_call_its_batch_as_it_likes() -> None:
     assert "takes Slips, not Scores" in _one_problem(flow)
 
 
-def test_a_sink_that_does_not_declare_what_it_takes_is_told() -> None:
+def test_a_sink_without_a_type_annotation_is_reported() -> None:
     class Untyped(TestSink):
         async def write(self, batch: object) -> None:
             """Take anything."""

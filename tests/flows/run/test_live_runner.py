@@ -44,7 +44,7 @@ def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
     assert not run.sources["scores"].up
 
 
-def test_a_run_tells_which_of_its_sinks_record() -> None:
+def test_the_status_of_a_run_marks_recording_sinks() -> None:
     flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
     recorder.records = True
     touch = flow.source(TestSource(Scores, scores(0, 5)))
@@ -149,7 +149,7 @@ class Numbered(Join[Scores, Scores, Scores]):
 
 
 class Following(Source[Scores]):
-    """One score as soon as it is told to give it."""
+    """Source of one score on request."""
 
     def __init__(self, go: asyncio.Event) -> None:
         self._go = go
@@ -163,7 +163,7 @@ class Following(Source[Scores]):
         yield Scores(np.array([0]), np.array([0.9]))
 
 
-def test_what_another_source_gives_just_as_a_full_sink_has_room_does_not_overtake() -> None:
+def test_rows_of_another_source_do_not_overtake_when_a_full_sink_has_room() -> None:
     flow, go = Flow("f"), asyncio.Event()
 
     async def hold() -> None:
@@ -204,7 +204,7 @@ def test_a_step_of_the_hosts_clock_is_noted_and_changes_no_stamp(
     ]
 
 
-def test_an_operator_that_fails_ends_the_run_after_committing_what_came_before() -> None:
+def test_a_failing_operator_ends_the_run_after_earlier_output_is_committed() -> None:
     class Broken(Debounce):
         def process(self, batch: Scores) -> Slips:
             if batch.time[0] >= 500 * ms:
@@ -289,7 +289,7 @@ def test_a_recording_that_was_stopped_is_not_complete(source: type[Endless], err
     assert run_virtually(main()).error == error
 
 
-def test_what_a_source_prepares_is_not_of_the_run() -> None:
+def test_the_preparation_of_a_source_precedes_the_run() -> None:
     class Slow(Endless):
         async def prepare(self) -> None:
             await asyncio.sleep(20)
@@ -301,7 +301,7 @@ def test_what_a_source_prepares_is_not_of_the_run() -> None:
     assert run.clock.now() - run.start == s
 
 
-def test_what_was_taken_when_the_run_ends_is_delivered_whole() -> None:
+def test_batches_read_before_the_end_of_the_run_are_delivered() -> None:
     flow = Flow("f")
 
     async def slowly() -> None:
@@ -371,7 +371,7 @@ def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> No
 
 
 @pytest.mark.parametrize("stall", [0.2, 1.0])
-def test_after_a_stall_of_the_host_what_belongs_together_is_still_joined(stall: float) -> None:
+def test_rows_of_one_time_are_joined_after_a_stall_of_the_host(stall: float) -> None:
     flow, sink = Flow("f"), TestSink()
     cells, flags = np.full((1, 6), 500, np.int16), np.ones((1, 6), np.bool_)
     six = np.zeros((1, 6))

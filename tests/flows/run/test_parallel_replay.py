@@ -92,9 +92,7 @@ def test_a_damaged_session_is_reported_and_the_others_go_on(
     assert session_names(tmp_path / "out") == ["again-1", "again-3"]
 
 
-def test_whatever_a_sink_raises_ends_its_own_session_only(
-    felt: str, four: list[Path], tmp_path: Path
-) -> None:
+def test_an_error_of_a_sink_ends_its_own_session_only(felt: str, four: list[Path], tmp_path: Path) -> None:
     found = replay(felt, four[:2], tmp_path / "out", None, spoilt="true")
     assert [each.error for each in found] == ["ValueError: no number"] * 2
     folders = [session_folder(tmp_path / "out", name) for name in session_names(tmp_path / "out")]
@@ -112,7 +110,7 @@ def test_a_sink_that_publishes_as_one_rig_needs_one_process(
 
 
 @pytest.mark.broker
-def test_recordings_are_published_as_one_rig_one_after_the_other_and_that_is_told_once(
+def test_recordings_are_published_in_order_as_one_rig_and_the_destination_is_logged_once(
     felt: str, four: list[Path], tmp_path: Path, broker: TestBroker, caplog: pytest.LogCaptureFixture
 ) -> None:
     listener = broker.listen("slip/v1/lab/+/0/event")
@@ -126,19 +124,17 @@ def test_recordings_are_published_as_one_rig_one_after_the_other_and_that_is_tol
     assert {each.session for each in events} == {"again-1", "again-2"}
 
 
-def test_no_job_at_all_is_refused(felt: str, four: list[Path]) -> None:
+def test_zero_jobs_are_refused(felt: str, four: list[Path]) -> None:
     with pytest.raises(ParameterError, match="jobs is 0, must be at least 1"):
         list(Replays(felt, {}, four, "again").run(0))
 
 
-def test_a_flow_that_cannot_be_built_is_told_before_anything_runs(felt: str, four: list[Path]) -> None:
+def test_a_flow_that_cannot_be_built_is_reported_before_any_replay(felt: str, four: list[Path]) -> None:
     with pytest.raises(InputError, match=r"^felt: has no parameter 'speed'; it has out, broker, spoilt$"):
         list(Replays(felt, {"speed": "1"}, four, "again").run(2))
 
 
-def test_when_stopped_what_was_replayed_so_far_is_kept_and_not_complete(
-    felt: str, four: list[Path], tmp_path: Path
-) -> None:
+def test_stopped_replays_are_committed_as_incomplete(felt: str, four: list[Path], tmp_path: Path) -> None:
     rows = list[int]()
     replays = Replays(felt, {"out": str(tmp_path / "out")}, four, "again")
     found = list(replays.run(1, stopped=lambda: bool(rows), progress=lambda _, taken: rows.append(taken)))

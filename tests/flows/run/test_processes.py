@@ -67,7 +67,7 @@ def test_a_process_that_dies_costs_its_item_only(work: Callable[..., Any]) -> No
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_who_is_told_to_stop_gives_what_he_has_and_the_rest_is_not_begun(
+def test_on_a_stop_items_in_progress_return_early_and_the_rest_is_not_started(
     work: Callable[..., Any], tmp_path: Path, jobs: int
 ) -> None:
     places = [tmp_path / f"begun-{number}" for number in range(jobs)]
@@ -80,7 +80,7 @@ def test_who_is_told_to_stop_gives_what_he_has_and_the_rest_is_not_begun(
     assert found == ["stopped"] * jobs + [f"{each} was not started: interrupted" for each in ("rest", "more")]
 
 
-def test_one_job_is_done_here(work: Callable[..., Any]) -> None:
+def test_one_job_runs_in_this_process(work: Callable[..., Any]) -> None:
     [[process, *_], _] = WorkerPool(work, ["where", "more"], lost).results(1)
     assert process == os.getpid()
 
@@ -96,15 +96,15 @@ def test_a_worker_computes_in_one_thread_and_leaves_signals_to_the_parent(
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_progress_tells_items_and_how_far_they_all_are(work: Callable[..., Any], jobs: int) -> None:
-    told = list[tuple[int, int]]()
-    pool = WorkerPool(work, ["count"] * 3, lost, progress=lambda done, steps: told.append((done, steps)))
+def test_progress_reports_finished_items_and_total_steps(work: Callable[..., Any], jobs: int) -> None:
+    reported = list[tuple[int, int]]()
+    pool = WorkerPool(work, ["count"] * 3, lost, progress=lambda done, steps: reported.append((done, steps)))
     list(pool.results(jobs))
-    assert told[-1] == (3, 30)
-    assert told == sorted(told)
+    assert reported[-1] == (3, 30)
+    assert reported == sorted(reported)
 
 
-def test_results_that_nobody_wants_any_more_end_the_workers(work: Callable[..., Any], tmp_path: Path) -> None:
+def test_closing_the_results_ends_the_workers(work: Callable[..., Any], tmp_path: Path) -> None:
     results = WorkerPool(work, ["first", f"wait:{tmp_path}/pid", f"wait:{tmp_path}/other"], lost).results(2)
     assert next(results) == "first"
     results.close()  # returns once they have ended
@@ -129,7 +129,7 @@ if __name__ == "__main__":
             assert parent.poll() is None
         parent.kill()
     while Path(f"/proc/{pid}").exists():
-        if "zombie" in Path(f"/proc/{pid}/status").read_text():  # nobody reaps it in a container
+        if "zombie" in Path(f"/proc/{pid}/status").read_text():  # not reaped in a container
             break
 
 

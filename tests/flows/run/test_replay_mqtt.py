@@ -39,7 +39,7 @@ class Turns(Operator[Touch, Slips]):
         return Slips(batch.time, state, batch.time, np.full(len(batch), 0.9), finger=batch.finger)
 
 
-def felt(time: int, rows: int) -> Touch:
+def pressed(time: int, rows: int) -> Touch:
     """Rows 10 ms apart from `time` (ns) on, whose counts go up."""
     times = time + 10 * ms * np.arange(rows)  # (n,)
     counts = np.repeat(np.arange(1, rows + 1, dtype=np.int16)[:, None], 6, axis=1)  # (n, 6)
@@ -47,7 +47,7 @@ def felt(time: int, rows: int) -> Touch:
 
 
 def given(rows: int = 0) -> TestSource[Touch]:
-    return TestSource(Touch, [felt(0, rows)], fingers=(0,))
+    return TestSource(Touch, [pressed(0, rows)], fingers=(0,))
 
 
 class Recorded:
@@ -56,7 +56,7 @@ class Recorded:
     name = "stroke-9"
 
     def __init__(self, rows: int) -> None:
-        self._touch = felt(RECORDED, rows)
+        self._touch = pressed(RECORDED, rows)
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         return (0,) if kind is Touch else ()
@@ -93,7 +93,7 @@ BOTH = pytest.mark.parametrize("replay", [at_full_speed, at_a_pace])
 
 
 class Fed(Source[Touch]):
-    """A fingertip that feels a row whenever it is told to."""
+    """Fingertip that yields a row on request."""
 
     def __init__(self) -> None:
         self._told = asyncio.Queue[bool]()
@@ -106,12 +106,12 @@ class Fed(Source[Touch]):
     def fingers(self) -> tuple[int, ...]:
         return (0,)
 
-    def feel(self, *, more: bool = True) -> None:
+    def press(self, *, more: bool = True) -> None:
         self._told.put_nowait(more)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         while await self._told.get():
-            yield felt(clock.now(), 1)
+            yield pressed(clock.now(), 1)
 
 
 def sessions(received: list[Received], rig: str) -> list[Any]:
@@ -121,19 +121,19 @@ def sessions(received: list[Received], rig: str) -> list[Any]:
 
 
 @BOTH
-def test_who_follows_a_live_rig_hears_nothing_of_a_replay_beside_it(broker: TestBroker, replay: Way) -> None:
+def test_consumers_of_a_live_rig_receive_nothing_from_a_replay(broker: TestBroker, replay: Way) -> None:
     rig, both = broker.listen(f"{RIG}/#"), broker.listen("slip/#")
 
     async def main() -> None:
         fingertip = Fed()
         live = asyncio.create_task(LiveRunner(declared(broker.url, fingertip), "live").execute())
-        fingertip.feel()
+        fingertip.press()
         await asyncio.to_thread(rig.next, f"{RIG}/0/state")
         done = await replay(declared(broker.url, given()))
         assert [sink.rows for sink in done.sinks.values()] == [7]
-        fingertip.feel()
+        fingertip.press()
         await asyncio.to_thread(rig.next, f"{RIG}/0/state")
-        fingertip.feel(more=False)
+        fingertip.press(more=False)
         await live
 
     asyncio.run(main())
@@ -151,7 +151,7 @@ def test_who_follows_a_live_rig_hears_nothing_of_a_replay_beside_it(broker: Test
 
 
 @BOTH
-def test_what_a_rig_has_retained_and_written_down_stays_through_a_replay(
+def test_a_replay_keeps_retained_messages_and_files_of_the_rig(
     broker: TestBroker, replay: Way, tmp_path: Path
 ) -> None:
     async def live() -> None:

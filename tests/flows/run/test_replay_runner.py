@@ -72,7 +72,7 @@ def identical(one: Batch, other: Batch) -> bool:
     return all(getattr(one, c).tobytes() == getattr(other, c).tobytes() for c in columns(type(one)))
 
 
-def test_a_paced_live_replay_gives_what_a_full_speed_replay_gives() -> None:
+def test_a_paced_replay_equals_a_full_speed_replay() -> None:
     held = recording()
     full_flow, full = labelling()
     asyncio.run(ReplayRunner(full_flow, held, "full").execute())
@@ -116,7 +116,7 @@ def test_the_sources_of_a_replay_are_up_while_it_lasts() -> None:
     assert not any(source.up for source in run.sources.values())
 
 
-def test_a_replay_tells_which_of_its_sinks_record() -> None:
+def test_the_status_of_a_replay_marks_recording_sinks() -> None:
     flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
     recorder.records = True
     touch = flow.source(TestSource(Touch))
@@ -126,7 +126,7 @@ def test_a_replay_tells_which_of_its_sinks_record() -> None:
     assert [sink.records for sink in run.sinks.values()] == [True, False]
 
 
-def test_sinks_that_a_replay_writes_elsewhere_are_told_of(caplog: pytest.LogCaptureFixture) -> None:
+def test_other_destinations_of_a_replay_are_logged(caplog: pytest.LogCaptureFixture) -> None:
     class Moved(TestSink):
         @property
         def replay_destination(self) -> str:
@@ -162,7 +162,7 @@ def test_a_failing_sink_ends_a_replay_and_is_closed() -> None:
     assert sink.closed == 1
 
 
-def test_a_replay_that_is_stopped_keeps_what_it_has_and_tells() -> None:
+def test_a_stopped_replay_commits_its_output_and_is_marked() -> None:
     flow, sink = labelling()
     runner = ReplayRunner(flow, recording(), "x", rows=100)
     run = asyncio.run(runner.execute(lambda _: runner.stop()))

@@ -16,7 +16,7 @@ def ended(run: Run) -> Run:
     return run
 
 
-def test_it_tells_what_a_run_took_and_gave(ended: Run) -> None:
+def test_the_summary_counts_rows_in_and_out(ended: Run) -> None:
     summary = Summary.of(ended)
     assert (summary.seconds, summary.rows_in, summary.rows_out, summary.lost) == (10.0, 300, 12, False)
     assert summary.report().splitlines() == [

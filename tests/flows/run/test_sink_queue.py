@@ -27,7 +27,7 @@ def test_a_failing_sink_is_retried_with_the_same_batch_and_loses_nothing() -> No
     assert (status.failures, status.dropped, status.error) == (2, 0, "")
 
 
-def test_a_sink_that_never_works_stops_nobody_and_its_rows_are_counted() -> None:
+def test_a_sink_that_never_works_blocks_no_other_and_its_rows_are_counted() -> None:
     flow = Flow("f")
     dead, other = TestSink(failures=[OSError("dead")] * 10_000, capacity=10), TestSink()
     stream = flow.source(TestSource(Scores, scores(0, 1000)))
@@ -52,7 +52,7 @@ def test_a_slow_lossless_sink_makes_the_source_wait_and_gets_everything() -> Non
     assert run.sinks["testsink"].dropped == 0
 
 
-def test_a_lossless_sink_that_is_stuck_counts_as_failing_and_no_longer_holds_up_the_others() -> None:
+def test_a_stuck_lossless_sink_counts_as_failing_and_does_not_block_the_others() -> None:
     flow, other = Flow("f"), TestSink()
     stuck = TestSink(capacity=10, before_write=lambda: asyncio.sleep(60))
     stream = flow.source(TestSource(Scores, scores(0, 3000)))
@@ -102,7 +102,7 @@ def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
     assert times(slow)[-3:] == [97, 98, 99]
 
 
-def test_a_second_stop_gives_up_failing_sinks_at_once() -> None:
+def test_a_second_stop_abandons_failing_sinks_at_once() -> None:
     flow = Flow("f")
     dead = TestSink(failures=[OSError("dead")] * 10_000)
     flow.source(Endless()).to(dead)
@@ -137,7 +137,7 @@ def test_a_third_stop_ends_a_run_whose_sink_hangs() -> None:
     assert "abandoned" in run.sinks["testsink"].error
 
 
-def test_what_a_given_up_sink_had_waiting_is_dropped_and_waits_no_more() -> None:
+def test_the_queue_of_an_abandoned_sink_is_dropped() -> None:
     flow, dead = Flow("f"), TestSink(failures=[OSError("dead")] * 10_000)
     flow.source(TestSource(Scores, scores(0, 100))).to(dead)
     status = execute(flow).sinks["testsink"]

@@ -9,7 +9,7 @@ from flows.run.stop_signals import signals_to, stopping
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_who_asks_to_stop_is_heard_and_handlers_are_put_back(number: signal.Signals) -> None:
+def test_the_first_signal_requests_a_stop_and_handlers_are_restored(number: signal.Signals) -> None:
     before = signal.getsignal(number)
     with stopping() as stopped:
         assert not stopped()
@@ -18,7 +18,7 @@ def test_who_asks_to_stop_is_heard_and_handlers_are_put_back(number: signal.Sign
     assert signal.getsignal(number) is before
 
 
-def test_who_asks_twice_ends_the_process() -> None:
+def test_the_second_signal_ends_the_process() -> None:
     with stopping() as stopped:
         os.kill(os.getpid(), signal.SIGINT)
         assert stopped()
@@ -26,7 +26,7 @@ def test_who_asks_twice_ends_the_process() -> None:
             os.kill(os.getpid(), signal.SIGINT)
 
 
-def test_in_another_thread_nobody_can_ask() -> None:
+def test_no_handler_is_installed_in_another_thread() -> None:
     heard = list[bool]()
 
     def run() -> None:
@@ -40,7 +40,7 @@ def test_in_another_thread_nobody_can_ask() -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-async def test_each_signal_calls_what_is_to_stop_until_it_has(number: signal.Signals) -> None:
+async def test_each_signal_calls_stop_within_the_block(number: signal.Signals) -> None:
     called = asyncio.Semaphore(0)
     with signals_to(called.release):
         for _ in range(2):
@@ -49,14 +49,14 @@ async def test_each_signal_calls_what_is_to_stop_until_it_has(number: signal.Sig
     assert not asyncio.get_running_loop().remove_signal_handler(number), "it is gone already"
 
 
-def test_in_another_thread_a_signal_calls_nobody() -> None:
+def test_signals_are_ignored_in_another_thread() -> None:
     called = list[str]()
 
     async def run() -> None:
         with signals_to(pytest.fail):
-            called.append("nobody")
+            called.append("ignored")
 
     thread = Thread(target=asyncio.run, args=[run()])
     thread.start()
     thread.join()
-    assert called == ["nobody"]
+    assert called == ["ignored"]

@@ -3,7 +3,7 @@ import pytest
 from flows.run.processes import one_thread
 
 
-def test_torch_has_one_thread_inside_and_what_it_had_after() -> None:
+def test_torch_has_one_thread_inside_and_its_former_number_after() -> None:
     torch = pytest.importorskip("torch")
     had = torch.get_num_threads()
     torch.set_num_threads(2)

@@ -76,7 +76,7 @@ def test_it_is_the_network_that_the_paper_states() -> None:
     np.testing.assert_allclose(PaperTcn(weights).score(windows), expected, atol=1e-5)
 
 
-def test_it_gives_the_originals_probabilities() -> None:
+def test_the_probabilities_equal_those_of_the_original_network() -> None:
     vectors = _real("paper_tcn_vectors.npz")
     probability = PaperTcn(_real("paper_tcn.npz")).probability(vectors["inputs"])
     np.testing.assert_allclose(probability, vectors["slip_probability"], atol=1e-5)

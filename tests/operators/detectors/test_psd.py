@@ -36,7 +36,7 @@ def _accuracies(probability: Reals, labels: Codes) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("length", "cutoff"), [(25, 10), (25, 0), (100, 30), (32, 12.5), (2, 0), (3, 20)])
-def test_the_power_is_that_of_scipys_periodogram(length: int, cutoff: float) -> None:
+def test_the_power_equals_scipys_periodogram(length: int, cutoff: float) -> None:
     window = np.random.default_rng(0).normal(size=(1, length, 6)) * 30 - 200
     weights = np.hanning(length + 2)[1:-1]
     weighted: Reals = (window[0] - window[0].mean(axis=0)) * weights[:, None]
@@ -81,7 +81,7 @@ def test_fitted_takes_the_threshold_of_the_best_balanced_accuracy() -> None:
         psd.fitted(windows, np.zeros(7, np.int8))
 
 
-def test_it_tells_slip_from_static_on_the_real_trace_where_1_s_windows_cannot() -> None:
+def test_short_windows_separate_slip_from_static_on_the_real_trace() -> None:
     windows, labels = _trace(25)
     assert _accuracies(Psd().score(windows), labels) == pytest.approx((0.796, 0.797), abs=1e-3)
     fitted = Psd().fitted(windows, labels)

@@ -42,7 +42,7 @@ def _weights(size: Size = SMALL, seed: int = 0) -> Arrays:
 
 
 def _counts(rows: int, fingers: int = 1) -> Counts:
-    """What fingertips feel that are pressed, dragged and let go."""
+    """Return counts of fingertips that are pressed, dragged and released."""
     rng = np.random.default_rng(1)
     shape = (rows, fingers, 6)
     load = np.repeat(rng.integers(-500, 50, (rows // 40 + 1, fingers, 6)), 40, axis=0)[:rows]
@@ -109,7 +109,7 @@ def test_the_default_size_judges_by_a_second() -> None:
     assert Tcn(_weights(SIZES[0])).length == 100
 
 
-def test_many_fingertips_are_each_judged_as_if_alone() -> None:
+def test_fingertips_are_scored_independently() -> None:
     tcn, counts = Tcn(_weights(SIZES[0])), _counts(200, fingers=7)
     together = tcn.stream(7).push(counts)
     alone = [tcn.stream().push(counts[:, [finger]])[:, 0] for finger in range(7)]
@@ -174,7 +174,7 @@ def test_a_count_that_is_nan_is_not_judged_and_is_forgotten_after_a_window() -> 
     np.testing.assert_array_equal(unknown[tcn.length - 1 :], np.isnan(tcn.score(windows)))
 
 
-def test_what_goes_in_is_not_written_to_and_what_came_out_is_not_written_again() -> None:
+def test_input_and_earlier_output_are_not_modified() -> None:
     stream, counts = Tcn(_weights()).stream(), _counts(120)
     copy = counts.copy()
     first = stream.push(counts[:60])

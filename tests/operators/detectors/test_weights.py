@@ -7,7 +7,7 @@ from operators.detectors.weights import check_weights
 SHAPES = {"kernel": (2, 3), "bias": (3,)}
 
 
-def test_arrays_that_are_as_they_must_be_pass_with_others_beside_them() -> None:
+def test_valid_arrays_pass_and_further_ones_are_ignored() -> None:
     check_weights(
         "Net", {"kernel": np.ones((2, 3)), "bias": np.zeros(3, np.int64), "more": np.zeros(1)}, SHAPES
     )
