@@ -2,7 +2,7 @@
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -61,10 +61,10 @@ def command_line(context: typer.Context) -> str:
     """Return the command that repeats this run: all options that change its results and are not defaults."""
     words = ["slipflow", "experiment", str(context.info_name)]
     for option in context.command.params:
-        value = context.params.get(str(option.name))
+        value: Any = context.params.get(str(option.name))
         if option.name in _OUTPUT or not value or value == option.default:
             continue
-        for each in value if isinstance(value, list) else [value]:
+        for each in value if getattr(option, "multiple", False) else [value]:
             words.append(option.opts[0])
             words += [] if each is True else [f"{each:g}" if isinstance(each, float) else str(each)]
     return shlex.join(words)

@@ -10,7 +10,7 @@ from connectors import CsvTrace
 from connectors.sim.paper_plan import PaperPlan
 from flows.lab.simulation import PLANS
 from flows.learn.evaluation.motion_metrics import Cells
-from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
+from flows.learn.labelled_recordings import LabelledRecording, simulated_recording, simulated_recordings
 from operators.batch import UNKNOWN
 from operators.checks import check_choice
 from operators.detectors import TRAINED, Detector
@@ -67,6 +67,7 @@ class Measurements:
         self.network: Detector | None = None if judge is None else load_detector(judge)
         self.trace = None if trace is None else read_trace(trace)
         log("simulating the plan")
+        simulated_recording(next(iter(size.plan.scenes(seed))), seed)  # compiles the physics
         start = process_time()
         self.recordings = simulated_recordings(size.plan, seed)
         self.simulating = process_time() - start  # CPU s, with alignment and labels

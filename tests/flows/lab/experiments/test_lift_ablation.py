@@ -79,7 +79,13 @@ def test_measured_limits_are_interpolated(make_ablation: Make) -> None:
 def test_every_condition_is_tried_with_the_same_trials() -> None:
     seen: list[tuple[int, int, str]] = []
     trials = Trials(1, objects=("ball",))
-    found = ablate([NONE], trials, delays=(0, 600), jobs=1, progress=lambda *each: seen.append(each))
+    found = ablate(
+        [NONE],
+        trials,
+        delays=(0, 600),
+        jobs=1,
+        progress=lambda done, total, label: seen.append((done, total, label)),
+    )
     groups = [list(group.values()) for group in (found.delays, found.rates, found.hard)]
     assert [len(group) for group in groups] == [2, len(RATES) + len(REPEATS), len(HARD)]
     assert {results.trials for group in groups for results in group} == {trials}

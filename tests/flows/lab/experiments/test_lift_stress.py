@@ -26,7 +26,14 @@ def test_conditions_are_as_named() -> None:
 def test_the_report_has_a_row_for_each_condition() -> None:
     seen: list[tuple[int, int, str]] = []
     trials, method = Trials(1, objects=("ball",)), Method("psd", "none")
-    report = stress(method, Conditions(), trials, "command", jobs=1, progress=lambda *each: seen.append(each))
+    report = stress(
+        method,
+        Conditions(),
+        trials,
+        "command",
+        jobs=1,
+        progress=lambda done, total, label: seen.append((done, total, label)),
+    )
     names = list(stress_conditions(Conditions()))
     [table] = report.json()["sections"]["lift-stress"]["tables"]
     assert [row["condition"] for row in table["rows"]] == names

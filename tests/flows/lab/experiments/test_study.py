@@ -17,7 +17,14 @@ def test_each_method_gets_the_same_trials_and_processes_change_nothing() -> None
     seen: list[tuple[int, int, str]] = []
     trials = Trials(3, objects=("ball",))
     alone, shared = (
-        run_study(lift, [NONE, STEPS], NOMINAL, trials, jobs=jobs, progress=lambda *each: seen.append(each))
+        run_study(
+            lift,
+            [NONE, STEPS],
+            NOMINAL,
+            trials,
+            jobs=jobs,
+            progress=lambda done, total, label: seen.append((done, total, label)),
+        )
         for jobs in (1, 2)
     )
     assert repr(alone) == repr(shared)
