@@ -130,10 +130,10 @@ class Link(aiomqtt.Client):
         except asyncio.CancelledError:
             with suppress(aiomqtt.MqttError, ValueError):
                 await entering  # its thread cannot be stopped and may still call back
-            self.drop()
+            self.abort()
             raise
         except (aiomqtt.MqttError, ValueError) as error:
-            self.drop()
+            self.abort()
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
         self.on_lost(self._changed.set)
 
@@ -164,7 +164,7 @@ class Link(aiomqtt.Client):
         try:
             await self._wait_for(asyncio.gather(*answers), None)
         except aiomqtt.MqttError as error:
-            self.drop()
+            self.abort()
             raise EndpointError(self._url, f"connection lost ({_reason(error)})") from None
         finally:
             for answer in answers:
@@ -204,13 +204,13 @@ class Link(aiomqtt.Client):
         message = self._queue.get_nowait()
         return message.topic.value, message.payload
 
-    async def leave(self) -> None:
+    async def disconnect(self) -> None:
         """Disconnect: the broker discards the will."""
         with suppress(aiomqtt.MqttError):
             await self.__aexit__(None, None, None)
-        self.drop()
+        self.abort()
 
-    def drop(self) -> None:
+    def abort(self) -> None:
         """Close the socket without DISCONNECT: the broker publishes the will."""
         while isinstance(sock := self._client.socket(), socket.socket):
             with suppress(OSError):

@@ -221,7 +221,7 @@ class Consumer(AsyncIterator[Event]):
                 f"{self._topic}/+/event", f"{self._topic}/replay/{self._reply_name}", f"{self._topic}/head"
             )
         except BaseException:
-            await link.leave()
+            await link.disconnect()
             raise
         self._link, self._dropped = link, 0
         self._requested.clear()
@@ -229,7 +229,7 @@ class Consumer(AsyncIterator[Event]):
 
     async def _disconnect(self) -> None:
         if self._link:
-            await self._link.leave()
+            await self._link.disconnect()
         self._link = None
 
     def _unlock(self) -> None:

@@ -16,13 +16,15 @@ from connectors.mqtt.outbox_file import Entry
 from connectors.mqtt.rig_names import SUFFIX, name_in_run, outbox_path, replay_name, rig_topic
 from connectors.mqtt.sender import Sender
 from operators.batch import SLIP, Clocks, Faults, Slips, ms
-from operators.checks import check_above, check_at_least, check_between
+from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
 from operators.ports import Json, Run, Sink
 
 log = logging.getLogger("slipflow")
 
 HEALTH_EVERY = 5.0  # s
+KEEP = 100_000  # sent events, for consumers that missed them
+KEEP_FOR = 7 * 86400.0  # s
 
 
 @dataclass(eq=False)
@@ -60,13 +62,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     threshold: float | None = None  # of the probability, reported in events
     consecutive: int | None = None  # samples that decide an onset, reported in events
     outbox: str | Path | None = None  # None: one file per site and rig in $XDG_STATE_HOME/slipflow
-    keep: int = 100_000  # sent events, for consumers that missed them
-    keep_for: float = 7 * 86400  # s, for which they are kept
     connect_required: bool = True  # False: start without the broker; events wait in the outbox
 
     def __post_init__(self) -> None:
         self._broker = Broker.parse(self.url)
-        self._place = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
+        self._destination = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
         self._model, self._sha256 = self.model.get("id", "unknown"), self.model.get("sha256")
         named = self._model and self._model.isprintable() and not set(self.model) - {"id", "sha256"}
         if not named or (self._sha256 is not None and not re.fullmatch("[0-9a-f]{64}", self._sha256)):
@@ -76,13 +76,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             check_between("Mqtt", "threshold", self.threshold, 0, 1)
         if self.consecutive is not None:
             check_at_least("Mqtt", "consecutive", self.consecutive, 1)
-        check_at_least("Mqtt", "keep", self.keep, 1)
-        check_above("Mqtt", "keep_for", self.keep_for, 0, "s")
 
     @property
     def destination(self) -> str:
         """Broker and topic."""
-        return self._place
+        return self._destination
 
     @property
     def replay_destination(self) -> str:
@@ -104,7 +102,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # newest state of the device clock
         self._published: dict[str, int] = {}  # newest event id in the published state, by finger
-        self._outbox = Outbox(self._outbox_path(), keep=self.keep, keep_for=self.keep_for)
+        self._outbox = Outbox(self._outbox_path(), keep=KEEP, keep_for=KEEP_FOR)
         await self._outbox.open()
         # The same in each run, so that a new connection cancels an old will; replays have their own.
         identifier = f"slipflow/{self.site}/{self._name}"

@@ -273,5 +273,5 @@ class Sender:
         if self._reading:
             self._reading.cancel()
         if self._link:
-            await self._link.leave()
+            await self._link.disconnect()
         self._link = None

@@ -44,7 +44,7 @@ async def send(
     try:
         await link.send(topic, payload, retain=retain)
     finally:
-        await link.leave()
+        await link.disconnect()
 
 
 def test_a_reader_gets_missed_and_new_events(shipped: TestBroker, run: Run) -> None:
@@ -106,7 +106,7 @@ def test_a_rig_reads_only_its_own_requests(shipped: TestBroker) -> None:
             async with asyncio.timeout(10):
                 return await link.receive()
         finally:
-            await link.leave()
+            await link.disconnect()
 
     assert asyncio.run(main()) == (f"{RIG}/replay/request", b"{}")
 
@@ -120,7 +120,7 @@ def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBroker, tm
             async with asyncio.timeout(10):
                 return await link.receive()
         finally:
-            await link.leave()
+            await link.disconnect()
 
     asyncio.run(send(shipped, "fingertip", f"{RIG}/head", b"remembered", retain=True))
     saved = tmp_path / "data" / "mosquitto.db"

@@ -38,7 +38,7 @@ async def use(broker: Broker | str, *topics: str, qos: int = 1) -> None:
         for topic in topics:
             await link.send(topic, b"x", qos=qos)
     finally:
-        await link.leave()
+        await link.disconnect()
 
 
 def test_a_sent_message_has_arrived(broker: TestBroker) -> None:
@@ -53,7 +53,7 @@ async def test_a_connection_sets_tcp_nodelay_and_short_timeouts(broker: TestBrok
     client = vars(link)["_client"]
     assert client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
     assert link.timeout == client.connect_timeout == module.TIMEOUT
-    await link.leave()
+    await link.disconnect()
 
 
 def test_a_refused_connection_is_one_clear_line(broker: TestBroker) -> None:
@@ -136,7 +136,7 @@ def test_a_lost_connection_is_detected_while_sending(
         with pytest.raises(EndpointError, match=r"connection lost \((?!no response)[^\n]+\)$"):
             await link.send("a", b"x")
         assert not link.alive
-        await link.leave()
+        await link.disconnect()
 
     asyncio.run(main(), debug=True)
 
@@ -151,7 +151,7 @@ async def test_a_missing_acknowledgement_times_out(
     with pytest.raises(EndpointError, match=r"connection lost \(no response within 0\.2 s\)$"):
         await link.send("a", b"x")
     assert not link.alive
-    await link.leave()
+    await link.disconnect()
 
 
 def test_a_user_with_the_right_password_can_publish_and_subscribe(guarded: TestBroker) -> None:
@@ -188,7 +188,7 @@ async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
         link = await connect(Broker("mqtt", "127.0.0.1", serving.sockets[0].getsockname()[1]), "test")
         with pytest.raises(EndpointError, match=r"refuses to subscribe to a/#: Not authorized; allow it in"):
             await link.listen("a/#")
-        await link.leave()
+        await link.disconnect()
 
 
 @pytest.fixture
@@ -252,7 +252,7 @@ def test_messages_sent_together_arrive_in_order_and_each_refusal_is_reported(gua
                 await link.send(f"mine/{number}", b"y")
             assert [(await link.receive())[0] for _ in range(3)] == topics[:3]
         finally:
-            await link.leave()
+            await link.disconnect()
         return refusals
 
     refusals = asyncio.run(main())
@@ -266,4 +266,4 @@ async def test_a_message_larger_than_the_limit_is_not_delivered(broker: TestBrok
     await link.send("a/large", b"x" * (module.PACKET_MAX + 1))
     await link.send("a/small", b"x")
     assert (await link.receive())[0] == "a/small"
-    await link.leave()
+    await link.disconnect()

@@ -63,7 +63,7 @@ class Connection:
 
     def __init__(self, peer: Peer) -> None:
         self._peer = peer
-        self.alive, self.got, self.left = True, list[Message](), False
+        self.alive, self.got, self.disconnected = True, list[Message](), False
         self.requests = asyncio.Queue[bytes]()
         self.batches = list[int]()  # how many messages were sent together
         self._lost = list[Callable[[], object]]()
@@ -96,8 +96,8 @@ class Connection:
     async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
         await self.send_all([Message(topic, payload, qos, retain)])
 
-    async def leave(self) -> None:
-        self.alive, self.left = False, True
+    async def disconnect(self) -> None:
+        self.alive, self.disconnected = False, True
 
 
 def said(message: Message) -> str:
@@ -173,7 +173,7 @@ async def test_a_new_connection_gets_retained_documents_and_then_unacknowledged_
         peer.away = False
         await until(lambda: not outbox.waiting and ("head", "43") in peer.got)
     first, second = peer.connections
-    assert first.left
+    assert first.disconnected
     assert [said(each) for each in second.got[:2]] == ["online", "2"]
     assert [said(each) for each in second.got if each.topic.endswith("/event")] == [
         str(n) for n in range(3, 44)
@@ -252,7 +252,7 @@ async def test_a_refusal_at_the_start_is_an_error_and_disconnects(tmp_path: Path
     async with opened(tmp_path) as (sending, _):
         with pytest.raises(EndpointError, match="refuses"):
             await sending.start("me", WILL, ONLINE)
-        assert [each.left for each in peer.connections] == [True]
+        assert [each.disconnected for each in peer.connections] == [True]
 
 
 async def test_a_refused_request_topic_is_logged_once_and_events_are_sent(
