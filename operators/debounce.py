@@ -15,7 +15,7 @@ class Debounce(Operator[Scores, Slips]):
     """Convert slip probabilities to slip events: onset and end.
 
     A slip starts after `consecutive` decisions for slip in a row, and ends after `release` decisions against
-    it. NaN is no decision and interrupts both. A slip that is open at the end of the stream gets no end.
+    it. NaN is not a decision and interrupts both. A slip that is open at the end of the stream gets no end.
 
     Args:
         threshold: Smallest probability that is a decision for slip, above 0, at most 1.

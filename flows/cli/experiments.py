@@ -92,7 +92,7 @@ def lift(
     out: Out = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Lift objects that are gripped too weakly: does more force catch them?
+    """Lift objects gripped too weakly: does more force hold them?
 
     Prints success next to the paper's, how trials failed, how far objects slid and the force that held them.
     Writes lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation

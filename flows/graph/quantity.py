@@ -39,7 +39,7 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
     }
 )
 
-_LONGEST: Final = 40  # characters; longer text is no number
+_LONGEST: Final = 40  # characters; longer text is not a number
 
 
 def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = False) -> float:
@@ -59,7 +59,7 @@ def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = Fals
         signed: Accept negative values.
 
     Raises:
-        ParameterError: if the text is no quantity of this unit.
+        ParameterError: if the text is not a quantity of this unit.
     """
     from fractions import Fraction  # noqa: PLC0415 - `slipflow --help` must not wait for it
 
@@ -78,7 +78,7 @@ def time(owner: str, name: str, text: str) -> int:
     1500000000
 
     Raises:
-        ParameterError: if the text is no time.
+        ParameterError: if the text is not a time.
     """
     return int(quantity(owner, name, text, "ns"))
 

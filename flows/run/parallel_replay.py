@@ -101,7 +101,7 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
     found = list[Path]()
     for path in paths:
         if path.suffix == ".csv" or (path / SESSION).exists() or not (path / SESSIONS).is_dir():
-            found.append(path)  # opening reports the error if this is no recording
+            found.append(path)  # opening reports the error if it is not a recording
         elif names := session_names(path):
             found += [session_folder(path, name) for name in names]
         else:

@@ -1,4 +1,4 @@
-"""`slipflow demo` as a user meets it: its page, and brokers that are found, killed, or refuse it."""
+"""`slipflow demo` in processes of its own: its page, and brokers that refuse it or are killed."""
 
 import json
 import re
@@ -19,8 +19,8 @@ from tests.connectors.mqtt.broker_process import TestBroker
 SCHEMA = json.loads((Path(__file__).parents[3] / "connectors" / "slip-event.schema.json").read_text())
 
 
-def demo_beside(broker: str | None) -> list[str]:
-    """The command on a machine where this broker, or none, is found."""
+def demo_with_broker(broker: str | None) -> list[str]:
+    """Return the command for a machine with this broker, or none."""
     found = f"from flows.cli import demo_summary; demo_summary.local_broker = lambda: {broker!r}"
     return [sys.executable, "-c", f"{found}; {SLIPFLOW[-1]}", "demo"]
 
@@ -31,12 +31,12 @@ def summary(output: str) -> dict[str, Any]:
 
 
 def slips(out: Path) -> list[int]:
-    """The times of the slips that were recorded (ns)."""
+    """Return the times of the recorded slips, ns."""
     return pl.read_parquet(f"{out}/sessions/*/slips.parquet")["time"].to_list()
 
 
-def test_the_demo_serves_its_page_without_being_told_to_and_ends_well(tmp_path: Path) -> None:
-    command = [*demo_beside(None), "--for", "60s", "--out", str(tmp_path), "--json"]
+def test_the_demo_serves_its_page_by_default(tmp_path: Path) -> None:
+    command = [*demo_with_broker(None), "--for", "60s", "--out", str(tmp_path), "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr
     address = next(
@@ -61,11 +61,11 @@ def test_the_demo_serves_its_page_without_being_told_to_and_ends_well(tmp_path: 
 
 
 @pytest.mark.broker
-def test_a_broker_that_was_merely_found_and_refuses_ends_nothing_and_events_wait_for_it(
+def test_the_demo_continues_if_the_broker_on_this_machine_refuses(
     tmp_path: Path,
 ) -> None:
     with TestBroker(tmp_path, "allow_anonymous false") as broker:
-        command = [*demo_beside(broker.url), "--no-page", "--for", "8s", "--out", str(tmp_path / "data")]
+        command = [*demo_with_broker(broker.url), "--no-page", "--for", "8s", "--out", str(tmp_path / "data")]
         done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False, timeout=60)
         assert done.returncode == 0, done.stderr
         recorded = slips(tmp_path / "data")
@@ -77,7 +77,7 @@ def test_a_broker_that_was_merely_found_and_refuses_ends_nothing_and_events_wait
 
 
 @pytest.mark.broker
-def test_a_broker_that_was_asked_for_and_refuses_is_an_error_of_one_line(tmp_path: Path) -> None:
+def test_a_requested_broker_that_refuses_is_a_one_line_error(tmp_path: Path) -> None:
     with TestBroker(tmp_path, "allow_anonymous false") as broker:
         done = slipflow("demo", "--mqtt", broker.url, "--no-page", "--for", "8s", cwd=tmp_path)
         assert done.returncode == 2
@@ -85,9 +85,7 @@ def test_a_broker_that_was_asked_for_and_refuses_is_an_error_of_one_line(tmp_pat
 
 
 @pytest.mark.broker
-def test_the_demo_goes_on_when_the_broker_is_killed_and_a_watch_gets_every_event(
-    tmp_path: Path, broker: TestBroker
-) -> None:
+def test_watch_receives_every_event_although_the_broker_is_killed(tmp_path: Path, broker: TestBroker) -> None:
     out, topic = tmp_path / "data", "slip/v1/lab/demo"
     listener = broker.listen(f"{topic}/+/event", f"{topic}/status")
     options = ["watch", broker.url, "--json", "--since", "start", "--position", str(tmp_path / "position")]

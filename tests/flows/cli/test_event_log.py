@@ -21,7 +21,7 @@ from tests.command import slipflow
 
 @pytest.fixture
 def log_text() -> Iterator[StringIO]:
-    """What the log tells programs."""
+    """The JSON log as text."""
     root, ours, stream = logging.getLogger(), logging.getLogger("slipflow"), StringIO()
     handlers, level = root.handlers[:], ours.level
     root.handlers[:] = []
@@ -39,7 +39,7 @@ def scores(*probability: float) -> Scores:
     return Scores(np.arange(len(probability)), np.array(probability))
 
 
-def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(log_text: StringIO) -> None:
+def test_the_log_has_the_start_failures_and_result_of_a_run(log_text: StringIO) -> None:
     flow = Flow("felt")
     source = TestSource(Scores, [scores(0.1), OSError("unplugged"), scores(0.2, 0.3)])
     flow.source(source, "touch").to(TestSink(failures=[OSError("disk full")]))
@@ -81,14 +81,14 @@ def test_a_run_tells_its_begin_its_failures_and_what_it_came_to(log_text: String
     assert by_event["run_ends"]["sinks"]["testsink"]["rows"] == 3
 
 
-def test_a_run_that_breaks_tells_why(log_text: StringIO, run: Run) -> None:
+def test_the_log_has_the_error_of_a_broken_run(log_text: StringIO, run: Run) -> None:
     run.error = "touch -> Zero: broken"
     with pytest.raises(ValueError, match="broken"), logged(run):
         raise ValueError(run.error)
     assert objects(log_text.getvalue())[-1]["error"] == "touch -> Zero: broken"
 
 
-def test_other_records_are_told_with_their_text_but_without_credentials(log_text: StringIO) -> None:
+def test_other_records_are_logged_without_credentials(log_text: StringIO) -> None:
     log = logging.getLogger("slipflow.other")
     log.warning("cannot reach %s", "mqtt://me:s3cret@host:1883 and http://host/?token=s3cret2&x=1")
     log.error("failed", exc_info=OSError("http://me:s3cret@host"))
@@ -99,7 +99,7 @@ def test_other_records_are_told_with_their_text_but_without_credentials(log_text
     assert second["traceback"].endswith("OSError: http://...@host")
 
 
-def test_people_are_told_in_lines_of_text(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_text_log_goes_to_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     root = logging.getLogger()
     handlers, root.handlers[:] = root.handlers[:], []
     try:
@@ -110,7 +110,7 @@ def test_people_are_told_in_lines_of_text(capsys: pytest.CaptureFixture[str]) ->
     assert capsys.readouterr().err.endswith("WARNING touch is back\n")
 
 
-def test_consoles_print_json_where_the_log_does_and_one_is_added_where_none_is() -> None:
+def test_consoles_print_json_and_one_is_added_if_there_is_none() -> None:
     flow, stream = Flow("felt"), StringIO()
     slips = flow.source(TestSource(Scores, [scores(0.9, 0.9)])) | Debounce()
     slips.to(Console(stream))
@@ -134,7 +134,7 @@ def test_consoles_print_json_where_the_log_does_and_one_is_added_where_none_is()
     assert len(with_json_console(silent).nodes) == len(silent.nodes)
 
 
-def test_run_with_log_json_prints_nothing_but_objects(tmp_path: Path) -> None:
+def test_run_with_log_json_prints_only_objects(tmp_path: Path) -> None:
     trace = tmp_path / "trace.csv"
     rows = [
         f"{k / 100},{','.join(str(-100 - (300 * (k % 3) if k > 150 else 0)) for _ in range(6))}"
@@ -148,7 +148,7 @@ def test_run_with_log_json_prints_nothing_but_objects(tmp_path: Path) -> None:
     assert "slip_onset" in events
 
 
-def test_the_formatter_tells_utc() -> None:
+def test_the_formatter_writes_utc() -> None:
     record = logging.makeLogRecord({"msg": "up", "created": 1.5, "levelname": "INFO"})
     assert json.loads(JsonFormatter().format(record))["time"] == "1970-01-01T00:00:01.500000000Z"
 
@@ -162,7 +162,7 @@ class Gone(StringIO):
         raise self.error
 
 
-def test_a_reader_that_has_gone_is_no_error_and_a_full_disk_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_closed_pipe_is_not_an_error_but_a_full_disk_is(capsys: pytest.CaptureFixture[str]) -> None:
     record = logging.makeLogRecord({"msg": "slip"})
     PipeHandler(Gone(BrokenPipeError())).handle(record)
     assert capsys.readouterr().err == ""

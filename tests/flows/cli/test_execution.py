@@ -16,7 +16,7 @@ from operators.ports import SinkStatus
 
 @pytest.fixture
 def trace(tmp_path: Path) -> CsvTrace:
-    """Two seconds at 100 Hz."""
+    """Trace of two seconds at 100 Hz."""
     path = tmp_path / "trace.csv"
     rows = "".join(f"{k / 100},1,2,3,4,5,{k}\n" for k in range(200))
     path.write_text("t,p0,p1,p2,p3,p4,p5\n" + rows)
@@ -29,11 +29,11 @@ def flow() -> tuple[Flow, TestSink]:
     return made, sink
 
 
-def test_a_session_is_named_after_its_flow_and_its_beginning() -> None:
+def test_a_session_is_named_after_its_flow_and_start_time() -> None:
     assert re.fullmatch(r"felt-\d{8}T\d{6}\.\d{6}Z", session_name(Flow("felt")))
 
 
-def test_a_recording_gives_the_same_rows_at_full_speed_and_at_a_pace(trace: CsvTrace) -> None:
+def test_a_recording_gives_the_same_rows_at_any_pace(trace: CsvTrace) -> None:
     given = list[list[int]]()
     for pace in (None, 0.5):
         made, sink = flow()
@@ -49,12 +49,12 @@ def test_a_limit_ends_a_paced_replay(trace: CsvTrace) -> None:
     assert 98 <= len(sink.rows(Touch, 0)) <= 101
 
 
-def test_a_live_run_replays_nothing() -> None:
+def test_a_live_run_has_no_recording() -> None:
     made, _ = flow()
     assert run_virtually(execute(made, log=Format.TEXT)).recording is None
 
 
-def test_what_came_of_a_run_is_a_report_or_an_object(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_result_of_a_run_is_text_or_json(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     report_run(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=False)
     assert capsys.readouterr().out == "run1: 10.0 s\n"
     report_run(run, replayed=None, seconds=1.5, log=Format.TEXT, as_json=True)
@@ -64,12 +64,12 @@ def test_what_came_of_a_run_is_a_report_or_an_object(run: Run, capsys: pytest.Ca
     assert (found["wall_seconds"], found["sessions"][0]["recording"]) == (1.5, "stroke-9")
 
 
-def test_a_log_for_programs_is_all_that_is_said(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+def test_with_a_json_log_no_report_is_printed(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
     report_run(run, replayed=None, seconds=1.5, log=Format.JSON, as_json=False)
     assert capsys.readouterr().out == ""
 
 
-def test_lost_rows_and_an_interruption_are_told_by_the_exit_code(
+def test_lost_rows_and_an_interruption_set_the_exit_code(
     run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run.sinks["dataset"] = SinkStatus(dropped=1)

@@ -15,22 +15,22 @@ from flows.run.live_runner import LiveRunner
 from operators import Clock, Debounce, Scores, Slips, Source
 
 
-def felt() -> Flow:
-    flow = Flow("felt")
+def slipping() -> Flow:
+    flow = Flow("slipping")
     scores = flow.source(TestSource(Scores, [Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))]))
     (scores | Debounce()).to(TestSink())
     return flow
 
 
-def test_the_metrics_take_what_tells_them_something() -> None:
-    flow = felt()
+def test_the_metrics_take_slips_faults_and_clocks() -> None:
+    flow = slipping()
     add_metrics(flow, "0")
     assert problems(flow) == []
     [node] = [node for node in flow.nodes if isinstance(node.part, Metrics)]
     assert [parent.gives for parent in node.inputs] == [Slips]
 
 
-def test_a_flow_without_slips_is_measured_too() -> None:
+def test_a_flow_without_slips_has_metrics() -> None:
     flow, heard = Flow("scored"), list[str]()
     flow.source(TestSource(Scores, [Scores(np.arange(4), np.full(4, 0.1))])).to(TestSink())
     add_metrics(flow, "0", heard.append)
@@ -43,17 +43,17 @@ def test_a_flow_without_slips_is_measured_too() -> None:
     assert len(heard) == 1
 
 
-def test_two_at_one_address_are_found_before_the_run_though_nothing_flows_into_them() -> None:
+def test_two_metrics_at_one_address_are_an_error() -> None:
     flow = Flow("scored")
     flow.source(TestSource(Scores)).to(TestSink())
     add_metrics(flow, "9464")
     add_metrics(flow, "9464")
     [problem] = problems(flow)
-    assert "metrics2: writes to http://127.0.0.1:9464, and so does metrics" in str(problem)
+    assert "metrics2: writes to http://127.0.0.1:9464, as does metrics" in str(problem)
 
 
-class Patient(Source[Scores]):
-    """Gives a slip, fails, gives another, and ends once it has been asked for the numbers."""
+class FailingOnce(Source[Scores]):
+    """Yields a slip, fails, yields another, and ends after the metrics were requested."""
 
     def __init__(self) -> None:
         self.asked, self._failed = asyncio.Event(), False
@@ -71,9 +71,9 @@ class Patient(Source[Scores]):
         await self.asked.wait()
 
 
-def test_a_live_run_tells_its_numbers_to_who_asks() -> None:
+def test_a_live_run_serves_its_metrics() -> None:
     async def main() -> dict[str, float]:
-        flow, source, urls = Flow("felt"), Patient(), list[str]()
+        flow, source, urls = Flow("slipping"), FailingOnce(), list[str]()
         writes, again = count(), asyncio.Event()
 
         async def hold() -> None:

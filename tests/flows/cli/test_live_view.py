@@ -34,7 +34,7 @@ def page_of(flow: Flow) -> Page:
     return page
 
 
-def test_the_page_takes_what_it_can_show_of_the_demo(tmp_path: Path) -> None:
+def test_the_page_shows_the_streams_of_the_demo(tmp_path: Path) -> None:
     flow = ready_made.demo(str(tmp_path))
     assert names(flow) == ["Zeroed", "Motion", "Scores", "Slips"]
     add_page(flow)
@@ -44,7 +44,7 @@ def test_the_page_takes_what_it_can_show_of_the_demo(tmp_path: Path) -> None:
     assert page_of(flow).destination == "http://127.0.0.1:8765"
 
 
-def test_raw_touch_is_shown_where_none_is_zeroed_and_each_type_once() -> None:
+def test_raw_touch_is_shown_if_none_is_zeroed_and_each_type_once() -> None:
     flow = Flow("raw")
     first = flow.source(TestSource(Touch), "first")
     first.to(TestSink())
@@ -58,13 +58,13 @@ def test_raw_touch_is_shown_where_none_is_zeroed_and_each_type_once() -> None:
 
 
 class Terminal(StringIO):
-    """What a person reads."""
+    """Stream that is a terminal."""
 
     def isatty(self) -> bool:
         return True
 
 
-def test_the_token_is_told_to_a_terminal_and_to_nobody_else(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_token_is_printed_on_terminals_only(monkeypatch: pytest.MonkeyPatch) -> None:
     url, entrance = "http://127.0.0.1:8765", "http://127.0.0.1:8765/?token=0123456789abcdef"
     for stream, text in (
         (Terminal(), f"live page: {entrance}\n"),
@@ -76,7 +76,7 @@ def test_the_token_is_told_to_a_terminal_and_to_nobody_else(monkeypatch: pytest.
 
 
 @pytest.mark.parametrize("program", ["stdout", "stderr"])
-def test_a_browser_is_opened_for_a_person_and_for_no_program(
+def test_a_browser_is_opened_only_if_no_program_reads_the_output(
     monkeypatch: pytest.MonkeyPatch, program: str
 ) -> None:
     opened = Queue[str]()
@@ -92,12 +92,12 @@ def test_a_browser_is_opened_for_a_person_and_for_no_program(
     assert opened.get(timeout=PATIENCE) == "http://three"  # the first, and without its token
 
 
-def test_run_demo_and_show_have_one_rule_of_when_a_browser_is_opened() -> None:
+def test_run_demo_and_show_share_the_option_no_browser() -> None:
     for command in (run, demo, show):
         assert get_type_hints(command, include_extras=True)["no_browser"] is NoBrowser
 
 
-def test_a_live_run_serves_its_page_says_where_and_ends_well() -> None:
+def test_a_live_run_serves_its_page_and_prints_the_address() -> None:
     command = [*SLIPFLOW, "run", "live", "--listen", "127.0.0.1:0", "--for", "60s", "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr
@@ -121,7 +121,7 @@ def test_a_live_run_serves_its_page_says_where_and_ends_well() -> None:
     assert json.loads(output.splitlines()[-1])["sinks"]["page"]["dropped"] == 0
 
 
-def test_a_page_for_others_without_a_token_is_one_line_that_says_so(
+def test_a_page_for_other_machines_without_a_token_is_a_one_line_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SLIPFLOW_PAGE_TOKEN", raising=False)

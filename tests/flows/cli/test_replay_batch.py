@@ -36,20 +36,20 @@ def test_a_dataset_is_replayed_session_by_session(tiny: Path, tmp_path: Path) ->
     assert len(session_names(tmp_path)) == len(names)
 
 
-def test_each_session_has_its_summary_and_a_failing_one_its_error(tiny: Path, tmp_path: Path) -> None:
+def test_each_replay_has_a_summary_and_a_failed_one_an_error(tiny: Path, tmp_path: Path) -> None:
     dataset = copytree(tiny, tmp_path / "dataset")
     first, second, third = [dataset / "sessions" / name for name in session_names(dataset)[:3]]
     (second / "touch/part-000000.parquet").unlink()
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second, third, "--json")
     assert done.returncode == 1
-    assert f"\nerror: {second}: " in done.stderr  # what was printed stands there, too
+    assert f"\nerror: {second}: " in done.stderr  # stderr also has the output
     found = json.loads(done.stdout)
     assert [each["recording"] for each in found["sessions"]] == [str(first), str(second), str(third)]
     assert [bool(each["error"]) for each in found["sessions"]] == [False, True, False]
     assert found["sessions"][2]["sources"]["touch"]["rows"] > 1000
 
 
-def test_one_recording_is_told_to_a_program_as_several_are(tiny: Path) -> None:
+def test_json_has_the_same_form_for_one_recording_and_several(tiny: Path) -> None:
     first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
     found = list[dict[str, Any]]()
     for paths in ([first], [first, second], [first, "--pace", "1000"]):
@@ -62,7 +62,7 @@ def test_one_recording_is_told_to_a_program_as_several_are(tiny: Path) -> None:
     assert one["sources"]["touch"]["rows"] > 1000
 
 
-def test_what_several_replays_print_stands_below_the_name_of_its_recording(tiny: Path) -> None:
+def test_output_is_printed_below_the_name_of_its_recording(tiny: Path) -> None:
     first, second = [tiny / "sessions" / name for name in session_names(tiny)[:2]]
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", first, second)
     *lines, _total = done.stdout.splitlines()
@@ -74,7 +74,7 @@ def test_what_several_replays_print_stands_below_the_name_of_its_recording(tiny:
         assert [line.strip() for line in below] == [line for line in alone if "  finger " in line] != []
 
 
-def test_a_dataset_is_not_recorded_into_while_it_is_replayed(tiny: Path, tmp_path: Path) -> None:
+def test_recording_into_the_replayed_dataset_is_an_error(tiny: Path, tmp_path: Path) -> None:
     dataset = copytree(tiny, tmp_path / "dataset")
     before = session_names(dataset)
     for paths in ([dataset], [dataset / "sessions" / before[0]]):
@@ -84,7 +84,7 @@ def test_a_dataset_is_not_recorded_into_while_it_is_replayed(tiny: Path, tmp_pat
     assert session_names(dataset) == before
 
 
-def test_a_flow_that_is_wrong_is_told_of_once(tiny: Path, tmp_path: Path) -> None:
+def test_a_wrong_flow_is_reported_once(tiny: Path, tmp_path: Path) -> None:
     (tmp_path / "wrong.py").write_text(WRONG)
     done = slipflow("run", tmp_path / "wrong.py", "--replay", tiny)
     assert done.returncode == 2
@@ -104,7 +104,7 @@ def test_wrong_usage_exits_with_2(tiny: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_all_and_commits_what_there_is(
+def test_a_signal_ends_all_replays_and_commits_their_rows(
     tiny: Path, tmp_path: Path, number: signal.Signals
 ) -> None:
     arguments = ["run", "record", "--replay", *[str(tiny)] * 40, "--set", f"out={tmp_path}", "--jobs", "2"]

@@ -21,7 +21,7 @@ def trace(folder: Path, *rows: str, header: str = HEADER) -> str:
 
 
 def shaking(folder: Path, samples: int = 300) -> str:
-    """A zeroed trace that rests and then shakes."""
+    """Write a zeroed trace that is static and then shakes."""
     rows = [
         f"{k / 100},{','.join(str(-100 - (300 * (k % 3) if k > samples // 2 else 0)) for _ in range(6))}"
         for k in range(samples)
@@ -29,7 +29,7 @@ def shaking(folder: Path, samples: int = 300) -> str:
     return trace(folder, *rows)
 
 
-def test_a_trace_replayed_through_the_live_flow_gives_events(tmp_path: Path) -> None:
+def test_a_trace_replayed_through_the_live_flow_gives_slip_events(tmp_path: Path) -> None:
     done = slipflow("run", "live", "--replay", shaking(tmp_path), "--json")
     assert done.returncode == 0, done.stderr
     assert "slip onset" in done.stdout
@@ -38,7 +38,7 @@ def test_a_trace_replayed_through_the_live_flow_gives_events(tmp_path: Path) -> 
     assert summary["sinks"]["console"]["rows"] > 0
 
 
-def test_a_trace_in_units_that_can_hardly_be_is_replayed_with_a_warning(tmp_path: Path) -> None:
+def test_a_trace_with_an_unlikely_rate_is_replayed_with_a_warning(tmp_path: Path) -> None:
     fast = tmp_path / "fast.csv"
     fast.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 1000},1,2,3,4,5,6\n" for k in range(200)))
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", str(fast))
@@ -68,14 +68,16 @@ def test_a_paced_replay_prints_the_same_events_as_a_full_speed_one(tmp_path: Pat
     ],
     ids=["nan", "infinity", "backwards", "text", "empty"],
 )
-def test_a_bad_trace_is_one_line_that_names_its_place(tmp_path: Path, rows: list[str], message: str) -> None:
+def test_an_error_in_a_trace_is_one_line_with_its_position(
+    tmp_path: Path, rows: list[str], message: str
+) -> None:
     path = trace(tmp_path, *rows)
     line = error("run", "live", "--replay", path)
     assert line.startswith(path)
     assert message in line
 
 
-def test_other_bad_input_is_one_line_each(tmp_path: Path) -> None:
+def test_other_invalid_input_is_a_one_line_error(tmp_path: Path) -> None:
     here = shaking(tmp_path)
     wrong = tmp_path / "wrong.csv"
     wrong.write_text("a,b\n1,2\n")
@@ -93,20 +95,20 @@ def test_other_bad_input_is_one_line_each(tmp_path: Path) -> None:
     assert "holds no motion stream" in error("run", "record", "--replay", here)
 
 
-def test_an_output_that_cannot_be_written_is_told_before_anything_runs(tmp_path: Path) -> None:
+def test_an_unwritable_output_is_an_error_before_the_run(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     line = error("run", "record", "--set", f"out={tmp_path / 'file'}", "--for", "1s")
     assert str(tmp_path / "file") in line
 
 
-def test_a_broker_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_missing_broker_is_a_one_line_error(tmp_path: Path) -> None:
     done = slipflow("run", "live", "--replay", shaking(tmp_path), "--set", "broker=mqtt://127.0.0.1:1")
-    told, line = done.stderr.splitlines()
-    assert "the replay is written to" in told
+    note, line = done.stderr.splitlines()
+    assert "the replay is written to" in note
     assert (done.returncode, line.startswith("error: mqtt://127.0.0.1:1: cannot connect")) == (2, True)
 
 
-def test_a_live_run_is_one_object_for_a_program() -> None:
+def test_a_live_run_prints_one_json_object() -> None:
     done = slipflow("run", "live", "--for", "100ms", "--json")
     found = json.loads(done.stdout.splitlines()[-1])
     assert list(found) == ["session", "flow", "seconds", "sources", "sinks", "error"]
@@ -150,5 +152,5 @@ def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
         ("--set =1", "--set : write it as NAME=VALUE"),
     ],
 )
-def test_options_that_do_not_go_together_are_one_line(words: str, line: str) -> None:
+def test_incompatible_options_are_a_one_line_error(words: str, line: str) -> None:
     assert error("run", "live", *words.split()).startswith(line)

@@ -23,7 +23,7 @@ from tests.command import SLIPFLOW, slipflow
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
-    """12 s of the demo, with its slips."""
+    """Session of 12 s of the demo."""
     out = tmp_path_factory.mktemp("data")
 
     async def main() -> None:
@@ -35,7 +35,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Session:
     return Session.open(out)
 
 
-def test_a_session_is_shown_with_its_slips_and_scored_again(session: Session) -> None:
+def test_a_session_is_shown_with_recorded_slips_and_new_scores(session: Session) -> None:
     recorded = asyncio.run(load(session))
     contents: dict[str, Any] = {**recorded.contents()}
     assert (contents["flow"], contents["session"]) == ("demo", "test")
@@ -55,7 +55,7 @@ def test_a_session_is_shown_with_its_slips_and_scored_again(session: Session) ->
     assert seen["scores"]["0"]["v"][0] >= recorded.threshold
 
 
-def test_a_session_without_recorded_slips_gets_those_found_now(tmp_path: Path) -> None:
+def test_a_session_without_recorded_slips_is_shown_with_detected_ones(tmp_path: Path) -> None:
     async def main() -> None:
         runner = LiveRunner(
             record(out=str(tmp_path)), "test", clock=LoopClock(1_700_000_000 * s), duration=8 * s
@@ -68,7 +68,7 @@ def test_a_session_without_recorded_slips_gets_those_found_now(tmp_path: Path) -
     assert contents["events"]
 
 
-def test_the_command_serves_the_session_until_it_is_stopped(session: Session) -> None:
+def test_the_command_serves_the_session_until_ctrl_c(session: Session) -> None:
     command = [*SLIPFLOW, "show", str(session.folder), "--listen", "127.0.0.1:0", "--no-browser"]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr
@@ -83,7 +83,7 @@ def test_the_command_serves_the_session_until_it_is_stopped(session: Session) ->
     assert process.returncode == 0
 
 
-def test_what_cannot_be_shown_is_told(tmp_path: Path) -> None:
+def test_another_folder_is_a_one_line_error(tmp_path: Path) -> None:
     done = slipflow("show", tmp_path)
     assert done.returncode == 2
     [line] = done.stderr.splitlines()
@@ -91,7 +91,7 @@ def test_what_cannot_be_shown_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("token", [None, "short"])
-def test_a_page_for_others_without_a_good_token_is_refused_before_anything_is_read(
+def test_an_invalid_token_is_an_error_before_anything_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, token: str | None
 ) -> None:
     monkeypatch.delenv(TOKEN_FILE, raising=False)
@@ -99,9 +99,9 @@ def test_a_page_for_others_without_a_good_token_is_refused_before_anything_is_re
     if token:
         monkeypatch.setenv(TOKEN, token)
     with pytest.raises(ParameterError, match="Page: token"):
-        show(tmp_path / "none", listen="0.0.0.0:0")  # which would be told as well, if it were read
+        show(tmp_path / "none", listen="0.0.0.0:0")  # not read: that would be another error
 
 
-def test_a_detector_that_is_none_is_told(session: Session) -> None:
+def test_an_unknown_detector_is_an_error(session: Session) -> None:
     with pytest.raises(InputError, match="oracle: is no detector"):
         asyncio.run(load(session, "oracle"))

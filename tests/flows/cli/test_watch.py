@@ -10,9 +10,9 @@ from tests.connectors.mqtt.broker_process import TestBroker
 pytestmark = pytest.mark.broker
 
 
-@pytest.mark.parametrize(("latency", "soon"), [(8, "8.0 ms, "), (None, "")])
-def test_events_are_printed_a_line_each_and_what_is_wrong_beside(
-    broker: TestBroker, latency: float | None, soon: str
+@pytest.mark.parametrize(("latency", "created"), [(8, "8.0 ms, "), (None, "")])
+def test_events_are_printed_on_a_line_each_and_errors_on_stderr(
+    broker: TestBroker, latency: float | None, created: str
 ) -> None:
     event = Event("lab", "ur10", "0", "ab", 7, onset=True, time=10**9, probability=0.93, latency=latency)
     broker.publish("slip/v1/lab/ur10/0/event", event.encode().decode(), "-r")
@@ -26,8 +26,8 @@ def test_events_are_printed_a_line_each_and_what_is_wrong_beside(
     assert watch.stdout
     assert watch.stderr
     line = watch.stdout.readline()
-    told, _, late = line.partition("here after ")
-    assert told == "1970-01-01 00:00:01.000  lab/ur10 finger 0  slip onset  p 0.93  " + soon
+    text, _, late = line.partition("here after ")
+    assert text == "1970-01-01 00:00:01.000  lab/ur10 finger 0  slip onset  p 0.93  " + created
     assert re.fullmatch(r"\d{5}\.\d days\n", late)
     assert watch.stderr.readline().startswith("ignoring malformed message: slip/v1/lab/ur10/1/event: ")
     watch.terminate()
@@ -35,7 +35,7 @@ def test_events_are_printed_a_line_each_and_what_is_wrong_beside(
 
 
 @pytest.mark.parametrize("options", [["mqtt://127.0.0.1:1"], ["localhost"], ["--since", "yesterday"]])
-def test_what_cannot_be_watched_is_one_line_and_exit_code_2(options: list[str]) -> None:
+def test_a_usage_error_is_one_line_and_exit_code_2(options: list[str]) -> None:
     done = slipflow("watch", *options)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
