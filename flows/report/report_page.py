@@ -37,6 +37,7 @@ class Section:
     text: str  # how it was measured
     tables: Sequence[Table] = ()
     draw: Callable[[], Figure] | None = None  # called at most once, and only if matplotlib is installed
+    terminal: bool = True  # False: left out of the terminal text
 
     @cached_property
     def figure(self) -> Figure | None:
@@ -93,8 +94,9 @@ class Report:
         return {"title": self.title, "command": self.command, **self.facts, "sections": found}
 
     def terminal(self) -> str:
-        """Return findings and tables as text for a terminal."""
-        parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in self.sections]
+        """Return the findings and tables of the sections for a terminal as text."""
+        shown = [section for section in self.sections if section.terminal]
+        parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in shown]
         return "\n\n".join("\n\n".join(each) for each in parts)
 
     def write(self, folder: Path, name: str) -> list[Path]:

@@ -6,7 +6,7 @@ from html import escape
 from math import isfinite
 from typing import Any, Final, TypeAlias
 
-Cell: TypeAlias = str | float | int | None  # None, NaN and infinity: unknown
+Value: TypeAlias = str | float | int | None  # None, NaN and infinity: unknown
 UNKNOWN: Final = "-"  # unknown values in tables
 
 
@@ -14,7 +14,7 @@ UNKNOWN: Final = "-"  # unknown values in tables
 class Table:
     """Rows below a head; text columns and the first column are aligned left, numbers right.
 
-    Floats are shown with one decimal, or as many as `decimals` gives for their column.
+    Floats are shown with one decimal, or as `decimals` says for their column; None: three significant digits.
 
     >>> table = Table(["method", "F1", "how"], [["psd", 57.52, "late"], ["tcn", 9.0, None]])
     >>> print(table.markdown())
@@ -27,9 +27,9 @@ class Table:
     """
 
     head: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
+    rows: Sequence[Sequence[Value]]
     caption: str = ""
-    decimals: Mapping[str, int] = field(default_factory=dict[str, int])  # by column
+    decimals: Mapping[str, int | None] = field(default_factory=dict[str, int | None])  # by column
 
     def markdown(self) -> str:
         """Return a padded Markdown table, which also reads as plain text."""
@@ -77,25 +77,27 @@ class Table:
         return [not number or _is_text(cells) for number, cells in enumerate(columns)]
 
 
-def show(value: Cell, decimals: int = 1) -> str:
+def show(value: Value, decimals: int | None = 1) -> str:
     """Format a value as tables show it.
 
-    >>> show(93.14), show(1.656, 2), show(12345), show("late"), show(float("nan"))
-    ('93.1', '1.66', '12,345', 'late', '-')
+    >>> show(93.14), show(1.656, 2), show(0.01234, None), show(12345), show("late"), show(float("nan"))
+    ('93.1', '1.66', '0.0123', '12,345', 'late', '-')
     """
     if value is None or (isinstance(value, float) and not isfinite(value)):
         return UNKNOWN
     if isinstance(value, str):
         return value
-    return f"{value:,}" if isinstance(value, int) else f"{value:.{decimals}f}"
+    if isinstance(value, int):
+        return f"{value:,}"
+    return f"{value:.3g}" if decimals is None else f"{value:.{decimals}f}"
 
 
-def _is_text(cells: Sequence[Cell]) -> bool:
+def _is_text(cells: Sequence[Value]) -> bool:
     known = [cell for cell in cells if isinstance(cell, str)]
     return bool(known) and all(any(letter.isalpha() for letter in cell) for cell in known)
 
 
-def _plain(value: Cell) -> Cell:
+def _plain(value: Value) -> Value:
     """Return a value as JSON takes it: six significant digits, no NaN."""
     if isinstance(value, float):
         return float(f"{value:.6g}") if isfinite(value) else None

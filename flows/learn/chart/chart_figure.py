@@ -1,4 +1,4 @@
-"""Speed against accuracy, and delay against false alarms."""
+"""Figure of speed against accuracy, and of delay against false alarms."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.chart.chart_points import Point
+from flows.learn.chart.chart_study import Point
 from flows.learn.evaluation import published
 from flows.report.figures import FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
 
@@ -17,12 +17,12 @@ _LINE: Final = 11.0  # points from one name to the next below it
 _LETTER: Final = 4.6  # points, wide
 _PANEL: Final = (400.0, 330.0)  # points, about
 _TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
-_NOUGHT: Final = 0.2  # where no false alarm stands on a logarithmic axis
+_NOUGHT: Final = 0.2  # height of no false alarm on a logarithmic axis
 
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """A point of one panel, in shares of its width and height."""
+    """Mark of a point, at shares of the width and height of its panel."""
 
     point: Point
     x: float
@@ -31,7 +31,7 @@ class _Mark:
 
 @styled
 def chart(points: Sequence[Point]) -> Figure:
-    """Two panels: what an answer costs and is worth; how soon an onset is told, and how often wrongly."""
+    """Draw accuracy over CPU time, and false alarms over onset delay."""
     figure, (speed, onsets) = grid(1, 2, _SIZE, widths=[1.2, 1])
     _speed(speed, points)
     _onsets(onsets, [point for point in points if not point.same])
@@ -42,7 +42,7 @@ def chart(points: Sequence[Point]) -> Figure:
 
 def _speed(axis: Axes, points: Sequence[Point]) -> None:
     low, high = min(point.us for point in points) / 2, max(point.us for point in points) * 8
-    values = [*published.ACCURACY.values(), *(point.judged.accuracy for point in points)]
+    values = [*published.ACCURACY.values(), *(point.performance.accuracy for point in points)]
     bottom, top = _stretch([min(values) - 4, min(max(values) + 1, 99.5)])
     axis.set_xscale("log")
     axis.set_yscale("function", functions=(_stretch, _shrink))
@@ -57,7 +57,7 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
     front = sorted((point for point in points if point.pareto), key=lambda point: point.us)
     axis.plot(
         [*(point.us for point in front), high],
-        [*(point.judged.accuracy for point in front), front[-1].judged.accuracy],
+        [*(point.performance.accuracy for point in front), front[-1].performance.accuracy],
         color=MAIN,
         drawstyle="steps-post",
         alpha=0.5,
@@ -68,7 +68,7 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
         axis.axhline(accuracy, color=FAINT, linestyle=(0, (4, 3)), linewidth=0.9, zorder=0)
         axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=FAINT, fontsize=7,
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
-    heights = (_stretch([point.judged.accuracy for point in points]) - bottom) / (top - bottom)
+    heights = (_stretch([point.performance.accuracy for point in points]) - bottom) / (top - bottom)
     places = [math.log(point.us / low) / math.log(high / low) for point in points]
     _draw(axis, [_Mark(*each) for each in zip(points, places, heights.tolist(), strict=True)])
     for marker, text in (("o", "sample by sample"), ("s", "on windows")):
@@ -76,9 +76,9 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
 
 
 def _onsets(axis: Axes, points: Sequence[Point]) -> None:
-    points = [point for point in points if not math.isnan(point.judged.onset_ms)]
-    alarms = np.array([max(point.judged.false_alarms_per_min, _NOUGHT) for point in points])
-    delays = np.array([point.judged.onset_ms for point in points])
+    points = [point for point in points if not math.isnan(point.performance.onset_ms)]
+    alarms = np.array([max(point.performance.false_alarms_per_min, _NOUGHT) for point in points])
+    delays = np.array([point.performance.onset_ms for point in points])
     low, high = min([*alarms, 1.0]) / 1.5, max([*alarms, 4.0]) * 1.5
     left, right = min([*delays, 0.0]) - 10, max([*delays, 100.0]) * 1.3
     axis.set_yscale("log")
@@ -98,7 +98,7 @@ def _onsets(axis: Axes, points: Sequence[Point]) -> None:
 
 
 def _draw(axis: Axes, marks: Sequence[_Mark]) -> None:
-    """Marks and, where there is room to the right of each, its name."""
+    """Draw marks, and the name of each to its right or below the names there."""
     axis.grid(visible=True)
     axis.set_axisbelow(True)
     taken = list[tuple[float, float, float]]()  # left, right and height of names, points
@@ -132,10 +132,10 @@ def _draw(axis: Axes, marks: Sequence[_Mark]) -> None:
 
 
 def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Accuracy, %, as minus the logarithm of the errors, %."""
+    """Return accuracy, %, as minus the logarithm of the errors, %."""
     return -np.log(np.maximum(100 - np.asarray(accuracy, np.float64), 0.1))
 
 
 def _shrink(stretched: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """The inverse of `_stretch`: accuracy, %."""
+    """Return accuracy, %: the inverse of `_stretch`."""
     return 100 - np.exp(-np.asarray(stretched, np.float64))

@@ -1,8 +1,7 @@
-"""What a sample costs each detector: batch 1, one core, CPU time.
+"""CPU time of each detector per sample, batch 1.
 
-CPU time and not the clock's, so that what else runs on the machine does not count; where a library uses more
-threads than one, all of them do. The detectors take turns, round after round, and the median round counts, so
-that a slow moment of the machine is nobody's.
+CPU time excludes other work on the machine and includes all threads of a library. The detectors are timed in
+turns, and the median turn counts, so that a slow moment of the machine affects none of them.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,8 +13,8 @@ from typing import Final
 from operators.batch import Counts
 from operators.detectors.detector import Detector, Streaming
 
-_LEAST: Final = 1_000  # ns, shorter is no measurement
-_WINDOWS: Final = 100  # different ones that a detector is given
+_LEAST: Final = 1_000  # ns, resolution
+_WINDOWS: Final = 100  # different ones in a cycle
 Step = Callable[[int], object]
 
 
@@ -27,17 +26,16 @@ def costs(
     rounds: int = 15,
     span: float = 0.02,
 ) -> dict[str, float]:
-    """CPU time of one sample of `fingers` fingertips, us.
+    """Return the CPU time of one sample of `fingers` fingertips by detector, us.
 
-    A streaming detector is given sample after sample, any other a window for each, as they come live.
+    A streaming detector takes sample after sample, any other one window per sample, as in a live run.
 
     Args:
         detectors: by name.
-        counts: (n, 6) zeroed counts of a recording, longer than the longest window; they are gone through
-            again and again.
-        fingers: Fingertips that are sampled together; they feel the same.
-        rounds: Turns that each detector takes.
-        span: CPU s of one turn, about.
+        counts: (n, 6) zeroed counts of a recording, longer than the longest window; they are repeated.
+        fingers: fingertips that are sampled together, with the same counts.
+        rounds: turns of each detector.
+        span: approximate CPU s of one turn.
     """
     steps = {name: _step(detector, counts, fingers) for name, detector in detectors.items()}
     turns = {name: _turn(step, span) for name, step in steps.items()}
@@ -49,7 +47,7 @@ def costs(
 
 
 def _step(detector: Detector, counts: Counts, fingers: int) -> Step:
-    """What makes a detector take its next samples, a number of them."""
+    """Return a function that makes a detector process its next samples."""
     take: Callable[[Counts], object]
     if isinstance(detector, Streaming):
         take = detector.stream(fingers).push
@@ -68,7 +66,7 @@ def _step(detector: Detector, counts: Counts, fingers: int) -> Step:
 
 
 def _turn(step: Step, span: float) -> int:
-    """How many samples fill a turn; the first ones warm the detector up."""
+    """Return the number of samples that fill a turn, after warming the detector up."""
     number = 1
     step(number)
     while (taken := _timed(step, number)) < span * 1e9 / 4:
@@ -77,7 +75,7 @@ def _turn(step: Step, span: float) -> int:
 
 
 def _timed(step: Step, number: int) -> int:
-    """CPU time that a number of samples takes, ns."""
+    """Return the CPU time of a number of samples, ns."""
     begin = process_time_ns()
     step(number)
     return max(process_time_ns() - begin, _LEAST)

@@ -1,4 +1,4 @@
-"""Tuning the debounce of slip events: the least delay within a budget of false alarms."""
+"""Tuning of the debounce: the least onset delay within a budget of false alarms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,49 +7,57 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.evaluation.event_metrics import PERIOD, Slips
+from flows.learn.evaluation.event_metrics import Slips
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import WARM_UP
+from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from flows.learn.onsets import AFTER, BEFORE
+from flows.learn.scoring import probabilities
 from operators import Debounce, s
 from operators.batch import Flags, Reals
+from operators.detectors import Detector
 
 BUDGET: Final = 2.0  # false alarms per static minute
-MISSED: Final = 2.0  # %, slips without an onset, at most
-REPEATED: Final = 2.0  # %, of slips, onsets after the first, at most
+MISSED: Final = 2.0  # %, maximum of slips without an onset
+REPEATED: Final = 2.0  # %, of slips, maximum of onsets after the first
 THRESHOLDS: Final = tuple(np.round(1 / (1 + np.exp(-np.arange(-1.5, 6.1, 0.25))), 3).tolist())
 CONSECUTIVE: Final = (1, 2, 3, 4, 5)  # decisions
 RELEASE: Final = (1, 2, 3, 5, 8, 12)  # decisions
 
 
+def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector, budget: float = BUDGET) -> Debounce:
+    """Return the settings that `tuned` chooses for a detector on recordings."""
+    scores = [probabilities(detector, recording) for recording in recordings]
+    return tuned(scores, [Slips.labelled(recording) for recording in recordings], budget)
+
+
 def tuned(
-    probabilities: Sequence[Reals],
+    scores: Sequence[Reals],
     slips: Sequence[Slips],
     budget: float = BUDGET,
     missed: float = MISSED,
     repeated: float = REPEATED,
 ) -> Debounce:
-    """The settings that raise onsets soonest among those that keep within three limits.
+    """Return the settings with the least onset delay among those that keep within three limits.
 
-    False alarms are few in some minutes of recordings, so as many are counted as chance may have spared: the
-    upper one-sigma limit of a Poisson count, n + 1 + sqrt(n + 3/4) (Gehrels 1986). Where no setting keeps
-    within all limits, the budget comes first, then the sum of what the others exceed.
+    Recordings of some minutes contain few false alarms, so the upper one-sigma limit of a Poisson count is
+    compared with the budget: n + 1 + sqrt(n + 3/4) (Gehrels 1986). If no setting keeps within all limits, the
+    budget comes first, then the sum of what the others exceed.
 
     Args:
-        probabilities: of each recording (n,), on the validation split
-        slips: of each recording
-        budget: false alarms per static minute, at most
-        missed: slips without an onset, at most; %
-        repeated: onsets of a slip after its first, at most; % of the slips
+        scores: probabilities of each recording (n,), on the validation split.
+        slips: true slips of each recording.
+        budget: maximum of false alarms per static minute.
+        missed: maximum of slips without an onset, %.
+        repeated: maximum of onsets of a slip after its first, % of the slips.
     """
-    joined = Joined.of(probabilities, slips)
+    joined = JoinedRecordings.of(scores, slips)
     best, settings = (np.inf, np.inf, np.inf), (0.5, 2, 2)
     for threshold in THRESHOLDS:
         slip = run_lengths(joined.probability >= threshold)
         static = run_lengths(joined.probability < threshold)
         for consecutive in CONSECUTIVE:
             for release in RELEASE:
-                found = joined.judged(slip >= consecutive, static >= release)
+                found = joined.outcome(slip >= consecutive, static >= release)
                 alarms = found.false + 1 + np.sqrt(found.false + 0.75)
                 over = max(alarms - budget * joined.minutes, 0)
                 cost = over, max(found.missed - missed, 0) + max(found.repeated - repeated, 0), found.delay
@@ -59,8 +67,8 @@ def tuned(
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """What some settings of the debounce come to."""
+class DebounceOutcome:
+    """Events that some settings of the debounce give."""
 
     false: int  # onsets
     missed: float  # %
@@ -69,63 +77,63 @@ class Found:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Joined:
-    """Recordings one after the other, so that a setting is judged at once; (n,) samples in all.
+class JoinedRecordings:
+    """Recordings joined, (n,) samples in all, so that a setting is computed for all at once.
 
-    One sample without a score stands between them, so that no run goes on from one to the next.
+    One sample without a score separates them, so that no run continues from one to the next.
     """
 
     probability: Reals  # (n,)
     first: NDArray[np.intp]  # (m,) of each recording
-    early: NDArray[np.intp]  # (k,) the earliest sample whose onset answers each slip
-    late: NDArray[np.intp]  # (k,) the last
+    early: NDArray[np.intp]  # (k,) first sample at which an onset detects each slip
+    late: NDArray[np.intp]  # (k,) last one
     start: NDArray[np.intp]  # (k,) of the slips
-    answer: Flags  # (n,) where an onset answers a slip
-    excused: Flags  # (n,) where it is not false
-    minutes: float  # of static
+    detects: Flags  # (n,) True where an onset detects a slip
+    excused: Flags  # (n,) True where an onset is not false
+    minutes: float  # static
 
     @classmethod
-    def of(cls, probabilities: Sequence[Reals], slips: Sequence[Slips]) -> Self:
+    def of(cls, scores: Sequence[Reals], slips: Sequence[Slips]) -> Self:
         """Join the probabilities (n,) of recordings, and their slips."""
-        sizes = [len(each) + 1 for each in probabilities]
+        sizes = [len(each) + 1 for each in scores]
         first = np.cumsum([0, *sizes])
         values = np.full(first[-1] + 1, np.nan)
-        windows, starts = list[tuple[int, int]](), list[int]()
-        answer, excused = np.zeros((2, len(values)), np.bool_)
-        for at, probability, true in zip(first[:-1].tolist(), probabilities, slips, strict=True):
+        spans, starts = list[tuple[int, int]](), list[int]()
+        detects, excused = np.zeros((2, len(values)), np.bool_)
+        for at, probability, true in zip(first[:-1].tolist(), scores, slips, strict=True):
             values[at + WARM_UP : at + len(probability)] = probability[WARM_UP:]
             for begin, end in (*true.found, *true.excused):
                 low = at + max(-(-(begin - BEFORE) // PERIOD), 0)
                 high = at + min((end + AFTER) // PERIOD, len(probability) - 1)
                 excused[low : high + 1] = True
                 if (begin, end) in true.found:
-                    answer[low : high + 1] = True
-                    windows.append((low, high))
+                    detects[low : high + 1] = True
+                    spans.append((low, high))
                     starts.append(at + begin // PERIOD)
-        early, late = np.array(windows, np.intp).reshape(-1, 2).T
+        early, late = np.array(spans, np.intp).reshape(-1, 2).T
         minutes = sum(true.static for true in slips) / (60 * s)
-        return cls(values, first[:-1], early, late, np.array(starts, np.intp), answer, excused, minutes)
+        return cls(values, first[:-1], early, late, np.array(starts, np.intp), detects, excused, minutes)
 
-    def judged(self, slip: Flags, static: Flags) -> Found:
-        """What comes of slips that may begin where `slip` and end where `static`; (n,) each."""
-        turn = np.where(slip, 1, np.where(static, -1, 0)).astype(np.int8)
-        turn[self.first] = -1
-        at = np.flatnonzero(turn)
-        raised = at[1:][(turn[at[1:]] == 1) & (turn[at[:-1]] == -1)]  # (o,) onsets
+    def outcome(self, slip: Flags, static: Flags) -> DebounceOutcome:
+        """Return the events if slips begin where `slip` and end where `static`; (n,) each."""
+        change = np.where(slip, 1, np.where(static, -1, 0)).astype(np.int8)
+        change[self.first] = -1
+        at = np.flatnonzero(change)
+        raised = at[1:][(change[at[1:]] == 1) & (change[at[:-1]] == -1)]  # (o,) onsets
         false = int((~self.excused[raised]).sum())
-        place = raised.searchsorted(self.early)  # (k,)
-        caught = place < raised.searchsorted(self.late, "right")
-        number = int(caught.sum())
+        index = raised.searchsorted(self.early)  # (k,)
+        detected = index < raised.searchsorted(self.late, "right")
+        number = int(detected.sum())
         if not number:
-            return Found(false, 100.0, 0.0, np.inf)
-        repeats = int(self.answer[raised].sum()) - number
-        delay = raised[place[caught]] - self.start[caught]
-        missed = percent(len(caught) - number, len(caught))
-        return Found(false, missed, percent(repeats, len(caught)), float(delay.mean()))
+            return DebounceOutcome(false, 100.0, 0.0, np.inf)
+        repeats = int(self.detects[raised].sum()) - number
+        delay = raised[index[detected]] - self.start[detected]
+        missed = percent(len(detected) - number, len(detected))
+        return DebounceOutcome(false, missed, percent(repeats, len(detected)), float(delay.mean()))
 
 
 def run_lengths(decided: Flags) -> NDArray[np.intp]:
-    """How many True stand in a row up to each sample, and with it; (n,)."""
+    """Return the number of consecutive True up to and including each sample; (n,)."""
     number = np.arange(len(decided))
     length: NDArray[np.intp] = number - np.maximum.accumulate(np.where(decided, -1, number))
     return length

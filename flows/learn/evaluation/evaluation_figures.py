@@ -1,4 +1,4 @@
-"""The figures of an evaluation."""
+"""Figures of an evaluation."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.evaluation.evaluation_study import Result
+from flows.learn.evaluation.evaluation_study import MethodResult
 from flows.learn.evaluation.label_changes import EDGES
-from flows.learn.evaluation.motion_metrics import Cell, Cells
+from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
 from flows.learn.evaluation.published import SPEEDS, SURFACES, TABLE_3
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
 
@@ -18,8 +18,8 @@ _LATEST: Final = 300  # ms, delays that are shown
 
 
 @styled
-def confusions(results: Sequence[Result]) -> Figure:
-    """How often slip and static were called what."""
+def confusions(results: Sequence[MethodResult]) -> Figure:
+    """Draw the confusion matrices."""
     columns = min(len(results), _COLUMNS)
     rows = -(-len(results) // columns)
     figure, axes = grid(rows, columns, (2.3 * columns, 0.4 + 2.4 * rows))
@@ -40,36 +40,36 @@ def confusions(results: Sequence[Result]) -> Figure:
     for axis in axes[len(results) :]:
         axis.set_axis_off()
     axes[0].set_ylabel("label")
-    figure.supxlabel("answer", fontsize=9)
+    figure.supxlabel("prediction", fontsize=9)
     return figure
 
 
 @styled
-def curves(results: Sequence[Result]) -> Figure:
-    """ROC and reliability."""
+def curves(results: Sequence[MethodResult]) -> Figure:
+    """Draw ROC and reliability."""
     figure, (roc, reliability) = grid(1, 2, (11, 4.6))
-    for result, look in _looks(results):
+    for result, look in _styles(results):
         curve = result.roc
         label = f"{result.method.name}  {100 * curve.area:.1f}"
         roc.plot(100 * curve.false, 100 * curve.true, label=label, **look)
-        sure, slip = 100 * result.reliability.sure, 100 * result.reliability.slip
+        sure, slip = 100 * result.reliability.probability, 100 * result.reliability.slip
         label = f"{result.method.name}  {result.reliability.error:.1f}"
         reliability.plot(sure, slip, marker="o", markersize=3, label=label, **look)
     for axis in (roc, reliability):
         axis.plot([0, 100], [0, 100], color=FAINT, linewidth=0.8, zorder=0)
         axis.set(xlim=(0, 100), ylim=(0, 100))
-    roc.set(title="ROC", xlabel="static called slip, %", ylabel="slip called slip, %")
-    roc.legend(title="area under it, %", loc="lower right")
+    roc.set(title="ROC", xlabel="static predicted as slip, %", ylabel="slip predicted as slip, %")
+    roc.legend(title="area under the curve, %", loc="lower right")
     reliability.set(title="Reliability", xlabel="probability of slip, %", ylabel="slip among these, %")
     reliability.legend(title="calibration error, %", loc="upper left")
     return figure
 
 
 @styled
-def delays(results: Sequence[Result]) -> Figure:
-    """How many slips have an onset how soon, and what that costs in false alarms."""
+def delays(results: Sequence[MethodResult]) -> Figure:
+    """Draw the share of detected slips by delay, and delay against false alarms."""
     figure, (found, cost) = grid(1, 2, (11, 4.4), widths=[1.6, 1])
-    for result, look in _looks(results):
+    for result, look in _styles(results):
         events = result.events
         late = np.sort(events.delays)  # (caught,) ms
         late = late[late <= _LATEST]
@@ -91,11 +91,11 @@ def delays(results: Sequence[Result]) -> Figure:
 
 
 @styled
-def changes(results: Sequence[Result]) -> Figure:
-    """Accuracy by how far the nearest change of the label is, and where the errors are."""
+def changes(results: Sequence[MethodResult]) -> Figure:
+    """Draw accuracy and errors by distance from the nearest change of the label."""
     figure, (axis, errors) = grid(1, 2, (11, 4.2), widths=[1.4, 1])
     places = np.arange(len(EDGES))
-    for result, look in _looks(results):
+    for result, look in _styles(results):
         axis.plot(places, result.changes.accuracy, marker="o", markersize=3, label=result.method.name, **look)
         wrong = result.changes.errors
         share = 100 * wrong.cumsum() / max(wrong.sum(), 1)
@@ -106,16 +106,16 @@ def changes(results: Sequence[Result]) -> Figure:
         each.set(xlabel="ms to the nearest change of the label")
         each.yaxis.grid(visible=True)
     axis.set(title="Accuracy", ylabel="%", ylim=(None, 100))
-    errors.set(title="Errors up to there", ylabel="% of all errors", ylim=(0, 100))
+    errors.set(title="Cumulative errors", ylabel="% of all errors", ylim=(0, 100))
     errors.legend(loc="lower right")
     return figure
 
 
 @styled
-def motion(found: Mapping[str, Cells]) -> Figure:
-    """F1 in each cell of the paper's Table III, of two detectors at most."""
+def motion(found: Mapping[str, MotionConfusions]) -> Figure:
+    """Draw the F1 of the paper's Table III for up to two detectors."""
     figure, axes = grid(1, len(SURFACES), (11, 3.4), sharey=True)
-    turn = len(SPEEDS)  # where rotation stands
+    turn = len(SPEEDS)  # place of rotation
     styles = dict(zip(found, ((MAIN, "o"), (SECOND, "s")), strict=False))
     for column, (axis, surface) in enumerate(zip(axes, SURFACES, strict=True)):
         for kind, line in (("primary", "-"), ("oblique", ":")):
@@ -123,13 +123,15 @@ def motion(found: Mapping[str, Cells]) -> Figure:
             axis.plot(range(turn), paper, line, color=FAINT, label=f"paper, {kind}")
             for name, cells in found.items():
                 colour, mark = styles[name]
-                values = [cells.at(Cell(kind, speed, surface)).f1 for speed in SPEEDS]
+                values = [cells.at(MotionKind(kind, speed, surface)).f1 for speed in SPEEDS]
                 label = f"{name}, {kind}"
                 axis.plot(range(turn), values, line, marker=mark, markersize=4, color=colour, label=label)
         axis.plot(turn, TABLE_3["rotation", None][column], "D", color=FAINT, markersize=5)
         for name, cells in found.items():
             colour, mark = styles[name]
-            axis.plot(turn, cells.at(Cell("rotation", None, surface)).f1, mark, color=colour, markersize=5)
+            axis.plot(
+                turn, cells.at(MotionKind("rotation", None, surface)).f1, mark, color=colour, markersize=5
+            )
         axis.set(title=surface.replace("_", " "), xlabel="cm/s, or rotation")
         axis.set_xticks(range(turn + 1), [*(f"{100 * speed:g}" for speed in SPEEDS), "rot."])
         axis.yaxis.grid(visible=True)
@@ -139,8 +141,8 @@ def motion(found: Mapping[str, Cells]) -> Figure:
     return figure
 
 
-def _looks(results: Sequence[Result]) -> Iterator[tuple[Result, dict[str, Axes]]]:
-    """Each with a colour and a line of its own."""
+def _styles(results: Sequence[MethodResult]) -> Iterator[tuple[MethodResult, dict[str, Axes]]]:
+    """Yield each result with a colour and a line style of its own."""
     for number, result in enumerate(results):
         colour, line = CELLS[number % len(CELLS)], _LINES[number // len(CELLS) % len(_LINES)]
         yield result, {"color": colour, "linestyle": line}

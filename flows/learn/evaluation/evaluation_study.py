@@ -1,88 +1,72 @@
-"""`slipflow evaluate`: detectors beside each other on a split that none of them was fitted to."""
+"""`slipflow evaluate`: detectors compared on a split that none of them was fitted to."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from connectors.sim.truth import STICK
-from flows.learn.evaluation.debounce_tuning import BUDGET, tuned
+from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips, filled
 from flows.learn.evaluation.label_changes import LabelChanges
 from flows.learn.evaluation.methods import Method, methods
-from flows.learn.evaluation.motion_metrics import Cells
-from flows.learn.evaluation.sample_metrics import Confusion, Reliability, Roc, known
+from flows.learn.evaluation.motion_metrics import MotionConfusions
+from flows.learn.evaluation.performance import DECISION
+from flows.learn.evaluation.sample_metrics import Confusion, Reliability, Roc
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
+from flows.learn.train_extra import require_train_extra
+from flows.run.processes import one_thread
 from operators import Debounce
-from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals
+from operators.batch import SLIP, STATIC, UNKNOWN, Flags
 from operators.errors import InputError
 
-PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # the robot tests of the paper
-CALLED: Final = 0.5  # the least probability that is called slip
+PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
-    """One method, judged."""
+class MethodResult:
+    """Results of one method."""
 
     method: Method
     confusion: Confusion  # against the label
     roc: Roc
     reliability: Reliability
     changes: LabelChanges
-    cells: Cells  # by kind of motion
+    motions: MotionConfusions
     debounce: Debounce
-    chosen: str  # what the settings of the debounce rest on
+    chosen_on: str  # origin of the debounce settings
     events: EventMetrics  # against the label
-    paper_rule: EventMetrics  # the same as the paper's robot tests register slip
-    sliding: Confusion | None  # against true sliding, where that is known
+    paper_rule: EventMetrics  # the same with the debounce of the paper's robot tests
+    sliding: Confusion | None  # against true sliding; None: unknown
     sliding_events: EventMetrics | None
-    seconds: float  # that scoring took
-
-    def summary(self) -> dict[str, Any]:
-        """Its numbers, for a program: shares in %, delays in ms, NaN as null."""
-        told: dict[str, float] = {
-            **_shares(self.confusion),
-            "auc": 100 * self.roc.area,
-            "ece": self.reliability.error,
-            **_event_numbers(self.events),
-        }
-        debounce = {name: getattr(self.debounce, name) for name in ("threshold", "consecutive", "release")}
-        more: dict[str, Any] = {
-            "debounce": {**debounce, "chosen": self.chosen},
-            "paper_rule": _plain(_event_numbers(self.paper_rule)),
-            "confusion": self.confusion.counts.astype(int).tolist(),
-            "far_from_changes": _plain({"accuracy": self.changes.far(100)})["accuracy"],
-            "origin": self.method.origin,
-        }
-        if self.sliding is not None and self.sliding_events is not None:
-            more["sliding"] = _plain({**_shares(self.sliding), **_event_numbers(self.sliding_events)})
-        return {**_plain(told), **more}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """All methods, judged on one split of a dataset."""
+    """Results of all methods on one split of a dataset."""
 
     dataset: str
     split: str
     recordings: int
-    samples: int  # judged
+    samples: int  # evaluated
     static: float  # share of these, %
     minutes: float  # of all recordings
-    budget: float  # false alarms per static minute that thresholds were chosen for
-    results: tuple[Result, ...]  # the most accurate first
-    missing: Mapping[str, str]  # methods that were not judged, and why
-    label: Confusion | None  # the label itself held against true sliding, where that is known
-    seconds: float
+    budget: float  # false alarms per static minute that the debounce was tuned for
+    results: tuple[MethodResult, ...]  # the most accurate first
+    missing: Mapping[str, str]  # reasons by method
+    label: Confusion | None  # the label itself against true sliding; None: unknown
 
-    def __getitem__(self, name: str) -> Result:
+    def __getitem__(self, name: str) -> MethodResult:
         return next(result for result in self.results if result.method.name == name)
+
+    @property
+    def leader(self) -> MethodResult:
+        """Method that the findings are about: the default detector, or the most accurate one."""
+        return next((each for each in self.results if each.method.name == "tcn"), self.results[0])
 
 
 def evaluate(
@@ -92,149 +76,129 @@ def evaluate(
     models: Sequence[Path] = (),
     names: Collection[str] = (),
     budget: float = BUDGET,
-    told: Callable[[str], object] = lambda _: None,
+    log: Callable[[str], object] = lambda _: None,
 ) -> Evaluation:
-    """Judge methods on a split; thresholds of slip events are chosen on the validation split.
+    """Evaluate methods on a split; the validation split tunes the debounce of those without a card.
 
     Args:
-        dataset: its folder
-        split: train, validation, test, or all
-        models: files of weights to judge as well
-        names: of the methods that are judged; empty: all
-        budget: false alarms per static minute that thresholds are chosen for
-        told: is told what is being done
+        dataset: its folder.
+        split: train, validation, test or all.
+        models: files of weights to evaluate as well.
+        names: only these methods, and those of `models`; empty: all.
+        budget: false alarms per static minute that the debounce is tuned for.
+        log: receives progress messages.
 
     Raises:
-        InputError: if there is no such dataset, split, method or model.
+        InputError: if the train extra is missing, or the dataset, split, a method or a model does not exist.
     """
-    began = perf_counter()
-    told(f"reading {dataset.name}")
-    recordings = load(dataset)
-    judged = [recording for recording in recordings if split in {recording.split, "all"}]
-    if not judged:
-        there = ", ".join(sorted({recording.split for recording in recordings} - {""})) or "none"
-        raise InputError(str(dataset), f"has no split {split!r}; it has {there}; all takes everything")
-    for code, what in ((SLIP, "slip"), (STATIC, "static")):
-        if not any((recording.label == code).any() for recording in judged):
-            raise InputError(str(dataset), f"has no {what} in its {split} split, so nothing can be judged")
-    parts = {
-        name: [recording for recording in recordings if recording.split == name]
-        for name in ("train", "validation")
-    }
-    chosen, missing = methods(parts["train"], models, names, told)
-    if not chosen:
-        raise InputError("evaluate", "; ".join(f"{name}: {reason}" for name, reason in missing.items()))
-    judge = _Judge(judged, parts["validation"], budget)
-    results = list[Result]()
-    for method in chosen:
-        told(f"judging {method.name}")
-        results.append(judge(method))
-    label = np.concatenate([recording.label[at] for recording, at in zip(judged, judge.at, strict=True)])
+    require_train_extra("evaluate")
+    log(f"reading {dataset.name}")
+    everything = load(dataset)
+    recordings = _of_split(dataset, everything, split)
+    parts = {name: [each for each in everything if each.split == name] for name in ("train", "validation")}
+    with one_thread():
+        chosen, missing = methods(parts["train"], models, names, log)
+        if not chosen:
+            raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
+        evaluator = _Evaluator(recordings, parts["validation"], budget)
+        results = list[MethodResult]()
+        for method in chosen:
+            log(f"evaluating {method.name}")
+            results.append(evaluator.result(method))
+    labels = np.concatenate([each.label[at] for each, at in zip(recordings, evaluator.known, strict=True)])
     return Evaluation(
         dataset.resolve().name,
         split,
-        len(judged),
-        len(label),
-        100 * float((label == 0).mean()) if len(label) else float("nan"),
-        sum(map(len, judged)) / 6000,
+        len(recordings),
+        len(labels),
+        100 * float((labels == STATIC).mean()) if len(labels) else float("nan"),
+        sum(map(len, recordings)) / 6000,
         budget,
         tuple(sorted(results, key=lambda result: -result.confusion.accuracy)),
         missing,
-        judge.label(),
-        perf_counter() - began,
+        evaluator.label(),
     )
 
 
-class _Judge:
-    """Judges one method after the other on the same recordings."""
+def _of_split(dataset: Path, recordings: Sequence[LabelledRecording], split: str) -> list[LabelledRecording]:
+    chosen = [recording for recording in recordings if split in {recording.split, "all"}]
+    if not chosen:
+        there = ", ".join(sorted({recording.split for recording in recordings} - {""})) or "none"
+        raise InputError(
+            str(dataset), f"has no split {split!r}; it has {there}; `--split all` takes everything"
+        )
+    for code, name in ((SLIP, "slip"), (STATIC, "static")):
+        if not any((recording.label == code).any() for recording in chosen):
+            raise InputError(str(dataset), f"has no {name} in its {split} split; choose another split")
+    return chosen
+
+
+class _Evaluator:
+    """Evaluates one method after the other on the same recordings."""
 
     def __init__(
-        self, recordings: Sequence[LabelledRecording], validation: Sequence[LabelledRecording], budget: float
+        self,
+        recordings: Sequence[LabelledRecording],
+        validation: Sequence[LabelledRecording],
+        budget: float,
     ) -> None:
         self.recordings, self.validation, self.budget = recordings, validation, budget
-        self.at = [_known(recording) for recording in recordings]
+        self.known = [_known(recording) for recording in recordings]
         self.slips = [Slips.labelled(recording) for recording in recordings]
-        slid = [recording for recording in recordings if recording.sliding is not None]
-        self.whole = len(slid) == len(recordings)  # true sliding is known of all
-        self.sliding = [_slid(recording) for recording in slid] if self.whole else []
-        self.slid = [true for true in map(Slips.slid, slid) if true is not None] if self.whole else []
+        slid = [(each.sliding, Slips.slid(each)) for each in recordings]
+        self.sliding = [filled(sliding, STICK) for sliding, _ in slid if sliding is not None]
+        self.slid = [slips for _, slips in slid if slips is not None]
 
-    def __call__(self, method: Method) -> Result:
-        began = perf_counter()
+    def result(self, method: Method) -> MethodResult:
         scores = [probabilities(method.detector, recording) for recording in self.recordings]
-        seconds = perf_counter() - began
-        at = [known[np.isfinite(score[known])] for known, score in zip(self.at, scores, strict=True)]
-        called = [score[each] >= CALLED for score, each in zip(scores, at, strict=True)]
+        at = [known[np.isfinite(score[known])] for known, score in zip(self.known, scores, strict=True)]
+        predicted = [score[each] >= DECISION for score, each in zip(scores, at, strict=True)]
         truth = [recording.slip[each] for recording, each in zip(self.recordings, at, strict=True)]
-        probability, slip = _joined([s[each] for s, each in zip(scores, at, strict=True)]), _flags(truth)
-        debounce, chosen = self._debounce(method)
-        wrong = [one != other for one, other in zip(called, truth, strict=True)]
-        return Result(
+        probability = np.concatenate([score[each] for score, each in zip(scores, at, strict=True)])
+        slip = np.concatenate(truth)
+        wrong = [one != other for one, other in zip(predicted, truth, strict=True)]
+        debounce, chosen_on = self._debounce(method)
+        return MethodResult(
             method,
-            Confusion.of(_flags(called), slip),
+            Confusion.of(np.concatenate(predicted), slip),
             Roc.of(probability, slip),
             Reliability.of(probability, slip),
             LabelChanges.of([recording.label for recording in self.recordings], at, wrong),
-            Cells.of(self.recordings, at, called),
+            MotionConfusions.of(self.recordings, at, predicted),
             debounce,
-            chosen,
+            chosen_on,
             EventMetrics.of(scores, self.slips, debounce),
             EventMetrics.of(scores, self.slips, PAPER_RULE),
-            self._against_sliding(at, called),
-            EventMetrics.of(scores, self.slid, debounce) if self.whole else None,
-            seconds,
+            self._against_sliding(at, predicted),
+            EventMetrics.of(scores, self.slid, debounce) if self._truth_known else None,
         )
 
     def label(self) -> Confusion | None:
-        """The label, as if it were a method, against true sliding."""
-        labels = [recording.slip[at] for recording, at in zip(self.recordings, self.at, strict=True)]
-        return self._against_sliding(self.at, labels)
+        """Return the label compared with true sliding as if it were a method; None if that is unknown."""
+        labels = [recording.slip[at] for recording, at in zip(self.recordings, self.known, strict=True)]
+        return self._against_sliding(self.known, labels)
 
-    def _against_sliding(self, at: Sequence[NDArray[np.intp]], called: Sequence[Flags]) -> Confusion | None:
-        if not self.whole:
+    @property
+    def _truth_known(self) -> bool:
+        return len(self.sliding) == len(self.recordings)
+
+    def _against_sliding(
+        self, at: Sequence[NDArray[np.intp]], predicted: Sequence[Flags]
+    ) -> Confusion | None:
+        if not self._truth_known:
             return None
         truth = [sliding[each] for sliding, each in zip(self.sliding, at, strict=True)]
-        return Confusion.of(_flags(called), _flags(truth))
+        return Confusion.of(np.concatenate(predicted), np.concatenate(truth))
 
     def _debounce(self, method: Method) -> tuple[Debounce, str]:
         if method.debounce is not None:
             return method.debounce, "its card"
         if not self.validation:
             return PAPER_RULE, "the paper, as there is no validation split"
-        scores = [probabilities(method.detector, recording) for recording in self.validation]
-        slips = [Slips.labelled(recording) for recording in self.validation]
-        return tuned(scores, slips, self.budget), "validation"
+        return tuned_on(self.validation, method.detector, self.budget), "validation"
 
 
 def _known(recording: LabelledRecording) -> NDArray[np.intp]:
     at = recording.evaluated(1)
     known: NDArray[np.intp] = at[recording.label[at] != UNKNOWN]
     return known
-
-
-def _slid(recording: LabelledRecording) -> Flags:
-    assert recording.sliding is not None, "only those whose sliding is known are asked for"
-    return filled(recording.sliding, STICK)
-
-
-def _flags(parts: Sequence[Flags]) -> Flags:
-    return np.concatenate([np.empty(0, np.bool_), *parts])
-
-
-def _joined(parts: Sequence[Reals]) -> Reals:
-    return np.concatenate([np.empty(0), *parts])
-
-
-def _shares(confusion: Confusion) -> dict[str, float]:
-    keys = ("accuracy", "precision", "recall", "f1", "balanced")
-    return {key: float(getattr(confusion, key)) for key in keys}
-
-
-def _event_numbers(events: EventMetrics) -> dict[str, float]:
-    keys = ("false_alarms_per_min", "missed", "onset_ms", "late_ms", "repeated")
-    return {key: float(getattr(events, key)) for key in keys}
-
-
-def _plain(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Rounded to what they mean."""
-    return {key: known(value, 3) for key, value in values.items()}

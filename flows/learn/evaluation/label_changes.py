@@ -1,4 +1,4 @@
-"""How accuracy depends on the nearest change of the label, which is itself unsure by some 50 ms."""
+"""Accuracy by distance from the nearest change of the label, which is uncertain by about 50 ms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,16 +16,18 @@ _PERIOD: Final = 10  # ms
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelChanges:
-    """Samples and errors, by how far the nearest change of the label is."""
+    """Samples and errors by distance from the nearest change of the label."""
 
     samples: NDArray[np.intp]  # (10,) in each bin of `EDGES`
     errors: NDArray[np.intp]  # (10,) of these
 
     @classmethod
-    def of(cls, labels: Sequence[Codes], judged: Sequence[NDArray[np.intp]], wrong: Sequence[Flags]) -> Self:
-        """Count errors (j,) at the judged samples (j,) of each recording with labels (n,)."""
+    def of(
+        cls, labels: Sequence[Codes], evaluated: Sequence[NDArray[np.intp]], wrong: Sequence[Flags]
+    ) -> Self:
+        """Count errors (j,) at the evaluated samples (j,) of each recording with labels (n,)."""
         samples, errors = np.zeros((2, len(EDGES)), np.intp)
-        for label, at, error in zip(labels, judged, wrong, strict=True):
+        for label, at, error in zip(labels, evaluated, wrong, strict=True):
             bins = np.searchsorted(EDGES, distance(label)[at], "right") - 1
             samples += np.bincount(bins, minlength=len(EDGES))
             errors += np.bincount(bins[error], minlength=len(EDGES))
@@ -33,25 +35,25 @@ class LabelChanges:
 
     @property
     def accuracy(self) -> Reals:
-        """Share of right answers in each bin, %; (10,), NaN where there are no samples."""
+        """Share of correct predictions in each bin, %; (10,), NaN where there are no samples."""
         right = self.samples - self.errors
         return np.array([percent(*counts) for counts in zip(right, self.samples, strict=True)])
 
     def near(self, within: int) -> float:
-        """The share of all errors that lie within so many ms, one of `EDGES`, of a change; %."""
+        """Return the share of all errors within `within` ms (one of `EDGES`) of a change; %."""
         return percent(self.errors[: EDGES.index(within)].sum(), self.errors.sum())
 
     def far(self, beyond: int) -> float:
-        """The accuracy at so many ms, one of `EDGES`, or more from any change; %."""
+        """Return the accuracy at `beyond` ms (one of `EDGES`) or more from any change; %."""
         part = slice(EDGES.index(beyond), None)
         samples = self.samples[part].sum()
         return percent(samples - self.errors[part].sum(), samples)
 
 
 def distance(label: Codes) -> Reals:
-    """How far each sample (n,) is from the nearest change of the label; (n,) ms.
+    """Return the distance of each sample (n,) from the nearest change of the label; (n,) ms.
 
-    The two samples at a change are 0 ms away; infinite where the label never changes.
+    It is 0 for the two samples at a change, and infinite if the label never changes.
 
     >>> distance(np.array([0, 0, 1, 1, 1], np.int8)).tolist()
     [10.0, 0.0, 0.0, 10.0, 20.0]

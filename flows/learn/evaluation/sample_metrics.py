@@ -1,101 +1,106 @@
-"""Measures of decisions that are made sample by sample: confusion, ROC, reliability."""
+"""Metrics of decisions sample by sample: confusion, ROC, reliability."""
 
-import math
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flows.learn.train_extra import sklearn
 from operators.batch import Flags, Reals
 
 BINS: Final = 10  # of the reliability curve
-_POINTS: Final = 201  # that an ROC is kept at
+_POINTS: Final = 201  # of a stored ROC curve
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Confusion:
-    """How many samples of static and of slip were called what.
+    """Counts of static and slip samples by predicted class.
 
     >>> confusion = Confusion.of(np.array([True, True, False, False]), np.array([True, False, False, False]))
     >>> confusion.accuracy, confusion.recalls
     (75.0, (66.66666666666667, 100.0))
     """
 
-    counts: Reals  # (2, 2) truth static, slip; answer static, slip
+    counts: Reals  # (2, 2) row: label static, slip; column: predicted static, slip
 
     @classmethod
-    def of(cls, called: Flags, truth: Flags) -> Self:
-        """Count answers (k,) against the truth (k,)."""
-        return cls(np.bincount(2 * truth + called, minlength=4).reshape(2, 2).astype(np.float64))
+    def of(cls, predicted: Flags, truth: Flags) -> Self:
+        """Count predictions (k,) by truth (k,)."""
+        return cls(np.bincount(2 * truth + predicted, minlength=4).reshape(2, 2).astype(np.float64))
 
     @property
     def accuracy(self) -> float:
-        """Share of right answers, %."""
+        """Share of correct predictions, %."""
         return percent(np.trace(self.counts), self.counts.sum())
 
     @property
     def recalls(self) -> tuple[float, float]:
-        """Share of static and of slip that is recognised, %."""
+        """Recall of static and of slip, %."""
         static, slip = self.counts
         return percent(static[0], static.sum()), percent(slip[1], slip.sum())
 
     @property
     def balanced(self) -> float:
-        """Mean of the two recalls, %."""
+        """Balanced accuracy: mean of the two recalls, %."""
         return sum(self.recalls) / 2
 
     @property
     def precision(self) -> float:
-        """Precision of each class, weighted by its share, as in the paper's tables; %."""
-        return self._weighted(np.diag(self.counts) / np.maximum(self.counts.sum(axis=0), 1))
+        """Precision averaged over the classes by their share, as in the paper's tables; %."""
+        return self._weighted()[0]
 
     @property
     def recall(self) -> float:
-        """Recall of each class, weighted by its share; always the accuracy; %."""
-        return self._weighted(np.diag(self.counts) / np.maximum(self.counts.sum(axis=1), 1))
+        """Recall averaged over the classes by their share, which equals the accuracy; %."""
+        return self._weighted()[1]
 
     @property
     def f1(self) -> float:
-        """F1 of each class, weighted by its share, as in the paper's tables; %."""
-        truth, called = self.counts.sum(axis=1), self.counts.sum(axis=0)
-        return self._weighted(2 * np.diag(self.counts) / np.maximum(truth + called, 1))
+        """F1 averaged over the classes by their share, as in the paper's tables; %."""
+        return self._weighted()[2]
 
-    def _weighted(self, each: Reals) -> float:  # (2,)
-        truth = self.counts.sum(axis=1)
-        return percent(float(each @ truth), truth.sum())
+    def _weighted(self) -> tuple[float, float, float]:
+        if not self.counts.any():
+            return np.nan, np.nan, np.nan
+        precision, recall, f1, _ = sklearn("metrics").precision_recall_fscore_support(
+            [0, 0, 1, 1],
+            [0, 1, 0, 1],
+            sample_weight=self.counts.ravel(),
+            average="weighted",
+            zero_division=0,
+        )
+        return 100 * float(precision), 100 * float(recall), 100 * float(f1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roc:
-    """Slip that is recognised against static that is called slip, over all thresholds."""
+    """Receiver operating characteristic."""
 
-    false: Reals  # (201,) share of static called slip, 0 to 1
-    true: Reals  # (201,) share of slip called slip there
-    area: float  # under the curve, of all its points; NaN where one class is missing
+    false: Reals  # (201,) false positive rate, 0 to 1
+    true: Reals  # (201,) true positive rate, 0 to 1
+    area: float  # under the curve through all its points; NaN if a class is missing
 
     @classmethod
     def of(cls, probability: Reals, truth: Flags) -> Self:
-        """The curve of probabilities (k,), none of them NaN, against the truth (k,)."""
-        order = np.argsort(-probability, kind="stable")
-        last = np.append(np.diff(probability[order]) != 0, True)[: len(order)]  # equal ones go together
-        slip = np.cumsum(truth[order], dtype=np.intp)[last]
-        static = np.cumsum(~truth[order], dtype=np.intp)[last]
+        """Compute the curve of probabilities (k,), none of them NaN, against the truth (k,)."""
         grid = np.linspace(0, 1, _POINTS)
-        if not len(slip) or not slip[-1] or not static[-1]:
-            return cls(grid, np.full(_POINTS, np.nan), float("nan"))
-        true = np.concatenate(([0.0], slip / slip[-1]))
-        false = np.concatenate(([0.0], static / static[-1]))
-        area = float((np.diff(false) * (true[1:] + true[:-1])).sum() / 2)
-        return cls(grid, np.interp(grid, false, true), area)
+        if not truth.any() or truth.all():
+            return cls(grid, np.full(_POINTS, np.nan), np.nan)
+        metrics = sklearn("metrics")
+        false, true, _ = metrics.roc_curve(truth, probability)
+        return cls(grid, np.interp(grid, false, true), float(metrics.auc(false, true)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reliability:
-    """The share of slip among samples of about equal probability, in ten bins of equal width."""
+    """Share of slip among samples of similar probability, in ten bins of equal width.
 
-    number: NDArray[np.intp]  # (10,) samples of each bin
-    sure: Reals  # (10,) their mean probability; NaN where there are none
+    scikit-learn's `calibration_curve` gives no number of samples, which the calibration error needs.
+    """
+
+    number: NDArray[np.intp]  # (10,) samples in each bin
+    probability: Reals  # (10,) their mean probability; NaN in empty bins
     slip: Reals  # (10,) the share of slip among them
 
     @classmethod
@@ -109,22 +114,11 @@ class Reliability:
 
     @property
     def error(self) -> float:
-        """The expected calibration error: the mean over the samples of how far their bin is off; %."""
-        off = np.where(self.number, np.abs(self.sure - self.slip), 0)
-        return percent(float(off @ self.number), self.number.sum())
+        """Expected calibration error: mean distance of a bin's share from its probability, by samples; %."""
+        distance = np.where(self.number, np.abs(self.probability - self.slip), 0)
+        return percent(float(distance @ self.number), self.number.sum())
 
 
 def percent(part: float, whole: float) -> float:
-    """The part of a whole in %; NaN if the whole is 0."""
+    """Return the part of a whole in %; NaN if the whole is 0."""
     return 100 * float(part) / float(whole) if whole else float("nan")
-
-
-def known(value: float, digits: int | None = None) -> float | None:
-    """A number for JSON: None for NaN and infinity, which it lacks; rounded if `digits` are given.
-
-    >>> known(1.5), known(math.nan), known(93.14159, 3)
-    (1.5, None, 93.142)
-    """
-    if not math.isfinite(value):
-        return None
-    return value if digits is None else round(value, digits)

@@ -1,4 +1,4 @@
-"""How far each stress field is taken, what is hoped for there, and where a score breaks."""
+"""Values of each stress field, goals, and the breaking point of a score."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,28 +14,28 @@ FALL: Final = 10.0  # points of balanced accuracy below nominal: broken
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The values of one field, and how they are shown to a person.
+    """Values of one field and their display.
 
     >>> GRIDS["slip_speed"].show(0.2), GRIDS["noise"].show(14.0)
     ('10 mm/s', '14 counts')
     """
 
     values: tuple[float, ...]  # nominal first, then ever harder; a second side follows the first
-    text: str  # what the panel is called
-    unit: str = ""  # of what is shown
-    scale: float = 1.0  # shown per value
+    text: str  # title of the panel
+    unit: str = ""  # of the displayed value
+    scale: float = 1.0  # displayed value per value
 
     def number(self, value: float) -> str:
-        """A value without its unit."""
+        """Return a value as text, without its unit."""
         return f"{value * self.scale:.3g}"
 
     def show(self, value: float) -> str:
-        """A value as a person reads it."""
+        """Return a value as text with its unit."""
         return f"{self.number(value)} {self.unit}".rstrip()
 
     @property
     def sides(self) -> dict[str, tuple[float, ...]]:
-        """The values from nominal outwards, on each side of it that there is."""
+        """Values from nominal outwards, on each existing side."""
         nominal = self.values[0]
         up = tuple(value for value in self.values if value > nominal)
         down = tuple(value for value in self.values if value < nominal)
@@ -69,9 +69,9 @@ GRIDS: Final[Mapping[str, Grid]] = MappingProxyType(
 
 
 def plan_of(field: str, plan: Plan) -> Plan:
-    """The plan that a field is applied to: as it is, but for slip speed all strokes at 50 mm/s, no rotation.
+    """Return the plan that a field is applied to; for slip speed, all strokes at 50 mm/s and no rotation.
 
-    So a factor of slip speed is one speed, and what the arm's speed labels slip are strokes at that speed.
+    A factor of slip speed then is one speed, and the samples labelled slip are strokes at that speed.
     """
     if field != "slip_speed":
         return plan
@@ -79,8 +79,8 @@ def plan_of(field: str, plan: Plan) -> Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class Goal:
-    """The balanced accuracy that the default detector is to reach under one stress."""
+class StressGoal:
+    """Balanced accuracy that the default detector should reach under one stress."""
 
     text: str
     field: str
@@ -89,22 +89,22 @@ class Goal:
 
 
 GOALS: Final = (
-    Goal("slip at 10 mm/s", "slip_speed", 0.2, 85),
-    Goal("slip at 5 mm/s", "slip_speed", 0.1, 70),
-    Goal("noise of 14 counts", "noise", 14, 88),
-    Goal("no stick-slip", "stick_slip", 0, 88),
-    Goal("low friction, x 0.3", "friction", 0.3, 87),
-    Goal("one dead barometer", "dead", 1, 92),
-    Goal("two dead barometers", "dead", 2, 88),
+    StressGoal("slip at 10 mm/s", "slip_speed", 0.2, 85),
+    StressGoal("slip at 5 mm/s", "slip_speed", 0.1, 70),
+    StressGoal("noise of 14 counts", "noise", 14, 88),
+    StressGoal("no stick-slip", "stick_slip", 0, 88),
+    StressGoal("low friction, x 0.3", "friction", 0.3, 87),
+    StressGoal("one dead barometer", "dead", 1, 92),
+    StressGoal("two dead barometers", "dead", 2, 88),
 )
 
 
 def breaking_point(values: Sequence[float], scores: Sequence[float], fall: float = FALL) -> float | None:
-    """The value at which the score lies `fall` below the first one.
+    """Return the value at which the score lies `fall` below the first one.
 
     Args:
         values: from nominal outwards.
-        scores: at each value; NaN where there is none, which is broken.
+        scores: at each value; NaN counts as broken.
         fall: in the scores' unit.
 
     Returns:

@@ -1,27 +1,27 @@
-"""Every detector along every stress field: one small panel a field."""
+"""Figures of stresses: one panel per field."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isnan
 from typing import Final
 
-from flows.learn.evaluation.judgement import Truth
+from flows.learn.evaluation.performance import Reference
 from flows.learn.stress.stress_fields import GRIDS, Grid
-from flows.learn.stress.stress_result import Stress
+from flows.learn.stress.stress_study import Stress
 from flows.report.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
 
 _COLUMNS: Final = 7  # the barometers' fields are the first row
 _COLOURS: Final = (*CELLS, SECOND, INK, "#5ab4ac", "#b5a642", "#6c8ebf", FAINT)
 _MARKS: Final = "osD^vP*X"
-_POWERS: Final = (0, 1, 10, 100)  # that a logarithmic axis names
+_POWERS: Final = (0, 1, 10, 100)  # labels of a logarithmic axis
 _LATEST: Final = 400.0  # ms, delays that are shown
 
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """What is drawn against the fields."""
+    """A measure that is drawn along the fields."""
 
-    key: str  # of `Judgement`
+    key: str  # of `Performance`
     text: str  # of its axis
     limits: tuple[float, float]
     log: bool = False  # near 0 linear
@@ -40,11 +40,11 @@ _Line = tuple[str, Callable[[str, float], float]]  # its name; its height at a f
 
 
 @styled
-def panels(of: Stress, measure: Measure, truth: Truth = "label") -> Figure:
-    """A measure of each detector along each field."""
+def panels(of: Stress, measure: Measure, reference: Reference = "label") -> Figure:
+    """Draw a measure of each detector along each field."""
 
     def line(name: str) -> _Line:
-        return name, lambda field, value: getattr(of.at(name, field, value, truth), measure.key)
+        return name, lambda field, value: getattr(of.at(name, field, value, reference), measure.key)
 
     figure, axes = _panels([line(name) for name in of.names], measure.text)
     for axis in axes:
@@ -58,7 +58,7 @@ def panels(of: Stress, measure: Measure, truth: Truth = "label") -> Figure:
 
 @styled
 def abstention(of: Stress) -> Figure:
-    """The share of samples during which a fault is reported, and of those without a score."""
+    """Draw the share of samples during which a fault is reported, and of those without a score."""
     first = of.names[0]
     lines: Sequence[_Line] = (
         ("a fault is reported", lambda field, value: of.outcome(field, value).degraded),
@@ -71,7 +71,7 @@ def abstention(of: Stress) -> Figure:
 
 
 def _panels(lines: Sequence[_Line], text: str) -> tuple[Figure, list[Axes]]:
-    """Values in order: from nominal to broken; where there are two sides, from the lowest to the highest."""
+    """Draw values from nominal to broken, or from the lowest to the highest if there are two sides."""
     rows = -(-len(GRIDS) // _COLUMNS)
     figure, axes = grid(rows, _COLUMNS, (13, 2.1 * rows), sharey=True)
     for number, (axis, (field, values)) in enumerate(zip(axes, GRIDS.items(), strict=False)):

@@ -1,41 +1,87 @@
-"""Stability where methods fail: every detector along every stress field, from nominal to broken.
+"""`slipflow stress`: every detector along every stress field of the simulation, from nominal to broken.
 
-Each condition is simulated anew with the same seed, so that recordings differ in nothing but the stress. What
-a detector says is held against the label by the arm's speed, and against what the contact truly did: a stress
-of the motion stream moves the label alone.
+All conditions are simulated with the same seed, so that recordings differ only by the stress. Detectors are
+compared with the label by arm speed, and with the true sliding of the contact: a stress of the motion stream
+changes the label alone.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 from typing import Final
 
 import numpy as np
 
 from connectors.sim.paper_plan import PaperPlan as Plan
 from connectors.sim.stress_profiles import stressed
-from flows.learn.evaluation.debounce_tuning import tuned
-from flows.learn.evaluation.event_metrics import Slips
-from flows.learn.evaluation.judgement import TRUTHS, Judgement, Truth
+from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.methods import methods
+from flows.learn.evaluation.performance import REFERENCES, Performance, Reference
 from flows.learn.evaluation.sample_metrics import percent
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
-from flows.learn.stress.stress_fields import GRIDS, plan_of
-from flows.learn.stress.stress_result import Condition, Outcome, Stress
+from flows.learn.stress.stress_fields import GRIDS, breaking_point, plan_of
+from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread, process_map
 from operators import Debounce
 from operators.batch import Flags
+from operators.checks import check_at_least
 from operators.detectors.detector import Detector
-from operators.errors import ParameterError
 
 PLAN: Final = Plan(repeats=1, rotations=1)  # 16 recordings, 5 minutes
 TRAINING: Final = Plan(repeats=3, rotations=1)  # 40 recordings, 14 minutes
 SEED: Final = 4000
-_FITTING: Final = 1000  # from the seed that is judged to the one that simple detectors are fitted to
-_TUNING: Final = 2000  # and to the one that debouncing is tuned on
+_FITTING: Final = 1000  # added to the seed for the recordings that baselines are fitted to
+_TUNING: Final = 2000  # added to the seed for the recordings that the debounce is tuned on
+
+Progress = Callable[[int, int], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """One stress field at one value."""
+
+    field: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Performance of all detectors under one condition."""
+
+    degraded: float  # % of samples during which `Health` reports a fault
+    unscored: Mapping[str, float]  # % of samples, by detector
+    performance: Mapping[tuple[str, Reference], Performance]  # by detector
+
+
+@dataclass(frozen=True, slots=True)
+class Stress:
+    """Performance of all detectors under all conditions."""
+
+    names: tuple[str, ...]  # of the detectors
+    seed: int
+    recordings: int  # of each condition
+    debounce: Mapping[str, Debounce]  # by detector
+    missing: Mapping[str, str]  # reasons by method
+    outcomes: Mapping[Condition, Outcome]
+
+    def at(self, name: str, field: str, value: float, reference: Reference = "label") -> Performance:
+        """Return the performance of one detector under one condition."""
+        return self.outcome(field, value).performance[name, reference]
+
+    def outcome(self, field: str, value: float) -> Outcome:
+        """Return the performance of all detectors under one condition."""
+        return self.outcomes[Condition(field, value)]
+
+    def breaking(self, name: str, field: str, reference: Reference = "label") -> dict[str, float | None]:
+        """Return the breaking point on each side of nominal; None: it holds up to the hardest value."""
+        return {
+            side: breaking_point(
+                values, [self.at(name, field, value, reference).balanced for value in values]
+            )
+            for side, values in GRIDS[field].sides.items()
+        }
 
 
 def stress(
@@ -46,84 +92,80 @@ def stress(
     plan: Plan = PLAN,
     training: Plan = TRAINING,
     jobs: int | None = None,
-    told: Callable[[str], object] = lambda _: None,
-    progress: Callable[[int, int], object] = lambda _done, _all: None,
+    log: Callable[[str], object] = lambda _: None,
+    progress: Progress = lambda _done, _all: None,
 ) -> Stress:
-    """Judge all methods under every stress.
+    """Evaluate all methods under every stress.
 
     Args:
-        models: files of weights to judge as well.
-        names: of the methods that are judged; empty: all.
-        seed: Of the recordings.
-        plan: What is recorded under each condition.
-        training: Nominal recordings, of other seeds: what simple detectors are fitted to, and what
-            debouncing is tuned on where a model's card does not say how.
-        jobs: Processes; None: one for each of the machine's cores.
-        told: Is told what is being done, and what is skipped.
-        progress: Told how many conditions are done, of how many.
+        models: files of weights to include.
+        names: only these methods, and those of `models`; empty: all.
+        seed: seed of the recordings.
+        plan: recordings of each condition.
+        training: nominal recordings of other seeds that baselines are fitted to and the debounce of methods
+            without a card is tuned on.
+        jobs: number of processes; None: one per core.
+        log: receives progress messages.
+        progress: called with the number of conditions done, and of all.
 
     Raises:
-        InputError: if there is no such method or model.
-        ParameterError: on a negative seed, or less than one job.
+        InputError: if the train extra is missing, or a method or model does not exist.
+        ParameterError: if the seed is negative or `jobs` is below 1.
         SlipflowError: if a process ended early.
     """
-    if seed < 0:
-        raise ParameterError("stress", "seed", seed, "0 or above")
-    if jobs is not None and jobs < 1:
-        raise ParameterError("stress", "jobs", jobs, "1 or above")
-    fitting, nominal = (
-        simulated_recordings(training, seed + _FITTING),
-        simulated_recordings(training, seed + _TUNING),
-    )
-    subjects = dict[str, tuple[Detector, Debounce]]()
+    require_train_extra("stress")
+    check_at_least("stress", "seed", seed, 0)
+    if jobs is not None:
+        check_at_least("stress", "jobs", jobs, 1)
+    fitting = simulated_recordings(training, seed + _FITTING)
+    nominal = simulated_recordings(training, seed + _TUNING)
+    detectors = dict[str, tuple[Detector, Debounce]]()
     with one_thread():
-        chosen, missing = methods(fitting, models, names, told)
+        chosen, missing = methods(fitting, models, names, log)
         for name, reason in missing.items():
-            told(f"SKIPPED: {name}, because {reason}")
+            log(f"skipped: {name}: {reason}")
         for method in chosen:
             debounce = method.debounce
             if debounce is None:
-                told(f"tuning {method.name}")
-                debounce = _tuned(method.detector, nominal)
-            subjects[method.name] = method.detector, debounce
-    return judged(subjects, missing, seed, plan, jobs=jobs, progress=progress)
+                log(f"tuning {method.name}")
+                debounce = tuned_on(nominal, method.detector)
+            detectors[method.name] = method.detector, debounce
+    return run_stress(detectors, missing, seed, plan, jobs=jobs, progress=progress)
 
 
-def judged(
-    subjects: Mapping[str, tuple[Detector, Debounce]],
+def run_stress(
+    detectors: Mapping[str, tuple[Detector, Debounce]],
     missing: Mapping[str, str],
     seed: int,
     plan: Plan,
     *,
     jobs: int | None = None,
-    progress: Callable[[int, int], object] = lambda _done, _all: None,
+    progress: Progress = lambda _done, _all: None,
 ) -> Stress:
-    """Judge detectors, debounced, under every stress; see `stress`."""
-    began = perf_counter()
+    """Evaluate detectors, debounced, under every stress; see `stress`."""
     conditions = [Condition(field, value) for field, grid in GRIDS.items() for value in grid.values]
     distinct = list(dict.fromkeys(map(_distinct, conditions)))
     progress(0, len(distinct))
     outcomes: dict[Condition, Outcome] = {}
-    with closing(process_map(_Judge(subjects, plan, seed), distinct, jobs)) as each:
+    with closing(process_map(_Evaluator(detectors, plan, seed), distinct, jobs)) as each:
         for done, (condition, outcome) in enumerate(zip(distinct, each, strict=True), 1):
             outcomes[condition] = outcome
             progress(done, len(distinct))
     return Stress(
-        tuple(subjects),
+        tuple(detectors),
         seed,
         sum(1 for _ in plan.scenes(seed)),
-        {name: debounce for name, (_, debounce) in subjects.items()},
+        {name: debounce for name, (_, debounce) in detectors.items()},
         missing,
         {condition: outcomes[_distinct(condition)] for condition in conditions},
-        perf_counter() - began,
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Judge:
-    """Simulates a condition and judges all detectors; goes to processes."""
+class _Evaluator:
+    """Simulates a condition and evaluates all detectors; is sent to processes."""
 
-    subjects: Mapping[str, tuple[Detector, Debounce]]
+    detectors: Mapping[str, tuple[Detector, Debounce]]
     plan: Plan
     seed: int
 
@@ -136,17 +178,18 @@ class _Judge:
         recordings = simulated_recordings(
             plan_of(field, self.plan), self.seed, lambda scene: stressed(scene, field, value)
         )
-        unscored, judged = dict[str, float](), dict[tuple[str, Truth], Judgement]()
-        for name, (detector, debounce) in self.subjects.items():
-            found = [probabilities(detector, recording) for recording in recordings]
-            unscored[name] = _share([np.isnan(each)[WARM_UP:] for each in found])
-            for truth in TRUTHS:
-                judged[name, truth] = Judgement.of(recordings, found, debounce, truth)
-        return Outcome(_share([_degraded(recording)[WARM_UP:] for recording in recordings]), unscored, judged)
+        unscored, performance = dict[str, float](), dict[tuple[str, Reference], Performance]()
+        for name, (detector, debounce) in self.detectors.items():
+            scores = [probabilities(detector, recording) for recording in recordings]
+            unscored[name] = _share([np.isnan(score)[WARM_UP:] for score in scores])
+            for reference in REFERENCES:
+                performance[name, reference] = Performance.of(recordings, scores, debounce, reference)
+        degraded = [_degraded(recording)[WARM_UP:] for recording in recordings]
+        return Outcome(_share(degraded), unscored, performance)
 
 
 def _distinct(condition: Condition) -> Condition:
-    """The same recordings under the name that they are simulated by: nominal is nominal in any field."""
+    """Return the condition that gives the same recordings: nominal is nominal in any field."""
     grid = GRIDS[condition.field]
     if condition.value != grid.values[0] or condition.field == "slip_speed":
         return condition
@@ -154,13 +197,8 @@ def _distinct(condition: Condition) -> Condition:
     return Condition(first, GRIDS[first].values[0])
 
 
-def _tuned(detector: Detector, recordings: Sequence[LabelledRecording]) -> Debounce:
-    slips = [Slips.labelled(recording) for recording in recordings]
-    return tuned([probabilities(detector, recording) for recording in recordings], slips)
-
-
 def _degraded(recording: LabelledRecording) -> Flags:
-    assert recording.degraded is not None, "simulated recordings know it"
+    assert recording.degraded is not None, "simulated recordings have it"
     return recording.degraded
 
 

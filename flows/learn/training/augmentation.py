@@ -1,4 +1,4 @@
-"""Variations of counts that keep their labels."""
+"""Random changes of counts that keep their labels."""
 
 import math
 from typing import Final
@@ -9,16 +9,16 @@ from torch import Tensor
 from flows.learn.training.recipe import Augmentation
 from operators.batch import BAROMETERS
 
-MIRROR_X: Final = (2, 1, 0, 5, 4, 3)  # cells 5 4 3 over 0 1 2
+MIRROR_X: Final = (2, 1, 0, 5, 4, 3)  # cells 5 4 3 above 0 1 2
 MIRROR_Y: Final = (5, 4, 3, 2, 1, 0)
 _RATE: Final = 100.0  # Hz
-_WAVES: Final = 3  # of a change of load
+_WAVES: Final = 3  # sines in a change of load
 _SLOWEST: Final = 0.1  # Hz
 _FASTEST: Final = 2.0  # Hz
 
 
 def augmented(counts: Tensor, how: Augmentation, generator: torch.Generator) -> Tensor:
-    """Counts (b, 6, n), varied crop by crop."""
+    """Return counts (b, 6, n), changed at random crop by crop."""
     crops, _, samples = counts.shape
     device = counts.device
 

@@ -1,15 +1,14 @@
 """Dense training: whole sequences, one label per sample.
 
-A window of 100 samples is computed anew for each of its samples by windowed training; here neighbours share
-what they have in common, for 60 to 90 times less work an epoch. Crops are drawn from all recordings, their
-first `receptive_field` - 1 samples and those without a label are masked, slip and static weigh the same.
+Windowed training computes a window of 100 samples for each label. Here neighbouring samples share the work,
+which takes 60 to 90 times less of it per epoch. Crops are drawn from all recordings; their first
+`receptive_field` - 1 samples and those without a label are masked; slip and static weigh the same.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from time import perf_counter
 from typing import Any, Final, cast
 
@@ -21,20 +20,19 @@ from torch.nn import functional, utils
 
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from flows.learn.training.augmentation import augmented
-from flows.learn.training.checkpoint import Checkpoint
 from flows.learn.training.learning_curve import Check, best
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.tcn_module import DenseTcn
 from operators.batch import SLIP, STATIC
 from operators.errors import ParameterError
 
-_CLIP: Final = 1.0  # norm of the gradient
-_LEAST: Final = 0.01  # of the rate, that the cosine ends at
+_CLIP: Final = 1.0  # maximum norm of the gradient
+_LAST_RATE: Final = 0.01  # of the peak rate, at the end of the cosine
 
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """A trained network, as it was at its best check."""
+    """A trained network at its best check."""
 
     arrays: Mapping[str, NDArray[Any]]  # as `operators.detectors.Tcn` takes them
     curve: tuple[Check, ...]
@@ -45,57 +43,50 @@ def train_dense(
     validation: Sequence[LabelledRecording],
     recipe: Recipe,
     *,
-    checkpoint: Path | None = None,
     progress: Callable[[int, Check | None], object] = lambda _step, _check: None,
 ) -> Trained:
-    """Train our network; on a GPU where there is one.
+    """Train our network, on a GPU if there is one.
 
     Args:
-        train: What it learns from.
-        validation: What decides which check is the best, and when to end.
-        recipe: How.
-        checkpoint: A file to go on from where an earlier run stopped; it is removed at the end.
-        progress: Told after each step, with the check that was made there.
+        train: recordings to learn from.
+        validation: recordings that choose the best check and the end of training.
+        recipe: size of the network and course of the training.
+        progress: called after each step, with the check that was made there.
 
     Raises:
-        ParameterError: if either holds too little, or one class only.
-        InputError: if the checkpoint is of another recipe or damaged.
+        ParameterError: if either has too few samples, or one class only.
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     corpus = _Corpus(train, recipe, device)
-    judge = [_Judged.of(recording, device) for recording in validation]
-    if not judge:
-        raise ParameterError("train_dense", "validation", len(judge), "recordings to choose by")
+    unseen = [_Sequence.of(recording, device) for recording in validation]
+    if not unseen:
+        raise ParameterError("train_dense", "validation", 0, "at least 1 recording")
     _seed(recipe.seed)
     network = DenseTcn(recipe).to(device)
     optimiser = torch.optim.AdamW(network.parameters(), recipe.rate, weight_decay=recipe.decay)
-    kept = Checkpoint(checkpoint, recipe, network, optimiser)
-    curve, done, before = kept.resume()
-    began, losses = perf_counter() - before, list[float]()
-    arrays: Mapping[str, NDArray[Any]] = kept.best or network.arrays()
+    began, curve, losses = perf_counter(), list[Check](), list[float]()
+    arrays: Mapping[str, NDArray[Any]] = network.arrays()
     every = max(recipe.steps // recipe.checks, 1)
-    for step in range(done + 1, recipe.steps + 1):
+    for step in range(1, recipe.steps + 1):
         losses.append(_step(network, optimiser, corpus, recipe, step))
         check = None
         if step % every == 0 or step == recipe.steps:
-            right = _judge(network, judge)
-            check = Check(step, perf_counter() - began, float(np.mean(losses)), *right)
+            scores = _evaluate(network, unseen)
+            check = Check(step, perf_counter() - began, float(np.mean(losses)), *scores)
             losses.clear()
             curve.append(check)
             if best(curve) is check:
                 arrays = network.arrays()
-            kept.save(curve, step, check.seconds, arrays)
         progress(step, check)
         if check and _stuck(curve, recipe.patience):
             break
-    kept.remove()
     return Trained(arrays, tuple(curve))
 
 
 def _step(
     network: DenseTcn, optimiser: torch.optim.Optimizer, corpus: "_Corpus", recipe: Recipe, step: int
 ) -> float:
-    """One step of the optimiser; what is random depends on the seed and the step alone."""
+    """Do one step of the optimiser; its random numbers depend on the seed and the step alone."""
     own = int(np.random.SeedSequence([recipe.seed, step]).generate_state(1, np.uint64)[0] >> 1)
     generator = torch.Generator(corpus.device)
     cast("Any", generator).manual_seed(own)
@@ -115,16 +106,16 @@ def _step(
 
 
 def _seed(seed: int) -> None:
-    cast("Any", torch).manual_seed(seed)  # without types
+    cast("Any", torch).manual_seed(seed)  # has no type annotations
 
 
 def _share(step: int, recipe: Recipe) -> float:
-    """Of the peak rate, from step 1 on: a linear warm-up, then a cosine."""
+    """Return the share of the peak rate at a step, from 1: a linear warm-up, then a cosine."""
     warm = max(round(recipe.warm_up * recipe.steps), 1)
     if step <= warm:
         return step / warm
     passed = (step - warm) / max(recipe.steps - warm, 1)
-    return _LEAST + (1 - _LEAST) * (1 + math.cos(math.pi * min(passed, 1.0))) / 2
+    return _LAST_RATE + (1 - _LAST_RATE) * (1 + math.cos(math.pi * min(passed, 1.0))) / 2
 
 
 def _stuck(curve: Sequence[Check], patience: int) -> bool:
@@ -132,7 +123,7 @@ def _stuck(curve: Sequence[Check], patience: int) -> bool:
 
 
 class _Corpus:
-    """All recordings behind each other on the device, from which crops are drawn."""
+    """All recordings, joined on the device, from which crops are drawn."""
 
     def __init__(self, recordings: Sequence[LabelledRecording], recipe: Recipe, device: torch.device) -> None:
         self.device, self._crop, self._batch = device, recipe.crop, recipe.batch
@@ -155,7 +146,7 @@ class _Corpus:
         self._offsets = torch.arange(recipe.crop, device=device)
 
     def crops(self, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Counts (b, 6, crop), and of those that are judged: weight (b, m), slip (b, m)."""
+        """Return counts (b, 6, crop), and weight (b, m) and slip (b, m) of their evaluated samples."""
         chosen = torch.randint(len(self._starts), (self._batch,), generator=generator, device=self.device)
         rows = self._starts[chosen][:, None] + self._offsets  # (b, crop)
         judged = rows[:, WARM_UP:]
@@ -164,20 +155,20 @@ class _Corpus:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Judged:
-    """A recording that the network is judged by."""
+class _Sequence:
+    """A recording that the network is evaluated on."""
 
     counts: Tensor  # (1, 6, n)
     label: NDArray[np.int8]  # (n - WARM_UP,)
 
     @classmethod
-    def of(cls, recording: LabelledRecording, device: torch.device) -> "_Judged":
+    def of(cls, recording: LabelledRecording, device: torch.device) -> "_Sequence":
         counts = torch.as_tensor(recording.counts).to(device, torch.float32).T[None]
         return cls(counts, recording.label[WARM_UP:])
 
 
-def _judge(network: DenseTcn, recordings: Sequence[_Judged]) -> tuple[float, float]:
-    """Accuracy and balanced accuracy, %."""
+def _evaluate(network: DenseTcn, recordings: Sequence[_Sequence]) -> tuple[float, float]:
+    """Return accuracy and balanced accuracy, %."""
     network.eval()
     with torch.no_grad():
         called = [network(recording.counts)[0, WARM_UP:].cpu().numpy() > 0 for recording in recordings]

@@ -1,9 +1,9 @@
 """Delay of labels after the signal, estimated from each recording.
 
-Two streams have two clocks, and an arm tells of its motion late; a detector that is trained on such labels
-learns to be as late, or to foresee. While the contact slides the counts move: the lag of a recording is the
-shift at which its labels agree best with how fast they move, the peak of the cross-correlation. The finger's
-own give makes it 28 ms less than the arm's latency on the simulated rig.
+Two streams have two clocks, and the arm reports its motion late; a detector that is trained on such labels
+learns the same delay. While the contact slides the counts change: the lag of a recording is the shift at
+which its labels correlate best with the speed of this change. Because the fingertip is compliant it is 28 ms
+less than the arm's latency on the simulated rig.
 """
 
 from collections.abc import Sequence
@@ -16,10 +16,10 @@ from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
 from operators.batch import SLIP, UNKNOWN, Reals
 
 RATE: Final = 100.0  # Hz
-LATEST: Final = 0.6  # s, of the lags that are tried
-_EARLIEST: Final = -0.4  # s, the same
+LATEST: Final = 0.6  # s, maximum lag
+_EARLIEST: Final = -0.4  # s, minimum lag
 _SMOOTH: Final = 3  # samples
-_CLEAR: Final = 0.3  # correlation, below which a recording tells nothing by itself
+_CLEAR: Final = 0.3  # minimum correlation of a usable recording
 
 
 def lags(recordings: Sequence[LabelledRecording]) -> Reals:
@@ -34,13 +34,13 @@ def lags(recordings: Sequence[LabelledRecording]) -> Reals:
 
 
 def relabelled(recordings: Sequence[LabelledRecording], lag: float) -> list[LabelledRecording]:
-    """The recordings with their labels shifted so that each comes `lag` (s) after the signal."""
+    """Return the recordings with their labels shifted to come `lag` (s) after the signal."""
     shifts = np.rint((lags(recordings) - lag) * RATE).astype(int).tolist()
     return [_shifted(recording, shift) for recording, shift in zip(recordings, shifts, strict=True)]
 
 
 def _shifted(recording: LabelledRecording, earlier: int) -> LabelledRecording:
-    """A recording whose labels come `earlier` samples sooner; unknown where none is left."""
+    """Return a recording with its labels `earlier` samples sooner; unknown where none is left."""
     label = np.full_like(recording.label, UNKNOWN)
     size = max(len(label) - abs(earlier), 0)
     if earlier >= 0:
@@ -51,7 +51,7 @@ def _shifted(recording: LabelledRecording, earlier: int) -> LabelledRecording:
 
 
 def _peak(recording: LabelledRecording) -> tuple[float, float]:
-    """The lag (s) of the best correlation, and that."""
+    """Return the lag (s) of the best correlation, and the correlation."""
     steps = np.diff(recording.counts.astype(np.float64), axis=0, prepend=recording.counts[:1])  # (n, 6)
     moving = np.log1p(np.sqrt(np.square(steps).sum(axis=1)))  # (n,)
     moving = np.convolve(moving, np.full(_SMOOTH, 1 / _SMOOTH), "same")

@@ -1,4 +1,4 @@
-"""The course of training: how a detector came to its score."""
+"""Learning curve: the score on the validation split during training."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,9 +8,9 @@ from flows.report.figures import CELLS, FAINT, Figure, grid, styled
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """Where training stood when it was judged by the validation split."""
+    """An evaluation on the validation split during training."""
 
-    done: int  # steps of dense training, epochs of windowed
+    done: int  # steps of dense training, epochs of windowed training
     seconds: float
     loss: float  # mean since the last check, nats
     accuracy: float  # on the validation split, %
@@ -18,7 +18,7 @@ class Check:
 
 
 def best(curve: Sequence[Check]) -> Check:
-    """The check with the best balanced accuracy, the first of equals.
+    """Return the check with the best balanced accuracy, the first of equals.
 
     >>> best([Check(1, 2.0, 0.6, 70.0, 71.0), Check(2, 4.0, 0.5, 80.0, 79.0)]).done
     2
@@ -28,7 +28,7 @@ def best(curve: Sequence[Check]) -> Check:
 
 @styled
 def draw(curves: Mapping[str, Sequence[Check]]) -> Figure:
-    """Accuracy on the validation split against the minutes that training took, curve by curve."""
+    """Draw accuracy on the validation split over minutes of training, for each curve."""
     figure, (axes,) = grid(1, 1, (6.5, 3.2))
     ends = [best(curve) for curve in curves.values()]
     for color, (name, curve), end in zip(CELLS * len(curves), curves.items(), ends, strict=False):

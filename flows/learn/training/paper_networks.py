@@ -1,4 +1,4 @@
-"""The paper's two networks in PyTorch, as they are trained; numpy runs what they export."""
+"""The paper's two networks in PyTorch, for training; the detectors in numpy run the exported weights."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -25,11 +25,11 @@ _TRUNCATED: Final = 0.87962566103423978  # standard deviation of a unit normal t
 
 
 class Network(nn.Module):
-    """What both have in common: counts in, standardised, logits of static and slip out.
+    """Base class: standardises counts; returns logits of static and slip.
 
     Args:
-        mean: (6,) of the counts in training
-        std: (6,) of the counts in training
+        mean: (6,) mean of the training counts.
+        std: (6,) standard deviation of the training counts.
     """
 
     mean: Tensor  # (6,)
@@ -41,29 +41,29 @@ class Network(nn.Module):
         self.register_buffer("std", torch.as_tensor(std.astype(np.float32)))
 
     def forward(self, counts: Tensor) -> Tensor:
-        """Windows of counts (n, 100, 6), newest last, to logits (n, 2)."""
+        """Return the logits (n, 2) of windows of counts (n, 100, 6), newest last."""
         return self.logits((counts - self.mean) / self.std)
 
     @abstractmethod
     def logits(self, inputs: Tensor) -> Tensor:
-        """Standardised counts (n, 100, 6) to logits (n, 2)."""
+        """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
 
     @abstractmethod
     def arrays(self) -> Arrays:
-        """The arrays that the detector of this network takes; float32."""
+        """Return the arrays that the detector of this network takes; float32."""
 
 
 class PaperTcnNetwork(Network):
-    """The paper's temporal convolutional network; what it computes stands at `PaperTcn`.
+    """The paper's temporal convolutional network; `PaperTcn` describes the computation.
 
-    Of each layer only the steps that the last one sees are computed, in training as in `PaperTcn`: layer norm
-    treats each step by itself, and dropout drops a channel at all steps, so that is exact.
+    Only the steps of each layer that the last one depends on are computed, in training as in `PaperTcn`.
+    That is exact: layer norm treats each step by itself, and dropout drops a channel at all steps.
 
     Args:
         mean: (6,) of the counts in training
         std: (6,) of the counts in training
-        dropout: probability of a channel, and of a dense unit, to be dropped
-        generator: where the first weights and what is dropped come from
+        dropout: probability that a channel or a dense unit is dropped
+        generator: source of the initial weights and of the dropout
     """
 
     def __init__(self, mean: Reals, std: Reals, *, dropout: float, generator: torch.Generator) -> None:
@@ -80,7 +80,7 @@ class PaperTcnNetwork(Network):
         _initialise(self, generator)
 
     def logits(self, inputs: Tensor) -> Tensor:
-        """Standardised counts (n, 100, 6) to logits (n, 2)."""
+        """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
         values = inputs
         for block in range(_BLOCKS):
             residual = values[:, 1 - values.shape[1] % 2 :: 2]  # each second step, back from the last
@@ -97,7 +97,7 @@ class PaperTcnNetwork(Network):
         return logits
 
     def arrays(self) -> Arrays:
-        """The arrays that `PaperTcn` takes."""
+        """Return the arrays that `PaperTcn` takes."""
         state = _state(self)
         result: Arrays = {"mean": state["mean"], "std": state["std"]}
         for layer in range(2 * _BLOCKS):
@@ -114,14 +114,14 @@ class PaperTcnNetwork(Network):
 
 
 class FrequencyCnnNetwork(Network):
-    """The paper's frequency CNN; what it computes stands at `FrequencyCnn`.
+    """The paper's frequency CNN; `FrequencyCnn` describes the computation.
 
     Args:
         mean: (6,) of the counts in training
         std: (6,) of the counts in training
-        interleaved: whether it sees the image of `InterleavedFrequencyCnn`
-        dropout: probability of a bin of the image, of a channel and of a dense unit to be dropped
-        generator: where the first weights and what is dropped come from
+        interleaved: True for the image of `InterleavedFrequencyCnn`
+        dropout: probability that a bin of the image, a channel or a dense unit is dropped
+        generator: source of the initial weights and of the dropout
     """
 
     parts: Tensor  # (100, 102) of the DFT
@@ -142,7 +142,7 @@ class FrequencyCnnNetwork(Network):
         _initialise(self, generator)
 
     def logits(self, inputs: Tensor) -> Tensor:
-        """Standardised counts (n, 100, 6) to logits (n, 2)."""
+        """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
         count, length, cells = inputs.shape
         rows = inputs.reshape(count, cells, length) if self.interleaved else inputs.transpose(1, 2)
         parts = rows @ self.parts  # (n, 6, 102) real, then imaginary
@@ -157,13 +157,13 @@ class FrequencyCnnNetwork(Network):
         return logits
 
     def arrays(self) -> Arrays:
-        """The arrays that `FrequencyCnn` takes.
+        """Return the arrays that `FrequencyCnn` takes.
 
-        Batch norm is folded away: after ReLU into the next layer, which pads no zeros, else into its own.
+        Batch norm after ReLU is folded into the next layer, which pads no zeros; other batch norm into its own.
         """
         state = _state(self)
         result: Arrays = {"mean": state["mean"], "std": state["std"]}
-        factor, offset = np.ones(BINS), np.zeros(BINS)  # what the norm before a layer does to its inputs
+        factor, offset = np.ones(BINS), np.zeros(BINS)  # of the norm before a layer
         for layer in range(2):
             kernel = state[f"convolutions.{layer}.weight"].transpose(2, 3, 1, 0)  # (rows, columns, in, out)
             bias = state[f"convolutions.{layer}.bias"] + (kernel * offset[:, None]).sum(axis=(0, 1, 2))
@@ -202,12 +202,12 @@ class _Causal(nn.Module):
 
 
 class _Dropout(nn.Module):
-    """Dropout by a generator of its own, so that a seed gives the same weights whatever else runs.
+    """Dropout with a generator of its own, so that a seed always gives the same weights.
 
     Args:
-        rate: probability of being dropped
-        generator: where that comes from
-        shared: axes along which all is dropped together
+        rate: probability of being dropped.
+        generator: source of the random numbers.
+        shared: axes along which all values are dropped together.
     """
 
     def __init__(self, rate: float, generator: torch.Generator, shared: tuple[int, ...] = ()) -> None:
@@ -215,7 +215,7 @@ class _Dropout(nn.Module):
         self.kept, self.generator, self.shared = 1 - rate, generator, shared
 
     def forward(self, values: Tensor) -> Tensor:
-        """Of any shape; in evaluation, what was given."""
+        """Return values of any shape with dropout; in evaluation, unchanged."""
         if not self.training or self.kept == 1:
             return values
         shape = [1 if axis in self.shared else size for axis, size in enumerate(values.shape)]
@@ -224,7 +224,7 @@ class _Dropout(nn.Module):
 
 
 def _initialise(network: nn.Module, generator: torch.Generator) -> None:
-    """He normal kernels, as Keras draws them (cut off at two standard deviations), and zero biases."""
+    """Set He normal kernels as Keras draws them (cut off at two standard deviations), and zero biases."""
     for name, values in network.named_parameters():
         if values.ndim > 1:
             deviation = (2 / values[0].numel()) ** 0.5 / _TRUNCATED
@@ -249,7 +249,7 @@ def _layer_norm(name: str, state: Mapping[str, NDArray[np.float64]], norm: str) 
 def _batch_norm(
     state: Mapping[str, NDArray[np.float64]], norm: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What batch norm multiplies by, and then adds, in evaluation; two of (channels,)."""
+    """Return the factor and the offset of batch norm in evaluation; (channels,) each."""
     factor = state[f"{norm}.weight"] / np.sqrt(state[f"{norm}.running_var"] + _EPSILON)
     return factor, state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * factor
 

@@ -1,6 +1,6 @@
-"""Our temporal convolutional network as a torch module: the whole model in one file."""
+"""Our temporal convolutional network as a torch module, for training and export."""
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -10,6 +10,9 @@ from torch.nn import functional
 
 from flows.learn.training.recipe import Recipe
 from operators.batch import BAROMETERS
+from operators.detectors.tcn import Tcn
+
+_DENSE: Final = 3  # last layers, which see one step
 
 
 class DenseTcn(nn.Module):
@@ -18,7 +21,7 @@ class DenseTcn(nn.Module):
     Features of a sample are asinh(x / position_scale) and asinh(dx / step_scale) of each barometer, dx the
     step from the sample before: the signal matters from one count (noise) to 500 (saturation). Blocks of two
     causal convolutions, batch norm and ReLU, with an identity skip where the widths agree, two dense layers.
-    Batch norm becomes part of the weights when the network is exported, so a sample costs only products.
+    Batch norm is folded into the exported weights.
     """
 
     def __init__(self, recipe: Recipe) -> None:
@@ -32,24 +35,69 @@ class DenseTcn(nn.Module):
                 width = recipe.filters
         dense = [_Layer(width, recipe.units), _Layer(recipe.units, recipe.units)]
         self._convs, self._dense = tuple(convs), tuple(dense)  # typed
-        self.convs, self.dense = nn.ModuleList(convs), nn.ModuleList(dense)  # known to torch
+        self.convs, self.dense = nn.ModuleList(convs), nn.ModuleList(dense)  # registered with torch
         self.out = nn.Conv1d(recipe.units, 1, 1)
 
+    @classmethod
+    def of_detector(cls, tcn: Tcn) -> "DenseTcn":
+        """Return the network with the weights of a detector; its batch norms change nothing."""
+        convs = tcn.layers[:-_DENSE]
+        taps, _, filters = convs[0].kernel.shape
+        network = cls(
+            Recipe(
+                filters=filters,
+                units=tcn.layers[-1].kernel.shape[1],
+                taps=taps,
+                dilations=[layer.dilation for layer in convs[::2]],
+                crop=tcn.length + 1,
+                position_scale=float(tcn.position_scale),
+                step_scale=float(tcn.step_scale),
+            )
+        )
+        targets = [*(layer.conv for layer in (*network._convs, *network._dense)), network.out]
+        for target, layer in zip(targets, tcn.layers, strict=True):
+            assert target.bias is not None
+            target.weight.data = torch.as_tensor(layer.kernel.transpose(2, 1, 0).copy())
+            target.bias.data = torch.as_tensor(layer.bias.copy())
+        for layer in (*network._convs, *network._dense):
+            assert layer.norm.running_var is not None
+            layer.norm.running_var.fill_(1 - layer.norm.eps)
+        return network.eval()
+
     def forward(self, counts: Tensor) -> Tensor:
-        """The logit of slip (b, n) of counts (b, 6, n); mask the first, which see the padding before."""
-        steps = functional.pad(counts[..., 1:] - counts[..., :-1], (1, 0))
-        positions = torch.asinh(counts / self.recipe.position_scale)
-        x = torch.cat([positions, torch.asinh(steps / self.recipe.step_scale)], 1)  # (b, 12, n)
+        """Return the logit of slip (b, n) of counts (b, 6, n); the first ones see the padding before."""
+        before = torch.cat([counts[..., :1], counts[..., :-1]], 2)
+        x = self._features(counts, before)  # (b, 12, n)
         for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
             y = functional.dropout1d(second(first(x)), self.recipe.dropout, self.training)
             x = y + x if y.shape == x.shape else y  # (b, filters, n)
+        return self._head(x)
+
+    def newest(self, windows: Tensor) -> Tensor:
+        """Return the probability of slip (b,) at the newest sample of windows (b, length, 6) of counts.
+
+        Convolutions without padding compute only the steps that the newest sample depends on.
+        """
+        counts = windows.transpose(1, 2)
+        x = self._features(counts[..., 1:], counts[..., :-1])  # (b, 12, length - 1)
+        for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
+            y = second.without_padding(first.without_padding(x))
+            skip = first.conv.in_channels == second.conv.out_channels
+            x = y + x[..., first.past + second.past :] if skip else y  # (b, filters, fewer)
+        return torch.sigmoid(self._head(x)[:, -1])
+
+    def _features(self, counts: Tensor, before: Tensor) -> Tensor:
+        positions = torch.asinh(counts / self.recipe.position_scale)
+        return torch.cat([positions, torch.asinh((counts - before) / self.recipe.step_scale)], 1)
+
+    def _head(self, x: Tensor) -> Tensor:
         for layer in self._dense:
-            x = layer(x)
-        logit: Tensor = self.out(x)[:, 0]  # (b, n)
+            x = layer.without_padding(x)
+        logit: Tensor = self.out(x)[:, 0]
         return logit
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """The weights as `operators.detectors.Tcn` takes them, batch norm folded in."""
+        """Return the weights as `operators.detectors.Tcn` takes them, batch norm folded in."""
         arrays: dict[str, NDArray[Any]] = {
             "dilations": np.array(self.recipe.dilations, np.int64),
             "position_scale": np.array([self.recipe.position_scale], np.float32),
@@ -72,15 +120,19 @@ class _Layer(nn.Module):
         super().__init__()
         self.conv = nn.Conv1d(inputs, outputs, taps, dilation=dilation)
         self.norm = nn.BatchNorm1d(outputs)
-        self._past = (taps - 1) * dilation
+        self.past = (taps - 1) * dilation
 
     def forward(self, x: Tensor) -> Tensor:
-        """(b, inputs, n) to (b, outputs, n)."""
-        y: Tensor = self.norm(self.conv(functional.pad(x, (self._past, 0))))
+        """(b, inputs, n) to (b, outputs, n), with zeros before the first step."""
+        return self.without_padding(functional.pad(x, (self.past, 0)))
+
+    def without_padding(self, x: Tensor) -> Tensor:
+        """(b, inputs, n) to (b, outputs, n - past)."""
+        y: Tensor = self.norm(self.conv(x))
         return functional.relu(y)
 
     def folded(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Kernel (taps, inputs, outputs) and bias (outputs,) with the norm's running statistics in them."""
+        """Return kernel (taps, inputs, outputs) and bias (outputs,) with the running statistics folded in."""
         norm = self.norm
         assert norm.running_mean is not None
         assert norm.running_var is not None

@@ -1,4 +1,4 @@
-"""A trained model on disk: its weights, and the card that says where they come from and how good they are."""
+"""Trained models on disk: weights and a card with their origin and performance."""
 
 import hashlib
 from collections import Counter
@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from flows.learn.evaluation.performance import DECISION
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities
@@ -28,23 +29,23 @@ class Model:
     """A trained model on disk."""
 
     path: Path
-    card: Mapping[str, Any]  # what stands in the .json beside it
+    card: Mapping[str, Any]  # contents of its .json file
     curve: Sequence[Check]
 
 
 def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) -> dict[str, float]:
-    """How right a detector is, as it will be used, on the labelled samples of recordings: shares in %."""
+    """Return accuracy, balanced accuracy and F1 of a detector on the labelled samples, %."""
     probability = np.concatenate([probabilities(detector, recording) for recording in recordings])
     label = np.concatenate([recording.label for recording in recordings])
     known = (label != UNKNOWN) & ~np.isnan(probability)
-    confusion = Confusion.of(probability[known] > 1 / 2, label[known] == SLIP)
+    confusion = Confusion.of(probability[known] > DECISION, label[known] == SLIP)
     return {"accuracy": confusion.accuracy, "balanced": confusion.balanced, "f1": confusion.f1}
 
 
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
-    """What a dataset was, for the card of a model that was trained on it.
+    """Describe a dataset for the card of a model that was trained on it.
 
-    Its sha256 is that of the manifests of its sessions, and these hold the sha256 of every part.
+    Its sha256 is that of the manifests of its sessions, which hold the sha256 of every part.
     """
     digest = hashlib.sha256()
     for manifest in sorted((dataset / SESSIONS).glob(f"*/{MANIFEST}")):
@@ -58,18 +59,18 @@ def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[s
 
 
 def write_model(path: Path, arrays: Arrays, card: Mapping[str, Any], curve: Sequence[Check]) -> Model:
-    """Write a model, and beside it its card.
+    """Write a model and its card.
 
     Args:
-        path: The model file, .safetensors; the card ends in .json instead.
-        arrays: The weights.
-        card: What is known of the model; the file's name, its sha256 and the number of weights are added.
-        curve: The course of its training.
+        path: model file, .safetensors; the card has the same name with .json.
+        arrays: weights.
+        card: contents of the card, without the name, sha256 and number of weights of the file.
+        curve: learning curve.
 
     Raises:
         OSError: if a file cannot be written.
     """
-    save_weights(path, arrays, {"detector": str(card["detector"])})  # several keys would come in any order
+    save_weights(path, arrays, {"detector": str(card["detector"])})  # several keys would have no fixed order
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     size = sum(int(array.size) for array in arrays.values())
     card = {**card, "file": path.name, "sha256": digest, "numbers": size}

@@ -1,0 +1,86 @@
+"""Report of speed against accuracy: the chart, its points and the goals."""
+
+from collections.abc import Sequence
+
+from flows.learn.chart import chart_figure
+from flows.learn.chart.chart_study import DEFAULT, Chart, Point
+from flows.learn.evaluation import published
+from flows.report.report_page import Report, Section
+from flows.report.table import Table
+
+
+def chart_report(of: Chart, command: str) -> Report:
+    """Return the report of a chart that `command` made."""
+    text = (
+        f"{len(of.points)} detectors on the test split of {of.dataset}, {of.recordings} recordings, "
+        "evaluated and timed in one run."
+    )
+    facts = {"dataset": of.dataset, "recordings": of.recordings, "missing": dict(of.missing)}
+    title = f"Speed against accuracy on {of.dataset}"
+    return Report(title, text, [points(of), *goals(of)], command, facts)
+
+
+def points(of: Chart) -> Section:
+    """Return all detectors, from fast to slow, and the chart."""
+    ordered = sorted(of.points, key=lambda point: point.us)
+    front = ", ".join(point.name for point in ordered if point.pareto)
+    rows = [_row(point) for point in ordered]
+    rows += [
+        [f"paper's {name}", None, None, share, *[None] * 6] for name, share in published.ACCURACY.items()
+    ]
+    head = ["detector", "runs on", "us/sample", "accuracy %", "balanced %", "false/min", "missed %",
+            "delay ms", "64 fingertips, % of a core", "Pareto front"]  # fmt: skip
+    return Section(
+        "chart",
+        f"No detector is both faster and more accurate than {front}",
+        "CPU time of one sample of one fingertip, batch 1, one core: a sample where a detector streams, else "
+        "a window; in turns in one run, median of the turns. Accuracy by the label. False alarms per static "
+        "minute, missed slips and median onset delay are of debounced events, with the settings of the model "
+        "card or those tuned on the validation split. The paper publishes no speed; its accuracy is of its "
+        "own, real test set." + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items()),
+        [
+            Table(
+                head,
+                rows,
+                decimals={"us/sample": None, "delay ms": 0, "64 fingertips, % of a core": None},
+            )
+        ],
+        lambda: chart_figure.chart(of.points),
+    )
+
+
+def goals(of: Chart) -> list[Section]:
+    """Return the goals of the default detector; nothing if it was not measured."""
+    reached = of.goals()
+    if not reached:
+        return []
+    rows = [
+        [goal.text, f"{'at least' if goal.at_least else 'at most'} {goal.wanted:g}", goal.reached,
+         "yes" if goal.met else "no"]
+        for goal in reached
+    ]  # fmt: skip
+    return [
+        Section(
+            "goals",
+            f"{DEFAULT} meets {sum(goal.met for goal in reached)} of {len(reached)} goals of speed",
+            "Torch runs the module that was trained, eagerly; onnxruntime its export; both one window at a "
+            "time, on one thread.",
+            [Table(["goal", "wanted", "reached", "met"], rows, decimals={"reached": None})],
+        )
+    ]
+
+
+def _row(point: Point) -> Sequence[str | float | None]:
+    performance = point.performance
+    return [
+        point.name,
+        "samples" if point.streams else "windows",
+        point.us,
+        performance.accuracy,
+        performance.balanced,
+        performance.false_alarms_per_min,
+        performance.missed,
+        performance.onset_ms,
+        point.core_64,
+        "yes" if point.pareto else None,
+    ]

@@ -1,0 +1,165 @@
+"""`slipflow chart`: speed against accuracy of every detector, measured in one run.
+
+The default detector is also run as users would do without its streaming form: on windows, by PyTorch and by
+onnxruntime.
+"""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from flows.learn.chart.detector_speed import costs
+from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
+from flows.learn.evaluation.methods import methods
+from flows.learn.evaluation.performance import Performance
+from flows.learn.labelled_recordings import by_split, load
+from flows.learn.scoring import probabilities
+from flows.learn.train_extra import require_train_extra
+from flows.run.processes import one_thread
+from operators.detectors.detector import Detector, Streaming
+from operators.detectors.tcn import Tcn
+from operators.errors import InputError
+
+DEFAULT: Final = "tcn"
+MANY: Final = 64  # fingertips
+_RATIOS: Final = {"torch_eager_windowed": 500.0, "onnxruntime_windowed": 50.0}  # speed goals of the default
+_CORE: Final = 2.0  # %, of a core, goal for 64 fingertips
+_TIMED: Final = 500  # samples of a recording that the timing repeats
+_ROUNDS: Final = (15, 5)  # of timing: one fingertip, many
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A detector with its speed and its performance on the test split."""
+
+    name: str
+    us: float  # CPU time for a sample of one fingertip
+    us_64: float  # CPU time for a sample of 64 fingertips
+    streams: bool  # sample by sample; False: on windows
+    performance: Performance
+    same: bool = False  # the default detector, run by another library
+    pareto: bool = False  # no other point is faster and more accurate
+
+    @property
+    def core_64(self) -> float:
+        """Share of one core that 64 fingertips at 100 Hz take, %."""
+        return 100 * self.us_64 * 1e-6 * 100
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedGoal:
+    """A goal of speed, and the value that was measured."""
+
+    text: str
+    wanted: float
+    reached: float
+    at_least: bool = True
+
+    @property
+    def met(self) -> bool:
+        """True if the goal is met."""
+        return self.reached >= self.wanted if self.at_least else self.reached <= self.wanted
+
+
+@dataclass(frozen=True, slots=True)
+class Chart:
+    """All points of one run."""
+
+    dataset: str
+    recordings: int  # of the test split
+    points: tuple[Point, ...]
+    missing: Mapping[str, str]  # reasons by method
+
+    def goals(self) -> list[SpeedGoal]:
+        """Return the goals of the default detector; none if it was not measured."""
+        points = {point.name: point for point in self.points}
+        default = points.get(DEFAULT)
+        if default is None:
+            return []
+        ratios = [
+            SpeedGoal(f"{DEFAULT}: times faster than {name}", wanted, points[name].us / default.us)
+            for name, wanted in _RATIOS.items()
+        ]
+        return [
+            *ratios,
+            SpeedGoal("64 fingertips at 100 Hz, % of a core", _CORE, default.core_64, at_least=False),
+        ]
+
+
+def chart(
+    dataset: Path,
+    models: Sequence[Path] = (),
+    *,
+    names: Collection[str] = (),
+    budget: float = BUDGET,
+    span: float = 0.02,
+    log: Callable[[str], object] = lambda _: None,
+) -> Chart:
+    """Evaluate detectors on the test split of a dataset, and time them.
+
+    Args:
+        dataset: its training split fits the baselines, its validation split tunes the debounce of methods
+            without a card.
+        models: files of weights to include, such as networks of other sizes.
+        names: only these methods, and those of `models`; empty: all.
+        budget: false alarms per static minute that the debounce is tuned for.
+        span: CPU s of each turn of timing.
+        log: receives progress messages.
+
+    Raises:
+        InputError: if the train extra is missing, the dataset does not exist or lacks a validation or test
+            split, or a method or model does not exist.
+    """
+    require_train_extra("chart")
+    log(f"reading {dataset.name}")
+    train, validation, test = by_split(load(dataset)).values()
+    for split, part in (("validation", validation), ("test", test)):
+        if not part:
+            reason = f"has no {split} split: `slipflow simulate` makes datasets with all splits"
+            raise InputError(str(dataset), reason)
+    with one_thread():
+        chosen, missing = methods(train, models, names, log)
+        detectors = {method.name: method.detector for method in chosen}
+        rules = {method.name: method.debounce for method in chosen}
+        others = _by_other_libraries(detectors.get(DEFAULT))
+        for name, reason in missing.items():
+            log(f"skipped: {name}: {reason}")
+        performances = dict[str, Performance]()
+        for name, detector in {**detectors, **others}.items():
+            log(f"evaluating {name}")
+            rule = rules.get(DEFAULT if name in others else name)
+            if rule is None:
+                rule = rules[name] = tuned_on(validation, detector, budget)
+            scores = [probabilities(detector, recording) for recording in test]
+            performances[name] = Performance.of(test, scores, rule)
+        log("timing all of them in turns")
+        detectors |= others
+        counts = max((recording.counts for recording in test), key=len)[-_TIMED:]
+        one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
+        many = costs(detectors, counts, fingers=MANY, rounds=_ROUNDS[1], span=span)
+    points = [
+        Point(name, one[name], many[name], isinstance(each, Streaming), performances[name], name in others)
+        for name, each in detectors.items()
+    ]
+    return Chart(dataset.resolve().name, len(test), tuple(with_front(points)), missing)
+
+
+def with_front(points: Sequence[Point]) -> list[Point]:
+    """Return the same points with those on the Pareto front of speed and accuracy marked."""
+    return [replace(point, pareto=not any(_dominates(other, point) for other in points)) for point in points]
+
+
+def _dominates(one: Point, other: Point) -> bool:
+    us, accuracy = (one.us, other.us), (one.performance.accuracy, other.performance.accuracy)
+    at_least = us[0] <= us[1] and accuracy[0] >= accuracy[1]
+    return at_least and (us[0] < us[1] or accuracy[0] > accuracy[1])
+
+
+def _by_other_libraries(default: Detector | None) -> dict[str, Detector]:
+    """Return the default detector as other libraries run it, by name."""
+    if not isinstance(default, Tcn):
+        return {}
+    from flows.learn.chart.windowed_runtimes import OnnxWindowed, TorchEager  # noqa: PLC0415 - imports torch
+
+    return {each.name: each for each in (TorchEager(default), OnnxWindowed(default))}

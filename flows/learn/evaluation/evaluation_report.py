@@ -1,0 +1,290 @@
+"""Report of an evaluation: one section per question, with the paper's figures for comparison."""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from math import isnan, nan
+from typing import Final
+
+import numpy as np
+
+from flows.learn.evaluation import evaluation_figures as figures
+from flows.learn.evaluation.evaluation_study import Evaluation
+from flows.learn.evaluation.event_metrics import EventMetrics
+from flows.learn.evaluation.label_changes import EDGES
+from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
+from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
+from flows.learn.evaluation.sample_metrics import Confusion
+from flows.report.report_page import Report, Section
+from flows.report.table import Table, show
+
+# row of Table I that a method is compared with
+_PAPER_ROW: Final[Mapping[str, str]] = {
+    "psd": "PSD threshold",
+    "psd_1s": "PSD threshold",
+    "frequency_cnn": "frequency CNN",
+    "frequency_cnn_interleaved": "frequency CNN",
+    "paper_tcn": "TCN",
+    "tcn": "TCN",
+}
+_SHARES: Final = ("accuracy", "precision", "recall", "F1")
+_EVENTS: Final = ("false/min", "missed %", "delay ms", "90 % ms", "repeated %")
+_IN_MS: Final = {"delay ms": 0, "90 % ms": 0}  # decimals
+_NEAR: Final = 60  # ms
+_FAR: Final = 100  # ms
+
+
+def evaluation_report(of: Evaluation, command: str) -> Report:
+    """Return the report of an evaluation that `command` made."""
+    clean = "No method was fitted or tuned on it; model cards name the data that a model was trained on."
+    used = "Methods were fitted to some of them, or settings tuned on them: this is no test."
+    text = (
+        f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
+        f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. "
+        + (clean if of.split == "test" else used)
+    )
+    facts = {
+        "dataset": of.dataset,
+        "split": of.split,
+        "recordings": of.recordings,
+        "samples": of.samples,
+        "minutes": round(of.minutes, 3),
+        "static": round(of.static, 3),
+        "budget": of.budget,
+        "missing": dict(of.missing),
+    }
+    first = of.leader
+    title = f"Slip detectors on {of.dataset}: {first.method.name} reaches {first.confusion.accuracy:.1f} %"
+    sections = [accuracy(of), confusions(of), curves(of), events(of), *motions(of), changes(of), *sliding(of)]
+    return Report(title, text, sections, command, facts)
+
+
+def accuracy(of: Evaluation) -> Section:
+    """Return Table I."""
+    first = of.leader
+    rows = [
+        [
+            each.method.name,
+            *_shares(each.confusion),
+            *(TABLE_1[_PAPER_ROW[each.method.name]] if each.method.name in _PAPER_ROW else (nan,) * 4),
+            each.confusion.balanced,
+            each.method.origin,
+        ]
+        for each in of.results
+    ]
+    head = ["method", *_SHARES, *(f"paper {name}" for name in _SHARES), "balanced", "origin"]
+    return Section(
+        "accuracy",
+        f"{first.method.name} classifies {first.confusion.accuracy:.1f} % of the samples correctly; "
+        f"the paper's TCN {TABLE_1['TCN'][0]} % of its real ones",
+        f"The paper's Table I, in %: averages over the two classes, weighted by their share, on all "
+        f"{of.samples} samples of {of.recordings} recordings ({of.static:.0f} % static). The paper's figures "
+        "are of its own, real test set."
+        + "".join(f" Not evaluated: {name}, {reason}." for name, reason in of.missing.items()),
+        [Table(head, rows)],
+    )
+
+
+def confusions(of: Evaluation) -> Section:
+    """Return the confusion of slip and static."""
+    first = of.leader
+    static, slip = first.confusion.recalls
+    rows = [
+        [each.method.name, *map(int, each.confusion.counts.ravel()), *each.confusion.recalls]
+        for each in of.results
+    ]
+    head = ["method", "static as static", "static as slip", "slip as static", "slip as slip"]
+    return Section(
+        "confusion",
+        f"{first.method.name} recognises {static:.1f} % of static and {slip:.1f} % of slip",
+        "Samples by label and prediction; shares are of each label.",
+        [Table([*head, "static %", "slip %"], rows)],
+        lambda: figures.confusions(of.results),
+        terminal=False,
+    )
+
+
+def curves(of: Evaluation) -> Section:
+    """Return ROC and reliability."""
+    first = of.leader
+    best = max(of.results, key=lambda each: each.roc.area)
+    rows = [[each.method.name, 100 * each.roc.area, each.reliability.error] for each in of.results]
+    return Section(
+        "curves",
+        f"The area under the ROC of {best.method.name} is {100 * best.roc.area:.1f} %; "
+        f"the probabilities of {first.method.name} are off by {first.reliability.error:.1f} % on average",
+        "The expected calibration error is the distance between probability and share of slip in ten bins, "
+        "weighted by their samples.",
+        [Table(["method", "area %", "calibration error %"], rows)],
+        lambda: figures.curves(of.results),
+        terminal=False,
+    )
+
+
+def events(of: Evaluation) -> Section:
+    """Return the quality of slip events."""
+    first = of.leader
+    rows = [
+        [
+            each.method.name,
+            *_event_cells(each.events),
+            each.debounce.threshold,
+            each.debounce.consecutive,
+            each.debounce.release,
+            each.chosen_on,
+        ]
+        for each in of.results
+    ]
+    paper = [[each.method.name, *_event_cells(each.paper_rule)] for each in of.results]
+    total = first.events
+    return Section(
+        "events",
+        f"{first.method.name} raises {total.false_alarms_per_min:.1f} false alarms per static minute, "
+        + _missed(total),
+        f"{total.slips} slips by the label in {total.minutes:.1f} static minutes. An onset from 50 ms "
+        "before a slip to 150 ms after it detects it; others are false alarms. Each slip needs an onset of "
+        "its own. Repeated: onsets of a slip after its first, of all slips. Settings: the probability from "
+        "which a sample is decided as slip, the number of consecutive slip decisions that begin a slip, and "
+        "of static ones that end it. Those chosen on the validation split keep within "
+        f"{of.budget:g} false alarms per static minute and 2 % missed, with the least delay.",
+        [
+            Table(
+                ["method", *_EVENTS, "threshold", "on", "off", "chosen on"],
+                rows,
+                decimals={**_IN_MS, "threshold": 3},
+            ),
+            Table(["method", *_EVENTS], paper, "with the paper's settings, 0.5 / 2 / 2", _IN_MS),
+        ],
+        lambda: figures.delays(of.results),
+    )
+
+
+def motions(of: Evaluation) -> list[Section]:
+    """Return Table III: of the leading method, and of the others; nothing if the strokes are unknown."""
+    first = of.leader
+    if not first.motions.kinds:
+        return []
+    paper = next((each for each in of.results if each.method.name == "paper_tcn"), None)
+    drawn = [first] if paper in (None, first) else [first, paper]
+    pairs = [
+        (first.motions.at(MotionKind(kind, speed, surface)).f1, theirs)
+        for (kind, speed), row in TABLE_3.items()
+        for surface, theirs in zip(SURFACES, row, strict=False)
+    ]
+    known = [(ours, theirs) for ours, theirs in pairs if not isnan(ours)]
+    reached = sum(ours >= theirs for ours, theirs in known)
+    rotation = first.motions.confusion(lambda motion: motion.kind == "rotation").f1
+    text = "F1 averaged over the two classes by their share, %, by motion and surface (cylinders by axis)."
+    others = [each for each in of.results if each is not first]
+    published = [[motion_name(kind, speed), *row] for (kind, speed), row in TABLE_3.items()]
+    published.append(["any", *TABLE_3_ANY, None])
+    sections = [
+        Section(
+            "motions",
+            f"{first.method.name} is at or above the paper's F1 in {reached} of {len(known)} kinds of motion "
+            f"and surface; rotation {show(rotation)} %",
+            f"The paper's Table III: {text}",
+            [
+                motion_table(first.method.name, first.motions),
+                Table(_motion_head(), published, "the paper's TCN, real recordings"),
+            ],
+            lambda: figures.motion({each.method.name: each.motions for each in drawn}),
+        )
+    ]
+    if others:
+        tables = [motion_table(each.method.name, each.motions) for each in others]
+        sections.append(
+            Section("other-motions", "Table III of the other methods", text, tables, terminal=False)
+        )
+    return sections
+
+
+def motion_table(name: str, confusions: MotionConfusions) -> Table:
+    """Return Table III of one method."""
+    rows = list[list[str | float]]()
+    for kind, speed in TABLE_3:
+        each = [confusions.at(MotionKind(kind, speed, surface)) for surface in SURFACES]
+        total = Confusion(np.sum([found.counts for found in each], axis=0))
+        rows.append([motion_name(kind, speed), *(found.f1 for found in [*each, total])])
+    every = [confusions.confusion(lambda motion, on=surface: motion.surface == on).f1 for surface in SURFACES]
+    return Table(_motion_head(), [*rows, ["any", *every, confusions.confusion().f1]], name)
+
+
+def motion_name(kind: str, speed: float | None) -> str:
+    """Return the name of a kind of motion in tables."""
+    return "rotation" if speed is None else f"{kind}, {100 * speed:g} cm/s"
+
+
+def changes(of: Evaluation) -> Section:
+    """Return the accuracy by distance from a change of the label, whose uncertainty limits it."""
+    first = of.leader.changes
+    name = of.leader.method.name
+    spans = [*(f"{low}-{high - 10}" for low, high in pairwise(EDGES)), f"{EDGES[-1]} or more"]
+    rows = [
+        [span, int(first.samples[index]), *(float(each.changes.accuracy[index]) for each in of.results)]
+        for index, span in enumerate(spans)
+    ]
+    return Section(
+        "changes",
+        f"{first.near(_NEAR):.0f} % of the errors of {name} lie within {_NEAR} ms of a change of the label; "
+        f"{_FAR} ms or more from any change, {first.far(_FAR):.1f} % are correct",
+        "Accuracy, %, by distance from the nearest change of the label. The label is the arm's speed as it "
+        "arrived; the contact begins and ends to slide up to 100 ms sooner or later.",
+        [Table(["ms to the change", "samples", *(each.method.name for each in of.results)], rows)],
+        lambda: figures.changes(of.results),
+        terminal=False,
+    )
+
+
+def sliding(of: Evaluation) -> list[Section]:
+    """Return the comparison with true sliding; nothing if that is unknown."""
+    if of.label is None:
+        return []
+    rows: list[list[str | float | None]] = [["the label itself", *_against(of.label), *[None] * 4]]
+    for each in of.results:
+        assert each.sliding, "true sliding is known for all methods or for none"
+        assert each.sliding_events, "true sliding is known for all methods or for none"
+        rows.append([each.method.name, *_against(each.sliding), *_event_cells(each.sliding_events)[:4]])
+    first = of.leader
+    assert first.sliding, "as above"
+    return [
+        Section(
+            "sliding",
+            f"The label itself agrees with true sliding on {of.label.accuracy:.1f} % of the samples; "
+            f"{first.method.name} on {first.sliding.accuracy:.1f} %",
+            "The simulation knows when the contact slides (faster than 3 mm/s, sticks shorter than 150 ms "
+            "included). The arm may move while the contact still sticks, and taps slide the contact while "
+            "the arm stands still. A detector that learns from the label can hardly agree with the truth more "
+            "than the label does. Events as above, against true slips.",
+            [Table(["method", "accuracy", "balanced", "F1", *_EVENTS[:4]], rows, decimals=_IN_MS)],
+        )
+    ]
+
+
+def _motion_head() -> list[str]:
+    return ["motion", *(surface.replace("_", " ") for surface in SURFACES), "all"]
+
+
+def _shares(confusion: Confusion) -> Sequence[float]:
+    return confusion.accuracy, confusion.precision, confusion.recall, confusion.f1
+
+
+def _against(confusion: Confusion) -> Sequence[float]:
+    return confusion.accuracy, confusion.balanced, confusion.f1
+
+
+def _missed(events: EventMetrics) -> str:
+    if isnan(events.missed):
+        return "and there are no slips"
+    if isnan(events.onset_ms):
+        return f"and misses {events.missed:.1f} % of slips"
+    return f"misses {events.missed:.1f} % of slips, and is {events.onset_ms:.0f} ms late (median)"
+
+
+def _event_cells(events: EventMetrics) -> list[float]:
+    return [
+        events.false_alarms_per_min,
+        events.missed,
+        events.onset_ms,
+        events.late_ms,
+        events.repeated,
+    ]

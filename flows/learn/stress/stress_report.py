@@ -1,0 +1,174 @@
+"""Report of stresses: goals, breaking points, and every measure along every field."""
+
+from math import isnan, nan
+from typing import Final
+
+from flows.learn.evaluation.performance import Performance, Reference
+from flows.learn.stress import stress_figure
+from flows.learn.stress.stress_fields import FALL, GOALS, GRIDS
+from flows.learn.stress.stress_figure import MEASURES
+from flows.learn.stress.stress_study import Stress
+from flows.report.report_page import Report, Section
+from flows.report.table import Table, Value, show
+
+_AGAINST: Final[dict[Reference, str]] = {
+    "label": "by the arm's speed, as the paper labels",
+    "sliding": "against true sliding of the contact",
+}
+
+
+def stress_report(of: Stress, command: str) -> Report:
+    """Return the report of a stress study that `command` made."""
+    text = (
+        f"{len(of.names)} detectors along {len(GRIDS)} stress fields, each from nominal to broken; the line "
+        f"in a panel marks nominal. The {of.recordings} recordings of each condition are simulated with "
+        f"seed {of.seed}; those of a field differ only by the stress. For slip speed all strokes are "
+        "translations at 50 mm/s, slowed down; otherwise it is a small paper plan. The debounce is that of "
+        "the model card, or was tuned on nominal recordings of another seed."
+        + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items())
+    )
+    debounce = {
+        name: {key: getattr(each, key) for key in ("threshold", "consecutive", "release", "minimum")}
+        for name, each in of.debounce.items()
+    }
+    facts = {
+        "seed": of.seed,
+        "recordings": of.recordings,
+        "debounce": debounce,
+        "missing": dict(of.missing),
+        "fields": {field: list(grid.values) for field, grid in GRIDS.items()},
+    }
+    sections = [
+        goals(of),
+        breaking(of),
+        *(events(of, key) for key in ("false_alarms_per_min", "missed", "onset_ms")),
+        sliding(of),
+        abstention(of),
+    ]
+    return Report("Slip detectors under stress", text, sections, command, facts)
+
+
+def goals(of: Stress) -> Section:
+    """Return the goals and the values reached."""
+    first = of.names[0]
+    met = sum(of.at(first, goal.field, goal.value).balanced >= goal.least for goal in GOALS)
+    return Section(
+        "goals",
+        f"{first} meets {met} of {len(GOALS)} goals under stress",
+        "Balanced accuracy, %.",
+        [_goals(of, "label"), _goals(of, "sliding")],
+    )
+
+
+def breaking(of: Stress) -> Section:
+    """Return the breaking points of each detector."""
+    first = of.names[0]
+    broken = sum(value is not None for field in GRIDS for value in of.breaking(first, field).values())
+    sides = sum(len(grid.sides) for grid in GRIDS.values())
+    return Section(
+        "balanced",
+        f"{first} falls by {FALL:g} points of balanced accuracy along {broken} of {sides} field sides",
+        f"Breaking points: the value at which balanced accuracy lies {FALL:g} points below nominal, "
+        "interpolated between two values; a dash where it holds up to the hardest value. A detector that is "
+        "no better than chance cannot break.",
+        [_breaking(of, "label")],
+        lambda: stress_figure.panels(of, MEASURES["balanced"]),
+    )
+
+
+def events(of: Stress, key: str) -> Section:
+    """Return false alarms, missed slips or delay."""
+    first, measure = of.names[0], MEASURES[key]
+    value, field = max((_worst(of, first, field, key), field) for field in GRIDS)
+    nominal = getattr(_nominal(of, first), key)
+    rows = [[GRIDS[each].text, *(_worst(of, name, each, key) for name in of.names)] for each in GRIDS]
+    return Section(
+        key.replace("_", "-"),
+        f"{measure.text}: {first} from {show(nominal)} at nominal to {show(value)} ({GRIDS[field].text})",
+        "Of debounced events, by the label. The table gives the worst value along each field.",
+        [Table(["field", *of.names], rows)],
+        lambda: stress_figure.panels(of, measure),
+        terminal=False,
+    )
+
+
+def sliding(of: Stress) -> Section:
+    """Return the breaking points against true sliding."""
+    first = of.names[0]
+    return Section(
+        "sliding",
+        f"Against true sliding {first} reaches {show(_nominal(of, first, 'sliding').balanced)} % balanced at "
+        "nominal",
+        "Sliding of the contact faster than 3 mm/s, sticks shorter than 150 ms included. The delay of the "
+        "arm's velocity does not blur it. Stresses of the motion stream have no effect here, and slow slip "
+        "counts only as far as it is slip by that measure.",
+        [_breaking(of, "sliding")],
+        lambda: stress_figure.panels(of, MEASURES["balanced"], "sliding"),
+        terminal=False,
+    )
+
+
+def abstention(of: Stress) -> Section:
+    """Return the share of samples that the pipeline reports as degraded or does not score."""
+    first = of.names[0]
+    rows = list[list[Value]]()
+    for field, grid in GRIDS.items():
+        for side, values in grid.sides.items():
+            nominal, hardest = (of.outcome(field, value) for value in (values[0], values[-1]))
+            shares = [hardest.degraded, nominal.degraded, hardest.unscored[first]]
+            rows.append([_side_name(field, side), grid.show(values[-1]), *shares])
+    return Section(
+        "abstention",
+        f"A fault is reported during {show(of.outcome(*_first()).degraded)} % of nominal samples",
+        "Health reports a fingertip as degraded while a cell is dead, stuck, saturated or drifting; overload "
+        "alone saturates cells. Where more than three cells have no reading there is no score.",
+        [Table(["field", "hardest", "degraded %", "at nominal %", "no score %"], rows)],
+        lambda: stress_figure.abstention(of),
+        terminal=False,
+    )
+
+
+def _goals(of: Stress, reference: Reference) -> Table:
+    rows: list[list[Value]] = [
+        ["nominal", None, *(_nominal(of, each, reference).balanced for each in of.names)]
+    ]
+    rows += [
+        [goal.text, goal.least]
+        + [of.at(name, goal.field, goal.value, reference).balanced for name in of.names]
+        for goal in GOALS
+    ]
+    return Table(["stress", "goal", *of.names], rows, _AGAINST[reference], {"goal": 0})
+
+
+def _breaking(of: Stress, reference: Reference) -> Table:
+    rows = list[list[Value]]()
+    for field, grid in GRIDS.items():
+        points = {name: of.breaking(name, field, reference) for name in of.names}
+        for side, values in grid.sides.items():
+            broken = [points[name][side] for name in of.names]
+            shown = [None if value is None else value * grid.scale for value in broken]
+            rows.append([_side_name(field, side), values[-1] * grid.scale, *shown])
+    digits = dict.fromkeys(["hardest", *of.names], None)
+    return Table(["field", "hardest", *of.names], rows, _AGAINST[reference], digits)
+
+
+def _side_name(field: str, side: str) -> str:
+    """Return the name of a field, with the side if it has two."""
+    grid = GRIDS[field]
+    names = [grid.text, *([grid.unit] if grid.unit else []), *([side] if len(grid.sides) > 1 else [])]
+    return ", ".join(names)
+
+
+def _first() -> tuple[str, float]:
+    field = next(iter(GRIDS))
+    return field, GRIDS[field].values[0]
+
+
+def _nominal(of: Stress, name: str, reference: Reference = "label") -> Performance:
+    return of.at(name, *_first(), reference)
+
+
+def _worst(of: Stress, name: str, field: str, key: str) -> float:
+    """Return the highest value of a measure along a field; NaN if there is none."""
+    found: list[float] = [getattr(of.at(name, field, value), key) for value in GRIDS[field].values]
+    return max((each for each in found if not isnan(each)), default=nan)

@@ -1,0 +1,24 @@
+"""The train extra: PyTorch, scikit-learn and ONNX, which are imported on first use."""
+
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any, Final
+
+from operators.errors import InputError
+
+_MODULES: Final = ("sklearn", "torch", "onnx", "onnxruntime")
+
+
+def require_train_extra(command: str) -> None:
+    """Require that the packages of the train extra are installed.
+
+    Raises:
+        InputError: if one is missing; it names the command that installs them.
+    """
+    if missing := [name for name in _MODULES if find_spec(name) is None]:
+        raise InputError(command, f"needs {', '.join(missing)}: in the clone, pip install -e '.[train]'")
+
+
+def sklearn(module: str) -> Any:  # noqa: ANN401 - scikit-learn has no type annotations
+    """Import a module of scikit-learn, which takes a second the first time."""
+    return import_module(f"sklearn.{module}")
