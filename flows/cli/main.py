@@ -8,19 +8,23 @@ from typing import Annotated, Final
 import typer
 
 from flows.cli import experiments
+from flows.cli.chart import chart
 from flows.cli.check import check
 from flows.cli.collect import collect
 from flows.cli.commands import command_group, register, usage_error
 from flows.cli.demo_command import demo
-from flows.cli.detectors import chart, evaluate, onnx, stress, train
+from flows.cli.evaluate import evaluate
 from flows.cli.export import export
 from flows.cli.graph import graph
 from flows.cli.import_command import import_
+from flows.cli.onnx import onnx
 from flows.cli.recover import recover
 from flows.cli.rig import rig
 from flows.cli.run import run
 from flows.cli.show import show
 from flows.cli.simulate import simulate
+from flows.cli.stress import stress
+from flows.cli.train import train
 from flows.cli.verify import verify
 from flows.cli.watch import watch
 

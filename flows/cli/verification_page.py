@@ -12,7 +12,7 @@ from flows.cli.terminal import check_output_file
 from flows.cli.verification_figure import MAX_SESSIONS, by_session, session_lanes
 from flows.report.figures import lacking
 from flows.report.report_page import Report, Section
-from flows.report.table import Cell, Table, counted
+from flows.report.table import Table, Value, counted
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError, os_error_reason
 from storage.findings import Finding, Weight, heaviest
@@ -88,7 +88,7 @@ def _sessions(found: Verified) -> Section:
     findings = dict[str, list[Finding]]()
     for each in found.findings:
         findings.setdefault(each.session, []).append(each)
-    rows = list[list[Cell]]()
+    rows = list[list[Value]]()
     for name, parts in by_session(found).items():
         unread = sum(each.part.rows for each in parts if not each.whole)
         dated = [each.part for each in parts if each.part.rows]

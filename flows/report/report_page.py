@@ -130,7 +130,7 @@ def make_output_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be made: {os_error_reason(error)}") from error
+        raise EndpointError(str(folder), f"cannot be created: {os_error_reason(error)}") from error
 
 
 def _figure_file(page: str, section: Section) -> str:

@@ -16,8 +16,7 @@ import numpy as np
 import torch
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.learn.chart.onnx_windowed import OnnxWindowed
-from flows.learn.chart.torch_eager import TorchEager
+from flows.learn.chart.windowed_runtimes import OnnxWindowed, TorchEager
 from operators import Score, Zeroed, ms
 from operators.batch import Counts
 from operators.detectors import Detector, Tcn

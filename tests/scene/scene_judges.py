@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flows.learn.evaluation.logistic import Logistic
-from flows.learn.evaluation.motion_metrics import Cells
+from flows.learn.evaluation.baselines import Logistic
+from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import labels, probabilities, windows
@@ -23,10 +23,10 @@ def confusion(detector: Detector, recordings: Sequence[LabelledRecording], hop: 
     return Confusion.of(np.concatenate(predictions(detector, recordings, hop)), labels(recordings, hop))
 
 
-def by_motion(detector: Detector, recordings: Sequence[LabelledRecording], hop: int) -> Cells:
+def by_motion(detector: Detector, recordings: Sequence[LabelledRecording], hop: int) -> MotionConfusions:
     """Return the confusion of a detector by kind of motion."""
     evaluated = [each.evaluated(hop) for each in recordings]
-    return Cells.of(recordings, evaluated, predictions(detector, recordings, hop))
+    return MotionConfusions.of(recordings, evaluated, predictions(detector, recordings, hop))
 
 
 def fit(recordings: Sequence[LabelledRecording], hop: int) -> tuple[Psd, Logistic]:

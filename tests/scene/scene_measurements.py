@@ -9,7 +9,7 @@ from typing import Final, Self
 from connectors import CsvTrace
 from connectors.sim.paper_plan import PaperPlan
 from flows.lab.simulation import PLANS
-from flows.learn.evaluation.motion_metrics import Cells
+from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recording, simulated_recordings
 from operators.batch import UNKNOWN
 from operators.checks import check_choice
@@ -78,7 +78,7 @@ class Measurements:
         self.psd, self.logistic = fit(training, size.hop)
         self.shipped: dict[str, Detector] = {name: load_detector(name) for name in TRAINED}
         judges: dict[str, Detector] = {} if self.network is None else {NETWORK: self.network}
-        self.by_motion: dict[str, Cells] = {}
+        self.by_motion: dict[str, MotionConfusions] = {}
         for name, detector in {**judges, LOGISTIC: self.logistic}.items():
             log(f"evaluating the {name}")
             self.by_motion[name] = by_motion(detector, self.recordings, size.hop)

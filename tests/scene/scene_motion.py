@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from flows.learn.evaluation.motion_metrics import Cell, Cells, Chosen
+from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionGroup, MotionKind
 from flows.learn.evaluation.published import SPEEDS
 from flows.learn.evaluation.sample_metrics import Confusion
 from operators.batch import Reals
@@ -16,8 +16,8 @@ class Effect:
     """A difference between two groups of motions in the paper's Table III."""
 
     text: str
-    first: Chosen
-    second: Chosen
+    first: MotionGroup
+    second: MotionGroup
     paper: float  # points of F1, from means over the cells of the table
 
     def verdict(self, difference: float, error: float) -> str:
@@ -30,14 +30,14 @@ class Effect:
 
 
 def f1_difference(
-    found: Cells, first: Chosen, second: Chosen, seed: int = 0, draws: int = 300
+    found: MotionConfusions, first: MotionGroup, second: MotionGroup, seed: int = 0, draws: int = 300
 ) -> tuple[float, float]:
     """Return F1 of the first group less that of the second, and its standard error; NaN if one is empty.
 
     The error is that of a bootstrap over recordings.
     """
     sides = [
-        found.counts * np.array([group(cell) for cell in found.cells])[:, None, None]
+        found.counts * np.array([group(cell) for cell in found.kinds])[:, None, None]
         for group in (first, second)
     ]
     number = int(found.recordings[-1]) + 1
@@ -55,7 +55,7 @@ def f1_difference(
     return whole, float(np.nanstd(drawn))
 
 
-def _translation(cell: Cell) -> bool:
+def _translation(cell: MotionKind) -> bool:
     return cell.kind != "rotation"
 
 

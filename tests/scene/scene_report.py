@@ -9,13 +9,12 @@ import numpy as np
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Move, Moves, Scene
 from flows.learn.evaluation.evaluation_figures import motion as motion_figure
-from flows.learn.evaluation.motion_metrics import Cell, Cells, Chosen
+from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionGroup, MotionKind
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recording
 from flows.report.report_page import Report, Section
-from flows.report.table import Cell as Value
-from flows.report.table import Table
+from flows.report.table import Table, Value
 from operators.batch import Reals
 from operators.detectors import Detector
 from tests.scene import scene_figures
@@ -134,7 +133,7 @@ def _realism(of: Measurements) -> Section:
     )
 
 
-def _evaluate_network(of: Measurements, network: Cells, found: _Realism) -> None:
+def _evaluate_network(of: Measurements, network: MotionConfusions, found: _Realism) -> None:
     """Evaluate the paper's TCN on the simulation."""
     accuracy = network.confusion().accuracy
     rows = [_group_row(name, network.confusion(group), paper) for name, group, paper in groups()]
@@ -198,13 +197,13 @@ def _evaluate_on_trace(
     found.tables.append(Table(head, rows, "All detectors on the simulation and on the real trace"))
 
 
-def groups() -> list[tuple[str, Chosen, float]]:
+def groups() -> list[tuple[str, MotionGroup, float]]:
     """Return the groups of windows that the paper has figures for: name, cells, F1 (%)."""
 
-    def on(surface: str) -> Chosen:
+    def on(surface: str) -> MotionGroup:
         return lambda cell: cell.surface == surface
 
-    def moved(kind: str, pace: float | None) -> Chosen:
+    def moved(kind: str, pace: float | None) -> MotionGroup:
         return lambda cell: (cell.kind, cell.speed) == (kind, pace)
 
     surfaces = [(_spaced(s), on(s), f1) for s, f1 in zip(SURFACES, TABLE_3_ANY, strict=True)]
@@ -348,10 +347,10 @@ def _motion(of: Measurements) -> Section:
     )
 
 
-def _motion_table(name: str, found: Cells) -> Table:
+def _motion_table(name: str, found: MotionConfusions) -> Table:
     rows: list[list[Value]] = []
     for (kind, pace), paper in TABLE_3.items():
-        each = [found.at(Cell(kind, pace, surface)) for surface in SURFACES]
+        each = [found.at(MotionKind(kind, pace, surface)) for surface in SURFACES]
         each.append(Confusion(np.sum([one.counts for one in each], axis=0)))
         values = [f"{one.f1:.1f} ({theirs:.1f})" for one, theirs in zip(each, paper, strict=True)]
         rows.append([_motion_name(kind, pace), *values])

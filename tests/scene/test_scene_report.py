@@ -10,7 +10,7 @@ import pytest
 
 from connectors.sim.paper_plan import PaperPlan
 from flows.lab.simulation import PLANS
-from flows.learn.evaluation.motion_metrics import Cell
+from flows.learn.evaluation.motion_metrics import MotionKind
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.report import figures
 from operators.errors import EndpointError, InputError, ParameterError
@@ -85,7 +85,7 @@ def test_the_tables_hold_the_computed_numbers(written: Written, recordings: list
 
     _, logistic = fit(simulated_recordings(TINY, 500), SIZE.hop)
     motions = by_motion(logistic, recordings, SIZE.hop)
-    first, second = (motions.at(Cell("primary", 0.05, surface)).f1 for surface in ("plane", "sphere"))
+    first, second = (motions.at(MotionKind("primary", 0.05, surface)).f1 for surface in ("plane", "sphere"))
     assert [text.split()[0] for text in cells(written.page, "primary, 5 cm/s")[:2]] == [
         f"{first:.1f}",
         f"{second:.1f}",

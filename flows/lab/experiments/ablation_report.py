@@ -12,7 +12,7 @@ from flows.lab.experiments.study import Method, median
 from flows.lab.experiments.study_report import condition_table, title
 from flows.report.figures import CELLS, FAINT, INK, Axes, Figure, grid, styled
 from flows.report.report_page import Report, Section
-from flows.report.table import Cell, Table, show
+from flows.report.table import Table, Value, show
 
 NAME: Final = "lift-ablation"
 COLOURS: Final = dict(zip(OBJECTS, CELLS, strict=True))  # by object
@@ -108,7 +108,7 @@ def _limits(found: Ablation) -> Section:
     )
 
 
-def _limit_row(found: Ablation, method: Method, name: str) -> list[Cell]:
+def _limit_row(found: Ablation, method: Method, name: str) -> list[Value]:
     return [
         title(name),
         1000 * median([outcome.firm for outcome in found.nominal.of(method, name)]),
@@ -122,7 +122,7 @@ def _limit_row(found: Ablation, method: Method, name: str) -> list[Cell]:
 def _budgets(found: Ablation) -> Section:
     """Return the time that the objects allow, on the table and in the air."""
     times = ("table", "table_measured", "air", "air_measured")
-    rows: list[list[Cell]] = [
+    rows: list[list[Value]] = [
         [
             title(name),
             1000 * OBJECTS[name].reach,

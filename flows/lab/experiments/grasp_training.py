@@ -85,7 +85,6 @@ def learn(
         parts["train"] + hard * AGAIN,
         parts["validation"],
         recipe,
-        checkpoint=out.with_name(f"{out.stem}.checkpoint.safetensors"),
         progress=lambda done, check: progress(done, recipe.steps, check),
     )
     card = {

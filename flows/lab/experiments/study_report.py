@@ -16,7 +16,7 @@ from flows.lab.experiments.trial import BASELINE, Trace, Trial
 from flows.learn.onsets import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
 from flows.report.report_page import Report, Section
-from flows.report.table import Cell, Table, show
+from flows.report.table import Table, Value, show
 from storage import load_detector
 
 # success of 20 trials with real objects (%), "Under Pressure" (2021)
@@ -62,7 +62,7 @@ def condition_table(results: Mapping[str, Results[LiftOutcome]], method: Method,
     """Return the success of a method under each of several conditions, with what the lifts cost."""
     names = next(iter(results.values())).trials.objects
     costs = ["mean", "lost", "slide mm", "force", "false"]
-    rows: list[list[Cell]] = []
+    rows: list[list[Value]] = []
     for condition, found in results.items():
         lifts = found.of(method)
         rows.append(
@@ -123,7 +123,7 @@ def _successes(
 ) -> Section:
     """Return the success by object next to the paper's, with the figure of a trial."""
     objects = results.trials.objects
-    rows: list[list[Cell]] = [
+    rows: list[list[Value]] = [
         [str(method), *(results.success(method, each) for each in objects), results.mean(method)]
         for method in results.methods
     ]
@@ -138,7 +138,7 @@ def _successes(
 
 def _failures(results: Results[Result]) -> Section:
     """Return how the trials that failed ended."""
-    rows: list[list[Cell]] = [
+    rows: list[list[Value]] = [
         [str(method), title(name), ", ".join(f"{count} {ending}" for ending, count in failed.items())]
         for method in results.methods
         for name in results.trials.objects
@@ -156,7 +156,7 @@ def _failures(results: Results[Result]) -> Section:
 def _costs(results: Results[LiftOutcome]) -> Section:
     """Return how far objects slid, and the force that held them."""
 
-    def cells(lifts: Sequence[LiftOutcome]) -> list[Cell]:
+    def cells(lifts: Sequence[LiftOutcome]) -> list[Value]:
         slides = [each.slide for each in lifts]
         return [
             median(slides),
@@ -184,7 +184,7 @@ def _costs(results: Results[LiftOutcome]) -> Section:
 def _false_slips(results: Results[TapOutcome]) -> Section:
     """Return how often a slip is registered where nothing slips."""
 
-    def cells(taps: Sequence[TapOutcome]) -> list[Cell]:
+    def cells(taps: Sequence[TapOutcome]) -> list[Value]:
         return [
             median([each.slide for each in taps]),
             median([each.delay for each in taps]),
@@ -217,7 +217,7 @@ def _false_slips(results: Results[TapOutcome]) -> Section:
     )
 
 
-def _rows(results: Results[Result], cells: Callable[[Sequence[Result]], list[Cell]]) -> list[list[Cell]]:
+def _rows(results: Results[Result], cells: Callable[[Sequence[Result]], list[Value]]) -> list[list[Value]]:
     """Return a row for each method and object, and one for all objects of a method."""
     return [
         [str(method), title(name) or "all", *cells(results.of(method, name))]

@@ -15,7 +15,7 @@ from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.report.report_page import Report, Section
-from flows.report.table import Table, show
+from flows.report.table import Table, Value, show
 
 # row of Table I that a method is compared with
 _PAPER_ROW: Final[Mapping[str, str]] = {
@@ -61,7 +61,7 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
 def accuracy(of: Evaluation) -> Section:
     """Return Table I."""
     first = of.leader
-    rows = [
+    rows: list[list[Value]] = [
         [
             each.method.name,
             *_shares(each.confusion),
@@ -88,7 +88,7 @@ def confusions(of: Evaluation) -> Section:
     """Return the confusion of slip and static."""
     first = of.leader
     static, slip = first.confusion.recalls
-    rows = [
+    rows: list[list[Value]] = [
         [each.method.name, *map(int, each.confusion.counts.ravel()), *each.confusion.recalls]
         for each in of.results
     ]
@@ -107,7 +107,9 @@ def curves(of: Evaluation) -> Section:
     """Return ROC and reliability."""
     first = of.leader
     best = max(of.results, key=lambda each: each.roc.area)
-    rows = [[each.method.name, 100 * each.roc.area, each.reliability.error] for each in of.results]
+    rows: list[list[Value]] = [
+        [each.method.name, 100 * each.roc.area, each.reliability.error] for each in of.results
+    ]
     return Section(
         "curves",
         f"The area under the ROC of {best.method.name} is {100 * best.roc.area:.1f} %; "
@@ -123,7 +125,7 @@ def curves(of: Evaluation) -> Section:
 def events(of: Evaluation) -> Section:
     """Return the quality of slip events."""
     first = of.leader
-    rows = [
+    rows: list[list[Value]] = [
         [
             each.method.name,
             *_event_cells(each.events),
@@ -134,7 +136,7 @@ def events(of: Evaluation) -> Section:
         ]
         for each in of.results
     ]
-    paper = [[each.method.name, *_event_cells(each.paper_rule)] for each in of.results]
+    paper: list[list[Value]] = [[each.method.name, *_event_cells(each.paper_rule)] for each in of.results]
     total = first.events
     return Section(
         "events",
@@ -175,7 +177,9 @@ def motions(of: Evaluation) -> list[Section]:
     rotation = first.motions.confusion(lambda motion: motion.kind == "rotation").f1
     text = "F1 averaged over the two classes by their share, %, by motion and surface (cylinders by axis)."
     others = [each for each in of.results if each is not first]
-    published = [[motion_name(kind, speed), *row] for (kind, speed), row in TABLE_3.items()]
+    published: list[list[Value]] = [
+        [motion_name(kind, speed), *row] for (kind, speed), row in TABLE_3.items()
+    ]
     published.append(["any", *TABLE_3_ANY, None])
     sections = [
         Section(
@@ -200,12 +204,12 @@ def motions(of: Evaluation) -> list[Section]:
 
 def motion_table(name: str, confusions: MotionConfusions) -> Table:
     """Return Table III of one method."""
-    rows = list[list[str | float]]()
+    rows = list[list[Value]]()
     for kind, speed in TABLE_3:
         each = [confusions.at(MotionKind(kind, speed, surface)) for surface in SURFACES]
         total = Confusion(np.sum([found.counts for found in each], axis=0))
         rows.append([motion_name(kind, speed), *(found.f1 for found in [*each, total])])
-    every = [confusions.confusion(lambda motion, on=surface: motion.surface == on).f1 for surface in SURFACES]
+    every = [_on_surface(confusions, surface).f1 for surface in SURFACES]
     return Table(_motion_head(), [*rows, ["any", *every, confusions.confusion().f1]], name)
 
 
@@ -219,7 +223,7 @@ def changes(of: Evaluation) -> Section:
     first = of.leader.changes
     name = of.leader.method.name
     spans = [*(f"{low}-{high - 10}" for low, high in pairwise(EDGES)), f"{EDGES[-1]} or more"]
-    rows = [
+    rows: list[list[Value]] = [
         [span, int(first.samples[index]), *(float(each.changes.accuracy[index]) for each in of.results)]
         for index, span in enumerate(spans)
     ]
@@ -239,7 +243,7 @@ def sliding(of: Evaluation) -> list[Section]:
     """Return the comparison with true sliding; nothing if that is unknown."""
     if of.label is None:
         return []
-    rows: list[list[str | float | None]] = [["the label itself", *_against(of.label), *[None] * 4]]
+    rows: list[list[Value]] = [["the label itself", *_against(of.label), *[None] * 4]]
     for each in of.results:
         assert each.sliding, "true sliding is known for all methods or for none"
         assert each.sliding_events, "true sliding is known for all methods or for none"
@@ -253,11 +257,15 @@ def sliding(of: Evaluation) -> list[Section]:
             f"{first.method.name} on {first.sliding.accuracy:.1f} %",
             "The simulation knows when the contact slides (faster than 3 mm/s, sticks shorter than 150 ms "
             "included). The arm may move while the contact still sticks, and taps slide the contact while "
-            "the arm stands still. A detector that learns from the label can hardly agree with the truth more "
-            "than the label does. Events as above, against true slips.",
+            "the arm stands still. A detector that learns from the label can hardly agree with the truth "
+            "more than the label does. Events as above, against true slips.",
             [Table(["method", "accuracy", "balanced", "F1", *_EVENTS[:4]], rows, decimals=_IN_MS)],
         )
     ]
+
+
+def _on_surface(confusions: MotionConfusions, surface: str) -> Confusion:
+    return confusions.confusion(lambda motion: motion.surface == surface)
 
 
 def _motion_head() -> list[str]:

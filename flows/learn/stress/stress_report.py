@@ -81,7 +81,9 @@ def events(of: Stress, key: str) -> Section:
     first, measure = of.names[0], MEASURES[key]
     value, field = max((_worst(of, first, field, key), field) for field in GRIDS)
     nominal = getattr(_nominal(of, first), key)
-    rows = [[GRIDS[each].text, *(_worst(of, name, each, key) for name in of.names)] for each in GRIDS]
+    rows: list[list[Value]] = [
+        [GRIDS[each].text, *(_worst(of, name, each, key) for name in of.names)] for each in GRIDS
+    ]
     return Section(
         key.replace("_", "-"),
         f"{measure.text}: {first} from {show(nominal)} at nominal to {show(value)} ({GRIDS[field].text})",
@@ -133,8 +135,11 @@ def _goals(of: Stress, reference: Reference) -> Table:
         ["nominal", None, *(_nominal(of, each, reference).balanced for each in of.names)]
     ]
     rows += [
-        [goal.text, goal.least]
-        + [of.at(name, goal.field, goal.value, reference).balanced for name in of.names]
+        [
+            goal.text,
+            goal.least,
+            *(of.at(name, goal.field, goal.value, reference).balanced for name in of.names),
+        ]
         for goal in GOALS
     ]
     return Table(["stress", "goal", *of.names], rows, _AGAINST[reference], {"goal": 0})

@@ -2,7 +2,8 @@
 
 from io import BytesIO
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+from warnings import catch_warnings, simplefilter
 
 from flows.learn.train_extra import require_train_extra
 from operators.batch import BAROMETERS
@@ -21,7 +22,7 @@ def export_onnx(tcn: Tcn, path: Path) -> None:
     """
     require_train_extra("ONNX export")
     import torch  # noqa: PLC0415 - an extra, slow to import
-    from torch import nn  # noqa: PLC0415
+    from torch import nn, onnx  # noqa: PLC0415
 
     from flows.learn.training.tcn_module import DenseTcn  # noqa: PLC0415 - imports torch
 
@@ -33,17 +34,20 @@ def export_onnx(tcn: Tcn, path: Path) -> None:
         def forward(self, windows: torch.Tensor) -> torch.Tensor:
             return self.network.newest(windows)
 
-    # torch's exporter that needs no further package does not know ONNX's operator Asinh
-    torch.onnx.register_custom_op_symbolic("aten::asinh", lambda graph, x: graph.op("Asinh", x), 9)
+    exporter: Any = onnx  # lacks some type annotations
+    # this exporter lacks ONNX's operator Asinh
+    exporter.register_custom_op_symbolic("aten::asinh", lambda graph, x: graph.op("Asinh", x), 9)
     model = BytesIO()
-    torch.onnx.export(
-        Windowed().eval(),
-        (torch.zeros(2, tcn.length, BAROMETERS),),
-        model,
-        input_names=["counts"],
-        output_names=["probability"],
-        dynamic_axes={"counts": {0: "n"}, "probability": {0: "n"}},
-        opset_version=OPSET,
-        dynamo=False,
-    )
+    with catch_warnings():
+        simplefilter("ignore", DeprecationWarning)  # the newer exporter needs onnxscript
+        exporter.export(
+            Windowed().eval(),
+            (torch.zeros(2, tcn.length, BAROMETERS),),
+            model,
+            input_names=["counts"],
+            output_names=["probability"],
+            dynamic_axes={"counts": {0: "n"}, "probability": {0: "n"}},
+            opset_version=OPSET,
+            dynamo=False,
+        )
     put(path, model.getvalue())

@@ -159,7 +159,7 @@ class FrequencyCnnNetwork(Network):
     def arrays(self) -> Arrays:
         """Return the arrays that `FrequencyCnn` takes.
 
-        Batch norm after ReLU is folded into the next layer, which pads no zeros; other batch norm into its own.
+        Batch norm after ReLU is folded into the next layer, which pads no zeros; others into their own.
         """
         state = _state(self)
         result: Arrays = {"mean": state["mean"], "std": state["std"]}

@@ -59,9 +59,9 @@ class DenseTcn(nn.Module):
             assert target.bias is not None
             target.weight.data = torch.as_tensor(layer.kernel.transpose(2, 1, 0).copy())
             target.bias.data = torch.as_tensor(layer.bias.copy())
-        for layer in (*network._convs, *network._dense):
-            assert layer.norm.running_var is not None
-            layer.norm.running_var.fill_(1 - layer.norm.eps)
+        for norm in (layer.norm for layer in (*network._convs, *network._dense)):
+            assert norm.running_var is not None
+            norm.running_var.fill_(1 - norm.eps)
         return network.eval()
 
     def forward(self, counts: Tensor) -> Tensor:

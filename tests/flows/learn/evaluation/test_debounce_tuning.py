@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.learn.evaluation import debounce_tuning as tuning
-from flows.learn.evaluation.debounce_tuning import Joined, run_lengths, tuned
+from flows.learn.evaluation.debounce_tuning import JoinedRecordings, run_lengths, tuned
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
@@ -35,26 +35,30 @@ def recordings(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Rea
     consecutive=st.integers(1, 5),
     release=st.integers(1, 12),
 )
-def test_a_setting_is_judged_as_the_operator_would_have_it(
+def test_a_setting_gives_the_events_of_the_operator(
     seed: int, threshold: float, consecutive: int, release: int
 ) -> None:
     found, slips = recordings(seed)
-    joined = Joined.of(found, slips)
+    joined = JoinedRecordings.of(found, slips)
     with np.errstate(invalid="ignore"):
         slip, static = joined.probability >= threshold, joined.probability < threshold
-    quick = joined.judged(run_lengths(slip) >= consecutive, run_lengths(static) >= release)
-    felt = EventMetrics.of(found, slips, Debounce(threshold, consecutive, release))
-    assert (quick.false, quick.missed, quick.repeated) == (felt.false_alarms, felt.missed, felt.repeated)
-    if len(felt.delays):
-        assert quick.delay * 10 == pytest.approx(felt.delays.mean())
-    assert joined.minutes == pytest.approx(felt.minutes)
+    quick = joined.outcome(run_lengths(slip) >= consecutive, run_lengths(static) >= release)
+    events = EventMetrics.of(found, slips, Debounce(threshold, consecutive, release))
+    assert (quick.false, quick.missed, quick.repeated) == (
+        events.false_alarms,
+        events.missed,
+        events.repeated,
+    )
+    if len(events.delays):
+        assert quick.delay * 10 == pytest.approx(events.delays.mean())
+    assert joined.minutes == pytest.approx(events.minutes)
 
 
 @pytest.mark.parametrize("budget", [4.0, 20.0, 80.0])
 def test_the_budget_is_kept_with_a_margin_for_chance(budget: float) -> None:
     found, slips = recordings(1, number=20)
-    felt = EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100))
-    assert felt.false_alarms + 1 + np.sqrt(felt.false_alarms + 0.75) <= budget * felt.minutes
+    events = EventMetrics.of(found, slips, tuned(found, slips, budget, missed=100, repeated=100))
+    assert events.false_alarms + 1 + np.sqrt(events.false_alarms + 0.75) <= budget * events.minutes
 
 
 def test_a_larger_budget_is_spent_on_less_delay() -> None:
@@ -68,10 +72,10 @@ def test_a_larger_budget_is_spent_on_less_delay() -> None:
 
 def test_missed_and_repeated_slips_are_kept_within_their_limits_where_that_can_be() -> None:
     found, slips = recordings(3, number=10, noise=0.3)
-    felt = EventMetrics.of(found, slips, tuned(found, slips))
-    assert felt.false_alarms_per_min < 2
-    assert felt.missed <= 2
-    assert felt.repeated <= 2
+    events = EventMetrics.of(found, slips, tuned(found, slips))
+    assert events.false_alarms_per_min < 2
+    assert events.missed <= 2
+    assert events.repeated <= 2
 
 
 def test_where_no_setting_keeps_the_budget_the_fewest_false_alarms_win() -> None:

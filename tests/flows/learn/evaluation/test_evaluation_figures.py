@@ -25,11 +25,11 @@ def test_every_figure_names_every_method(name: str, found: Evaluation, tmp_path:
 
 def test_confusions_take_as_many_rows_as_they_need(found: Evaluation) -> None:
     drawn = figures.confusions(found.results * 4)
-    assert len([axis for axis in drawn.axes if axis.get_title()]) == 0  # titles stand at the left
+    assert len([axis for axis in drawn.axes if axis.get_title()]) == 0  # titles are aligned left
     assert len([axis for axis in drawn.axes if axis.axison]) == 8
 
 
 def test_motions_have_a_panel_for_each_surface(found: Evaluation) -> None:
-    drawn = figures.motion({result.method.name: result.cells for result in found.results})
+    drawn = figures.motion({result.method.name: result.motions for result in found.results})
     titles = [axis.get_title(loc="left") for axis in drawn.axes]
     assert titles == ["plane", "sphere", "cylinder y", "cylinder x"]

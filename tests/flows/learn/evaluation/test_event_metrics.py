@@ -4,14 +4,13 @@ import pytest
 from flows.learn.evaluation.event_metrics import (
     BRIEF,
     PAUSE,
-    PERIOD,
     EventMetrics,
     Slips,
     bridged,
     filled,
     onsets,
 )
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from operators import Debounce, ms
 from operators.batch import Codes, Reals
 

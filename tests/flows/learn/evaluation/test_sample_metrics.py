@@ -4,6 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from flows.learn.evaluation.sample_metrics import Confusion, Reliability, Roc, percent
+from flows.learn.train_extra import sklearn
 from operators.batch import Flags, Reals
 
 PAIRS = st.lists(st.tuples(st.integers(0, 20), st.booleans()), min_size=2, max_size=60)
@@ -14,7 +15,7 @@ def split(pairs: list[tuple[int, bool]]) -> tuple[Reals, Flags]:
     return np.array(probability) / 20, np.array(truth)
 
 
-def test_known_answers_have_the_known_scores() -> None:
+def test_known_predictions_have_the_known_scores() -> None:
     truth = np.array([True, True, True, True, False, False])
     found = Confusion.of(np.array([True, True, True, False, True, False]), truth)
     assert found.counts.tolist() == [[1, 1], [1, 3]]
@@ -26,33 +27,35 @@ def test_known_answers_have_the_known_scores() -> None:
     assert found.f1 == pytest.approx(100 * (4 * 0.75 + 2 * 0.5) / 6)
 
 
-def test_nothing_to_judge_has_no_score() -> None:
+def test_no_samples_have_no_score() -> None:
     found = Confusion.of(np.empty(0, np.bool_), np.empty(0, np.bool_))
-    assert np.isnan([found.accuracy, found.balanced, found.precision, found.f1]).all()
+    assert np.isnan([found.accuracy, found.balanced, found.precision, found.recall, found.f1]).all()
     assert np.isnan(Roc.of(np.empty(0), np.empty(0, np.bool_)).area)
     assert np.isnan(Reliability.of(np.empty(0), np.empty(0, np.bool_)).error)
     assert np.isnan(percent(0, 0))
 
 
 @given(PAIRS)
-def test_weighted_scores_are_those_of_scikit_learn(pairs: list[tuple[int, bool]]) -> None:
-    metrics = pytest.importorskip("sklearn.metrics")
+def test_scores_of_counts_are_those_of_the_samples(pairs: list[tuple[int, bool]]) -> None:
     probability, truth = split(pairs)
-    called = probability >= 0.5
-    found = Confusion.of(called, truth)
-    expected = metrics.precision_recall_fscore_support(truth, called, average="weighted", zero_division=0)
+    predicted = probability >= 0.5
+    found = Confusion.of(predicted, truth)
+    metrics = sklearn("metrics")
+    expected = metrics.precision_recall_fscore_support(truth, predicted, average="weighted", zero_division=0)
     assert (found.precision, found.recall, found.f1) == pytest.approx(100 * np.array(expected[:3]))
+    assert found.accuracy == pytest.approx(100 * metrics.accuracy_score(truth, predicted))
+    if truth.any() and not truth.all():
+        assert found.balanced == pytest.approx(100 * metrics.balanced_accuracy_score(truth, predicted))
 
 
 @given(PAIRS)
 def test_the_area_is_that_of_scikit_learn_ties_included(pairs: list[tuple[int, bool]]) -> None:
-    metrics = pytest.importorskip("sklearn.metrics")
     probability, truth = split(pairs)
     area = Roc.of(probability, truth).area
     if truth.all() or not truth.any():
         assert np.isnan(area)
     else:
-        assert area == pytest.approx(metrics.roc_auc_score(truth, probability))
+        assert area == pytest.approx(sklearn("metrics").roc_auc_score(truth, probability))
 
 
 def test_a_perfect_detector_has_the_whole_area() -> None:

@@ -1,0 +1,48 @@
+"""Output of commands that make a report, and the options they share."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flows.cli.terminal import note
+
+if TYPE_CHECKING:
+    from flows.report.report_page import Report
+
+Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="Labelled dataset with splits.")]
+Budget = Annotated[
+    float, typer.Option(min=0, help="False alarms per static minute to tune the debounce for (default 2).")
+]
+ReportFolder = Annotated[
+    Path, typer.Option(metavar="DIR", help="Folder of the report (default: the command's name).")
+]
+
+
+def prepare_report(folder: Path) -> None:
+    """Create the folder of a report before a long measurement; note that figures need matplotlib.
+
+    Raises:
+        EndpointError: if the folder cannot be created.
+    """
+    from flows.report.figures import lacking  # noqa: PLC0415 - imports numpy
+    from flows.report.report_page import make_output_folder  # noqa: PLC0415
+
+    make_output_folder(folder)
+    if reason := lacking():
+        note(f"the report will have no figures, which {reason}")
+
+
+def write_report(report: "Report", folder: Path, name: str, *, as_json: bool) -> None:
+    """Write a report as NAME.html, .md, .json and figures; print its findings and tables."""
+    paths = report.write(folder, name)
+    note(f"wrote {', '.join(map(str, paths))}")
+    typer.echo(json.dumps(report.json(), allow_nan=False) if as_json else report.terminal())
+
+
+def method_options(models: Sequence[Path], names: Sequence[str]) -> str:
+    """Return the options that choose these methods, for the command in a report."""
+    given = [*(f"--model {path.name}" for path in models), *(f"--method {name}" for name in names)]
+    return "".join(f" {option}" for option in given)

@@ -1,0 +1,45 @@
+"""The command `slipflow stress`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flows.cli.options import AsJson, Methods, Models
+from flows.cli.report_output import ReportFolder, method_options, prepare_report, write_report
+from flows.cli.terminal import note, progress_bar
+
+# Imports inside functions: `slipflow --help` must not wait for numpy.
+# ruff: noqa: PLC0415
+
+
+def stress(
+    *,
+    model: Models = None,
+    method: Methods = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Random seed of the simulated recordings (default 4000).")
+    ] = 4000,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Number of processes (default: one per core).")
+    ] = None,
+    out: ReportFolder = Path("stress"),
+    as_json: AsJson = False,
+) -> None:
+    """Find the stress at which each detector fails, in minutes.
+
+    Simulates every stress from nominal to broken. Writes stress.html, .md, .json and figures. Needs the train
+    extra.
+
+    Examples:
+      slipflow stress --method tcn --method psd --jobs 2
+    """
+    from flows.learn.stress.stress_report import stress_report
+    from flows.learn.stress.stress_study import stress as run_stress
+
+    prepare_report(out)
+    models, names = model or [], method or []
+    with progress_bar("stress") as update:
+        found = run_stress(models, names=names, seed=seed, jobs=jobs, log=note, progress=update)
+    command = f"slipflow stress{method_options(models, names)} --seed {seed}"
+    write_report(stress_report(found, command), out, "stress", as_json=as_json)

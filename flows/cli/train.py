@@ -1,0 +1,104 @@
+"""The command `slipflow train`."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flows.cli.options import AsJson
+from flows.cli.terminal import check_output_file, note, progress_bar
+
+if TYPE_CHECKING:
+    from flows.learn.training.learning_curve import Check
+
+# Imports inside functions: `slipflow --help` must not wait for numpy.
+# ruff: noqa: PLC0415
+
+
+def train(
+    datasets: Annotated[list[Path], typer.Argument(metavar="DATASET", help="Labelled datasets with splits.")],
+    *,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="FILE",
+            help="Model file, .safetensors; its card has the same name with .json (default"
+            " model.safetensors).",
+        ),
+    ] = Path("model.safetensors"),
+    method: Annotated[
+        str,
+        typer.Option(
+            help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn, frequency_cnn_interleaved"
+            " (default tcn)."
+        ),
+    ] = "tcn",
+    filters: Annotated[
+        int, typer.Option(min=1, help="Width of the tcn; wider is slower and more accurate (default 16).")
+    ] = 16,
+    steps: Annotated[int, typer.Option(min=1, help="Training steps of the tcn (default 4000).")] = 4000,
+    epochs: Annotated[int, typer.Option(min=1, help="Epochs of the paper's networks (default 20).")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed (default 0).")] = 0,
+    seeds: Annotated[
+        int,
+        typer.Option(min=1, help="Number of seeds to train with, from --seed on; keep the best (default 1)."),
+    ] = 1,
+    lag: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TIME",
+            help="Shift the labels of each recording to come this long after the signal, such as 70ms"
+            " (default: no shift).",
+        ),
+    ] = None,
+    curve: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the learning curve, .svg or .png.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Train a slip detector.
+
+    Learns from the train split; the validation split chooses the best check; the test split is only
+    reported. Ctrl-C stops the training without a model. Needs the train extra.
+
+    Examples:
+      slipflow train recordings -o mine.safetensors
+      slipflow train lab simulated --filters 32 --lag 70ms --curve curve.svg
+    """
+    from flows.graph.quantity import time
+    from flows.learn.training.learning_curve import draw
+    from flows.learn.training.recipe import Recipe
+    from flows.learn.training.trainer import train as run_training
+    from flows.report.figures import save
+
+    delay = None if lag is None else time("train", "--lag", lag) / 1e9  # s
+    if curve is not None:
+        check_output_file(curve)
+    with progress_bar(f"training {method}") as update:
+
+        def progress(part: str, done: int, total: int, check: "Check | None") -> None:
+            update(done, total, part)
+            if check:
+                note(f"{part}, {check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
+
+        try:
+            found = run_training(
+                datasets,
+                out,
+                method=method,
+                recipe=Recipe(filters=filters, steps=steps, seed=seed),
+                epochs=epochs,
+                seeds=seeds,
+                lag=delay,
+                progress=progress,
+            )
+        except KeyboardInterrupt:
+            note(f"stopped: the training in progress wrote no model to {out}")
+            raise
+    if curve is not None:
+        save(draw({f"seed {model.card['seed']}": model.curve for model in found.models}), curve)
+        note(f"wrote {curve}")
+    typer.echo(json.dumps(found.summary()) if as_json else found.report())

@@ -1,0 +1,95 @@
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.learn.evaluation import evaluation_report as sections
+from flows.learn.evaluation.evaluation_report import evaluation_report
+from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
+from flows.learn.evaluation.event_metrics import EventMetrics
+
+COMMAND = "slipflow evaluate tiny"
+
+
+@pytest.fixture(scope="module")
+def found(tiny: Path) -> Evaluation:
+    return evaluate(tiny, names=["psd", "logistic", "tcn"])
+
+
+@pytest.fixture(scope="module")
+def written(found: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    paths = evaluation_report(found, COMMAND).write(tmp_path_factory.mktemp("out") / "new", "evaluation")
+    return {path.suffix: path.read_text() for path in paths}
+
+
+def test_page_tables_and_numbers_are_written(written: dict[str, str], found: Evaluation) -> None:
+    assert set(written) == {".html", ".md", ".json", ".svg"}
+    for text in (written[".html"], written[".md"]):
+        assert COMMAND in text
+        assert f"{found['psd'].confusion.accuracy:.1f}" in text
+
+
+def test_every_section_is_on_the_page_and_most_have_a_figure(written: dict[str, str]) -> None:
+    names = ["accuracy", "confusion", "curves", "events", "motions", "other-motions", "changes", "sliding"]
+    assert re.findall(r'<section id="(.+?)">', written[".html"]) == names
+    assert written[".html"].count("<svg ") == 5
+
+
+def test_the_page_refers_to_nothing_outside(written: dict[str, str]) -> None:
+    for text in ("http:", "https:", "<script", "<link", "@import"):
+        assert text not in written[".html"]
+
+
+def test_findings_contain_numbers(found: Evaluation) -> None:
+    first = found.leader
+    findings = {each.name: each.finding for each in evaluation_report(found, COMMAND).sections}
+    assert f"classifies {first.confusion.accuracy:.1f} % of the samples" in findings["accuracy"]
+    assert f"{first.events.false_alarms_per_min:.1f} false alarms per static minute" in findings["events"]
+    assert re.search(r"in \d+ of \d+ kinds of motion", findings["motions"])
+    assert re.search(r"lie within 60 ms of a change", findings["changes"])
+
+
+def test_no_delay_is_given_if_no_slip_is_detected(found: Evaluation) -> None:
+    nothing = EventMetrics(np.empty(0), missed_slips=3, false_alarms=0, repeats=0, minutes=1.0)
+    for events, end in (
+        (nothing, "and misses 100.0 % of slips"),
+        (replace(nothing, missed_slips=0), "and there are no slips"),
+    ):
+        leader = replace(found.leader, events=events)
+        assert sections.events(replace(found, results=(leader,))).finding.endswith(end)
+
+
+def test_tables_contain_the_papers_numbers(found: Evaluation) -> None:
+    rows = {row[0]: list(row[1:]) for row in sections.accuracy(found).tables[0].rows}
+    assert rows["psd"][4:8] == [57.4, 57.9, 57.4, 57.5]
+    assert all(np.isnan(float(str(value))) for value in rows["logistic"][4:8])
+    ours, paper = sections.motions(found)[0].tables
+    assert ours.head == paper.head == ["motion", "plane", "sphere", "cylinder y", "cylinder x", "all"]
+    assert [row[0] for row in ours.rows] == [row[0] for row in paper.rows]
+    assert paper.rows[0][3] == 78.7
+
+
+def test_the_numbers_of_every_method_are_in_the_json(written: dict[str, str], found: Evaluation) -> None:
+    data = json.loads(written[".json"])
+    assert (data["dataset"], data["split"], data["samples"]) == ("tiny", "test", found.samples)
+    tables = {name: section["tables"] for name, section in data["sections"].items()}
+    for result in found.results:
+        [row] = [row for row in tables["accuracy"][0]["rows"] if row["method"] == result.method.name]
+        assert row["accuracy"] == pytest.approx(result.confusion.accuracy, rel=1e-5)
+        assert row["recall"] == row["accuracy"]
+        [row] = [row for row in tables["events"][0]["rows"] if row["method"] == result.method.name]
+        assert row["false/min"] == pytest.approx(result.events.false_alarms_per_min, rel=1e-5)
+        assert row["threshold"] == result.debounce.threshold
+
+
+def test_missing_methods_are_named_with_the_reason(found: Evaluation) -> None:
+    report = evaluation_report(replace(found, missing={"oracle": "there is none"}), COMMAND)
+    assert "Not evaluated: oracle, there is none." in report.markdown("evaluation")
+    assert report.json()["missing"] == {"oracle": "there is none"}
+
+
+def test_the_report_of_the_training_split_warns_that_it_is_no_test(tiny: Path) -> None:
+    assert "this is no test" in evaluation_report(evaluate(tiny, names=["psd"], split="train"), "x").text

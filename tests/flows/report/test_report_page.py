@@ -1,0 +1,139 @@
+import errno
+import json
+import os
+from html.parser import HTMLParser
+from pathlib import Path
+from unittest.mock import patch
+
+import pytest
+
+from flows.report.figures import Figure, grid, styled
+from flows.report.report_page import Report, Section, make_output_folder
+from flows.report.table import Table
+from operators.errors import EndpointError
+
+TABLE = Table(["method", "F1 < 90"], [["<b>tcn</b>", "1 & 2"], ["psd", 3.25]], caption="a > b")
+
+
+@styled
+def figure() -> Figure:
+    drawn, (axis,) = grid(1, 1, (2, 2))
+    axis.plot([0, 1], label="x")
+    axis.set(title="A <title>", xlabel="x")
+    axis.imshow([[0, 1], [1, 0]])
+    return drawn
+
+
+class Tags(HTMLParser):
+    """Elements of a page, each of which must be closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open, self.seen = list[str](), list[str]()
+        self.ids = list[str]()
+        self.feed(text)
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append(tag)
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+        if tag not in {"meta", "image"}:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append(tag)
+        self.ids += [value or "" for name, value in attrs if name == "id"]
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag != "image":
+            assert self.open.pop() == tag
+
+
+def report() -> Report:
+    sections = [Section(name, f"{name} & so <on>", "text", [TABLE], figure) for name in ("one", "two")]
+    sections.append(Section("three", "detail", "text", [TABLE], terminal=False))
+    return Report("A <page>", "of & findings", sections, "slipflow evaluate 'a<b>'", {"split": "test"})
+
+
+def test_text_is_escaped_in_html() -> None:
+    html = report().html()
+    for text in ("<b>tcn", "<on>", "<page>", "a<b>"):
+        assert text not in html
+    for text in (
+        "&lt;b&gt;tcn&lt;/b&gt;",
+        "one &amp; so &lt;on&gt;",
+        "A &lt;page&gt;",
+        "&#x27;a&lt;b&gt;&#x27;",
+    ):
+        assert text in html
+
+
+def test_the_page_refers_to_nothing_outside() -> None:
+    html = report().html()
+    for text in ("http:", "https:", "src=", "@import", "<script", "<link", "xlink"):
+        assert text not in html
+
+
+def test_the_page_is_well_formed_and_its_figures_share_no_identifier() -> None:
+    tags = Tags(report().html())
+    assert tags.seen.count("svg") == 2
+    assert tags.seen.count("table") == 3
+    assert len(set(tags.ids)) == len(tags.ids) > 10
+
+
+def test_references_in_a_figure_are_to_its_own_elements() -> None:
+    html = report().html()
+    tags = Tags(html)
+    referred = [part.split('"')[0] for part in html.split('href="#')[1:]]
+    referred += [part.split(")")[0] for part in html.split("url(#")[1:]]
+    assert referred
+    assert set(referred) <= set(tags.ids)
+
+
+def test_text_columns_are_aligned_left_and_numbers_right() -> None:
+    table = Table(
+        ["method", "object", "delay", "how"], [["psd", "ball", None, "1 missed"], ["tcn", "box", 9, None]]
+    )
+    assert table.markdown().splitlines()[1] == "| ------ | ------ | ----: | -------- |"
+    assert '<td class="text">ball</td><td>-</td><td class="text">1 missed</td>' in table.html()
+
+
+def test_markdown_has_the_tables_and_the_command() -> None:
+    markdown = report().markdown("found")
+    assert markdown.startswith("# A <page>\n\nof & findings\n\n## one")
+    assert markdown.count("| <b>tcn</b> |   1 & 2 |") == 3
+    assert markdown.endswith("\n\n    slipflow evaluate 'a<b>'\n")
+
+
+def test_json_has_facts_and_unrounded_numbers_by_section() -> None:
+    data = json.loads(json.dumps(report().json(), allow_nan=False))
+    assert (data["split"], data["command"]) == ("test", "slipflow evaluate 'a<b>'")
+    assert data["sections"]["one"]["tables"][0]["rows"][1] == {"method": "psd", "F1 < 90": 3.25}
+
+
+def test_the_terminal_omits_sections_of_detail() -> None:
+    text = report().terminal()
+    assert "one & so <on>" in text
+    assert "detail" not in text
+
+
+def test_the_figures_in_the_markdown_file_are_written_next_to_it(tmp_path: Path) -> None:
+    paths = report().write(tmp_path / "a" / "b", "found")
+    markdown = (tmp_path / "a" / "b" / "found.md").read_text()
+    figures = [path.name for path in paths if path.suffix == ".svg"]
+    assert figures == ["found-one.svg", "found-two.svg"]
+    assert all(f"]({name})" in markdown for name in figures)
+
+
+def test_a_folder_below_a_file_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(EndpointError, match=r"file/out: cannot be created: "):
+        make_output_folder(tmp_path / "file" / "out")
+
+
+def test_an_error_in_writing_names_the_folder_and_the_fix(tmp_path: Path) -> None:
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with patch.object(Path, "write_text", side_effect=full), pytest.raises(EndpointError) as raised:
+        report().write(tmp_path, "found")
+    assert str(tmp_path) in str(raised.value)
+    assert "No space left on device" in str(raised.value)
