@@ -120,11 +120,12 @@ def chart(
             raise InputError(str(dataset), reason)
     with one_thread():
         chosen, missing = methods(train, models, names, log)
-        detectors = {method.name: method.detector for method in chosen}
-        rules = {method.name: method.debounce for method in chosen}
-        others = _by_other_libraries(detectors.get(DEFAULT))
-        for name, reason in missing.items():
-            log(f"skipped: {name}: {reason}")
+    for name, reason in missing.items():
+        log(f"skipped: {name}: {reason}")
+    detectors = {method.name: method.detector for method in chosen}
+    rules = {method.name: method.debounce for method in chosen}
+    others = _by_other_libraries(detectors.get(DEFAULT))  # imports torch: `one_thread` then limits it, too
+    with one_thread():
         performances = dict[str, Performance]()
         for name, detector in {**detectors, **others}.items():
             log(f"evaluating {name}")
