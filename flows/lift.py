@@ -5,7 +5,7 @@ from typing import Final
 from connectors import Console, Gripper, TakkTile
 from connectors.gripper.grip_force import ForceScale
 from connectors.sim.grasp import least_force
-from connectors.sim.grasp_source import Handling
+from connectors.sim.grasp_source import SimulatedGrasp
 from connectors.sim.objects import OBJECTS, named
 from flows.graph import Flow, Stream
 from flows.graph.quantity import Force
@@ -59,7 +59,7 @@ def lift(  # noqa: PLR0917 - flow parameters are passed by name
     else:
         if thing not in OBJECTS:
             raise ParameterError("lift", "thing", thing, f"one of {', '.join(OBJECTS)}")
-        held = Handling(named(thing), seed)
+        held = SimulatedGrasp(named(thing), seed)
         source, hand = held.touch, held.hand
         rule = grip_controller(detector, force or least_force(held.held) / 2, max_force)
     scores, commands = declare_grip(flow, source, load_detector(detector), rule)

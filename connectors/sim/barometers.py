@@ -1,4 +1,4 @@
-"""From the tractions on the pad's face to the counts of the six barometers under the rubber.
+"""Six barometers under the rubber of the pad: from tractions on its face to raw counts.
 
 Stress at depth z under a point load on an elastic half-space, rho from the load to the cell::
 
@@ -6,9 +6,10 @@ Stress at depth z under a point load on an elastic half-space, rho from the load
     shear load Q       sigma_zz = 3 Q . rho z^2 / (2 pi r^5)   Cerruti (Johnson 1985, section 3.6)
 
 Both as compression (Pa), r^2 = rho^2 + z^2, integrated over each node's rectangle by the midpoint rule, so
-that the node grid may be coarser than the depth. Shear counts `shear_gain` times: a fitted stand-in for what
-the half-space leaves out, stiff cells in a thin sheet of rubber. A cell answers with a gain G (counts/Pa), of
-which a share c creeps in with time constant T; counts fall as stress rises (MPL115A2 datasheet); 10 bits::
+that the node grid may be coarser than the depth. The response to shear is multiplied by `shear_gain`, fitted
+for what the half-space neglects: stiff cells in a thin sheet of rubber. A cell has a gain G (counts/Pa), of
+which a fraction c creeps with time constant T. Counts fall as stress rises (MPL115A2 datasheet), with 10
+bits::
 
     late' = (sigma - late) / T          counts = rest - G ((1 - c) sigma + c late) + noise
 """
@@ -24,12 +25,12 @@ from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import Faults
 from operators.batch import BAROMETERS, Counts, Flags, Reals
 
-CEILING: Final = 1023  # counts
-FINE: Final = 8  # points per side of a node's rectangle
+CEILING: Final = 1023  # counts, of 10 bits
+FINE: Final = 8  # integration points per side of a node's rectangle
 
 
 def grid(parameters: Parameters, fine: int = 1) -> tuple[Reals, Reals]:
-    """Centres (x, y) (m) of the pad's nodes, row by row from the lower left; (rows * columns * fine**2,)."""
+    """Return centres (x, y) (m) of the nodes, row by row from the lower left; (rows * columns * fine**2,)."""
     p = parameters
     x = (np.arange(p.columns * fine) + 0.5) / (p.columns * fine) * p.width - p.width / 2
     y = (np.arange(p.rows * fine) + 0.5) / (p.rows * fine) * p.height - p.height / 2
@@ -38,7 +39,7 @@ def grid(parameters: Parameters, fine: int = 1) -> tuple[Reals, Reals]:
 
 
 def cell_positions(parameters: Parameters) -> Reals:
-    """Places of the barometers, 5 4 3 over 0 1 2, x right, y up: (6, 2) m."""
+    """Return positions of the barometers, 5 4 3 above 0 1 2, x right, y up: (6, 2) m."""
     columns = np.array([-1, 0, 1, 1, 0, -1]) * parameters.pitch_x
     rows = np.array([-1, -1, -1, 1, 1, 1]) * parameters.pitch_y / 2
     return np.stack([columns, rows], axis=1)
@@ -46,7 +47,7 @@ def cell_positions(parameters: Parameters) -> Reals:
 
 @lru_cache(maxsize=16)
 def influence(parameters: Parameters) -> Reals:
-    """Compressive stress at each cell (Pa) per traction of each node (Pa): (6, 3, nodes), normal, x, y."""
+    """Return the compressive stress at each cell per traction of each node (Pa/Pa): (6, 3, nodes)."""
     p = parameters
     x, y = grid(p, FINE)
     area = p.width * p.height / x.size
@@ -63,18 +64,18 @@ def influence(parameters: Parameters) -> Reals:
 
 @compiled
 def respond(tractions: Reals, matrix: Reals, response: tuple[float, float, float], late: Reals) -> Reals:
-    """What the cells say, relative to their rest, before noise and rounding.
+    """Return counts relative to rest, before noise and rounding.
 
     Args:
         tractions: (k, 3, n) Pa.
         matrix: (6, 3, n) from `influence`.
-        response: Gain G (counts/Pa), share c, and the part of the lag that one sample makes good.
+        response: Gain G (counts/Pa), fraction c, and the relaxation of the lag per sample.
         late: (6,) the lagging stress (Pa); changed in place.
 
     Returns:
         (k, 6) counts.
     """
-    gain, share, gained = response
+    gain, fraction, relaxation = response
     counts = np.zeros((tractions.shape[0], matrix.shape[0]))
     for row in range(tractions.shape[0]):
         for cell in range(matrix.shape[0]):
@@ -82,8 +83,8 @@ def respond(tractions: Reals, matrix: Reals, response: tuple[float, float, float
             for part in range(3):
                 for node in range(matrix.shape[2]):
                     stress += matrix[cell, part, node] * tractions[row, part, node]
-            late[cell] += gained * (stress - late[cell])
-            counts[row, cell] = -gain * ((1.0 - share) * stress + share * late[cell])
+            late[cell] += relaxation * (stress - late[cell])
+            counts[row, cell] = -gain * ((1.0 - fraction) * stress + fraction * late[cell])
     return counts
 
 
@@ -91,14 +92,14 @@ ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
 
 
 class Barometers:
-    """Barometers that remember how they crept.
+    """Barometers of one fingertip with creep and faults.
 
     Args:
-        parameters: Of the fingertip.
-        faults: What is wrong with them.
-        body: Draws the rest levels and the offsets of their thermometers.
-        noise: Draws the noise of pressure.
-        warmth: Draws the noise of temperature.
+        parameters: Parameters of the fingertip.
+        faults: Faults of the cells.
+        body: Random generator of rest levels and temperature offsets.
+        noise: Random generator of pressure noise.
+        warmth: Random generator of temperature noise.
     """
 
     def __init__(
@@ -115,18 +116,18 @@ class Barometers:
         self._late = np.zeros(BAROMETERS)
         self._rest = body.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
         self._temperature = ROOM_TEMPERATURE + body.integers(-8, 8, BAROMETERS)
-        self._held: Reals | None = None  # (6,) the first reading, which stuck cells repeat
+        self._held: Reals | None = None  # (6,) first reading, repeated by stuck cells
 
     def read(self, t: Reals, tractions: Reals, aged: float) -> tuple[Counts, Counts, Flags]:
-        """What the cells say at instants (k,) (s since the run began).
+        """Read the cells at instants (k,) (s since the run began).
 
         Args:
-            t: When they are read.
+            t: Instants.
             tractions: (k, 3, n) Pa: pressure, shear along x, shear along y of each node.
-            aged: Times of creep that pass from each instant to the next.
+            aged: Time between instants, in creep time constants.
 
         Returns:
-            Raw ADC counts of pressure (k, 6), of temperature (k, 6), and which cells answer (k, 6).
+            Raw ADC counts of pressure (k, 6), of temperature (k, 6), and validity (k, 6).
         """
         counts = self._counts(t, tractions, aged)
         valid = np.ones((len(t), BAROMETERS), np.bool_)
@@ -135,10 +136,10 @@ class Barometers:
         return counts, np.rint(temperature).astype(np.int16), valid
 
     def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
-        """Raw ADC counts (k, 6) at instants (k,) (s), `aged` times of creep apart."""
+        """Return raw ADC counts (k, 6) at instants (k,) (s)."""
         p, faults = self._p, self._faults
-        gained = 1 - math.exp(-aged)
-        counts = respond(tractions, self._influence, (p.sensitivity, p.creep, gained), self._late)
+        relaxation = 1 - math.exp(-aged)
+        counts = respond(tractions, self._influence, (p.sensitivity, p.creep, relaxation), self._late)
         if faults.gain:
             counts *= faults.gain
         counts += self._rest

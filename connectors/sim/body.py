@@ -1,32 +1,33 @@
-"""A rigid body in a grip: between the pad of `connectors.sim.contact` and passive fingers, over a table.
+"""A rigid body between the pad of `connectors.sim.contact` and passive fingers, over a table.
 
-It moves in the pad's plane. All vectors are in the hand's frame as it stood at first, x right, y up; the hand
-moves and does not turn. With velocity U and spin O of the body, c from its middle to the pad's middle::
+The body moves in the plane of the pad. All vectors are in the initial frame of the hand, x right, y up; the
+hand translates without rotation. With velocity U and spin O of the body, c from its centre to the centre of
+the pad::
 
-    m dU/dt = -Q + sum f_j + sum (0, n_i) + (0, -m g) + M            M mallet (N)
+    m dU/dt = -Q + sum f_j + sum (0, n_i) + (0, -m g) + M            M force of the mallet (N)
     I dO/dt = -T - c x Q + sum p_j x f_j + sum r_i x (0, n_i) + L    L moment of the mallet (N m)
 
-Pad: its equations are `contact`'s, in which its nodes see the velocity of the tip along the body, and the
-texture the path along the body; Q, T friction and its moment on the tip (N, N m). The surface goes with the
-body, so that the top of a ball or the crest of a can wanders over the pad::
+Pad: as in `contact`, with the velocity of the tip relative to the body, and the texture along the path on the
+body; Q, T friction and its moment on the tip (N, N m). The surface moves with the body, so that the top of a
+ball or the crest of a can moves over the pad::
 
-    g = k_x u^2 / 2 + k_y v^2 / 2        (u, v) place of a node as seen from the body
+    g = k_x u^2 / 2 + k_y v^2 / 2        (u, v) position of a node relative to the body
 
-Passive fingers: two points at p_j from the body's middle that press back with half of the normal force each,
-every one a spring k and a damper c (massless) that ends in Coulomb friction::
+Passive fingers: two points at p_j from the centre of the body that carry half of the normal force each, each
+a massless spring k and damper c, limited by Coulomb friction::
 
-    ds_j/dt = V - U - O x p_j            V velocity of the hand, less what slips
+    ds_j/dt = V - U - O x p_j            V velocity of the hand; without slip
     f_j = k s_j + c ds_j/dt,  |f_j| <= mu F / 2
 
-Table: two corners at r_i, each a spring and a damper that only push, without friction::
+Table: two corners at r_i, each a unilateral spring and damper, without friction::
 
-    n_i = max(0, k_t h_i + c_t dh_i/dt)  h_i depth of the corner under the table's top (m)
+    n_i = max(0, k_t h_i + c_t dh_i/dt)  h_i penetration of the corner into the table (m)
 
-A body whose middle is further than its reach above or below the pad's middle, or further than half its width
-beside it, is dropped: no finger presses any more. Left out: rolling and tilting out of the plane, the slope
-of a ball off its top, drag of the air.
+A body is dropped, and no finger presses any more, when its centre is further from the centre of the pad than
+its reach along y or half its width along x. Not modelled: rolling and tilting out of the plane, the slope of
+a ball away from its top, air drag.
 
-Steps are semi-implicit Euler, those of `contact`. `body_numpy.simulate` says the same in array arithmetic.
+Steps are semi-implicit Euler, as in `contact`. The tests compare `simulate` with the same equations in numpy.
 """
 
 import math
@@ -52,9 +53,9 @@ GRAVITY: Final = 9.81  # m/s2
 
 
 class GripModel(NamedTuple):
-    """The scalars of the equations."""
+    """Constants of the equations."""
 
-    contact: ContactModel  # its frictions, texture and curvatures are the body's
+    contact: ContactModel  # with friction, texture and curvatures of the body
     mass: float  # kg
     inertia: float  # kg m2
     reach: float  # m
@@ -62,30 +63,30 @@ class GripModel(NamedTuple):
     mu: float  # of the passive fingers
     spring: float  # N/m, of each of them
     damper: float  # N s/m
-    finger_offset: float  # m, each from the middle of the hand along x
-    foot: float  # m, each corner from the middle along x
-    below: float  # m, the corners under the middle
+    finger_offset: float  # m, of each passive finger from the centre of the hand along x
+    foot: float  # m, of each corner from the centre of the body along x
+    below: float  # m, of the corners below the centre of the body
     table: float  # m, height of the table
-    table_spring: float  # N/m, of each corner
-    table_damper: float  # N s/m
+    table_spring: float  # N/m per corner
+    table_damper: float  # N s/m per corner
 
 
 class BodyState(NamedTuple):
-    """What changes, in place."""
+    """State of the body and the passive fingers, changed in place."""
 
-    place: Reals  # (3,) m, m, rad, of its middle
+    place: Reals  # (3,) m, m, rad, of the centre
     velocity: Reals  # (3,) m/s, m/s, rad/s: U and O
     hand: Reals  # (2,) m
     passive: Reals  # (2, 2) m: s_j, by finger, then x and y
-    slip_velocity: Reals  # (3,) m/s, m/s, rad/s: velocity of the tip along the body, at the pad's middle
-    slide: Reals  # (3,) m, m, rad: way of the body along the pad while it is gripped
-    path: Reals  # (1,) m: length of the tip's way along the body
+    slip_velocity: Reals  # (3,) m/s, m/s, rad/s: of the tip relative to the body, at the pad's centre
+    slide: Reals  # (3,) m, m, rad: displacement of the body along the pad while gripped
+    path: Reals  # (1,) m: path length of the tip on the body
     table: Reals  # (1,) N
-    dropped: Reals  # (1,) 1 once it is, else 0
+    dropped: Reals  # (1,) 1 when dropped, else 0
 
     @classmethod
     def standing(cls, x: float, y: float) -> "BodyState":
-        """A body at rest with its middle at a place (m)."""
+        """Return a body at rest with its centre at a position (m)."""
         return cls(
             np.array([x, y, 0.0]), np.zeros(3), np.zeros(2), np.zeros((2, 2)), np.zeros(3),
             np.zeros(3), np.zeros(1), np.zeros(1), np.zeros(1),
@@ -96,8 +97,8 @@ class BodyState(NamedTuple):
 def place_surface(
     model: ContactModel, pad: Pad, tip: FingerState, body: BodyState, seen: tuple[float, float]
 ) -> None:
-    """Put the body's surface under the pad, whose middle is `seen` from the body at a place (m, m)."""
-    turned = body.place[2] + tip.deflection[2]  # the tip has turned by -e_o
+    """Set the gaps of the pad, whose centre is at `seen` (m, m) relative to the body."""
+    turned = body.place[2] + tip.deflection[2]  # the rotation of the tip is -e_o
     cos, sin = math.cos(turned), math.sin(turned)
     for i in range(pad.x.size):
         u = seen[0] + cos * pad.x[i] + sin * pad.y[i]
@@ -111,7 +112,7 @@ def place_surface(
 def load_passive_fingers(
     grip: GripModel, body: BodyState, drive: Reals, force: float
 ) -> tuple[float, float, float]:
-    """Move the springs of the passive fingers by one step; their force and moment on the body (N, N, N m)."""
+    """Move the passive fingers by one step; return force and moment on the body (N, N, N m)."""
     limit, step = 0.5 * grip.mu * force, grip.contact.step
     sum_x, sum_y, moment = 0.0, 0.0, 0.0
     for finger in range(2):
@@ -124,7 +125,7 @@ def load_passive_fingers(
         fy = grip.spring * (sy + step * uy) + grip.damper * uy
         kept = min(limit / (math.sqrt(fx * fx + fy * fy) + TINY), 1.0)
         fx, fy = fx * kept, fy * kept
-        # the deflection, and its rate over this step, at which spring and damper give that force
+        # deflection for which spring and damper give this force at the end of the step
         stiff = grip.spring * step + grip.damper
         body.passive[finger, 0] = (fx * step + grip.damper * sx) / stiff
         body.passive[finger, 1] = (fy * step + grip.damper * sy) / stiff
@@ -134,8 +135,8 @@ def load_passive_fingers(
 
 @compiled
 def support_by_table(grip: GripModel, body: BodyState) -> tuple[float, float]:
-    """Force (N, upward) and moment (N m) of the table on the body."""
-    turned = body.place[2] if grip.foot > 0.0 else 0.0  # what is round stands on its lowest point
+    """Return the upward force (N) and the moment (N m) of the table on the body."""
+    turned = body.place[2] if grip.foot > 0.0 else 0.0  # a round body stands on its lowest point
     cos, sin = math.cos(turned), math.sin(turned)
     upward, moment = 0.0, 0.0
     for corner in range(2):
@@ -153,20 +154,21 @@ def support_by_table(grip: GripModel, body: BodyState) -> tuple[float, float]:
 def simulate(
     grip: GripModel, pad: Pad, tip: FingerState, body: BodyState, drive: Reals
 ) -> tuple[Reals, float]:
-    """Run a grip and read it at the end.
+    """Simulate a grip and sample it at the end.
 
     Args:
-        grip: The constants.
-        pad: The nodes; their gaps change in place.
-        tip: Where the fingertip stands; changed in place.
-        body: Where the body stands; changed in place.
-        drive: (steps, 9) as in `contact.simulate`, without push and spin, then the mallet (N, N, N m).
+        grip: Constants of the grip.
+        pad: Nodes, with gaps that change in place.
+        tip: State of the fingertip, changed in place.
+        body: State of the body, changed in place.
+        drive: (steps, 9) as in `contact.simulate`, without external force and spin, then the mallet (N, N, N
+        m).
 
     Returns:
         Pressure and tractions x and y on the pad (Pa), (3, n), and the mean sliding speed (m/s).
     """
-    # the pad as `update_friction` sees it: moving along the body
-    skin = FingerState(
+    # state for `update_friction`: velocity and path relative to the body
+    relative = FingerState(
         tip.deflection, body.slip_velocity, tip.attitude, tip.friction, body.path,
         tip.yaw, tip.pressure, tip.bristle, tip.pressed, tip.springs,
     )  # fmt: skip
@@ -187,7 +189,7 @@ def simulate(
         body.slip_velocity[0] = tip.velocity[0] - velocity[0] + velocity[2] * cy
         body.slip_velocity[1] = tip.velocity[1] - velocity[1] - velocity[2] * cx
         body.slip_velocity[2] = tip.velocity[2] - velocity[2]
-        qx, qy, torque, slide = update_friction(model, pad, skin, force)
+        qx, qy, torque, slide = update_friction(model, pad, relative, force)
         slid += slide
         if force > 0.0:
             body.path[0] += h * math.sqrt(

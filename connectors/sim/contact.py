@@ -1,8 +1,8 @@
-"""Contact of the pad with a surface: normal pressure, friction, and the motion of the finger that carries it.
+"""Contact of the pad with a surface: normal pressure, friction, and motion of the finger that carries it.
 
-The pad is a grid of nodes at (x, y), each standing for an area A. All vectors are in the fingertip frame.
+The pad is a grid of nodes at (x, y), each with an area A. All vectors are in the fingertip frame.
 
-Normal (Winkler foundation, quasi-static)::
+Normal contact (Winkler foundation, Johnson 1985, section 4.3; quasi-static)::
 
     overlap  delta = d + a x + b y - g           d depth (m), a and b tilts (rad), g gap to the surface (m)
     pressure p = k_n max(0, delta)               k_n normal stiffness (Pa/m)
@@ -13,9 +13,9 @@ Normal (Winkler foundation, quasi-static)::
 Surface (a paraboloid fixed in the room, q the yaw of the arm about the TCP, r_0 from there to the pad)::
 
     g = k_x u^2 / 2 + k_y v^2 / 2                k_x, k_y curvatures (1/m)
-    (u, v) = R(q) (r_0 + (x, y)) - r_0 - apex    strokes follow the surface: only rotations turn it
+    (u, v) = R(q) (r_0 + (x, y)) - r_0 - apex    only rotations move the surface under the pad
 
-Friction (elasto-plastic bristles, Dahl 1968, with the cap of Stribeck as in Canudas de Wit et al. 1995)::
+Friction (elasto-plastic bristles, Dahl 1968, limited by a Stribeck curve as in Canudas de Wit et al. 1995)::
 
     ds/dt = v - (plastic part)                   s bristle deflection (m), v velocity of the node (m/s)
     traction t = k_t s,  |t| <= mu(|v|) p        k_t shear stiffness (Pa/m); the excess is slip
@@ -24,12 +24,12 @@ Friction (elasto-plastic bristles, Dahl 1968, with the cap of Stribeck as in Can
 
 Finger (rigid tip with velocity w, spin o; spring deflection e to an arm that moves at V, spins at O)::
 
-    m dw/dt = k e + c (V - w) + Q + P            P push from outside (N), such as a tap
+    m dw/dt = k e + c (V - w) + Q + P            P external force (N), such as a tap
     I do/dt = k_o e_o + c_o (O - o) + sum (y t_x - x t_y) A
     de/dt   = V - w,   de_o/dt = O - o
 
 Steps are semi-implicit (symplectic) Euler. Frame rotation terms (m O w < 0.02 N) are left out.
-`simulate` is the compiled form; `contact_numpy.simulate` says the same in array arithmetic.
+`simulate` is the compiled form; `contact_numpy.simulate` computes the same with arrays.
 """
 
 import math
@@ -46,12 +46,12 @@ TINY: Final = 1e-300  # m, so that a bristle at rest has a direction
 
 
 def compiled(function: Function) -> Function:
-    """The function as machine code, kept on disk, that lets other threads run meanwhile."""
+    """Compile a function without the GIL and cache the machine code on disk."""
     return cast("Function", njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def vectorized(function: Function) -> Function:
-    """The same, built into its caller, and its sums may be taken in any order: on vector units."""
+    """Compile a function inline, with sums in any order so that they run on vector units."""
     relaxed = {"reassoc", "nsz", "nnan"}
     return cast(
         "Function",
@@ -60,7 +60,7 @@ def vectorized(function: Function) -> Function:
 
 
 class ContactModel(NamedTuple):
-    """The scalars of the equations, named as there."""
+    """Constants of the equations, with the names used there."""
 
     step: float  # s
     area: float  # m2, of one node
@@ -91,7 +91,7 @@ class ContactModel(NamedTuple):
 
 
 class Pad(NamedTuple):
-    """The nodes."""
+    """Nodes of the pad."""
 
     x: Reals  # (n,) m
     y: Reals  # (n,) m
@@ -99,7 +99,7 @@ class Pad(NamedTuple):
 
 
 class FingerState(NamedTuple):
-    """What changes, in place."""
+    """State of fingertip and contact, changed in place."""
 
     deflection: Reals  # (3,) m, m, rad: spring, e and e_o
     velocity: Reals  # (3,) m/s, m/s, rad/s: tip, w and o
@@ -114,7 +114,7 @@ class FingerState(NamedTuple):
 
     @classmethod
     def rest(cls, nodes: int) -> "FingerState":
-        """A fingertip in the air, at rest."""
+        """Return a fingertip at rest in the air."""
         return cls(
             np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(2), np.zeros(1), np.zeros(1),
             np.zeros(nodes), np.zeros((2, nodes)), np.zeros(nodes), np.zeros(9),
@@ -123,7 +123,7 @@ class FingerState(NamedTuple):
 
 @vectorized
 def sum_springs(model: ContactModel, pad: Pad, state: FingerState) -> None:
-    """Sum the springs of the pressed nodes: their moments 1, x, y, xx, xy, yy, and g, gx, gy of the gaps."""
+    """Sum the springs of the nodes in contact: moments 1, x, y, xx, xy, yy, and g, gx, gy of the gaps."""
     s, sx, sy, sxx, sxy, syy, sg, sgx, sgy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(pad.x.size):
         k = model.k_n * model.area * state.pressed[i]
@@ -136,7 +136,7 @@ def sum_springs(model: ContactModel, pad: Pad, state: FingerState) -> None:
 
 @vectorized
 def rotate_surface(model: ContactModel, pad: Pad, state: FingerState, spin: float) -> None:
-    """Turn the surface under the pad by one step."""
+    """Rotate the surface under the pad by one step."""
     state.yaw[0] += spin * model.step
     cos, sin = math.cos(state.yaw[0]), math.sin(state.yaw[0])
     for i in range(pad.x.size):
@@ -150,9 +150,9 @@ def rotate_surface(model: ContactModel, pad: Pad, state: FingerState, spin: floa
 
 @vectorized
 def balance_normal(model: ContactModel, pad: Pad, state: FingerState, force: float) -> None:
-    """Balance the normal force and the tilting moments: Newton's method over the set of pressed nodes.
+    """Balance normal force and tilting moments by Newton's method over the set of nodes in contact.
 
-    The springs are summed anew only when that set has changed.
+    The springs are summed again only when that set has changed.
     """
     if force <= 0.0:
         state.pressed[:] = 0.0
@@ -167,7 +167,7 @@ def balance_normal(model: ContactModel, pad: Pad, state: FingerState, force: flo
         f = force + sg
         mx = model.tilt_spring * model.tilt_x - model.lever * state.friction[0] + sgx
         my = model.tilt_spring * model.tilt_y - model.lever * state.friction[1] + sgy
-        # depth out of the first row, tilts from the 2 x 2 system that remains
+        # eliminate the depth, then solve the 2 x 2 system of the tilts
         axx, axy, ayy = (
             sxx + model.tilt_spring - sx * sx / s,
             sxy - sx * sy / s,
@@ -194,7 +194,7 @@ def balance_normal(model: ContactModel, pad: Pad, state: FingerState, force: flo
 def update_friction(
     model: ContactModel, pad: Pad, state: FingerState, force: float
 ) -> tuple[float, float, float, float]:
-    """Move the bristles by one step; friction (N, N, N m) on the tip, sliding speed of the pad (m/s)."""
+    """Move the bristles by one step; return friction (N, N, N m) on the tip and sliding speed (m/s)."""
     vx, vy, spin = state.velocity[0], state.velocity[1], state.velocity[2]
     texture = 1.0
     if model.texture > 0.0:
@@ -241,18 +241,18 @@ def move_tip(
 def simulate(
     model: ContactModel, pad: Pad, state: FingerState, drive: Reals, until: Times
 ) -> tuple[Reals, Reals]:
-    """Run the scene and read it at chosen steps.
+    """Simulate a scene and sample it at chosen steps.
 
     Args:
         model: Constants of the contact model.
-        pad: The nodes; their gaps change in place.
-        state: Where the scene stands; changed in place.
+        pad: Nodes, with gaps that change in place.
+        state: State, changed in place.
         drive: (steps, 6) velocity of the arm at the pad (m/s, m/s, rad/s), normal force (N), push (N, N).
-        until: (k,) how many of the steps are done when each reading is taken, not decreasing.
+        until: (k,) number of steps before each sample, not decreasing.
 
     Returns:
         Pressure and tractions x and y on the pad (Pa), (k, 3, n); mean sliding speed since the last
-        reading (m/s) and normal force (N), (k, 2).
+        sample (m/s) and normal force (N), (k, 2).
     """
     tractions, truth = np.empty((until.size, 3, pad.x.size)), np.empty((until.size, 2))
     curved = model.k_x != 0.0 or model.k_y != 0.0

@@ -1,7 +1,8 @@
-"""A grasp: one sensorised fingertip and passive fingers hold an object, lift it, and are tapped.
+"""A grasp: one sensorised fingertip and two passive fingers hold an object, lift it, and a mallet taps it.
 
-The hand begins with open fingers around an object that stands on a table. At `closing` it presses; from then
-on the normal force follows what is commanded, at a limited rate. `connectors.sim.body` has the equations.
+The hand begins open around an object that stands on a table. It closes at `closing`; from then on the normal
+force follows the commands at a limited rate. The equations are in `connectors.sim.body`. The passive fingers
+are as stiff as the sensorised one; their material and that of the table are assumed.
 """
 
 import math
@@ -21,13 +22,14 @@ from connectors.sim.objects import Object
 from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import NOISE, Faults, Scene, Vibration
 from operators.batch import Reals, Touch, s
+from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 
-PASSIVE_FRICTION: Final = 0.6  # of the passive fingers on the scene's material; assumed: hard plastic pads
-FINGER_OFFSET: Final = 0.015  # m, the passive fingers from the middle; assumed: a pinch
-TABLE_STIFFNESS: Final = 1e4  # N/m of each corner; assumed: 0.25 mm under a box of 0.5 kg
-TABLE_DAMPING: Final = 0.3  # of critical; assumed
-DEEPEST: Final = 0.95  # of the texture: friction never vanishes
+PASSIVE_FRICTION: Final = 0.6  # passive fingers on the scene's material; assumed: hard plastic pads
+FINGER_OFFSET: Final = 0.015  # m, from the middle of the hand to each passive finger; assumed: a pinch
+TABLE_STIFFNESS: Final = 1e4  # N/m per corner; assumed: 0.25 mm under a box of 0.5 kg
+TABLE_DAMPING: Final = 0.3  # damping ratio; assumed
+TEXTURE_LIMIT: Final = 0.95  # so that friction never vanishes
 
 
 def least_force(
@@ -40,17 +42,17 @@ def least_force(
     acceleration: float = 0.0,
     texture: float = 1.0,
 ) -> float:
-    """The least grip force (N) that holds an object: m (g + a) / (mu_pad + mu_passive).
+    """Return the least normal force (N) that holds an object: m (g + a) / (mu_pad + mu_passive).
 
     Args:
-        held: What is held.
-        parameters: Of the fingertip and the scene's material.
-        friction: Factor of all frictions.
-        mass: Factor of the mass.
-        passive: Friction of the passive fingers, of an object whose `friction` is 1.
-        acceleration: Of the hand, upwards (m/s2).
-        texture: Factor of the pad's friction at this place of the object: 1 where it is first gripped. Along
-            the way it lies within 1 - c and 1 + c, c the `texture` of `material`.
+        held: The object.
+        parameters: Parameters of the fingertip and the material (default `Parameters()`).
+        friction: Factor of all friction coefficients (default 1).
+        mass: Factor of the mass (default 1).
+        passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
+        acceleration: Upward acceleration of the hand (m/s2, default 0).
+        texture: Factor of the pad's friction at this point of the object (default 1, as where it is first
+            gripped). Along the path it varies from 1 - c to 1 + c, with c the `texture` of `material`.
 
     >>> from connectors.sim.objects import named
     >>> round(least_force(named("box")), 2)
@@ -61,29 +63,29 @@ def least_force(
 
 
 def material(held: Object, parameters: Parameters) -> Parameters:
-    """What the pad touches when it touches an object."""
+    """Return the parameters of the pad on an object."""
     return replace(
         parameters,
         static_friction=parameters.static_friction * held.friction,
         kinetic_friction=parameters.kinetic_friction * held.friction,
-        texture=min(DEEPEST, parameters.texture * held.texture),
+        texture=min(TEXTURE_LIMIT, parameters.texture * held.texture),
         normal_stiffness=parameters.normal_stiffness * held.stiffness,
     )
 
 
 def surface(held: Object, parameters: Parameters) -> Scene:
-    """What the pad is pressed on."""
+    """Return the surface of an object as a scene."""
     return Scene(curvature=held.curvature, radius=held.radius, parameters=material(held, parameters))
 
 
 def grip_model(held: Object, scene: Scene, place: tuple[float, float], passive: float) -> GripModel:
-    """The constants of a grip.
+    """Return the constants of a grip.
 
     Args:
-        held: What is held.
+        held: The object.
         scene: Its `surface`.
-        place: Of the pad's middle as seen from the object's middle (m, m).
-        passive: Friction of the passive fingers, of an object whose `friction` is 1.
+        place: Position of the pad's centre relative to the object's centre (m, m).
+        passive: Friction of the passive fingers for an object whose `friction` is 1.
     """
     p, contact = scene.parameters, contact_model(scene)
     rubber = p.shear_stiffness * p.width * p.height  # N/m, of all bristles
@@ -106,43 +108,42 @@ def grip_model(held: Object, scene: Scene, place: tuple[float, float], passive: 
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """What really happens in a grasp at one instant: for tests and summaries, never for a detector."""
+class GraspState:
+    """True state of a grasp at one instant: for tests and summaries, never for a detector."""
 
     instant: float  # s since the run began
-    slide_x: float  # m, of the object along the pad since it was gripped, less what the rubber gives
-    slide_y: float  # m; falling is negative
-    turned: float  # rad, about the pad's normal, with what the rubber gives
-    speed: float  # m/s, of sliding, mean over the pad since the newest instant before
-    height: float  # m, of the object above where it began
+    slide_x: float  # m, of the object along the pad since it was gripped, without the rubber's deflection
+    slide_y: float  # m; negative when the object slips down
+    turned: float  # rad, about the pad's normal, with the rubber's deflection
+    speed: float  # m/s, sliding, mean over the pad since the previous sample
+    height: float  # m, of the object above its initial position
     on_table: bool
-    dropped: bool  # the fingers have lost it, for good
+    dropped: bool  # the fingers have lost the object, for good
     force: float  # N, normal
     hand: float  # m, height of the hand
 
 
 class Grasp:
-    """An object in a hand, from open fingers on.
+    """An object in a hand, which begins open.
 
-    The passive fingers are as stiff as the sensorised one. Nothing is random but the cells. The first sample
-    in a process takes seconds, while the physics is compiled.
+    Only the cells are random. The first sample in a process takes seconds, because the physics is compiled.
 
     Args:
-        held: What is grasped.
-        parameters: Of the fingertip and the scene's material; the default has the noise of real cells.
-        seed: Of the cells' rest levels and of all noise.
-        force: Normal force that the hand closes with (N).
-        closing: When it closes (s since the run began): a baseline can be taken before.
-        rate: At which the force changes unless `press` says otherwise (N/s).
-        taps: Blows on the object.
-        lift: The hand's way up; None: the object stays on the table.
-        friction: Factor of all frictions.
-        mass: Factor of the object's mass and moment of inertia.
-        passive: Friction of the passive fingers, of an object whose `friction` is 1.
-        grip: Place of the pad's middle as seen from the object's middle (m, m).
-        vibration: A shaking of the hand.
-        faults: What is wrong with the barometers.
-        finger: Which fingertip it is.
+        held: The object.
+        parameters: Parameters of the fingertip and the material (default: with the noise of real cells).
+        seed: Random seed of the cells' rest levels and of all noise.
+        force: Normal force with which the hand closes (N).
+        closing: Instant of closing (s since the run began, default 1), before which a baseline can be taken.
+        rate: Rate at which the force changes unless `press` gives another (N/s, default 10).
+        taps: Mallet blows on the object.
+        lift: Lift of the hand; None if the object stays on the table.
+        friction: Factor of all friction coefficients (default 1).
+        mass: Factor of the object's mass and moment of inertia (default 1).
+        passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
+        grip: Position of the pad's centre relative to the object's centre (m, m).
+        vibration: Vibration of the hand.
+        faults: Faults of the barometers.
+        finger: Number of the fingertip (default 0).
 
     Raises:
         ParameterError: if a value is out of its range.
@@ -168,12 +169,10 @@ class Grasp:
         finger: int = 0,
     ) -> None:
         for name, value in (("friction", friction), ("mass", mass), ("rate", rate)):
-            if not value > 0:
-                raise ParameterError("Grasp", name, value, "above 0")
-        if not passive >= 0:
-            raise ParameterError("Grasp", "passive", passive, "at least 0")
+            check_above("Grasp", name, value, 0)
+        check_at_least("Grasp", "passive", passive, 0)
         if abs(grip[1]) >= held.reach or abs(grip[0]) >= held.width / 2:
-            must_be = f"on the {held.name}: less than {held.width / 2:g} and {held.reach:g} m off its middle"
+            must_be = f"on the {held.name}: less than {held.width / 2:g} and {held.reach:g} m from its centre"
             raise ParameterError("Grasp", "grip", grip, must_be)
         held = replace(held, friction=held.friction * friction, mass=held.mass * mass)
         scene = surface(held, parameters or Parameters(noise=NOISE))
@@ -186,44 +185,43 @@ class Grasp:
         self._body = body.BodyState.standing(-grip[0], -grip[1] - sunk)
         self._body.table[0] = held.mass * body.GRAVITY
         self._start = float(self._body.place[1])
-        randoms = np.random.default_rng([seed, 2, finger]).spawn(4)  # as of a `Finger`
+        randoms = np.random.default_rng([seed, 2, finger]).spawn(4)  # as for a `Finger`
         self._cells = Barometers(p, faults or Faults(), randoms[0], randoms[2], randoms[3])
         self._creep_time = p.creep_time
         self._ticks = 0
-        self._sensed = 0.0  # s, of the newest sample
-        self._aims: list[tuple[float, float, float]] = []  # s, N, N/s: from when, to what, how fast
-        self._aim = (0.0, 0.0, 0.0, rate)  # s, N, N, N/s: since when, from, to, how fast
+        self._sensed = 0.0  # s, of the latest sample
+        self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)
+        self._ramp = (0.0, 0.0, 0.0, rate)  # start (s), initial and final force (N), rate (N/s)
         self.press(force, closing)
 
     def press(self, force: float, instant: float, rate: float | None = None) -> None:
-        """Command a normal force (N) from an instant on (s); what is simulated already stays as it is.
+        """Command a normal force from an instant on; it cannot change what is already simulated.
 
-        A later command replaces it, from the force that is reached by then.
+        A later command replaces it, beginning with the force reached by then.
 
         Args:
-            force: At least 0.
-            instant: Since the run began.
-            rate: At which the force changes (N/s); None: the grasp's.
+            force: Normal force (N), at least 0.
+            instant: Start (s since the run began).
+            rate: Rate at which the force changes (N/s); None for that of the grasp.
 
         Raises:
-            ParameterError: if the force or the rate is out of its range.
+            ParameterError: if the force or the rate is out of range.
         """
-        fast = self._rate if rate is None else rate
+        rate = self._rate if rate is None else rate
         if not 0 <= force < math.inf:
-            raise ParameterError("Grasp.press", "force", force, "a number of newtons, at least 0")
-        if not fast > 0:
-            raise ParameterError("Grasp.press", "rate", fast, "above 0")
-        self._aims.append((max(instant, self._ticks * self._step), force, fast))
-        self._aims.sort(key=lambda aim: aim[0])  # stable: of two at one instant, the later call counts
+            raise ParameterError("Grasp.press", "force", force, "finite and at least 0 N")
+        check_above("Grasp.press", "rate", rate, 0)
+        self._pending.append((max(instant, self._ticks * self._step), force, rate))
+        self._pending.sort(key=lambda ramp: ramp[0])  # stable: of two at one instant, the later call applies
 
-    def sense(self, instant: float) -> tuple[Touch, Held]:
-        """One sample at an instant of one's own choice (s since the run began), stamped with it.
+    def sense(self, instant: float) -> tuple[Touch, GraspState]:
+        """Return one sample at a chosen instant (s since the run began), stamped with it, and the true state.
 
         Args:
-            instant: Later than the one before, by `Parameters.step` at least.
+            instant: At least `Parameters.step` after the previous one.
 
         Raises:
-            ParameterError: if it is before the newest one.
+            ParameterError: if it is before the previous one.
         """
         steps = round(instant / self._step) - self._ticks
         if steps < 0:
@@ -234,16 +232,16 @@ class Grasp:
         self._sensed = instant
         counts, temperature, valid = self._cells.read(t, tractions[None], aged)
         touch = Touch(np.array([round(instant * s)]), counts, temperature, valid, finger=self._finger)
-        return touch, self._happened(instant, speed, tractions)
+        return touch, self._state(instant, speed, tractions)
 
-    def _happened(self, instant: float, speed: float, tractions: Reals) -> Held:
-        """The truth, from tractions (3, n) (Pa) and what else the scene knows."""
+    def _state(self, instant: float, speed: float, tractions: Reals) -> GraspState:
+        """Return the true state, with tractions (3, n) (Pa) and sliding speed (m/s)."""
         across, up, turned = self._body.slide.tolist()
         force = float(tractions[0].sum()) * self._grip.contact.area
-        if force > 0:  # bristles that bend with the load, each as heavy as its pressure
-            share = tractions[0] / (tractions[0].sum() * self._grip.contact.k_t)
-            across, up = across - float(tractions[1] @ share), up - float(tractions[2] @ share)
-        return Held(
+        if force > 0:  # subtract the mean deflection of the bristles, weighted by pressure
+            weight = tractions[0] / (tractions[0].sum() * self._grip.contact.k_t)
+            across, up = across - float(tractions[1] @ weight), up - float(tractions[2] @ weight)
+        return GraspState(
             instant,
             across,
             up,
@@ -257,7 +255,7 @@ class Grasp:
         )
 
     def _drive(self, steps: int) -> Reals:
-        """The next steps (steps, 9) for `body.simulate`."""
+        """Return the next steps (steps, 9) for `body.simulate`."""
         ticks = np.arange(self._ticks, self._ticks + steps + 1, dtype=np.float64)
         edges = ticks * self._step  # (steps + 1,) s
         t = edges[:-1]
@@ -271,7 +269,7 @@ class Grasp:
         drive[:, 3] = self._forces(t)
         for tap in self._taps:
             if edges[-1] > tap.instant and t[0] < tap.instant + tap.seconds:
-                blow = np.diff(tap.given(edges)) / self._step  # N, mean over each step
+                blow = np.diff(tap.momentum_until(edges)) / self._step  # N, mean over each step
                 if tap.place == "top":
                     drive[:, 7] -= blow
                 else:
@@ -280,19 +278,19 @@ class Grasp:
         return drive
 
     def _forces(self, t: Reals) -> Reals:
-        """The normal force at instants (k,) (s) that never go back: (k,) N."""
-        force = _ramp(self._aim, t)
-        while self._aims and self._aims[0][0] <= t[-1]:
-            since, last, rate = self._aims.pop(0)
-            first = float(_ramp(self._aim, np.array([since]))[0])
-            self._aim = since, first, last, rate
+        """Return the normal force at increasing instants (k,) (s): (k,) N."""
+        force = _ramp_force(self._ramp, t)
+        while self._pending and self._pending[0][0] <= t[-1]:
+            since, last, rate = self._pending.pop(0)
+            first = float(_ramp_force(self._ramp, np.array([since]))[0])
+            self._ramp = since, first, last, rate
             later = t >= since
-            force[later] = _ramp(self._aim, t[later])
+            force[later] = _ramp_force(self._ramp, t[later])
         return force
 
 
-def _ramp(aim: tuple[float, float, float, float], t: Reals) -> Reals:
-    """A force that has changed since an instant, at a limited rate: (k,) N at instants (k,) (s)."""
-    since, first, last, rate = aim
+def _ramp_force(ramp: tuple[float, float, float, float], t: Reals) -> Reals:
+    """Return the force of a ramp at instants (k,) (s): (k,) N."""
+    since, first, last, rate = ramp
     change = rate * (t - since)
     return np.asarray(first + np.clip(last - first, -change, change))

@@ -7,15 +7,15 @@ from typing import Literal
 import numpy as np
 
 from operators.batch import Reals
-from operators.errors import ParameterError
+from operators.checks import check_above
 
 
 @dataclass(frozen=True, slots=True)
 class Lift:
-    """The hand goes straight up, in a trapezoid of velocity.
+    """Vertical motion of the hand with a trapezoidal velocity profile.
 
     Raises:
-        ParameterError: on a height, a speed or an acceleration that is not above 0.
+        ParameterError: if height, speed or acceleration is not above 0.
 
     >>> Lift(2.0, height=0.05, speed=0.1, acceleration=0.5).end
     2.7
@@ -23,26 +23,25 @@ class Lift:
 
     instant: float  # s since the run began
     height: float = 0.05  # m
-    speed: float = 0.05  # m/s, at most
+    speed: float = 0.05  # m/s, maximum
     acceleration: float = 0.5  # m/s2
 
     def __post_init__(self) -> None:
         for name in ("height", "speed", "acceleration"):
-            if not getattr(self, name) > 0:
-                raise ParameterError("Lift", name, getattr(self, name), "above 0")
+            check_above("Lift", name, getattr(self, name), 0)
 
     @property
     def _ramp(self) -> float:
-        """How long it speeds up, and slows down (s)."""
+        """Duration of acceleration and of deceleration (s)."""
         return min(self.speed / self.acceleration, math.sqrt(self.height / self.acceleration))
 
     @property
     def end(self) -> float:
-        """When the hand stands still again (s since the run began)."""
+        """Instant at which the hand stops (s since the run began)."""
         return self.instant + self._ramp + self.height / (self.acceleration * self._ramp)
 
     def climbed(self, t: Reals) -> Reals:
-        """Height of the hand at instants (k,) (s): (k,) m."""
+        """Return the height of the hand at instants (k,) (s): (k,) m."""
         rising, ramp = np.clip(t - self.instant, 0.0, self.end - self.instant), self._ramp
         left = self.end - self.instant - rising
         cruise = np.clip(rising - ramp, 0.0, self.end - self.instant - 2 * ramp)
@@ -52,25 +51,24 @@ class Lift:
 
 @dataclass(frozen=True, slots=True)
 class Tap:
-    """A blow of a mallet: half a sine wave of force.
+    """A mallet blow: a half sine of force.
 
-    On top it goes down through the object's middle. On the side it goes along x (against x where the momentum
-    is negative), a quarter of the object's length above its middle, so that it also turns the object.
+    On top it pushes down through the centre of the object. On the side it pushes along x (or -x for a
+    negative momentum), a quarter of the length above the centre, so that it also rotates the object.
 
     Raises:
-        ParameterError: if it takes no time.
+        ParameterError: if the duration is not above 0.
     """
 
     instant: float  # s since the run began
     momentum: float  # N s
     place: Literal["top", "side"] = "top"
-    seconds: float = 0.01  # contact of a soft mallet; assumed
+    seconds: float = 0.01  # duration; assumed: a soft mallet
 
     def __post_init__(self) -> None:
-        if not self.seconds > 0:
-            raise ParameterError("Tap", "seconds", self.seconds, "above 0")
+        check_above("Tap", "seconds", self.seconds, 0)
 
-    def given(self, t: Reals) -> Reals:
-        """Momentum that has been given at instants (k,) (s): (k,) N s."""
+    def momentum_until(self, t: Reals) -> Reals:
+        """Return the momentum transferred until instants (k,) (s): (k,) N s."""
         u = np.clip((t - self.instant) / self.seconds, 0.0, 1.0)
         return np.asarray(self.momentum * (1 - np.cos(math.pi * u)) / 2)

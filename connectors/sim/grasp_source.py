@@ -1,4 +1,4 @@
-"""A grasp as a live source and a sink."""
+"""A simulated grasp as a live source and a sink for commands."""
 
 import asyncio
 import math
@@ -14,26 +14,26 @@ from operators.errors import ParameterError
 from operators.ports import Clock, Description, Run, Sink, Source
 
 if TYPE_CHECKING:
-    from connectors.sim.grasp import Grasp, Held
+    from connectors.sim.grasp import Grasp, GraspState
 
 PERIOD: Final = s // 100  # ns
-UP: Final = Lift(3.0)  # when nothing else is said: the first second is the baseline's
+UP: Final = Lift(3.0)  # default lift, after the baseline
 
 
-class Handling:
-    """An object in an open hand, as a source, `touch`, that begins with a run, and a sink, `hand`.
+class SimulatedGrasp:
+    """An object in an open hand: a source, `touch`, and a sink for commands, `hand`.
 
-    The hand closes when a force is commanded, and goes up when its lift is due, whatever it holds.
+    The hand closes when a force is commanded, and moves up at the instant of its lift, whatever it holds.
 
     Args:
-        held: What is handled.
-        seed: Of the cells' individuality and of all noise.
-        lift: The hand's way up, from the beginning of the run.
-        taps: Blows on the object, likewise.
-        seconds: After which the touch ends; None: it goes on.
+        held: The object.
+        seed: Random seed of the cells' rest levels and of all noise.
+        lift: Lift of the hand (default 3 s after the start of the run).
+        taps: Mallet blows on the object.
+        seconds: Duration of the touch stream (s); None for no end.
 
     Attributes:
-        happened: What really happened in the newest run, sample by sample.
+        states: True state at each sample of the latest run.
 
     Raises:
         ParameterError: if `seconds` is not above 0.
@@ -49,30 +49,30 @@ class Handling:
         seconds: float | None = None,
     ) -> None:
         if seconds is not None and not seconds > 0:
-            raise ParameterError("Handling", "seconds", seconds, "above 0, or None")
+            raise ParameterError("SimulatedGrasp", "seconds", seconds, "above 0, or None")
         self.held, self.seed, self.lift, self.taps, self.seconds = held, seed, lift, tuple(taps), seconds
-        self.touch, self.hand = HandlingTouch(self), Hand(self)
-        self.happened: list[Held] = []
+        self.touch, self.hand = GraspTouch(self), GraspCommands(self)
+        self.states: list[GraspState] = []
         self._origin = 0  # ns
         self._grasp: Grasp | None = None
 
     def begin(self, origin: int) -> "Grasp":
-        """A new run, in which nothing has been commanded."""
+        """Begin a run without commands."""
         self._origin, self._grasp = origin, opened(self.held, self.seed, self.lift, self.taps)
-        self.happened.clear()
+        self.states.clear()
         return self._grasp
 
     def command(self, commands: Commands) -> None:
-        """Obey from the commands' own times on; before a run there is nobody to obey."""
+        """Apply commands from their own times on; before a run they have no effect."""
         if self._grasp is not None:
             press(self._grasp, commands, self._origin)
 
 
-class HandlingTouch(Source[Touch]):
-    """The fingertip; made by `Handling`."""
+class GraspTouch(Source[Touch]):
+    """Touch of the fingertip."""
 
-    def __init__(self, handling: Handling) -> None:
-        self._handling = handling
+    def __init__(self, grasping: SimulatedGrasp) -> None:
+        self._grasping = grasping
 
     @property
     def kind(self) -> type[Touch]:
@@ -81,66 +81,66 @@ class HandlingTouch(Source[Touch]):
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """One."""
+        """Finger 0."""
         return (0,)
 
     async def prepare(self) -> None:
-        """Compile the physics: seconds the first time, then a fraction of one."""
-        handling = self._handling
+        """Compile the physics, which takes seconds the first time and less than one afterwards."""
+        grasping = self._grasping
         await asyncio.to_thread(
-            lambda: opened(handling.held, 0, handling.lift, handling.taps).sense(PERIOD / s)
+            lambda: opened(grasping.held, 0, grasping.lift, grasping.taps).sense(PERIOD / s)
         )
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """A sample every 10 ms."""
-        handling, origin = self._handling, clock.now()
-        grasp = handling.begin(origin)
-        for number in count() if handling.seconds is None else range(round(handling.seconds * s / PERIOD)):
+        """Yield a sample every 10 ms."""
+        grasping, origin = self._grasping, clock.now()
+        grasp = grasping.begin(origin)
+        for number in count() if grasping.seconds is None else range(round(grasping.seconds * s / PERIOD)):
             await clock.sleep_until(origin + number * PERIOD)
             touch, held = grasp.sense(number * PERIOD / s)
-            handling.happened.append(held)
+            grasping.states.append(held)
             yield replace(touch, time=touch.time + origin)
 
     def describe(self) -> Description:
-        """Sensor, object and seed."""
-        handling = self._handling
+        """Return sensor, object and seed."""
+        grasping = self._grasping
         return {
             "sensor": "TakkTile 2x3, simulated",
             "rate_hz": s / PERIOD,
-            "object": handling.held.name,
-            "seed": handling.seed,
+            "object": grasping.held.name,
+            "seed": grasping.seed,
         }
 
 
-class Hand(Sink[Commands]):
-    """The hand; made by `Handling`."""
+class GraspCommands(Sink[Commands]):
+    """Commands to the hand."""
 
-    def __init__(self, handling: Handling) -> None:
-        self._handling = handling
+    def __init__(self, grasping: SimulatedGrasp) -> None:
+        self._grasping = grasping
 
     @property
     def destination(self) -> str:
-        """One flow commands it once."""
-        return f"hand around a {self._handling.held.name} {id(self._handling):x}"
+        """Identity of the hand, so that a flow commands it only once."""
+        return f"hand around a {self._grasping.held.name} {id(self._grasping):x}"
 
     async def open(self, run: Run) -> None:
-        """Nothing need be done."""
+        """Accept any run."""
         del run
 
     async def write(self, batch: Commands) -> None:
-        """Obey from the commands' own time on."""
-        self._handling.command(batch)
+        """Apply commands from their own times on."""
+        self._grasping.command(batch)
 
 
 def opened(held: Object, seed: int, lift: Lift, taps: Sequence[Tap] = ()) -> "Grasp":
-    """A hand that is open until it is commanded."""
+    """Return a grasp that is open until it is commanded."""
     from connectors.sim.grasp import Grasp  # noqa: PLC0415 - loads numba: only to run
 
     return Grasp(held, seed=seed, force=0.0, closing=0.0, lift=lift, taps=taps)
 
 
 def press(grasp: "Grasp", commands: Commands, origin: int) -> None:
-    """Command a grasp that began at `origin` (ns); a NaN force changes nothing."""
+    """Apply commands to a grasp that began at `origin` (ns); a NaN force has no effect."""
     for time, force in zip(commands.time.tolist(), commands.force.tolist(), strict=True):
         if not math.isnan(force):
             grasp.press(max(force, 0.0), (time - origin) / s)

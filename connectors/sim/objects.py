@@ -1,10 +1,10 @@
-"""The six objects of the paper's robot tests, as bodies that a grasp can hold.
+"""The six objects of the robot tests in "Under Pressure" (2021), as rigid bodies.
 
-"Under Pressure" (2021) names them and says of each its curvature, roughness and stiffness (*paper*), and no
-number. Sizes and masses are those of like objects in the YCB set (Calli et al., 2015) where it has one, else
-assumed. Friction, roughness and stiffness are factors of the values that were fitted for the simulated scene
-(`Parameters`), whose material is smooth plastic; all of them are assumed, with the order of rubber on such
-surfaces in engineering tables: foam and leather above plastic, plastic above metal, paint and paper.
+The paper names the objects with curvature, roughness and stiffness (*paper*), but without numbers. Sizes and
+masses are those of similar objects of the YCB set (Calli et al., 2015) where there is one, otherwise assumed.
+Friction, roughness and stiffness are factors of the fitted values of the simulated scene (`Parameters`),
+whose material is smooth plastic. All factors are assumed, in the order of rubber friction in engineering
+tables: foam and leather above plastic, plastic above metal, paint and paper.
 """
 
 import math
@@ -14,18 +14,18 @@ from types import MappingProxyType
 from typing import Final
 
 from connectors.sim.scene import Curvature
-from operators.errors import ParameterError
+from operators.checks import check_above, check_at_least, check_choice
 
-SMOOTH: Final = 0.6  # of the scene's texture; assumed
+SMOOTH: Final = 0.6  # factor of the scene's texture; assumed
 ROUGH: Final = 1.2  # assumed
 
 
 @dataclass(frozen=True, slots=True)
 class Object:
-    """A rigid body with a skin; it stands upright, its curved side towards the fingertip.
+    """A rigid body that stands upright, with its curved side towards the fingertip.
 
     Raises:
-        ParameterError: on a value that no body has.
+        ParameterError: if a dimension, the mass, a factor or the texture is out of range.
 
     >>> f"{OBJECTS['ball'].inertia:.2g} kg m2"
     '0.00018 kg m2'
@@ -37,20 +37,18 @@ class Object:
     width: float  # m, along the pad's x
     length: float  # m, along the pad's y: its height
     mass: float  # kg
-    friction: float = 1.0  # static and kinetic, of the scene's; on the passive fingers likewise
-    texture: float = 1.0  # depth of the friction's modulation, of the scene's
-    stiffness: float = 1.0  # of the contact along the normal, of the scene's: soft ones spread the pressure
+    friction: float = 1.0  # factor of static and kinetic friction, also at the passive fingers
+    texture: float = 1.0  # factor of the depth of the friction's modulation
+    stiffness: float = 1.0  # factor of the normal contact stiffness; soft objects spread the pressure
 
     def __post_init__(self) -> None:
         for name in ("radius", "width", "length", "mass", "friction", "stiffness"):
-            if not getattr(self, name) > 0:
-                raise ParameterError("Object", name, getattr(self, name), "above 0")
-        if not self.texture >= 0:
-            raise ParameterError("Object", "texture", self.texture, "at least 0")
+            check_above("Object", name, getattr(self, name), 0)
+        check_at_least("Object", "texture", self.texture, 0)
 
     @property
     def inertia(self) -> float:
-        """Moment about its middle and the pad's normal (kg m2), filled evenly."""
+        """Moment of inertia about the pad's normal through the centre (kg m2), with uniform density."""
         match self.curvature:
             case "plane":
                 square = (self.width**2 + self.length**2) / 12
@@ -64,14 +62,14 @@ class Object:
 
     @property
     def foot(self) -> float:
-        """Half the width that it stands on (m)."""
+        """Half the width of the base (m); 0 for a point or line contact with the table."""
         return 0.0 if self.curvature in {"sphere", "cylinder_x"} else self.width / 2
 
     @property
     def reach(self) -> float:
-        """How far from its middle, up or down, the fingertip can hold it (m).
+        """Largest height above or below the centre at which the fingertip can hold it (m).
 
-        A ball ends sooner than its radius, where its slope squeezes it out: at half of it, assumed.
+        For a ball half the radius (assumed), because the slope beyond it squeezes the ball out.
         """
         return self.radius / 2 if self.curvature == "sphere" else self.length / 2
 
@@ -148,11 +146,10 @@ OBJECTS: Final[Mapping[str, Object]] = MappingProxyType(
 
 
 def named(name: str) -> Object:
-    """The object of that name.
+    """Return the object with a name.
 
     Raises:
         ParameterError: if there is none.
     """
-    if name not in OBJECTS:
-        raise ParameterError("named", "name", name, f"one of {', '.join(OBJECTS)}")
+    check_choice("named", "name", name, OBJECTS)
     return OBJECTS[name]

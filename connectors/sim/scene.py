@@ -1,6 +1,6 @@
-"""A scene, declared: what the fingertip touches, how the arm moves it, and what goes wrong meanwhile.
+"""Declaration of a scene: surface, arm motion, timing, faults and vibration.
 
-A scene costs what it names: terms that are zero or absent are not computed.
+Terms that are zero or absent are not computed.
 """
 
 from collections.abc import Iterator
@@ -13,6 +13,7 @@ import numpy as np
 
 from connectors.sim.physics_parameters import Parameters
 from operators.batch import Flags, Reals, Times, s
+from operators.checks import check_above
 from operators.errors import ParameterError
 
 Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
@@ -24,23 +25,23 @@ MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """One episode: the arm stands still for `rest`, moves, and has stopped at its end.
+    """One episode: the arm rests, moves, and stops by the end.
 
     Raises:
-        ParameterError: if it stands still for all of its length, or longer.
+        ParameterError: if the rest is negative or not shorter than the move.
 
     >>> Move("translation", seconds=0.9, rest=0.3, direction_deg=45, speed=0.05).axis
     'oblique'
     """
 
     motion: MotionKind
-    seconds: float  # whole length
-    rest: float = 0.0  # s of standing still that it begins with
+    seconds: float  # total duration
+    rest: float = 0.0  # s of standstill at the start
     direction_deg: float = 0.0  # in the fingertip's plane, anticlockwise from x
     speed: float = 0.0  # m/s along the direction; rad/s of a rotation, anticlockwise
-    force: float | None = None  # N, normal, approached smoothly over `settle`; None: as it was
+    force: float | None = None  # N, normal, reached smoothly within `settle`; None for no change
     settle: float = 0.3  # s
-    tap: float = 0.0  # N, peak of a 10 ms push along the direction, after the rest
+    tap: float = 0.0  # N, peak of a 10 ms external force along the direction, after the rest
 
     def __post_init__(self) -> None:
         if not 0 <= self.rest < self.seconds:
@@ -48,47 +49,47 @@ class Move:
 
     @property
     def axis(self) -> Literal["primary", "oblique"]:
-        """Whether it goes along an axis of the fingertip or across both."""
+        """Class of the direction: along an axis of the fingertip, or oblique."""
         return "oblique" if self.direction_deg % 90 else "primary"
 
 
 class Plan(Protocol):
-    """What the arm does, move after move."""
+    """Sequence of moves."""
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """The moves in order; they may go on for ever."""
+        """Yield the moves in order, possibly without end."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Moves:
-    """A plan that is written out."""
+    """An explicit plan."""
 
     steps: tuple[Move, ...]
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """The steps in order."""
+        """Yield the steps in order."""
         del random
         return iter(self.steps)
 
 
 @dataclass(frozen=True, slots=True)
 class Strokes:
-    """Strokes in eight shuffled directions, for ever.
+    """Strokes in eight shuffled directions, without end.
 
-    Each round has its own speed and grip and ends where it began. The fingertip starts in the air, so that a
-    baseline can be taken.
+    Each round has its own speed and normal force and ends where it began. The fingertip starts in the air, so
+    that a baseline can be taken.
     """
 
     air: float = 1.2  # s before the first contact
     force: float = 2.0  # N, median of the grip
-    force_spread: float = 0.6  # of its logarithm; the paper's recordings press with 0.5 to 8 N
+    force_spread: float = 0.6  # standard deviation of its logarithm; paper: 0.5 to 8 N
     speeds: tuple[float, ...] = (0.05, 0.075, 0.1)  # m/s
     stroke: tuple[float, float] = (0.5, 0.7)  # s, shortest and longest
     pause: tuple[float, float] = (0.4, 1.2)  # s, shortest and longest
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Air, then rounds of approach and eight strokes."""
+        """Yield air, then rounds of approach and eight strokes."""
         yield Move("hold", self.air, force=0.0)
         while True:
             force = self.force * float(np.exp(self.force_spread * random.standard_normal()))
@@ -101,47 +102,46 @@ class Strokes:
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """Stands still, in contact, and moves only when the hand is told to, for ever."""
+    """Standstill without end, until the arm is commanded."""
 
-    force: float = 0.0  # N, until it is commanded; approached within 0.3 s
+    force: float = 0.0  # N, until commanded; reached within 0.3 s
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """One minute of holding after the other."""
+        """Yield holds of one minute."""
         del random
         return repeat(Move("hold", 60.0, force=self.force))
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When a stream samples the world, and what its stamps make of it.
+    """Sampling and time stamps of a stream.
 
     A sample taken at t (s) is stamped ``t + latency + jitter + offset + drift * t``.
 
     Raises:
-        ParameterError: on a rate that is not above 0, or a share that is none.
+        ParameterError: if the rate is not above 0, or the dropped fraction is not from 0 to below 1.
     """
 
     rate: float  # Hz
-    latency: float = 0.0  # s, from the instant to its stamp
-    jitter: float = 0.0  # s, standard deviation of the stamps; their order is kept
-    offset: float = 0.0  # s, error of the stream's clock
-    drift: float = 0.0  # s/s, error of the clock's rate
-    dropped: float = 0.0  # share of samples that never arrive
+    latency: float = 0.0  # s, from the sample to its stamp
+    jitter: float = 0.0  # s, standard deviation of the stamps, whose order is kept
+    offset: float = 0.0  # s, clock offset
+    drift: float = 0.0  # s/s, clock rate error
+    dropped: float = 0.0  # fraction of samples that are lost
 
     def __post_init__(self) -> None:
-        if not self.rate > 0:
-            raise ParameterError("Timing", "rate", self.rate, "above 0 Hz")
+        check_above("Timing", "rate", self.rate, 0, "Hz")
         if not 0 <= self.dropped < 1:
             raise ParameterError("Timing", "dropped", self.dropped, "at least 0 and below 1")
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What is wrong with the barometers."""
+    """Faults of the barometers, by cell."""
 
-    dead: tuple[int, ...] = ()  # do not answer
-    stuck: tuple[int, ...] = ()  # repeat their first reading
-    floored: tuple[int, ...] = ()  # read 0
+    dead: tuple[int, ...] = ()  # cells that do not answer
+    stuck: tuple[int, ...] = ()  # cells that repeat their first reading
+    floored: tuple[int, ...] = ()  # cells that read 0
     gain: tuple[float, ...] = ()  # (6,) factors of the response
     offset: tuple[float, ...] = ()  # (6,) counts
     drift: tuple[float, ...] = ()  # (6,) counts/s
@@ -149,26 +149,26 @@ class Faults:
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
-    """A shaking of the arm that its encoders do not see."""
+    """A vibration of the arm that its encoders do not measure."""
 
     amplitude: float = 1e-4  # m
-    frequency: float = 6.5  # Hz; the paper's recordings show 6.5 and 12
+    frequency: float = 6.5  # Hz; paper: 6.5 and 12
     direction_deg: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Everything that a simulated recording depends on besides its seed."""
+    """All parameters of a simulated recording except its seed."""
 
     plan: Plan = field(default_factory=Strokes)
     curvature: Curvature = "plane"
     radius: float = RADIUS  # m, of a curved surface
-    apex: tuple[float, float] = (0.0, 0.0)  # m, where on the pad a curved surface is highest
-    tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope along x and y at which the pad is held
-    offset: tuple[float, float] = (0.0, 0.0)  # m, from the TCP (rotations turn about it) to the pad's centre
-    acceleration: float = 1.0  # m/s2 of the arm at a stroke's ends
+    apex: tuple[float, float] = (0.0, 0.0)  # m, highest point of a curved surface on the pad
+    tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope of the pad along x and y
+    offset: tuple[float, float] = (0.0, 0.0)  # m, from the TCP, the axis of rotations, to the pad's centre
+    acceleration: float = 1.0  # m/s2 of the arm at the ends of a stroke
     spin_acceleration: float = 10.0  # rad/s2
-    force_rate: float = 50.0  # N/s that a commanded grip force changes by; assumed
+    force_rate: float = 50.0  # N/s, of a commanded normal force; assumed
     vibration: Vibration | None = None
     touch: Timing = Timing(100.0)
     motion: Timing = Timing(125.0, latency=0.07)
@@ -177,7 +177,7 @@ class Scene:
 
     @property
     def curvatures(self) -> tuple[float, float]:
-        """Of the surface, along x and along y (1/m)."""
+        """Curvatures of the surface along x and y (1/m)."""
         k = 1 / self.radius
         return {"plane": (0.0, 0.0), "sphere": (k, k), "cylinder_x": (0.0, k), "cylinder_y": (k, 0.0)}[
             self.curvature
@@ -195,14 +195,14 @@ def commanded_scene(curvature: Curvature = "plane", radius: float = RADIUS) -> S
 
 
 def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:
-    """How far a surface falls away below its highest point, m.
+    """Return the depth (m) of a surface below its highest point.
 
-    Beyond the edge of the body, where there is none, it falls on, so that nothing is touched there.
+    Beyond the edge of a sphere or cylinder the depth keeps growing, so that nothing is touched there.
 
     Args:
-        curvatures: Along x and along y, 1/m: both alike of a sphere, one of them 0 of a cylinder.
-        x: From the highest point, m.
-        y: The same.
+        curvatures: Curvatures along x and y (1/m): equal for a sphere, one of them 0 for a cylinder.
+        x: Distance from the highest point along x (m).
+        y: Distance from the highest point along y (m).
 
     >>> round(surface_drop((1 / 0.06, 1 / 0.06), 0.03, 0.0), 6)
     0.008038
@@ -217,20 +217,20 @@ _BEGINNING: Final = int(np.iinfo(np.int64).min)
 
 
 class Sampler:
-    """Counts the samples of one stream."""
+    """Sampling instants and stamps of one stream."""
 
     def __init__(self, timing: Timing, random: np.random.Generator) -> None:
         self.timing = timing
         self._jitter, self._loss = random.spawn(2)
         self._taken = 0
-        self._newest = _BEGINNING  # ns
+        self._latest = _BEGINNING  # ns
 
     def instants(self, samples: int) -> Reals:
-        """True instants (k,) (s since the run began) of the next samples."""
+        """Return the true instants (k,) (s since the run began) of the next samples."""
         return np.arange(self._taken, self._taken + samples) / self.timing.rate
 
     def stamp(self, samples: int) -> tuple[Times, Flags]:
-        """Take the next samples: their stamps (k,) (ns since the run began), and which of them arrive."""
+        """Take the next samples; return their stamps (k,) (ns since the run began) and which arrive (k,)."""
         t, timing = self.instants(samples), self.timing
         self._taken += samples
         stamps = t + timing.latency + timing.offset + timing.drift * t
@@ -239,6 +239,6 @@ class Sampler:
             stamps += timing.jitter * self._jitter.standard_normal(samples)
         if timing.dropped:
             arrive = self._loss.random(samples) >= timing.dropped
-        time = np.maximum.accumulate(np.maximum(np.rint(stamps * s).astype(np.int64), self._newest))
-        self._newest = int(time[-1])
+        time = np.maximum.accumulate(np.maximum(np.rint(stamps * s).astype(np.int64), self._latest))
+        self._latest = int(time[-1])
         return time, arrive

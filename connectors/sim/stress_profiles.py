@@ -1,4 +1,4 @@
-"""What can be made harder in any scene: one field, one value at a time.
+"""Stress fields: quantities of a scene that can be made harder, one at a time.
 
 >>> harder = stressed(Scene(), "noise", 14.0)
 >>> harder.parameters.noise, stressed(Scene(), "noise", 0.0) == Scene()
@@ -16,47 +16,45 @@ import numpy as np
 
 from connectors.sim.scene import Move, Plan, Scene, Vibration
 from operators.batch import BAROMETERS
+from operators.checks import check_choice
 from operators.errors import ParameterError
 
-Part: TypeAlias = Literal["touch", "motion", "truth"]
 Stream: TypeAlias = Literal["touch", "motion"]
 Change: TypeAlias = Callable[[Scene, float], Scene]
 Join: TypeAlias = Callable[[float, float], float]
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
-    """One way to make a scene harder."""
+class StressField:
+    """One quantity that makes a scene harder."""
 
-    unit: str  # "1": a factor or a share
-    nominal: float  # the value that changes nothing
-    shows: tuple[Part, ...]  # where a recording shows it; the rest stays as it is, byte for byte
+    unit: str  # "1" for a factor or a fraction
+    nominal: float  # value without effect
     change: Change
 
 
 @dataclass(frozen=True, slots=True)
 class Scaled:
-    """A plan with all its normal forces and all its speeds multiplied."""
+    """A plan with all normal forces and all speeds multiplied."""
 
     plan: Plan
     force: float = 1.0
     speed: float = 1.0
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """The plan's moves, as long and in the same directions."""
+        """Yield the moves of the plan, with the same durations and directions."""
         for move in self.plan.moves(random):
             force = None if move.force is None else move.force * self.force
             yield replace(move, force=force, speed=move.speed * self.speed)
 
 
 def stressed(scene: Scene, field: str, value: float) -> Scene:
-    """The scene with one of `FIELDS` at a value, which comes on top of what the scene itself says.
+    """Return a scene with one of `FIELDS` at a value, in addition to the scene's own.
 
     Raises:
-        ParameterError: if there is no such field, or it cannot have that value.
+        ParameterError: if the field is unknown, or the value is out of range.
     """
-    if field not in FIELDS:
-        raise ParameterError("stressed", "field", field, f"one of {', '.join(FIELDS)}")
+    check_choice("stressed", "field", field, FIELDS)
     return scene if value == FIELDS[field].nominal else FIELDS[field].change(scene, value)
 
 
@@ -75,13 +73,13 @@ def _friction(scene: Scene, value: float) -> Scene:
 
 def _stick_slip(scene: Scene, value: float) -> Scene:
     p = scene.parameters
-    static = value * p.static_friction + (1 - value) * p.kinetic_friction  # at 1 exactly what it was
+    static = value * p.static_friction + (1 - value) * p.kinetic_friction  # exact at 1
     return replace(scene, parameters=replace(p, static_friction=static))
 
 
 def _vibration(scene: Scene, value: float) -> Scene:
-    shaking = scene.vibration or Vibration(0.0)
-    return replace(scene, vibration=replace(shaking, amplitude=shaking.amplitude + value))
+    vibration = scene.vibration or Vibration(0.0)
+    return replace(scene, vibration=replace(vibration, amplitude=vibration.amplitude + value))
 
 
 def _every_cell(fault: Literal["gain", "offset", "drift"], join: Join, neutral: float) -> Change:
@@ -116,41 +114,36 @@ def _either(a: float, b: float) -> float:
     return 1 - (1 - a) * (1 - b)
 
 
-def _stream(stream: Stream) -> dict[str, Field]:
+def _stream(stream: Stream) -> dict[str, StressField]:
     return {
-        f"{stream}_jitter": Field("s", 0, (stream,), _timing(stream, "jitter", math.hypot)),
-        f"{stream}_dropped": Field("1", 0, (stream,), _timing(stream, "dropped", _either)),
-        f"{stream}_clock_offset": Field("s", 0, (stream,), _timing(stream, "offset", operator.add)),
-        f"{stream}_clock_rate": Field("s/s", 0, (stream,), _timing(stream, "drift", operator.add)),
+        f"{stream}_jitter": StressField("s", 0, _timing(stream, "jitter", math.hypot)),
+        f"{stream}_dropped": StressField("1", 0, _timing(stream, "dropped", _either)),
+        f"{stream}_clock_offset": StressField("s", 0, _timing(stream, "offset", operator.add)),
+        f"{stream}_clock_rate": StressField("s/s", 0, _timing(stream, "drift", operator.add)),
     }
 
 
-FIELDS: Final[Mapping[str, Field]] = MappingProxyType(
+FIELDS: Final[Mapping[str, StressField]] = MappingProxyType(
     {
-        # the barometers
-        "noise": Field("count", 0, ("touch",), _noise),  # standard deviation
-        "gain": Field("1", 1, ("touch",), _every_cell("gain", operator.mul, 1.0)),
-        "offset": Field("count", 0, ("touch",), _every_cell("offset", operator.add, 0.0)),
-        "drift": Field("count/s", 0, ("touch",), _every_cell("drift", operator.add, 0.0)),
-        "dead": Field("cells", 0, ("touch",), _first_cells("dead")),
-        "stuck": Field("cells", 0, ("touch",), _first_cells("stuck")),
-        "floored": Field("cells", 0, ("touch",), _first_cells("floored")),
-        # the streams: standard deviation of stamps, share lost, error of the clock and of its rate
+        # barometers
+        "noise": StressField("count", 0, _noise),  # standard deviation
+        "gain": StressField("1", 1, _every_cell("gain", operator.mul, 1.0)),
+        "offset": StressField("count", 0, _every_cell("offset", operator.add, 0.0)),
+        "drift": StressField("count/s", 0, _every_cell("drift", operator.add, 0.0)),
+        "dead": StressField("cells", 0, _first_cells("dead")),
+        "stuck": StressField("cells", 0, _first_cells("stuck")),
+        "floored": StressField("cells", 0, _first_cells("floored")),
+        # streams: standard deviation of stamps, fraction of lost samples, clock offset and clock rate error
         **_stream("touch"),
         **_stream("motion"),
-        # the world; force and speed are the plan's
-        "vibration": Field("m", 0, ("touch", "truth"), _vibration),
-        "friction": Field("1", 1, ("touch", "truth"), _friction),
-        "stick_slip": Field(
-            "1", 1, ("touch", "truth"), _stick_slip
-        ),  # excess of static over kinetic friction
-        "force": Field(
-            "1", 1, ("touch", "truth"), lambda scene, x: replace(scene, plan=Scaled(scene.plan, x))
-        ),
-        "slip_speed": Field(
+        # contact and plan
+        "vibration": StressField("m", 0, _vibration),
+        "friction": StressField("1", 1, _friction),
+        "stick_slip": StressField("1", 1, _stick_slip),  # excess of static over kinetic friction
+        "force": StressField("1", 1, lambda scene, x: replace(scene, plan=Scaled(scene.plan, x))),
+        "slip_speed": StressField(
             "1",
             1,
-            ("touch", "motion", "truth"),
             lambda scene, x: replace(scene, plan=Scaled(scene.plan, 1.0, x)),
         ),
     }

@@ -6,7 +6,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from connectors.sim.grasp import Grasp, Held, least_force
+from connectors.sim.grasp import Grasp, GraspState, least_force
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.scene import Faults, Vibration
@@ -172,7 +172,7 @@ def run_trial(
     closed = np.arange(waiting, seconds * conditions.rate) / conditions.rate
     instants = np.concatenate((np.arange(scans) / scans * BASELINE, closed))  # (n,) s
     n, stamps = len(instants), np.rint(instants * s).astype(np.int64)
-    truth: list[Held] = []
+    truth: list[GraspState] = []
     counts = np.zeros((n, BAROMETERS), np.int16)
     probability, commanded_force = np.full(n, np.nan), np.zeros(n)
     reading = Touch.empty()

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from threading import Lock
 from time import time_ns
 
-from connectors.sim.grasp import Grasp, Held
+from connectors.sim.grasp import Grasp, GraspState
 from connectors.sim.grasp_source import press
 from operators.batch import Commands, Counts, s
 
@@ -20,10 +20,10 @@ class GraspLab:
     """
 
     def __init__(self, grasp: Grasp, now: Callable[[], int] = time_ns) -> None:
-        self.now, self.happened = now, list[Held]()
+        self.now, self.states = now, list[GraspState]()
         self._grasp, self._lock = grasp, Lock()
         self._newest, held = grasp.sense(0.0)
-        self.happened.append(held)
+        self.states.append(held)
         self._felt, self._origin = 0, now()
 
     def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
@@ -36,7 +36,7 @@ class GraspLab:
             instant = time - self._origin
             if instant - self._felt >= s // 1000:
                 self._newest, held = self._grasp.sense(instant / s)
-                self.happened.append(held)
+                self.states.append(held)
                 self._felt = instant
             newest = self._newest
             return newest.counts[0], newest.temperature[0] * newest.valid[0]

@@ -5,7 +5,15 @@ import numpy as np
 import pytest
 
 from connectors.sim.body import GRAVITY
-from connectors.sim.grasp import PASSIVE_FRICTION, Grasp, Held, grip_model, least_force, material, surface
+from connectors.sim.grasp import (
+    PASSIVE_FRICTION,
+    Grasp,
+    GraspState,
+    grip_model,
+    least_force,
+    material,
+    surface,
+)
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import OBJECTS
 from connectors.sim.physics_parameters import Parameters
@@ -60,7 +68,7 @@ def test_the_foot_stands_on_the_table_wherever_it_is_gripped() -> None:
 BOX, BALL, CAN = OBJECTS["box"], OBJECTS["ball"], OBJECTS["metal_can"]
 
 
-def watch(grasp: Grasp, until: float, start: float = 0.0) -> tuple[Touch, list[Held]]:
+def watch(grasp: Grasp, until: float, start: float = 0.0) -> tuple[Touch, list[GraspState]]:
     """100 samples a second."""
     felt = [grasp.sense(k / 100) for k in range(round(start * 100), round(until * 100))]
     return concat(Touch, [touch for touch, _ in felt]), [held for _, held in felt]
@@ -138,7 +146,7 @@ def test_taps_near_each_other_both_count() -> None:
 
 
 def test_pressing_harder_in_time_saves_what_slips() -> None:
-    def end(*, saved: bool) -> Held:
+    def end(*, saved: bool) -> GraspState:
         grasp = Grasp(BOX, force=2 * least_force(BOX), lift=Lift(1.5))
         grasp.sense(4.0)
         grasp.press(0.6 * least_force(BOX), 4.0, rate=1e3)
@@ -216,7 +224,7 @@ def test_a_dead_cell_is_dead_and_nothing_else_changes() -> None:
 
 
 def test_the_same_seed_gives_the_same_and_another_differs_in_its_cells_alone() -> None:
-    def run(seed: int) -> tuple[Touch, list[Held]]:
+    def run(seed: int) -> tuple[Touch, list[GraspState]]:
         return watch(Grasp(CAN, seed=seed, force=2.0, lift=Lift(1.5), taps=[Tap(2.0, 0.1)]), 3.0)
 
     (one, held), (again, also), (other, truth) = run(3), run(3), run(4)

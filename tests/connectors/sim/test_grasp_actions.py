@@ -27,7 +27,7 @@ def test_a_lift_that_goes_nowhere_is_refused(field: str) -> None:
 
 def test_a_tap_is_half_a_sine_of_its_momentum() -> None:
     t = np.linspace(0.9, 1.1, 20_001)
-    given = Tap(1.0, 0.05, seconds=0.02).given(t)
+    given = Tap(1.0, 0.05, seconds=0.02).momentum_until(t)
     force = np.diff(given) / np.diff(t)
     assert given[0] == 0.0
     assert given[-1] == pytest.approx(0.05)

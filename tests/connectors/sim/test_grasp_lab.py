@@ -19,7 +19,7 @@ def test_a_lab_feels_on_the_hosts_clock_and_obeys_from_a_commands_time_on() -> N
     after, temperature = lab.touch(0, START + 2 * s)
     assert (after < before - 20).any()  # counts fall as pressure rises
     assert (temperature > 0).all()
-    assert lab.happened[-1].force == pytest.approx(5.0, rel=0.02)
+    assert lab.states[-1].force == pytest.approx(5.0, rel=0.02)
 
 
 def test_a_lab_gives_the_newest_reading_to_who_asks_too_soon_or_for_the_past() -> None:

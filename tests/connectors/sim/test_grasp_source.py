@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.grasp_actions import Lift
-from connectors.sim.grasp_source import Handling
+from connectors.sim.grasp_source import SimulatedGrasp
 from connectors.sim.objects import named
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
@@ -18,7 +18,7 @@ def _force(time: int, force: float) -> Commands:
     return Commands(np.array([time]), np.array([force]), np.full((1, 6), np.nan))
 
 
-def _taken(handling: Handling, force: float | None = None) -> Touch:
+def _taken(handling: SimulatedGrasp, force: float | None = None) -> Touch:
     """All samples of a run, in which a force is commanded after the first of them."""
 
     async def main() -> Touch:
@@ -35,43 +35,43 @@ def _taken(handling: Handling, force: float | None = None) -> Touch:
 
 
 def test_touch_comes_every_ten_milliseconds_from_the_beginning_of_the_run() -> None:
-    touch = _taken(Handling(BOX, seconds=0.5))
+    touch = _taken(SimulatedGrasp(BOX, seconds=0.5))
     assert touch.time.tolist() == [START + number * s // 100 for number in range(50)]
 
 
 def test_an_open_hand_feels_nothing_and_leaves_the_object_on_the_table() -> None:
-    handling = Handling(BOX, lift=Lift(0.2), seconds=2.0)
+    handling = SimulatedGrasp(BOX, lift=Lift(0.2), seconds=2.0)
     touch = _taken(handling)
-    assert handling.happened[-1].hand == pytest.approx(0.05)
-    assert handling.happened[-1].on_table
+    assert handling.states[-1].hand == pytest.approx(0.05)
+    assert handling.states[-1].on_table
     assert np.ptp(touch.counts, axis=0).max() < 8  # noise
 
 
 def test_what_is_commanded_is_gripped_and_lifted() -> None:
-    handling = Handling(BOX, lift=Lift(0.8), seconds=2.5)
+    handling = SimulatedGrasp(BOX, lift=Lift(0.8), seconds=2.5)
     _taken(handling, force=5.0)
-    assert handling.happened[-1].force == pytest.approx(5.0, rel=0.02)
-    assert handling.happened[-1].height == pytest.approx(0.05, abs=0.005)
+    assert handling.states[-1].force == pytest.approx(5.0, rel=0.02)
+    assert handling.states[-1].height == pytest.approx(0.05, abs=0.005)
 
 
 def test_a_second_run_is_like_the_first() -> None:
-    handling = Handling(BOX, seed=4, seconds=1.0)
+    handling = SimulatedGrasp(BOX, seed=4, seconds=1.0)
     first, second = _taken(handling, force=3.0), _taken(handling, force=3.0)
     assert (first.counts == second.counts).all()
-    assert len(handling.happened) == 100
+    assert len(handling.states) == 100
 
 
 def test_a_command_without_force_or_before_the_run_changes_nothing() -> None:
-    handling = Handling(BOX, seconds=0.5)
+    handling = SimulatedGrasp(BOX, seconds=0.5)
     handling.command(_force(START, 5.0))
     _taken(handling, force=float("nan"))
-    assert handling.happened[-1].force == 0
+    assert handling.states[-1].force == 0
 
 
 def test_its_time_must_be_above_nothing() -> None:
     with pytest.raises(ParameterError, match="seconds"):
-        Handling(BOX, seconds=0.0)
+        SimulatedGrasp(BOX, seconds=0.0)
 
 
 def test_the_physics_is_compiled_before_the_run() -> None:
-    asyncio.run(Handling(BOX).touch.prepare())
+    asyncio.run(SimulatedGrasp(BOX).touch.prepare())
