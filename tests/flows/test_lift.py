@@ -8,9 +8,9 @@ import pytest
 from connectors import Gripper, TakkTile
 from connectors.emulators.gripper_server import GripperServer
 from connectors.gripper.grip_force import ForceScale
-from connectors.sim.grasp import Held, least_force
+from connectors.sim.grasp import GraspState, least_force
 from connectors.sim.grasp_actions import Lift
-from connectors.sim.grasp_source import Handling, opened
+from connectors.sim.grasp_source import SimulatedGrasp, opened
 from connectors.sim.objects import OBJECTS, named
 from flows.graph import Flow
 from flows.graph.loading import load
@@ -38,7 +38,7 @@ def _for(flow: Flow, seconds: int) -> Run:
     return run_virtually(main())
 
 
-def _is_held(happened: Sequence[Held]) -> bool:
+def _is_held(happened: Sequence[GraspState]) -> bool:
     last = happened[-1]
     return not last.dropped and not last.on_table and last.hand - last.height < 0.02
 
@@ -62,7 +62,7 @@ def test_hardware_needs_both_bus_and_gripper() -> None:
 @pytest.mark.parametrize("ruled", [True, False])
 def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> None:
     ball = named("ball")
-    handling, commands, flow = Handling(ball, seed=3), TestSink(), Flow("lift")
+    handling, commands, flow = SimulatedGrasp(ball, seed=3), TestSink(), Flow("lift")
     rule = grip_controller(DETECTOR, least_force(ball) / 2)
     rule = rule if ruled else Grip(force=rule.force, gain=0.0)
     _, given = declare_grip(flow, handling.touch, load_detector(DETECTOR), rule)
@@ -71,7 +71,7 @@ def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> Non
     run = _for(flow, 6)
     assert not any(status.error for status in run.sinks.values())
     assert not any(status.error for status in run.sources.values())
-    assert _is_held(handling.happened) is ruled
+    assert _is_held(handling.states) is ruled
     assert (len(commands.rows(Commands, 0)) > 1) is ruled
 
 
@@ -104,9 +104,9 @@ def _together(names: Sequence[str]) -> dict[str, GraspLab]:
 
 def _check(labs: dict[str, GraspLab]) -> None:
     for name, lab in labs.items():
-        weak = [held for held in lab.happened if held.force and held.instant < UP.instant]
+        weak = [held for held in lab.states if held.force and held.instant < UP.instant]
         assert 0.4 < weak[-1].force / least_force(named(name)) < 0.8, name  # too weak, as the lift begins
-        assert _is_held(lab.happened), name
+        assert _is_held(lab.states), name
 
 
 def test_over_i2c_and_modbus_the_ball_and_the_box_are_lifted_and_held() -> None:

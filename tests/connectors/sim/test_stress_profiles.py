@@ -133,7 +133,7 @@ class _Unpaid:
 
 def test_a_scene_without_vibration_or_noise_computes_none(monkeypatch: pytest.MonkeyPatch) -> None:
     quiet = Scene(PLAN, parameters=Parameters(noise=0.0))
-    monkeypatch.setattr(finger, "shaking", _Unpaid())
+    monkeypatch.setattr(finger, "vibration_velocity", _Unpaid())
     for field, drawn in (("vibration", "_noise"), ("noise", "_noise")):
         simulation = Finger(quiet, 0)
         monkeypatch.setattr(simulation.cells, drawn, _Unpaid())
