@@ -65,7 +65,11 @@ class PlannedSurface:
 
 @dataclass(frozen=True, slots=True)
 class Press:
-    """Settings for pressing the fingertip onto a surface; the keys of [press] in a plan file."""
+    """Settings for pressing the fingertip onto a surface; the keys of [press] in a plan file.
+
+    Raises:
+        ParameterError: if a value is out of range.
+    """
 
     depth: Length = 0.0015
     force: Force | None = None
@@ -90,7 +94,11 @@ class Press:
 
 @dataclass(frozen=True, slots=True)
 class PathSettings:
-    """Times, speeds and heights of the path; the keys of [path] in a plan file."""
+    """Times, speeds and heights of the path; the keys of [path] in a plan file.
+
+    Raises:
+        ParameterError: if a value is out of range.
+    """
 
     slide_time: Seconds = 0.6
     rotation_time: Seconds = 1.2
@@ -112,7 +120,11 @@ class PathSettings:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Safety limits, at which the arm is stopped; the keys of [limits] in a plan file."""
+    """Safety limits, at which the arm is stopped; the keys of [limits] in a plan file.
+
+    Raises:
+        ParameterError: if a value is out of range.
+    """
 
     force: Force = 50.0
     workspace: tuple[float, float, float, float, float, float] | None = None  # m
