@@ -12,11 +12,13 @@ Sources: TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Lin
 
 import struct
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 
 from operators.batch import Counts, Reals
+
+Real = TypeVar("Real", float, Reals)
 
 BAROMETER: Final = 0x60  # address of every barometer
 ALL: Final = 0x06  # address of all cells of all fingertips
@@ -86,7 +88,7 @@ class Coefficients(NamedTuple):
         a0, b1, b2, c12 = struct.unpack(">4h", data)
         return cls(a0 / 2**3, b1 / 2**13, b2 / 2**14, (c12 >> 2) / 2**22)
 
-    def pressure(self, pressure: float, temperature: float) -> float:
+    def pressure(self, pressure: Real, temperature: Real) -> Real:
         """Return the absolute pressure (kPa) of raw counts, as in the datasheet."""
         compensated = self.a0 + (self.b1 + self.c12 * temperature) * pressure + self.b2 * temperature
         return compensated * 65 / 1023 + 50
@@ -103,20 +105,9 @@ def compensate(counts: Counts, temperature: Counts, coefficients: list[Coefficie
     >>> compensate(raw, raw + np.int16(97), [datasheet] * 5 + [None])[0].round(3).tolist()
     [96.587, 96.587, 96.587, 96.587, 96.587, nan]
     """
-    cells: Reals = np.array([known or UNKNOWN for known in coefficients])  # (6, 4)
-    a0, b1, b2, c12 = cells.T
     p, t = counts.astype(np.float64), temperature.astype(np.float64)
-    kpa: Reals = (a0 + (b1 + c12 * t) * p + b2 * t) * 65 / 1023 + 50
-    return kpa
-
-
-def celsius(temperature: Counts) -> Reals:
-    """Return the temperature (degC) of raw counts, within 5 degC; the Linux driver takes 472 for 25 degC.
-
-    >>> celsius(np.array([498, 605], np.int16)).tolist()
-    [25.0, 5.0]
-    """
-    return 25 - (temperature.astype(np.float64) - 498) / 5.35
+    known = enumerate(each or UNKNOWN for each in coefficients)
+    return np.column_stack([cell.pressure(p[:, i], t[:, i]) for i, cell in known])
 
 
 @dataclass

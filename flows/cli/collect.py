@@ -150,7 +150,7 @@ def _on_virtual_lab(plan: "CollectionPlan") -> "CollectionPlan":
         sensor_timeout=max(plan.limits.sensor_timeout, VIRTUAL_TIMEOUT),
         watchdog=min(plan.limits.watchdog, VIRTUAL_WATCHDOG),
     )
-    (surface,) = plan.surfaces
+    surface = plan.surfaces[0]
     return replace(plan, limits=limits, surfaces=(replace(surface, pose=surface.pose or DOWN),))
 
 

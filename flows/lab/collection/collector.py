@@ -19,11 +19,11 @@ from connectors.ur.ur_state import ArmStateReader, Bounds
 from flows.graph import Flow
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.episode_source import EpisodeSource
-from flows.lab.collection.signal_handlers import signal_handlers
 from flows.lab.collection.stroke_driver import StrokeDriver
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, StrokeSeries, total_extent
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
+from flows.run.stop_signals import signal_handlers
 from operators import (
     Align,
     DeviceClock,

@@ -100,7 +100,8 @@ class _Reader:
         return found
 
     def _items(self, kinds: tuple[object, ...], value: object, key: str) -> Iterator[object]:
-        items = cast("list[object]", value) if isinstance(value, list) else None
+        given = value
+        items = cast("list[object]", given) if isinstance(given, list) else None
         if kinds[-1] is Ellipsis:
             kinds = tuple(repeat(kinds[0], len(items or ())))
         if items is None or len(items) != len(kinds):

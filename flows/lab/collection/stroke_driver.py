@@ -179,19 +179,20 @@ class StrokeDriver:
 
 def _episode(series: StrokeSeries, stroke: Stroke | None, contact: Contact, start: int, end: int) -> Episodes:
     """Return an episode from `start` to `end` (ns) as a row; None stands for the baseline."""
-    spins = stroke is not None and stroke.motion == "rotation"
-    speed = stroke.speed if stroke else 0.0
+    motion, speed, rotates = "hold", 0.0, False
+    if stroke:
+        motion, speed, rotates = "rotation" if stroke.rotates else "translation", stroke.speed, stroke.rotates
     values = (
-        math.radians(stroke.direction_deg) if stroke else 0.0,
-        0.0 if spins else speed,
-        speed if spins else 0.0,
+        stroke.direction if stroke else 0.0,
+        0.0 if rotates else speed,
+        speed if rotates else 0.0,
         stroke.depth - math.hypot(*contact.shortfall) if stroke else math.nan,
         math.nan if contact.force is None else contact.force,
     )
     return Episodes(
         np.array([start]),
         np.array([end]),
-        np.array([MOTIONS.index(stroke.motion if stroke else "hold")], np.int8),
+        np.array([MOTIONS.index(motion)], np.int8),
         np.array([SURFACES.index(series.surface.shape)], np.int8),
         *(np.array([value]) for value in values),
     )

@@ -56,7 +56,7 @@ class PlannedSurface:
     pose: Pose | None = None
 
     def __post_init__(self) -> None:
-        self.located((0.0,) * 6)
+        self.located((0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def located(self, here: Pose) -> Surface:
         """Return the surface for an arm at a pose."""
@@ -144,23 +144,13 @@ class Limits:
 class Stroke:
     """One contact with the surface."""
 
-    direction_deg: float  # in the fingertip's plane, anticlockwise from x
+    direction: float  # rad, in the fingertip's plane, anticlockwise from x
     speed: float  # m/s; rad/s of a rotation, anticlockwise
     rotates: bool
     approach: tuple[Step, ...]  # through the air, and down
     contact: tuple[Step, ...]
     retreat: tuple[Step, ...]
     depth: float  # m after first contact; the greatest one if pressed with a force
-
-    @property
-    def motion(self) -> str:
-        """Kind of motion, as datasets name it."""
-        return "rotation" if self.rotates else "translation"
-
-    @property
-    def axis(self) -> str:
-        """Direction class: primary along an axis of the fingertip, oblique across both."""
-        return "oblique" if self.direction_deg % 90 else "primary"
 
     @property
     def steps(self) -> tuple[Step, ...]:
@@ -273,7 +263,7 @@ class CollectionPlan:
                     spin = self.path.rotation_speed
                     yield self._rotation(surface, spin if number % 2 else -spin)
                 else:
-                    yield self._translation(surface, 45.0 * direction, speed)
+                    yield self._translation(surface, math.radians(45.0 * direction), speed)
 
     def _rotation(self, surface: Surface, spin: float) -> Stroke:
         time, acceleration = self.path.rotation_time, self.path.rotation_acceleration
@@ -292,9 +282,9 @@ class CollectionPlan:
             depth=self.press.deepest,
         )
 
-    def _translation(self, surface: Surface, direction_deg: float, speed: float) -> Stroke:
-        along, half = math.radians(direction_deg), speed * self.path.slide_time / 2
-        x, y = half * math.cos(along), half * math.sin(along)
+    def _translation(self, surface: Surface, direction: float, speed: float) -> Stroke:
+        half = speed * self.path.slide_time / 2
+        x, y = half * math.cos(direction), half * math.sin(direction)
         poses = [surface.at(part * x, part * y, self.press.deepest) for part in surface.waypoints(x, y)]
         slide: Step
         if len(poses) > 1:
@@ -302,7 +292,7 @@ class CollectionPlan:
         else:  # by its end pose: the controller reaches it, whatever our delays
             slide = Line(poses[0], speed, self.path.acceleration)
         return Stroke(
-            direction_deg,
+            direction,
             speed,
             rotates=False,
             approach=self._approach(surface, -x, -y),

@@ -11,7 +11,6 @@ from connectors.takktile.takktile_protocol import (
     OverloadDetector,
     Reading,
     cell_address,
-    celsius,
     compensate,
 )
 
@@ -72,10 +71,6 @@ def test_fingertips_are_compensated_cell_by_cell() -> None:
         for row in range(2):
             expected = np.nan if known is None else known.pressure(counts[row, cell], 507)
             assert kpa[row, cell] == pytest.approx(expected, nan_ok=True)
-
-
-def test_room_temperature_is_498_counts() -> None:
-    assert celsius(np.array([[498]], np.int16)).tolist() == [[25.0]]
 
 
 @given(st.lists(st.integers(0, 511)))

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Callable
 from itertools import pairwise
 from math import inf, nan
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import pytest
 from hypothesis import given
@@ -283,8 +283,7 @@ def test_nagles_algorithm_is_off() -> None:
             reader = RtdeClient(LoopClock(), HOST, port, OUTPUTS, rate=125.0, timeout=1.0)
             await reader.connect()
             await reader.receive()
-            assert reader._transport
-            connection = reader._transport.get_extra_info("socket")
+            connection = cast("Any", reader)._transport.get_extra_info("socket")
             option: int = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
             await reader.close()
             return option

@@ -79,7 +79,7 @@ class TestArm:
 def row(episode: Episodes) -> dict[str, Any]:
     """Return an episode's values by column, codes as names; `time` as `start`."""
     values = {name: getattr(episode, name).item() for name in columns(Episodes)}
-    names = {"motion": MOTIONS[values["motion"]], "surface": SURFACES[values["surface"]]}
+    names: dict[str, Any] = {"motion": MOTIONS[values["motion"]], "surface": SURFACES[values["surface"]]}
     return {"start": values.pop("time"), **values, **names}
 
 
@@ -163,7 +163,7 @@ def test_each_contact_is_an_episode() -> None:
         assert values == {
             "motion": "translation",
             "surface": "sphere",
-            "direction": math.radians(stroke.direction_deg),
+            "direction": stroke.direction,
             "speed": 0.1,
             "angular_speed": 0.0,
             "depth": 0.0015,

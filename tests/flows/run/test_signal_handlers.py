@@ -4,11 +4,11 @@ import subprocess
 import sys
 from threading import Thread
 
-from flows.lab.collection.signal_handlers import signal_handlers
+from flows.run.stop_signals import signal_handlers
 
 WHILE = """
 import asyncio, os, signal
-from flows.lab.collection.signal_handlers import signal_handlers
+from flows.run.stop_signals import signal_handlers
 
 async def main():
     received = asyncio.Event()
