@@ -150,8 +150,8 @@ def _on_virtual_lab(plan: "CollectionPlan") -> "CollectionPlan":
         sensor_timeout=max(plan.limits.sensor_timeout, VIRTUAL_TIMEOUT),
         watchdog=min(plan.limits.watchdog, VIRTUAL_WATCHDOG),
     )
-    surface = plan.surfaces[0]
-    return replace(plan, limits=limits, surfaces=(replace(surface, pose=surface.pose or DOWN),))
+    surfaces = tuple(replace(each, pose=each.pose or DOWN) for each in plan.surfaces)
+    return replace(plan, limits=limits, surfaces=surfaces)
 
 
 def _print_path(
