@@ -27,7 +27,7 @@ from operators.batch import (
     us,
 )
 from operators.debounce import Debounce
-from operators.device_clock import DeviceClock, WatchClock, fit_clock
+from operators.device_clock import DeviceClock, WatchClock
 from operators.errors import (
     BatchError,
     EndpointError,
@@ -111,7 +111,6 @@ __all__ = [
     "Zero",
     "Zeroed",
     "concat",
-    "fit_clock",
     "ms",
     "os_error_reason",
     "s",

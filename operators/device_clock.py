@@ -2,16 +2,15 @@
 
 A source stamps rows at arrival, after a varying delay. `DeviceClock` replaces the arrival time by the host
 time of the device's own stamp, up to the constant part of the delay, which cannot be measured from one end.
-Record the raw stream as well: it keeps both stamps, and `fit_clock` is more accurate afterwards.
+Record the raw stream as well: it keeps both stamps.
 """
 
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 
 from operators.batch import EVERY, Clocks, Motion, Times, concat, s
-from operators.envelope import Envelope, line
+from operators.envelope import Envelope
 from operators.operator import Operator
 
 
@@ -126,36 +125,6 @@ class WatchClock(Operator[Motion, Clocks]):
         offset, residual = self._placed - envelope.device, self._late / self._rows / s
         self._reported, self._rows, self._late = time, 0, 0
         return _clocks(time, offset, envelope.slope, residual, self._finger)
-
-
-def fit_clock(motion: Motion, *, drift: float = 200e-6, jump: int = 2 * s) -> tuple[Motion, Clocks]:
-    """Convert a whole recording like `DeviceClock`, with one line per epoch.
-
-    Up to the constant part of the delay, times are accurate to about 0.01 ms if rows are up to 20 ms late
-    and the drift is constant. A residual larger than that of `WatchClock` indicates a changing drift.
-
-    Args:
-        motion: Rows as received, in order.
-        drift: As in `DeviceClock`, s/s.
-        jump: As in `DeviceClock`, ns.
-
-    Returns:
-        Rows with host times, and the clock relation at the start of each epoch.
-    """
-    if not len(motion):
-        return motion, Clocks.empty()
-    steps, gone = np.diff(motion.device_time), np.diff(motion.time)  # (n - 1,) ns
-    cuts = np.flatnonzero((steps < 0) | (np.abs(gone - steps) > jump)) + 1
-    time, clocks = np.empty_like(motion.time), list[Clocks]()
-    for start, stop in pairwise([0, *cuts.tolist(), len(motion)]):
-        device, arrival = motion.device_time[start:stop], motion.time[start:stop]
-        x = device - device[0]
-        y = arrival - arrival[0] - x
-        offset, slope = line(x.astype(np.float64), y.astype(np.float64), drift)
-        time[start:stop] = arrival[0] + x + np.rint(offset + slope * x).astype(np.int64)
-        first, late = time.item(start), float((arrival - time[start:stop]).mean()) / s
-        clocks.append(_clocks(first, first - device.item(0), slope, late, motion.finger))
-    return _with_time(motion, np.maximum.accumulate(time)), concat(Clocks, clocks)
 
 
 def _with_time(motion: Motion, time: Times) -> Motion:

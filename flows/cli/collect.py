@@ -99,7 +99,7 @@ def collect(
       slipflow collect paper --print > mine.toml
       slipflow collect mine.toml --robot 10.0.0.2 --out lab
     """
-    from flows.graph.quantity import quantity
+    from flows.graph.quantity import parse_quantity
     from flows.lab.collection.plan_file import load_plan, plan_text
 
     if show:
@@ -112,9 +112,9 @@ def collect(
     chosen = load_plan(plan)
     press = chosen.press
     if depth is not None:
-        press = replace(press, depth=quantity("collect", "--depth", depth, "m"), force=None)
+        press = replace(press, depth=parse_quantity("collect", "--depth", depth, "m"), force=None)
     if force is not None:
-        press = replace(press, force=quantity("collect", "--force", force, "N"))
+        press = replace(press, force=parse_quantity("collect", "--force", force, "N"))
     chosen = replace(chosen, press=press)
     if virtual:
         chosen = _on_virtual_lab(chosen)

@@ -51,10 +51,10 @@ def demo(
     """
     from flows import demo as declared
     from flows.cli import demo_summary
-    from flows.graph.quantity import time
+    from flows.graph.quantity import parse_time
     from flows.run.run_summary import Summary
 
-    limit = None if duration is None else time("demo", "--for", duration)  # ns
+    limit = None if duration is None else parse_time("demo", "--for", duration)  # ns
     broker = mqtt or demo_summary.local_broker()
     flow = declared.demo(str(out), broker, rig, outbox, seed, connect_required=bool(mqtt))
     if log is Format.JSON:

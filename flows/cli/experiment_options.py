@@ -105,11 +105,11 @@ def conditions_of(path: str, delay: str, rate: float, *, locks: bool = False) ->
     Raises:
         ParameterError: on an unknown path, or a delay that is not a time.
     """
-    from flows.graph.quantity import time
+    from flows.graph.quantity import parse_time
     from flows.lab.experiments.gripper_model import PATHS, GripperModel
     from flows.lab.experiments.trial import Conditions
     from operators.checks import check_choice
 
     check_choice("lift", "--path", path, PATHS)
-    added = time("lift", "--delay", delay) / 1e9  # s
+    added = parse_time("lift", "--delay", delay) / 1e9  # s
     return Conditions(GripperModel(path=PATHS[path], delay=added, locks=locks), rate=rate)

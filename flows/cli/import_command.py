@@ -77,7 +77,7 @@ def import_(
       slipflow import trace.csv lab --map time=t,counts=p0..p5,speed=v --units time=ms,speed=mm/s
     """
     from connectors.files.csv_columns import ColumnMap
-    from flows.graph.quantity import quantity, time
+    from flows.graph.quantity import parse_quantity, parse_time
     from flows.lab.importing import TraceImport
     from operators import Label
 
@@ -89,8 +89,8 @@ def import_(
         finger=finger,
         zeroed=zeroed,
         label=Label(
-            speed=quantity("import", "--slip-speed", slip_speed, "m/s"),
-            delay=time("import", "--delay", delay),
+            speed=parse_quantity("import", "--slip-speed", slip_speed, "m/s"),
+            delay=parse_time("import", "--delay", delay),
         ),
         session=session,
     )

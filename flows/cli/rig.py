@@ -68,12 +68,12 @@ def rig(
 
     from connectors.emulators.ur_controller import Ports
     from connectors.sim.scene import Curvature
-    from flows.graph.quantity import time
+    from flows.graph.quantity import parse_time
     from operators.checks import check_choice
 
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
     check_choice("rig", "--surface", surface, get_args(Curvature))
-    seconds = None if duration is None else time("rig", "--for", duration) / 1e9
+    seconds = None if duration is None else parse_time("rig", "--for", duration) / 1e9
     ports, port = Ports(rtde, script, dashboard), None if gripper < 0 else gripper
     shape = cast("Curvature", surface)
     asyncio.run(_serve(listen, ports, gripper=port, surface=shape, seed=seed, seconds=seconds))

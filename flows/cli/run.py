@@ -69,10 +69,10 @@ def run(
     """
     from time import perf_counter
 
-    from flows.graph.quantity import time
+    from flows.graph.quantity import parse_time
     from flows.run.parallel_replay import check_outputs, open_recording, recordings
 
-    limit = None if duration is None else time("run", "--for", duration)  # ns
+    limit = None if duration is None else parse_time("run", "--for", duration)  # ns
     single = bool(pace is not None or page or listen or metrics or log is not Format.TEXT)
     _check_options(
         (

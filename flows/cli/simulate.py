@@ -35,7 +35,7 @@ def simulate(
       slipflow simulate recordings --plan tiny --seed 1
       slipflow simulate late --delay 70ms --jobs 2
     """
-    from flows.graph.quantity import time
+    from flows.graph.quantity import parse_time
     from flows.lab import simulation
 
     with progress_bar(f"simulating {plan}") as update:
@@ -43,7 +43,7 @@ def simulate(
             out,
             plan,
             seed,
-            delay=time("simulate", "--delay", delay),
+            delay=parse_time("simulate", "--delay", delay),
             jobs=jobs,
             progress=update,
         )

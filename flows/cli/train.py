@@ -68,13 +68,13 @@ def train(
       slipflow train recordings -o mine.safetensors
       slipflow train lab simulated --filters 32 --lag 70ms --curve curve.svg
     """
-    from flows.graph.quantity import time
+    from flows.graph.quantity import parse_time
     from flows.learn.training.learning_curve import draw
     from flows.learn.training.recipe import Recipe
     from flows.learn.training.trainer import train as run_training
     from flows.report.figures import save
 
-    delay = None if lag is None else time("train", "--lag", lag) / 1e9  # s
+    delay = None if lag is None else parse_time("train", "--lag", lag) / 1e9  # s
     if curve is not None:
         check_output_file(curve)
     with progress_bar(f"training {method}") as update:

@@ -6,7 +6,7 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Any, Final, Union, get_args, get_origin
 
-from flows.graph.quantity import KINDS, format_quantity, quantity
+from flows.graph.quantity import KINDS, format_quantity, parse_quantity
 from operators.errors import ParameterError
 from operators.ports import Json
 
@@ -112,7 +112,7 @@ def _measured(owner: str, name: str, text: str, unit: str) -> float:
         bare := _number(text)
     ):  # a bare 70 would mean 70 ns, which is never intended
         return bare
-    return quantity(owner, name, text, unit, signed=True)
+    return parse_quantity(owner, name, text, unit, signed=True)
 
 
 def _number(text: str) -> float:

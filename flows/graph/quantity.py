@@ -42,12 +42,12 @@ KINDS: Final[Mapping[str, Kind]] = MappingProxyType(
 _LONGEST: Final = 40  # characters; longer text is not a number
 
 
-def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = False) -> float:
+def parse_quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = False) -> float:
     """Parse a quantity and return it in its base unit; times are whole ns.
 
-    >>> quantity("record", "delay", "70 ms", "ns"), quantity("collect", "--depth", "1.5mm", "m")
+    >>> parse_quantity("record", "delay", "70 ms", "ns"), parse_quantity("collect", "--depth", "1.5mm", "m")
     (70000000, 0.0015)
-    >>> quantity("run", "--for", "5", "ns")
+    >>> parse_quantity("run", "--for", "5", "ns")
     Traceback (most recent call last):
     operators.errors.ParameterError: run: --for is '5', must be a time with its unit: 500ms, 30s, 5min or 1h
 
@@ -71,20 +71,20 @@ def quantity(owner: str, name: str, text: str, unit: str, *, signed: bool = Fals
     return round(found) if unit == "ns" else float(found)
 
 
-def time(owner: str, name: str, text: str) -> int:
+def parse_time(owner: str, name: str, text: str) -> int:
     """Parse a time and return it in ns.
 
-    >>> time("run", "--for", "1.5s")
+    >>> parse_time("run", "--for", "1.5s")
     1500000000
 
     Raises:
         ParameterError: if the text is not a time.
     """
-    return int(quantity(owner, name, text, "ns"))
+    return int(parse_quantity(owner, name, text, "ns"))
 
 
 def format_quantity(value: float, unit: str) -> str:
-    """Return the shortest text that `quantity` parses to this value.
+    """Return the shortest text that `parse_quantity` parses to this value.
 
     >>> format_quantity(70_000_000, "ns"), format_quantity(0.003, "m/s"), format_quantity(0.0, "N")
     ('70ms', '3mm/s', '0N')

@@ -31,11 +31,6 @@ class Summary:
         return sum(source.rows for source in self.sources.values())
 
     @property
-    def rows_out(self) -> int:
-        """Rows written by all sinks."""
-        return sum(sink.rows for sink in self.sinks.values())
-
-    @property
     def lost(self) -> bool:
         """True if a source was down at the end, or a sink dropped rows."""
         return any(sink.dropped or sink.error for sink in self.sinks.values()) or any(

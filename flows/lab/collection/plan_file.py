@@ -9,7 +9,7 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
-from flows.graph.quantity import quantity
+from flows.graph.quantity import parse_quantity
 from flows.lab.collection.stroke_plan import CollectionPlan
 from operators.checks import check_choice
 from operators.errors import InputError, ParameterError, os_error_reason
@@ -113,8 +113,8 @@ class _Reader:
         if not isinstance(value, str):
             raise self._error(key, value, 'text with a unit, such as "1.5mm", "0.4s", "50mm/s" or "2N"')
         if unit == "s":
-            return quantity(self._file, key, value, "ns") / 1e9
-        return quantity(self._file, key, value, unit)
+            return parse_quantity(self._file, key, value, "ns") / 1e9
+        return parse_quantity(self._file, key, value, unit)
 
     def _error(self, key: str, value: object, must_be: str) -> ParameterError:
         return ParameterError(self._file, key, value, must_be)

@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from flows.graph.quantity import KINDS, format_quantity, quantity
+from flows.graph.quantity import KINDS, format_quantity, parse_quantity
 from operators.errors import ParameterError
 
 
@@ -23,7 +23,7 @@ from operators.errors import ParameterError
     ],
 )
 def test_a_quantity_is_reckoned_in_its_si_unit(text: str, unit: str, value: float) -> None:
-    found = quantity("x", "y", text, unit)
+    found = parse_quantity("x", "y", text, unit)
     assert found == value
     assert isinstance(found, int if unit == "ns" else float)
 
@@ -50,24 +50,24 @@ def test_a_quantity_is_reckoned_in_its_si_unit(text: str, unit: str, value: floa
 )
 def test_an_invalid_quantity_is_reported_with_examples(text: str, unit: str) -> None:
     with pytest.raises(ParameterError, match=r"flow: delay is .* with its unit: ") as raised:
-        quantity("flow", "delay", text, unit)
+        parse_quantity("flow", "delay", text, unit)
     assert raised.value.must_be == f"{KINDS[unit].name} with its unit: {KINDS[unit].examples}"
 
 
 def test_negative_quantities_need_signed() -> None:
-    assert quantity("x", "y", "-5ms", "ns", signed=True) == -5_000_000
+    assert parse_quantity("x", "y", "-5ms", "ns", signed=True) == -5_000_000
 
 
 @given(st.integers(-(2**62), 2**62))
 def test_a_formatted_time_parses_to_the_same_value(time: int) -> None:
     text = format_quantity(time, "ns")
-    assert quantity("x", "y", text, "ns", signed=True) == pytest.approx(time, rel=1e-14)
+    assert parse_quantity("x", "y", text, "ns", signed=True) == pytest.approx(time, rel=1e-14)
 
 
 @pytest.mark.parametrize("unit", KINDS)
 def test_the_examples_are_such_quantities(unit: str) -> None:
     for text in KINDS[unit].examples.replace(" or ", ", ").split(", "):
-        assert quantity("x", "y", text, unit) > 0
+        assert parse_quantity("x", "y", text, unit) > 0
 
 
 @pytest.mark.parametrize(
