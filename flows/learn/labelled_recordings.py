@@ -162,7 +162,7 @@ def _of_session(session: Session, finger: int) -> LabelledRecording:
     return LabelledRecording(
         _filled(labelled),
         labelled.label,
-        SURFACES[episodes.surface[0]] if len(episodes) else "",
+        SURFACES[int(episodes.surface[0])] if len(episodes) else "",
         float(speeds[0]) if len(speeds) else None,
         _latest(oblique.tolist(), strokes.time, labelled.time) if len(episodes) else None,
         labelled.valid,

@@ -1,4 +1,4 @@
-"""The splits of a dataset, by recording, and how recordings take turns at them."""
+"""Splits of a dataset by recording, and the order in which recordings are assigned to them."""
 
 from typing import Final
 

@@ -1,4 +1,4 @@
-"""How the project's figures look: one style, light, as SVG files whose bytes repeat."""
+"""Figures in one style, as SVG files that are identical for identical data."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -13,15 +13,15 @@ from typing import Any, Final, ParamSpec, TypeAlias
 from operators.errors import InputError
 
 Given = ParamSpec("Given")
-Figure: TypeAlias = Any  # matplotlib leaves many of its arguments without types
+Figure: TypeAlias = Any  # matplotlib lacks many type annotations
 Axes: TypeAlias = Any
 
 INK: Final = "#22272e"
 FAINT: Final = "#9aa4b0"
-SHADE: Final = "#f3d9b1"  # behind slip
+SHADE: Final = "#f3d9b1"  # background of slip
 MAIN: Final = "#0b6e99"
 SECOND: Final = "#d1495b"
-CELLS: Final = ("#0b6e99", "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # barometers 0 to 5
+CELLS: Final = ("#0b6e99", "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # cells 0 to 5
 STYLE: Final[Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial", "sans-serif"],
@@ -50,12 +50,12 @@ STYLE: Final[Any] = {
 
 
 def lacking() -> str:
-    """Why no figure can be drawn, and what to do; empty where they can be."""
+    """Return the reason why no figure can be drawn and the fix; empty if they can be drawn."""
     return "" if find_spec("matplotlib") else "need matplotlib: in the clone, pip install -e '.[report]'"
 
 
 def require() -> None:
-    """Make sure that figures can be drawn.
+    """Require that figures can be drawn.
 
     Raises:
         InputError: if matplotlib is not installed.
@@ -65,10 +65,10 @@ def require() -> None:
 
 
 def styled(draw: Callable[Given, Figure]) -> Callable[Given, Figure]:
-    """Let a function draw in the project's style.
+    """Decorate a function that draws a figure so that it uses the project's style.
 
     Raises:
-        InputError: when it is called and matplotlib is not installed.
+        InputError: when the function is called and matplotlib is not installed.
     """
 
     @wraps(draw)
@@ -90,7 +90,7 @@ def grid(
     heights: Sequence[float] | None = None,
     widths: Sequence[float] | None = None,
 ) -> tuple[Figure, list[Axes]]:
-    """A figure of `size` inches and its panels, row by row; for use in `styled` functions."""
+    """Return a figure of `size` inches and its panels, row by row; for use in `styled` functions."""
     from matplotlib import figure as matplotlib  # noqa: PLC0415
 
     figure: Figure = matplotlib.Figure(figsize=size, layout="constrained")
@@ -101,7 +101,7 @@ def grid(
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format that the path's ending names: .svg or .png.
+    """Write a figure in the format of the path's suffix: .svg or .png.
 
     Raises:
         OSError: if it cannot be written.
@@ -112,12 +112,12 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def inline(figure: Figure, name: str, text: str) -> str:
-    """A figure as SVG to stand within an HTML page: no prolog, no reference to anything outside.
+    """Return a figure as SVG for an HTML page, without prolog and external references.
 
     Args:
-        figure: To draw.
-        name: Of letters and hyphens; begins its identifiers, so that several figures share a page.
-        text: What it shows, for those who cannot see it.
+        figure: the figure.
+        name: letters and hyphens; prefix of its identifiers, which are unique on a page with several figures.
+        text: description for screen readers.
     """
     drawn = StringIO()
     with _style():
@@ -127,7 +127,7 @@ def inline(figure: Figure, name: str, text: str) -> str:
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body.replace("xlink:href", "href"))
     size = re.search(r'viewBox="[^"]+"', head)
-    assert size, "matplotlib says how large a figure is"
+    assert size, "matplotlib writes the size of a figure"
     return f'<svg {size[0]} role="img" aria-label="{escape(text)}">{body}'
 
 

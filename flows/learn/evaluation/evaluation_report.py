@@ -36,7 +36,7 @@ _FAR: Final = 100  # ms
 def evaluation_report(of: Evaluation, command: str) -> Report:
     """Return the report of an evaluation that `command` made."""
     clean = "No method was fitted or tuned on it; model cards name the data that a model was trained on."
-    used = "Methods were fitted to some of them, or settings tuned on them: this is no test."
+    used = "Methods were fitted to some of them, or settings tuned on them: this is not a test."
     text = (
         f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
         f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. "

@@ -57,7 +57,7 @@ def methods(
         given.append(method.name)
     unknown = sorted(set(names) - {*found, *_BASELINES, *TRAINED})
     if unknown:
-        raise InputError(", ".join(unknown), f"is no method; known are {', '.join([*found, *_BASELINES])}")
+        raise InputError(", ".join(unknown), f"is not a method; known are {', '.join([*found, *_BASELINES])}")
     missing = {name: "no model ships: give one as --model FILE" for name in TRAINED if name not in found}
     for name, (length, fit) in _BASELINES.items():
         if names and name not in names:

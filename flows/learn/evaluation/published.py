@@ -1,4 +1,4 @@
-"""The results of "Under Pressure" (2021) that stand beside ours: its Tables I and III, of real recordings."""
+"""Results of "Under Pressure" (2021) for comparison: Tables I and III, of real recordings."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -16,7 +16,7 @@ TABLE_1: Final[Mapping[str, tuple[float, float, float, float]]] = MappingProxyTy
     }
 )
 
-# %, by the names that our detectors of the same kind have
+# %, by the names of our detectors of the same kind
 ACCURACY: Final[Mapping[str, float]] = MappingProxyType(
     {
         "psd": TABLE_1["PSD threshold"][0],

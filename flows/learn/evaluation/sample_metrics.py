@@ -89,7 +89,8 @@ class Roc:
             return cls(grid, np.full(_POINTS, np.nan), np.nan)
         metrics = sklearn("metrics")
         false, true, _ = metrics.roc_curve(truth, probability)
-        return cls(grid, np.interp(grid, false, true), float(metrics.auc(false, true)))
+        curve: Reals = np.interp(grid, np.asarray(false), np.asarray(true))
+        return cls(grid, curve, float(metrics.auc(false, true)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

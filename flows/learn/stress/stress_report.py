@@ -134,14 +134,9 @@ def _goals(of: Stress, reference: Reference) -> Table:
     rows: list[list[Value]] = [
         ["nominal", None, *(_nominal(of, each, reference).balanced for each in of.names)]
     ]
-    rows += [
-        [
-            goal.text,
-            goal.least,
-            *(of.at(name, goal.field, goal.value, reference).balanced for name in of.names),
-        ]
-        for goal in GOALS
-    ]
+    for goal in GOALS:
+        reached = [of.at(name, goal.field, goal.value, reference).balanced for name in of.names]
+        rows.append([goal.text, goal.least, *reached])
     return Table(["stress", "goal", *of.names], rows, _AGAINST[reference], {"goal": 0})
 
 

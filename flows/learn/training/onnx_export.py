@@ -13,6 +13,11 @@ from storage.files import put
 OPSET: Final = 17
 
 
+def _asinh(graph: Any, x: Any) -> Any:  # noqa: ANN401 - nodes of torch's graph
+    """Add ONNX's operator Asinh, which torch's exporter lacks."""
+    return graph.op("Asinh", x)
+
+
 def export_onnx(tcn: Tcn, path: Path) -> None:
     """Write a detector: input ``counts`` (n, length, 6) float32, zeroed; output ``probability`` (n,).
 
@@ -35,8 +40,7 @@ def export_onnx(tcn: Tcn, path: Path) -> None:
             return self.network.newest(windows)
 
     exporter: Any = onnx  # lacks some type annotations
-    # this exporter lacks ONNX's operator Asinh
-    exporter.register_custom_op_symbolic("aten::asinh", lambda graph, x: graph.op("Asinh", x), 9)
+    exporter.register_custom_op_symbolic("aten::asinh", _asinh, OPSET)
     model = BytesIO()
     with catch_warnings():
         simplefilter("ignore", DeprecationWarning)  # the newer exporter needs onnxscript

@@ -123,7 +123,7 @@ def _check(out: Path, method: str, seeds: int, lag: float | None) -> None:
     if out.suffix != ".safetensors":
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
     if not out.parent.is_dir():
-        raise InputError(str(out.parent), "is no folder: create it, or write the model elsewhere")
+        raise InputError(str(out.parent), "is not a folder: create it, or write the model elsewhere")
     check_at_least("train", "seeds", seeds, 1)
     if lag is not None:
         check_between("train", "lag", lag, 0, LATEST, unit="s")

@@ -91,5 +91,5 @@ def test_missing_methods_are_named_with_the_reason(found: Evaluation) -> None:
     assert report.json()["missing"] == {"oracle": "there is none"}
 
 
-def test_the_report_of_the_training_split_warns_that_it_is_no_test(tiny: Path) -> None:
-    assert "this is no test" in evaluation_report(evaluate(tiny, names=["psd"], split="train"), "x").text
+def test_the_report_of_the_training_split_warns_that_it_is_not_a_test(tiny: Path) -> None:
+    assert "this is not a test" in evaluation_report(evaluate(tiny, names=["psd"], split="train"), "x").text

@@ -95,5 +95,5 @@ def test_a_missing_split_dataset_or_method_is_refused(tiny: Path, tmp_path: Path
         evaluate(tiny, split="holdout")
     with pytest.raises(InputError, match="holds no labelled samples"):
         evaluate(tmp_path)
-    with pytest.raises(InputError, match="oracle: is no method"):
+    with pytest.raises(InputError, match="oracle: is not a method"):
         evaluate(tiny, names=["oracle"])

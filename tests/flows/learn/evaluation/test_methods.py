@@ -75,7 +75,7 @@ def test_only_requested_baselines_are_fitted(training: list[LabelledRecording]) 
 
 
 def test_an_unknown_method_is_refused(training: list[LabelledRecording]) -> None:
-    with pytest.raises(InputError, match="oracle: is no method; known are"):
+    with pytest.raises(InputError, match="oracle: is not a method; known are"):
         methods(training, names=["psd", "oracle"])
 
 
