@@ -72,7 +72,7 @@ class Barometer:
 class Fingertip:
     """The ATtiny of one row and its six barometers, with the example coefficients of the datasheet.
 
-    a0 grows by one count from cell to cell, so that cells can be told apart.
+    a0 grows by one count from cell to cell, so that cells can be distinguished.
     """
 
     barometer = Barometer  # class of the cells

@@ -51,7 +51,7 @@ class SimulatedGrasp:
         if seconds is not None and not seconds > 0:
             raise ParameterError("SimulatedGrasp", "seconds", seconds, "above 0, or None")
         self.held, self.seed, self.lift, self.taps, self.seconds = held, seed, lift, tuple(taps), seconds
-        self.touch, self.hand = GraspTouch(self), GraspCommands(self)
+        self.touch, self.hand = GraspTouch(self), Hand(self)
         self.states: list[GraspState] = []
         self._origin = 0  # ns
         self._grasp: Grasp | None = None
@@ -112,7 +112,7 @@ class GraspTouch(Source[Touch]):
         }
 
 
-class GraspCommands(Sink[Commands]):
+class Hand(Sink[Commands]):
     """Commands to the hand."""
 
     def __init__(self, grasping: SimulatedGrasp) -> None:
