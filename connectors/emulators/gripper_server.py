@@ -132,6 +132,7 @@ class GripperServer:
         count: int,
         current: list[int],
         written: "list[int] | list[bool] | None",
+        /,
     ) -> "ExcCodes | None":
         """Execute a request; pymodbus sends the registers in `current` as the answer."""
         from pymodbus.constants import ExcCodes  # noqa: PLC0415 - an extra
