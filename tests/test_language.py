@@ -80,6 +80,8 @@ def texts(source: str) -> Iterator[tuple[int, str]]:
         match node:
             case ast.Constant(value=str(text), lineno=line) if not _NOT_PROSE.match(text):
                 yield line, text
+            case _:
+                pass
 
 
 def avoided(text: str) -> list[str]:

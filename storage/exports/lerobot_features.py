@@ -79,7 +79,8 @@ def values(
 
 def frame_tasks(frames: Frames, episodes: Episodes) -> list[str]:
     """Return the task of each frame (n,), from the motions of the recording's episodes."""
-    tasks = [*(_TASKS.get(MOTIONS[code], _OTHER_TASK) for code in episodes.motion.tolist()), _OTHER_TASK]
+    codes: list[int] = episodes.motion.tolist()
+    tasks = [*(_TASKS.get(MOTIONS[code], _OTHER_TASK) for code in codes), _OTHER_TASK]
     ends = np.append(episodes.end, np.iinfo(np.int64).min)
     number = episodes.time.searchsorted(frames.time, "right") - 1  # (n,) -1: before the first
     number = np.where(frames.time < ends[number], number, -1)
