@@ -69,8 +69,8 @@ def breaking(of: Stress) -> Section:
         "balanced",
         f"{first} falls by {FALL:g} points of balanced accuracy along {broken} of {sides} field sides",
         f"Breaking points: the value at which balanced accuracy lies {FALL:g} points below nominal, "
-        "interpolated between two values; a dash where it holds up to the hardest value. A detector that is "
-        "no better than chance cannot break.",
+        "interpolated between two values; a dash where it holds up to the hardest value. A detector at "
+        "chance level cannot break.",
         [_breaking(of, "label")],
         lambda: stress_figure.panels(of, MEASURES["balanced"]),
     )
