@@ -16,12 +16,11 @@ from flows.cli.main import app
 ROOT: Final = Path(__file__).parents[1]
 FOLDERS: Final = ("operators", "connectors", "storage", "flows", "deploy")
 UNFINISHED: Final = (
-    "connectors/emulators",
-    "connectors/sim",
-    "storage",
-    "docs",
-    "ARCHITECTURE.md",
-)
+    "storage/",
+    "docs/decisions",
+    "docs/explanations",
+    "docs/reference",
+)  # paths that still fail
 
 FIRST_WORDS: Final = re.compile(r"(What|How|Whether|That|Where|Who|When|Which|Whose)\b")
 UNFINISHED_COMMANDS: Final[tuple[str, ...]] = ()
@@ -42,7 +41,7 @@ AVOID: Final = {
     r"whoever|whosoever|whatsoever": "the user, the caller",
     r"is sound": "OK",
     r"is what it (is|says|was)": "name it",
-    r"(?<!there )is no (?!longer|more|less|such)[a-z]+": "is not a",
+    r"(?<!there )is no (?!longer|more|less|such|better|worse)[a-z]+": "is not a",
 }
 # Uses of these words that are correct: the text around the word, and why.
 ALLOWED: Final = {
@@ -135,9 +134,7 @@ def test_pages_use_plain_words() -> None:
 
 
 def test_the_help_of_an_option_states_its_effect() -> None:
-    found = [
-        each for each in options(typer.main.get_command(app)) if not each[0].startswith(UNFINISHED_COMMANDS)
-    ]
+    found = options(typer.main.get_command(app))
     assert [
         each for each in found if re.match(r"(Of|As|By|What|How|Whether|That|Where|Without)\b", each[1])
     ] == []
