@@ -1,9 +1,8 @@
-"""Recordings and models on disk: datasets of Parquet parts that survive what happens to them."""
+"""Recordings and models on disk; recordings are datasets of Parquet parts that survive crashes."""
 
 from storage.dataset import Dataset
 from storage.models import identify_detector, load_debounce, load_detector, load_weights, save_weights
-from storage.recovered import Recovery
-from storage.recovery import recover
+from storage.recovery import Recovery, recover
 from storage.session import Session
 from storage.verification import Verified, verify
 

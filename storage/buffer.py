@@ -1,47 +1,76 @@
-"""The rows of one table that wait for their part."""
+"""Rows of one table that wait for their part."""
 
-from dataclasses import dataclass, field
-from itertools import groupby
+from itertools import pairwise
 
-from operators.batch import Batch, concat
-from storage.frames import Rows
+import numpy as np
+
+from operators.batch import Batch, columns
+from storage.journal_segment import NumberedRows
 
 
-@dataclass
 class Buffer:
-    """The rows of a table of parts that are not committed yet."""
+    """Rows in packed columns: 27 bytes for a slip, and an eighth more at most.
 
-    kind: type[Batch]  # of all batches of this session
-    start: int = 0  # number of its first row within the table
-    batches: list[Batch] = field(default_factory=list[Batch])
-    rows: int = 0
-    first: int = 0  # ns, earliest event time
-    last: int = 0  # ns, latest
+    Attributes:
+        kind: Type of all batches of this session.
+        start: Number of its first row within the table.
+        rows: How many rows it has.
+        first: Earliest event time, ns.
+        last: Latest event time, ns.
+
+    >>> from operators.batch import Slips
+    >>> buffer = Buffer(Slips)
+    >>> for finger in (0, 0, 1):
+    ...     one = np.array([7])
+    ...     buffer.add(Slips(one, one.astype(np.int8), one, one / 8, finger=finger))
+    >>> [(first, batch.finger, len(batch)) for first, batch in buffer.numbered()]
+    [(0, 0, 2), (2, 1, 1)]
+    """
+
+    def __init__(self, kind: type[Batch], start: int = 0) -> None:
+        self.kind, self.start = kind, start
+        self.rows = self.first = self.last = 0
+        self._columns = {name: bytearray() for name in columns(kind)}
+        self._fingers = bytearray()
 
     @property
     def end(self) -> int:
-        """The number of the row that comes next."""
+        """Number of the next row."""
         return self.start + self.rows
 
     def add(self, batch: Batch) -> None:
-        """Keep a batch, which has rows."""
+        """Add the rows of a batch, which has some."""
         self.rows, self.first, self.last = self.plus(batch)
-        self.batches.append(batch)
+        for name, values in self._columns.items():
+            values.extend(getattr(batch, name).tobytes())
+        self._fingers += np.full(len(batch), batch.finger, np.int16).tobytes()
 
     def plus(self, batch: Batch) -> tuple[int, int, int]:
-        """What rows, first and last would be with one batch more."""
+        """Return rows, first and last if `batch` were added."""
         time = batch.time
         first, last = (time.item(),) * 2 if len(time) == 1 else (time.min().item(), time.max().item())
         if not self.rows:
             return len(time), first, last
         return self.rows + len(time), min(self.first, first), max(self.last, last)
 
-    def numbered(self) -> list[Rows]:
-        """Its rows, from now on in as few batches as there can be, of one fingertip each."""
-        runs = groupby(self.batches, key=lambda batch: batch.finger)
-        self.batches = [concat(self.kind, list(run)) for _, run in runs]
-        numbered, first = list[Rows](), self.start
-        for batch in self.batches:
-            numbered.append(Rows(first, batch))
+    def batches(self) -> list[Batch]:
+        """Return the rows in order of arrival, consecutive rows of a fingertip as one batch."""
+        fingers = np.frombuffer(bytes(self._fingers), np.int16)  # (n,)
+        values = [
+            np.frombuffer(bytes(self._columns[name]), each.dtype).reshape(self.rows, *each.shape)
+            for name, each in columns(self.kind).items()
+        ]
+        changes = np.flatnonzero(np.diff(fingers)) + 1
+        edges: list[int] = [0, *changes.tolist(), self.rows] if self.rows else []
+        return [
+            self.kind(*(value[first:end] for value in values), finger=int(fingers[first]))
+            for first, end in pairwise(edges)
+        ]
+
+    def numbered(self) -> list[NumberedRows]:
+        """Return the same batches, each with the number of its first row."""
+        numbered, first = list[NumberedRows](), self.start
+        for batch in self.batches():
+            numbered.append(NumberedRows(first, batch))
             first += len(batch)
         return numbered

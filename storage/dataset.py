@@ -1,42 +1,43 @@
-"""A dataset as the sink of a flow."""
+"""Dataset as the sink of a flow."""
 
 import asyncio
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
-from operators.errors import ParameterError
+from operators.checks import check_at_least
 from operators.ports import Run, Sink
 
 if TYPE_CHECKING:
     from storage.writer import SessionWriter
 
-Rows: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
+Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
 
 
-class Dataset(Sink[Rows]):
-    """A folder of recordings; each run becomes a session of it, as storage.layout lays it out.
+class Dataset(Sink[Recordable]):
+    """Folder of recordings; each run becomes a session, see `storage.layout`.
 
-    Every row that `write` took is committed, whole parts at a time, in the order of arrival; a reader sees
-    only whole parts. A batch goes to the table of its type: Touch as received, or Zeroed (not both in one
-    session), to touch; Labelled to samples; every other type to the table of its name.
+    All rows are committed in order of arrival, in whole parts; readers see whole parts only. The type of a
+    batch determines its table: Touch as received, or Zeroed (not both in one session), goes to touch,
+    Labelled to samples, each other type to the table of its name.
 
-    The rows of a live run go to a journal at once, and parts are committed behind its back: what is killed
-    loses at most the last 10 rows of a table, a power cut about a second; `storage.recover` puts the journal
-    into parts. Rows of a replay, which can be made again, have no journal: a kill loses what had gathered, a
-    power cut before the session has ended any of it. Such a session is never complete.
+    The rows of a live run go to a journal at once, and parts are committed in the background: a kill loses
+    at most the last 10 rows of a table, a power cut about a second; `storage.recover` turns the journal
+    into parts. A replay can be repeated, so its rows have no journal: a kill loses the rows since the last
+    commit, a power cut before the end of the session may lose any of them. Such a session is never marked
+    complete.
 
-    Several processes may record into one dataset, each sessions of its own. Disk work runs in threads. After
-    a failed write (a full disk, say) the same batch may be written again.
+    Several processes may record sessions into one dataset. Disk work runs in threads. After a failed write
+    (disk full) the same batch may be written again.
 
     Args:
-        path: The dataset's folder; made if absent.
-        part_span: How much event time may gather before it is committed, ns.
-        part_rows: How many rows of one table may gather, and the most that a part holds.
-        host: What session.json calls the machine; None: by its name.
+        path: Folder of the dataset, made if missing.
+        part_span: Event time of a part, ns; default 60 s.
+        part_rows: Most rows of a part.
+        host: Name of the machine in session.json; default: its host name.
 
     Raises:
-        ParameterError: if a part could hold nothing.
+        ParameterError: if `part_span` or `part_rows` is below 1.
     """
 
     shared = True
@@ -45,9 +46,8 @@ class Dataset(Sink[Rows]):
     def __init__(
         self, path: str | Path, *, part_span: int = 60 * s, part_rows: int = 100_000, host: str | None = None
     ) -> None:
-        for name, value in (("part_span", part_span), ("part_rows", part_rows)):
-            if value < 1:
-                raise ParameterError("Dataset", name, value, "at least 1")
+        check_at_least("Dataset", "part_span", part_span, 1)
+        check_at_least("Dataset", "part_rows", part_rows, 1)
         self._root = Path(path).resolve()
         self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None
@@ -55,11 +55,11 @@ class Dataset(Sink[Rows]):
 
     @property
     def destination(self) -> str:
-        """The dataset's folder, resolved."""
+        """Resolved folder of the dataset."""
         return str(self._root)
 
     def moved(self, path: str | Path) -> "Dataset":
-        """A sink like this one that writes to another folder."""
+        """Return a sink with the same settings that writes to another folder."""
         span, rows, host = self._part_span, self._part_rows, self._host
         return Dataset(path, part_span=span, part_rows=rows, host=host)
 
@@ -67,20 +67,20 @@ class Dataset(Sink[Rows]):
         """Begin the session `run.session`.
 
         Raises:
-            EndpointError: if the folder cannot be written to, or has a session of that name.
-            ParameterError: if the session's name is no file name.
-            InputError: if dataset.json or a source's description is not as it must be, or the folder holds
-                other files and is no dataset.
+            EndpointError: if the folder cannot be written, or has a session of that name.
+            ParameterError: if the name of the session is not a file name.
+            InputError: if dataset.json or the description of a source is invalid, or the folder has other
+                files and is not a dataset.
         """
         self._writer = await asyncio.to_thread(self._begin, run)
 
-    async def write(self, batch: Rows) -> None:
-        """Take one batch; while the disk is slow, wait until all but 10 rows of its table are in the journal.
+    async def write(self, batch: Recordable) -> None:
+        """Write one batch; if the disk is slow, wait until all but 10 rows of its table are in the journal.
 
         Raises:
-            EndpointError: if what had gathered could not be written; `batch` was not taken.
-            ParameterError: if no table takes it.
-            BatchError: if it is broken.
+            EndpointError: if the disk fails; `batch` was not written.
+            ParameterError: if no table has its type.
+            BatchError: if it is invalid.
         """
         assert self._writer, "open comes first"
         while self._writer.full(batch):
@@ -89,10 +89,10 @@ class Dataset(Sink[Rows]):
             await asyncio.to_thread(self._writer.append, batch)
 
     async def close(self) -> None:
-        """Commit everything and declare the session ended: complete, if the run did not fail.
+        """Commit all rows and end the session; it is complete if the run has no error.
 
         Raises:
-            EndpointError: if that fails; it may be tried again.
+            EndpointError: if that fails; it may be called again.
         """
         if self._writer:
             if self._committing and not self._committing.done():
@@ -101,25 +101,25 @@ class Dataset(Sink[Rows]):
             self._writer = self._committing = None
 
     async def _commit(self, writer: "SessionWriter") -> None:
-        """Commit what has gathered: behind our back where the journal has it, unless it failed before."""
+        """Commit the buffered rows, in the background if the journal has them."""
         if self._committing and not self._committing.done():
             await asyncio.wait([self._committing])
             return
-        awaited = writer.behind or not writer.journalled
-        writer.take()
+        awaited = writer.failed or not writer.journalled
+        writer.begin_commit()
         self._committing = asyncio.create_task(asyncio.to_thread(writer.commit))
-        self._committing.add_done_callback(_heard)
+        self._committing.add_done_callback(_ignore_failure)
         if awaited:
             await asyncio.wait([self._committing])
             self._committing.result()
 
     def _begin(self, run: Run) -> "SessionWriter":
-        from storage.writer import SessionWriter  # noqa: PLC0415 - pyarrow takes its time to import
+        from storage.writer import SessionWriter  # noqa: PLC0415 - imports pyarrow
 
         return SessionWriter(self._root, run, self._part_span, self._part_rows, self._host)
 
 
-def _heard(task: asyncio.Task[None]) -> None:
-    """A failure is not lost: `writer.behind` tells the next write of it, which tries again."""
+def _ignore_failure(task: asyncio.Task[None]) -> None:
+    """Retrieve the exception: `writer.failed` makes the next write repeat the commit."""
     if not task.cancelled():
         task.exception()

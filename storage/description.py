@@ -1,4 +1,4 @@
-"""What a dataset and a session say of themselves: dataset.json and session.json."""
+"""Descriptions of a dataset and a session: dataset.json and session.json."""
 
 import json
 import os
@@ -17,14 +17,14 @@ from storage import files
 from storage.layout import DATASET, SESSION, SESSIONS, TABLES, Table
 from storage.lock import lock
 
-VERSION: Final = 2  # of the layout; 1 had episodes in the descriptions of sources, and no truth
+VERSION: Final = 2  # of the dataset format
 
 
 def describe_dataset(root: Path) -> None:
-    """Write dataset.json if there is none; of several processes that begin a dataset, one does.
+    """Write dataset.json if there is none; only one of several processes does so.
 
     Raises:
-        InputError: if there is one of another version, or there is none among files that are no dataset's.
+        InputError: if it has another version, or the folder has other files and is not a dataset.
         OSError: if it cannot be written.
     """
     path = root / DATASET
@@ -33,9 +33,7 @@ def describe_dataset(root: Path) -> None:
         try:
             if not path.exists():
                 if any(not each.name.startswith((".", DATASET, SESSIONS)) for each in root.iterdir()):
-                    raise InputError(
-                        str(root), "holds other files and is no dataset: give a folder of its own"
-                    )
+                    raise InputError(str(root), "has other files and is not a dataset: give another folder")
                 files.put_json(path, {"format": "slipflow dataset", "version": VERSION})
         finally:
             if held is not None:
@@ -44,10 +42,10 @@ def describe_dataset(root: Path) -> None:
 
 
 def read_dataset(root: Path) -> Description:
-    """What dataset.json says.
+    """Return the content of dataset.json.
 
     Raises:
-        InputError: if it cannot be read, or is of another version.
+        InputError: if it cannot be read, or has another version.
     """
     about = files.read_json(root / DATASET)
     _check_version(root / DATASET, about)
@@ -64,12 +62,19 @@ def describe_session(
     ended: bool = False,
     put: files.Put = files.put,
 ) -> None:
-    """Write session.json, when a run begins and again when it has `ended`: it is complete if nothing failed.
+    """Write session.json at the start of a run and again at its end.
 
-    `tables` are those that may get rows.
+    Args:
+        folder: Folder of the session.
+        run: The run.
+        host: Name of the machine; default: its host name.
+        tables: Tables that may get rows.
+        zeroed: True if touch was recorded zeroed.
+        ended: True at the end of the run; the session is complete then if the run has no error.
+        put: Function that writes the file.
 
     Raises:
-        InputError: if a source's description cannot be JSON.
+        InputError: if the description of a source is not JSON.
         OSError: if it cannot be written.
     """
     about: dict[str, Any] = {
@@ -115,21 +120,21 @@ def describe_session(
     try:
         files.put_checked(folder / SESSION, about, put)
     except (TypeError, ValueError) as error:
-        culprits = ", ".join(repr(name) for name, each in run.describe.items() if not _tellable(each))
-        raise InputError(f"description of source {culprits}", f"cannot be JSON: {error}") from error
+        culprits = ", ".join(repr(name) for name, each in run.describe.items() if not _is_json(each))
+        raise InputError(f"description of source {culprits}", f"is not JSON: {error}") from error
 
 
 def describe_recovery(
     folder: Path, about: Description, recovered: Mapping[str, Any], *, newest: int | None, zeroed: bool
 ) -> None:
-    """Say in session.json what a recovery did.
+    """Record a recovery in session.json.
 
     Args:
-        folder: The session's.
-        about: What session.json says.
-        recovered: What was done.
-        newest: Of all its rows, ns: where a session ends that was not closed; None: it has no rows.
-        zeroed: Whether its touch was recorded zeroed.
+        folder: Folder of the session.
+        about: Content of session.json.
+        recovered: Result of the recovery.
+        newest: Time (ns) of its newest row, which ends a session that was not closed; None: it has no rows.
+        zeroed: True if touch was recorded zeroed.
 
     Raises:
         OSError: if it cannot be written.
@@ -145,27 +150,27 @@ def describe_recovery(
 
 
 def read_session(folder: Path) -> Description:
-    """What session.json says.
+    """Return the content of session.json.
 
     Raises:
-        InputError: if it cannot be read, is damaged, or is of another version.
+        InputError: if it cannot be read, is damaged, or has another version.
     """
     path = folder / SESSION
     about = files.read_checked(path)
     _check_version(path, about)
     if not isinstance(about.get("session"), str):
-        raise InputError(str(path), 'has no "session", the name of the session: put a copy back')
+        raise InputError(str(path), 'has no "session", the name of the session: restore a copy')
     return about
 
 
 def recorders(about: Description) -> tuple[str, ...]:
-    """The sinks that kept the rows of a session, by name; none before it is closed.
+    """Return the names of the sinks that recorded a session; none before it is closed.
 
     >>> recorders({"sinks": {"lab": {"records": True}, "mqtt": {"records": False}}})
     ('lab',)
 
     Raises:
-        AttributeError: if it says of its sinks what no session does.
+        AttributeError: if its sinks have invalid content.
     """
     sinks = cast("dict[str, dict[str, Any]]", about.get("sinks", {}))
     return tuple(name for name, sink in sinks.items() if sink.get("records"))
@@ -177,7 +182,7 @@ def _split(descriptions: Iterable[Description]) -> str | None:
     return named[0] if named else None
 
 
-def _tellable(description: Description) -> bool:
+def _is_json(description: Description) -> bool:
     try:
         json.dumps(description, allow_nan=False)
     except (TypeError, ValueError):
@@ -192,5 +197,5 @@ def _check_version(path: Path, about: Description) -> None:
 
 
 def _rfc3339(time: int) -> str:
-    """The instant, ns since 1970-01-01 UTC, as text."""
+    """Return a time (ns since 1970-01-01 UTC) as text."""
     return f"{datetime.fromtimestamp(time // s, UTC):%Y-%m-%dT%H:%M:%S}.{time % s:09d}Z"

@@ -1,50 +1,55 @@
-"""Single files: put in place whole, read with typed errors."""
+"""Files that are written whole or not at all, and read with typed errors."""
 
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from errno import EIO
 from pathlib import Path
-from typing import Any, Final, NoReturn, TypeAlias, cast
+from shutil import rmtree
+from typing import Any, BinaryIO, Final, NoReturn, TypeAlias, cast
 
-from operators.errors import InputError, os_error_reason
+from operators.errors import EndpointError, InputError, os_error_reason
 from storage import steps
 
 MiB: Final = 1 << 20  # bytes
-SCRATCH: Final = ".tmp"  # ends the name of a file that is not whole yet
+SCRATCH: Final = ".tmp"  # suffix of a file that is not complete
+PARTIAL: Final = ".partial"  # suffix of an output that is not complete
 
-CHECK: Final = "check"  # names the last entry of a JSON object, the sha256 of the others
-Put: TypeAlias = Callable[[Path, bytes], None]  # writes a file so that it is found whole
-_KINDS: Final = {".parquet": "part", ".wal": "segment"}  # what a step is said to be about; else its name
+CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
+Put: TypeAlias = Callable[[Path, bytes], None]  # writes a whole file
+_KINDS: Final = {".parquet": "part", ".wal": "segment"}  # in the names of steps; default: the file's name
+_SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches them
 
 
 def put(path: Path, data: bytes) -> None:
-    """Write a file so that whoever looks, even after a power cut, finds the old one or the new one whole.
+    """Write a file durably; at any time, even after a power cut, the old or the new file is there, whole.
 
     Raises:
-        OSError: the old file is still there, or the new one already is.
+        OSError: the file has its old or its new content.
     """
-    place(path, data, durable=True)
-    steps.reach(f"settle {kind(path)}")
+    replace(path, data, durable=True)
+    steps.reach(f"sync name of {kind(path)}")
     sync(path.parent)
 
 
-def place(path: Path, data: bytes, *, durable: bool) -> None:
-    """Write a file so that whoever looks finds the old one or the new one whole.
+def replace(path: Path, data: bytes, *, durable: bool) -> None:
+    """Write a file by renaming a temporary one, so that readers find the old or the new file whole.
 
     Args:
         path: The file.
-        data: All of it.
-        durable: Whether its content, but not yet its name, outlives a power cut.
+        data: Its new content.
+        durable: Sync the content (but not the name) before the rename.
 
     Raises:
-        OSError: the old file is still there.
+        OSError: the file has its old content.
     """
     scratch, what = path.with_name(path.name + SCRATCH), kind(path)
     try:
         steps.reach(f"write {what}")
-        scratch.unlink(missing_ok=True)  # of one that was killed; or a link, which would be followed
+        scratch.unlink(missing_ok=True)  # left by a killed process; or a link, which must not be followed
         with scratch.open("xb") as file:
             file.write(data)
             if durable:
@@ -60,7 +65,7 @@ def place(path: Path, data: bytes, *, durable: bool) -> None:
 
 
 def kind(path: Path) -> str:
-    """What a step says that it is about.
+    """Return the name of a file in the names of `steps`.
 
     >>> kind(Path("touch/part-000000.parquet")), kind(Path("session.json"))
     ('part', 'session')
@@ -74,23 +79,23 @@ def put_json(path: Path, content: Mapping[str, Any], put: Put = put) -> None:
 
 
 def put_checked(path: Path, content: Mapping[str, Any], put: Put = put) -> None:
-    """Write a JSON file as `put` does, so that damage to it shows."""
+    """Write a JSON file as `put` does, with a checksum as its last entry."""
     rest: dict[str, Any] = json.loads(json.dumps(dict(content), allow_nan=False))  # as it will be read
     rest.pop(CHECK, None)
     put_json(path, {**rest, CHECK: hash_json(rest)}, put)
 
 
 def hash_json(content: Mapping[str, Any]) -> str:
-    """The sha256, hex, of what a JSON object says, however it is laid out."""
+    """Return the sha256 (hex) of a JSON object, independent of its formatting."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def make_folder(path: Path, *, new: bool = False) -> None:
-    """Make a folder that outlives a power cut.
+    """Make a folder durably.
 
     Raises:
-        FileExistsError: if there is one and it has to be `new`.
-        OSError: if it cannot be made; a `new` one is not there.
+        FileExistsError: if it exists and must be `new`.
+        OSError: if it cannot be made; a `new` one does not exist then.
     """
     path.mkdir(exist_ok=not new)
     try:
@@ -102,7 +107,7 @@ def make_folder(path: Path, *, new: bool = False) -> None:
 
 
 def read(path: Path, limit: int = 1024 * MiB) -> bytes:
-    """The bytes of a file.
+    """Return the content of a file.
 
     Raises:
         InputError: if it is missing, unreadable or larger than `limit` bytes.
@@ -114,51 +119,47 @@ def read(path: Path, limit: int = 1024 * MiB) -> bytes:
     except OSError as error:
         raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from error
     if len(data) > limit:
-        raise InputError(
-            str(path), f"is larger than {limit // MiB} MiB, the most that is read of such a file"
-        )
+        raise InputError(str(path), f"is larger than {limit // MiB} MiB, the limit for such a file")
     return data
 
 
 def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
-    """The object in a JSON file.
+    """Return the object in a JSON file.
 
     Raises:
-        InputError: if it cannot be read or holds something else.
+        InputError: if the file cannot be read or is not a JSON object.
     """
     try:
-        content: object = json.loads(read(path, limit), parse_constant=_no_number)
+        content: object = json.loads(read(path, limit), parse_constant=_reject_number)
     except (ValueError, RecursionError) as error:
-        raise InputError(str(path), f"is not valid JSON: {error}; mend it or put a copy back") from error
+        raise InputError(str(path), f"is not valid JSON: {error}; correct it or restore a copy") from error
     if not isinstance(content, dict):
         raise InputError(
-            str(path), f"is not a JSON object, but a {type(content).__name__}; mend it or put a copy back"
+            str(path), f"is not a JSON object, but a {type(content).__name__}; correct it or restore a copy"
         )
     return cast("dict[str, Any]", content)
 
 
 def read_checked(path: Path) -> dict[str, Any]:
-    """The object in a JSON file, which may lack the sha256 that `put_checked` adds; without that.
+    """Return the object in a JSON file without its checksum, which it may lack.
 
     Raises:
-        InputError: if it cannot be read, holds something else or has another sha256.
+        InputError: if the file cannot be read, is not a JSON object, or does not match its checksum.
     """
     content = read_json(path)
     rest = dict(content)
     last, check = rest.popitem() if rest else ("", None)
     if check == hash_json(rest):
         if last == CHECK:
-            return rest  # else the name is what is damaged
+            return rest  # else the key itself is damaged
     elif CHECK not in content:
         return content
-    reason = (
-        f"is damaged; or was changed by hand: then remove its last entry, {CHECK!r}; else put a copy back"
-    )
+    reason = f"is damaged: restore a copy; if it was edited by hand, remove its last entry, {CHECK!r}"
     raise InputError(str(path), reason)
 
 
 def sync(path: Path) -> None:
-    """Make a file's content, or the names in a folder, durable."""
+    """Make the content of a file, or the names in a folder, durable."""
     number = os.open(path, os.O_RDONLY)
     try:
         os.fsync(number)
@@ -166,5 +167,139 @@ def sync(path: Path) -> None:
         os.close(number)
 
 
-def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number of JSON")
+class DeferredSync:
+    """Files that are in place at once and made durable together later, for data that can be made again.
+
+    Readers find each file whole. A power cut before `settle` may leave any of them old, new, missing or with
+    any content.
+    """
+
+    def __init__(self) -> None:
+        self._files: dict[Path, bytes] = {}  # sha256 of each
+        self._folders: set[Path] = set()
+        self._failed = False  # an fsync failed
+
+    def put(self, path: Path, data: bytes) -> None:
+        """Write a file as `put` does, but not durably.
+
+        Raises:
+            OSError: the file has its old content.
+        """
+        replace(path, data, durable=False)
+        self._files[path] = hashlib.sha256(data).digest()
+        self._folders.add(path.parent)
+
+    def make_folder(self, path: Path, *, new: bool = False) -> None:
+        """Make a folder as `make_folder` does, but not durably.
+
+        Raises:
+            FileExistsError: if it exists and must be `new`.
+            OSError: if it cannot be made.
+        """
+        path.mkdir(exist_ok=not new)
+        self._folders |= {path, path.parent}
+
+    def settle(self) -> None:
+        """Make all files durable, then their names.
+
+        Raises:
+            OSError: some may not be durable; it may be called again.
+        """
+        if self._failed:  # repeating the fsync alone could falsely succeed
+            self._rewrite()
+        self._failed = True
+        _sync_all(self._files, "sync {}")
+        _sync_all(self._folders, "sync name of {}")
+        self._failed = False
+        self._files.clear()
+        self._folders.clear()
+
+    def _rewrite(self) -> None:
+        for path, digest in self._files.items():
+            data = path.read_bytes()
+            if hashlib.sha256(data).digest() != digest:
+                raise OSError(EIO, "the disk has lost what was written; run the replay again")
+            replace(path, data, durable=False)
+
+
+def _sync_all(paths: Iterable[Path], step: str) -> None:
+    with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:
+        syncing = list[Future[None]]()
+        for path in sorted(paths):
+            steps.reach(step.format(kind(path)))
+            syncing.append(pool.submit(sync, path))
+        for each in syncing:
+            each.result()
+
+
+@contextmanager
+def partial_file(path: Path) -> Generator[BinaryIO]:
+    """Open a new file as `<path>.partial`; rename it to `path` if the block succeeds, else delete it.
+
+    Raises:
+        EndpointError: if a file of either name exists, or it cannot be written.
+    """
+    if path.exists():
+        raise EndpointError(str(path), "exists already; give another name, or remove it")
+    scratch = path.with_name(path.name + PARTIAL)
+    with _reporting(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            file = scratch.open("xb")
+        except FileExistsError:
+            raise _left_over(scratch) from None
+        try:
+            with file:
+                yield file
+                file.flush()
+                os.fsync(file.fileno())
+            scratch.rename(path)
+            sync(path.parent)
+        except BaseException:
+            with suppress(OSError):
+                scratch.unlink(missing_ok=True)
+            raise
+
+
+@contextmanager
+def partial_folder(path: Path) -> Generator[Path]:
+    """Make a folder `<path>.partial`; sync and rename it to `path` if the block succeeds, else delete it.
+
+    Raises:
+        EndpointError: if `path` is a file or not empty, `<path>.partial` exists, or it cannot be written.
+    """
+    if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+        raise EndpointError(str(path), "must be a new or empty folder")
+    scratch = path.with_name(path.name + PARTIAL)
+    with _reporting(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            scratch.mkdir()
+        except FileExistsError:
+            raise _left_over(scratch) from None
+        try:
+            yield scratch
+            for each in scratch.rglob("*"):
+                sync(each)
+            scratch.rename(path)
+            sync(path.parent)
+        except BaseException:
+            rmtree(scratch, ignore_errors=True)
+            raise
+
+
+def _left_over(scratch: Path) -> EndpointError:
+    reason = "is being written by another process, or was left by one that was killed: then remove it"
+    return EndpointError(str(scratch), reason)
+
+
+@contextmanager
+def _reporting(path: Path) -> Generator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
+
+
+def _reject_number(text: str) -> NoReturn:
+    raise ValueError(f"{text} is not a JSON number")

@@ -1,4 +1,4 @@
-"""The journal of a session: its rows on their way to Parquet, so that a crash costs only the last."""
+"""Journal of a session: rows that are not in a part yet, so that a crash loses only the last ones."""
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable
@@ -8,53 +8,50 @@ from pathlib import Path
 from threading import Condition, Event, RLock, Thread
 from typing import Final
 
-from storage import frames, steps
+from storage import steps
 from storage.files import SCRATCH, make_folder, sync
-from storage.frames import Rows
+from storage.journal_segment import SINGLE_LOG, NumberedRows, OpenSegment, bodies
 from storage.layout import JOURNAL, TABLE_OF, segment_file, segments, single_log
-from storage.segment import OpenSegment
 
-SOON: Final = 5  # rows of a table that wait, at which they are appended
-MOST: Final = 10  # rows of a table that may wait: what a kill can cost
-PAUSE: Final = 0.05  # s that a row waits at most
-SYNC: Final = 1.0  # s, after which what was appended is made durable
+SOON: Final = 5  # waiting rows of a table that trigger an append
+MOST: Final = 10  # rows of a table that may wait: a kill loses them
+PAUSE: Final = 0.05  # s that a row may wait
+SYNC: Final = 1.0  # s between two fsyncs
 
 
 class Journal:
-    """The segments of one session and the two threads that write them: one appends, one makes durable.
+    """Segments of one session and the two threads that write them: one appends, one syncs.
 
-    A slow fsync does not hold up what is appended meanwhile. Only `add` may be called by who must not wait.
-    Rows of tables of one file, written when the session ends, have a segment of their own until then.
+    Appends go on during a slow fsync. Only `add` never waits for the disk. Tables of one file, which are
+    written when the session ends, have a segment of their own until then.
+
+    Args:
+        folder: Folder of the session.
+        session: Name of the session.
+
+    Raises:
+        OSError: if it cannot be written.
     """
 
     def __init__(self, folder: Path, session: str) -> None:
-        """Begin the journal in a session's folder.
-
-        Args:
-            folder: The session's.
-            session: Its name.
-
-        Raises:
-            OSError: if it cannot be written.
-        """
         self._folder, self._session = folder, session
         make_folder(folder / JOURNAL)
-        self._single = OpenSegment(single_log(folder), session, frames.SINGLE_LOG)  # there before all others
+        self._single = OpenSegment(single_log(folder), session, SINGLE_LOG)  # before all others
         self._segment = OpenSegment(folder / segment_file(0), session, 0)
         self._disk = RLock()  # held while frames are appended
         self._syncing = RLock()  # held while the segment is made durable; taken before _disk
-        self._more = Condition()  # guards what follows; never held while the disk works
-        self._pending: list[Rows] = []
-        self._waiting = Counter[str]()  # rows by table, those that are just being appended included
+        self._more = Condition()  # guards the following; never held during disk work
+        self._pending: list[NumberedRows] = []
+        self._waiting = Counter[str]()  # rows by table, including those being appended
         self._failing, self._ended = False, False
-        self.suspect = False  # an fsync failed: what it was about may be lost, and only a commit can tell
+        self.suspect = False  # an fsync failed: its rows may be lost, and need a commit
         self._end = Event()
         self._threads = [Thread(target=each, daemon=True) for each in (self._append_soon, self._sync_often)]
         for thread in self._threads:
             thread.start()
 
-    def add(self, rows: Rows) -> bool:
-        """Have rows appended soon; False: not taken, since too many wait or the disk fails."""
+    def add(self, rows: NumberedRows) -> bool:
+        """Queue rows; return false if too many wait or the disk fails, and they were not queued."""
         table = TABLE_OF[type(rows.batch)].name
         with self._more:
             waiting = self._waiting[table] + len(rows.batch)
@@ -68,15 +65,15 @@ class Journal:
 
     @contextmanager
     def held(self) -> Generator[None]:
-        """Nothing else is appended, and no segment begun, meanwhile."""
+        """Hold off other appends and new segments."""
         with self._disk:
             yield
 
-    def append(self, *rows: Rows) -> None:
-        """Append what waits and then `rows`, which are of one table, now.
+    def append(self, *rows: NumberedRows) -> None:
+        """Append the waiting rows, then `rows`, which belong to one table.
 
         Raises:
-            OSError: nothing was; what waits goes on waiting, `rows` do not.
+            OSError: nothing was appended; the waiting rows stay queued, `rows` do not.
         """
         with self._disk:
             waiting = self._take()
@@ -84,7 +81,7 @@ class Journal:
                 return
             try:
                 single = any(map(_single, rows))
-                for of_single in (not single, single):  # `rows` last: if that fails, they are nowhere
+                for of_single in (not single, single):  # `rows` last: if that fails, they are in no segment
                     self._write([each for each in chain(waiting, rows) if _single(each) is of_single])
             except BaseException:
                 self._give_back(waiting)
@@ -93,25 +90,27 @@ class Journal:
             self._failing = False
             self._appended(waiting)
 
-    def rotate(self, kept: Callable[[], Iterable[Rows]], single: Callable[[], Iterable[Rows]]) -> None:
-        """Begin the next segment with the rows that stay in memory: the others are to be committed.
+    def rotate(
+        self, kept: Callable[[], Iterable[NumberedRows]], single: Callable[[], Iterable[NumberedRows]]
+    ) -> None:
+        """Begin the next segment with the rows that are not about to be committed.
 
         Args:
-            kept: Gives those of tables of parts.
-            single: Gives all rows of tables of one file, which are written again only if an fsync failed.
+            kept: Returns those of tables of parts.
+            single: Returns all rows of tables of one file; they are written again only if an fsync failed.
 
         Raises:
-            OSError: the segment is still the one that it was.
+            OSError: the old segment is still in use.
         """
         number = self._segment.number + 1
         fresh = OpenSegment(self._folder / segment_file(number), self._session, number)
         with self._syncing:
             with self._disk:
-                waiting = self._take()  # some are to be committed, but are in no part yet
-                try:  # in order; some are there twice, which their numbers tell
+                waiting = self._take()  # some are about to be committed, but are in no part yet
+                try:  # in order; duplicates have the same numbers
                     of_parts = [*(each for each in waiting if not _single(each)), *kept()]
-                    fresh.append(frames.bodies(sorted(of_parts, key=lambda rows: rows.first)))
-                    self._go_on(waiting, single)
+                    fresh.append(bodies(sorted(of_parts, key=lambda rows: rows.first)))
+                    self._continue_single(waiting, single)
                 except BaseException:
                     self._give_back(waiting)
                     fresh.close()
@@ -124,22 +123,22 @@ class Journal:
             old.close()
 
     def sync(self) -> None:
-        """Make durable what was appended.
+        """Make the appended rows durable.
 
         Raises:
-            OSError: some of it may never become so: it is suspect until the next segment begins.
+            OSError: some may be lost: the journal is `suspect` until the next segment begins.
         """
         with self._syncing:
             try:
                 self._single.sync()
                 self._segment.sync()
             except OSError:
-                # trying again could seem to work: the kernel may have forgotten what it did not write
+                # a second fsync could falsely succeed: the kernel may have dropped the unwritten pages
                 self.suspect = True
                 raise
 
     def drop(self) -> None:
-        """Delete the segments before this one: their rows are in parts, or in this one.
+        """Delete the older segments: their rows are in parts, or in the current one.
 
         Raises:
             OSError: some are left.
@@ -147,12 +146,12 @@ class Journal:
         self.sync()
         for number, path in segments(self._folder).items():
             if number < self._segment.number:
-                steps.reach("drop segment")
+                steps.reach("delete segment")
                 path.unlink(missing_ok=True)
         sync(self._folder / JOURNAL)
 
     def stop(self) -> None:
-        """End the threads, and append what waits and what is new, if the disk lets; may be called again."""
+        """End the threads and append the waiting rows, if the disk allows; may be called again."""
         with self._more:
             self._ended = True
             self._more.notify()
@@ -163,16 +162,16 @@ class Journal:
             self.append()
 
     def remove(self) -> None:
-        """Delete the journal, which has been stopped: all its rows are in parts.
+        """Delete the stopped journal: all its rows are in parts.
 
         Raises:
             OSError: some of it is left.
         """
         self._close()
-        drop_journal(self._folder)
+        delete_journal(self._folder)
 
     def leave(self) -> None:
-        """Let go of the journal as it is; may be called again."""
+        """Stop and close the journal without deleting it; may be called again."""
         self.stop()
         self._close()
 
@@ -180,16 +179,17 @@ class Journal:
         self._segment.close()
         self._single.close()
 
-    def _write(self, rows: list[Rows]) -> None:
-        """Append rows that belong to one segment."""
+    def _write(self, rows: list[NumberedRows]) -> None:
+        """Append rows of one segment."""
         if rows:
-            (self._single if _single(rows[0]) else self._segment).append(frames.bodies(rows))
+            (self._single if _single(rows[0]) else self._segment).append(bodies(rows))
 
-    def _go_on(self, waiting: list[Rows], single: Callable[[], Iterable[Rows]]) -> None:
-        """Have the rows of tables of one file in a segment that is not suspect."""
+    def _continue_single(
+        self, waiting: list[NumberedRows], single: Callable[[], Iterable[NumberedRows]]
+    ) -> None:
+        """Append the waiting rows of tables of one file; after a failed fsync, write all to a new segment."""
         if self.suspect:
-            bodies = frames.bodies(single())
-            fresh = OpenSegment(self._single.path, self._session, frames.SINGLE_LOG, bodies)
+            fresh = OpenSegment(self._single.path, self._session, SINGLE_LOG, bodies(single()))
             self._single.close()
             self._single = fresh
         else:
@@ -202,48 +202,44 @@ class Journal:
                     self._more.wait(PAUSE)
                 if self._ended:
                     return
-            with suppress(OSError):  # whoever writes next meets it again
+            with suppress(OSError):  # the next append reports it
                 self.append()
 
     def _sync_often(self) -> None:
         while not self._end.wait(SYNC):
-            with suppress(OSError):  # then it is suspect
+            with suppress(OSError):  # the journal is suspect then
                 self.sync()
 
-    def _take(self) -> list[Rows]:
+    def _take(self) -> list[NumberedRows]:
         with self._more:
             waiting, self._pending = self._pending, []
         return waiting
 
-    def _give_back(self, waiting: list[Rows]) -> None:
+    def _give_back(self, waiting: list[NumberedRows]) -> None:
         with self._more:
             self._pending[:0] = waiting
 
-    def _appended(self, waiting: list[Rows]) -> None:
+    def _appended(self, waiting: list[NumberedRows]) -> None:
         with self._more:
             for rows in waiting:
                 self._waiting[TABLE_OF[type(rows.batch)].name] -= len(rows.batch)
 
 
-def _single(rows: Rows) -> bool:
-    """Whether rows are of a table of one file."""
+def _single(rows: NumberedRows) -> bool:
+    """Return true if rows belong to a table of one file."""
     return not TABLE_OF[type(rows.batch)].parted
 
 
-def drop_journal(folder: Path) -> None:
-    """Delete the journal of a session: all that it held is in parts.
+def delete_journal(folder: Path) -> None:
+    """Delete the journal of a session: all its rows are in parts.
 
     Raises:
         OSError: some of it is left.
     """
     place = folder / JOURNAL
-    for path in [
-        *segments(folder).values(),
-        single_log(folder),
-        *place.glob("*" + SCRATCH),
-    ]:
-        steps.reach("drop segment")
+    for path in [*segments(folder).values(), single_log(folder), *place.glob("*" + SCRATCH)]:
+        steps.reach("delete segment")
         path.unlink(missing_ok=True)
-    steps.reach("drop journal")
+    steps.reach("delete journal")
     place.rmdir()
     sync(folder)

@@ -1,20 +1,20 @@
-"""What a dataset holds and where it stands.
+"""Files of a dataset.
 
 .. code-block:: text
 
     dataset.json
-    sessions/<session>/session.json                 what the recording says of itself; written first
-    sessions/<session>/touch/part-000000.parquet    rows as received; motion alike
+    sessions/<session>/session.json                 description of the recording; written first
+    sessions/<session>/touch/part-000000.parquet    rows as received; likewise motion
     sessions/<session>/samples/part-000000.parquet  derived rows, which can be rebuilt
-    sessions/<session>/slips.parquet                the events that were raised; faults.parquet alike
-    sessions/<session>/clocks.parquet               how a device's clock stood to the host's
+    sessions/<session>/slips.parquet                slip events; likewise faults.parquet
+    sessions/<session>/clocks.parquet               offset and drift of a device's clock
     sessions/<session>/episodes.parquet             motions of the arm
     sessions/<session>/truth/part-000000.parquet    state of a simulated contact at each touch row
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
-    sessions/<session>/journal/000000.wal           rows that no file above has yet: while recording, or after
-                                                    the recorder was killed; see storage.frames
-    sessions/<session>/journal/single.wal           rows of tables of one file, until the session ends
-    sessions/<session>/damaged/                     what a recovery could not read
+    sessions/<session>/journal/000000.wal           rows that are in no file above yet: while recording, or
+                                                    after a kill; see storage.journal_segment
+    sessions/<session>/journal/single.wal           rows of single-file tables, until the session ends
+    sessions/<session>/damaged/                     files that a recovery could not read
 """
 
 import re
@@ -53,26 +53,26 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
 @dataclass(frozen=True)
 class Table:
-    """One table of a session and the batches whose rows it keeps."""
+    """Table of a session, and the batches that it stores."""
 
     name: str
     kind: type[Batch]
-    omits: frozenset[str] = frozenset()  # columns of the batch that it does not keep
-    finger: bool = True  # rows belong to fingertips; False: to all of them alike
+    omits: frozenset[str] = frozenset()  # columns of the batch that it does not store
+    finger: bool = True  # rows belong to fingertips; False: to all of them
     parted: bool = True  # a folder of parts; False: one file, written when the session closes
 
     @property
     def columns(self) -> Mapping[str, Column]:
-        """The columns of the batch that it keeps, in order."""
+        """Stored columns of the batch, in order."""
         return {name: each for name, each in columns(self.kind).items() if name not in self.omits}
 
     @property
     def pattern(self) -> str:
-        """What its files match."""
+        """Glob pattern of its files."""
         return f"{self.name}/part-*.parquet" if self.parted else self.file(0)
 
     def file(self, number: int) -> str:
-        """The path of a file within the session's folder.
+        """Return the path of a file within the folder of the session.
 
         >>> SAMPLES.file(2), SLIPS.file(0)
         ('samples/part-000002.parquet', 'slips.parquet')
@@ -95,13 +95,13 @@ TABLE_OF: Final[Mapping[type[Batch], Table]] = MappingProxyType(
 
 
 def session_folder(root: Path, session: str) -> Path:
-    """The folder of a session, which never lies outside the dataset.
+    """Return the folder of a session, which is always inside the dataset.
 
     >>> session_folder(Path("recordings"), "2026-11-21").as_posix()
     'recordings/sessions/2026-11-21'
 
     Raises:
-        ParameterError: if `session` is no plain file name.
+        ParameterError: if `session` is not a plain file name.
         InputError: if a link of that name leads out of the dataset.
     """
     if not _NAME.fullmatch(session):
@@ -115,31 +115,31 @@ def session_folder(root: Path, session: str) -> Path:
 
 
 def session_names(root: Path) -> list[str]:
-    """The sessions of a dataset, sorted; a folder that may not be looked into is taken for one.
+    """Return the sessions of a dataset, sorted, including folders without read permission.
 
     Raises:
-        InputError: if the folder of the sessions may not be looked into, or is none.
+        InputError: if the folder of the sessions cannot be read, or is a file.
     """
-    return sorted(path.name for path in _session_folders(root) if may_be(path / SESSION))
+    return sorted(path.name for path in _session_folders(root) if may_exist(path / SESSION))
 
 
 def headless_names(root: Path) -> list[str]:
-    """The folders among a dataset's sessions that hold rows but no session.json, sorted.
+    """Return the session folders that have rows but no session.json, sorted.
 
     Raises:
-        InputError: if the folder of the sessions may not be looked into, or is none.
+        InputError: if the folder of the sessions cannot be read, or is a file.
     """
     return sorted(path.name for path in _session_folders(root) if headless(path))
 
 
 def headless(folder: Path) -> bool:
-    """Whether a folder holds what a session does, but not what it says of itself."""
+    """Return true if a folder has the files of a session, but no session.json."""
     patterns = (MANIFEST, "journal/*.wal", *(table.pattern for table in TABLES))
-    return not may_be(folder / SESSION) and any(any(folder.glob(each)) for each in patterns)
+    return not may_exist(folder / SESSION) and any(any(folder.glob(each)) for each in patterns)
 
 
-def may_be(path: Path) -> bool:
-    """Whether something is there, or may be: who reads it is told why it cannot be looked for."""
+def may_exist(path: Path) -> bool:
+    """Return true if a file exists, or its existence is unknown: reading it then reports the reason."""
     try:
         path.stat()
     except PermissionError:
@@ -162,7 +162,7 @@ def _session_folders(root: Path) -> list[Path]:
 
 
 def segments(folder: Path) -> dict[int, Path]:
-    """The segments of a session's journal by their numbers, in order; none where it has no journal.
+    """Return the segments of a journal by number, in order; none if there is no journal.
 
     Raises:
         InputError: if one leads out of the session.
@@ -172,7 +172,7 @@ def segments(folder: Path) -> dict[int, Path]:
 
 
 def segment_file(number: int) -> str:
-    """The path of a segment within the session's folder.
+    """Return the path of a segment within the folder of the session.
 
     >>> segment_file(7)
     'journal/000007.wal'
@@ -181,7 +181,7 @@ def segment_file(number: int) -> str:
 
 
 def single_log(folder: Path) -> Path:
-    """Where the journal of a session keeps the rows of tables of one file.
+    """Return the path of the journal segment with the rows of single-file tables.
 
     Raises:
         InputError: if it leads out of the session.
@@ -190,11 +190,11 @@ def single_log(folder: Path) -> Path:
 
 
 def inside(folder: Path, path: Path) -> Path:
-    """Return `path`, which must lie in `folder` with all links followed.
+    """Return `path` if it is inside `folder` after following links.
 
     Raises:
-        InputError: if it does not.
+        InputError: if it is not.
     """
     if not path.resolve().is_relative_to(folder.resolve()):
-        raise InputError(str(path), f"is a link that leads out of {folder}: put the files themselves there")
+        raise InputError(str(path), f"is a link that leads out of {folder}: replace it by the files")
     return path

@@ -1,4 +1,4 @@
-"""The manifest of a session: its Parquet files with rows, time range and sha256, and a sha256 of all that."""
+"""Manifest of a session: its Parquet files with rows, time range and sha256, and a sha256 of the list."""
 
 import hashlib
 import json
@@ -12,16 +12,16 @@ from typing import Any, Final, cast
 
 from operators.errors import InputError
 from storage import files
-from storage.layout import MANIFEST, TABLES, may_be
+from storage.layout import MANIFEST, TABLES, may_exist
 
-VERSION: Final = 2  # 1 had no sha256 of its own
+VERSION: Final = 2
 
 _FILE: Final = re.compile(
     "|".join(rf"{t.name}/part-\d{{6,}}\.parquet" if t.parted else re.escape(t.file(0)) for t in TABLES)
 )
-_MENDED: Final = "slipflow recover makes the manifest anew"
+_FIX: Final = "slipflow recover rewrites the manifest"
 _SHA256: Final = re.compile("[0-9a-f]{64}")
-_TIMES: Final = 2**63  # ns, which no time reaches
+_TIMES: Final = 2**63  # ns, above all times
 _TYPES: Final = {"path": str, "rows": int, "first": int, "last": int, "sha256": str}
 
 
@@ -29,15 +29,15 @@ _TYPES: Final = {"path": str, "rows": int, "first": int, "last": int, "sha256": 
 class Part:
     """One committed Parquet file."""
 
-    path: str  # within the session's folder
+    path: str  # within the folder of the session
     rows: int
-    first: int  # ns, earliest event time; 0 where there are no rows
-    last: int  # ns, latest event time; the same
+    first: int  # ns, earliest event time; 0 without rows
+    last: int  # ns, latest event time; 0 without rows
     sha256: str  # hex
 
     @cached_property
     def line(self) -> str:
-        """It as one line of the manifest, made once: a day's manifest is written thousands of times."""
+        """Line of the manifest; cached, since a manifest is rewritten with every part."""
         return json.dumps(asdict(self))
 
 
@@ -45,7 +45,7 @@ def write_manifest(folder: Path, parts: Iterable[Part], put: files.Put = files.p
     """Replace a session's manifest.
 
     Raises:
-        OSError: the old one is still there, or the new one already is.
+        OSError: the old or the new manifest is there.
     """
     lines = ",\n".join(part.line for part in parts)
     text = f'{{"version": {VERSION}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
@@ -53,36 +53,36 @@ def write_manifest(folder: Path, parts: Iterable[Part], put: files.Put = files.p
 
 
 def read_manifest(folder: Path) -> dict[str, Part]:
-    """The parts that a session's manifest lists, by path; none where no manifest was written yet.
+    """Return the parts in the manifest of a session by path; none if there is no manifest.
 
     Raises:
         InputError: if the manifest is damaged.
     """
     path = folder / MANIFEST
-    if not may_be(path):
+    if not may_exist(path):
         return {}
     content = files.read_json(path)
     version = content.get("version")
-    if version not in {1, VERSION} or not isinstance(content.get("parts"), list):
-        reason = f'must hold "version": {VERSION}, or 1, and a list "parts"; {_MENDED}'
+    if version != VERSION or not isinstance(content.get("parts"), list):
+        reason = f'must have "version": {VERSION} and a list "parts"; {_FIX}'
         raise InputError(str(path), reason)
     parts = [_part(f"{path}, part {number}", each) for number, each in enumerate(content["parts"])]
     listed = {part.path: part for part in parts}
     if len(listed) < len(parts):
-        raise InputError(str(path), f"lists a part twice; {_MENDED}")
-    if version == VERSION and content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
-        raise InputError(str(path), f"is damaged: its sha256 is not that of the parts; {_MENDED}")
+        raise InputError(str(path), f"lists a part twice; {_FIX}")
+    if content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
+        raise InputError(str(path), f"is damaged: its sha256 differs from that of its parts; {_FIX}")
     return listed
 
 
-def hint_manifest(folder: Path) -> dict[str, Part]:
-    """The parts that a damaged manifest still tells of, by path: a hint, of which any word may be wrong."""
+def damaged_parts(folder: Path) -> dict[str, Part]:
+    """Return the readable parts of a damaged manifest by path; any of their values may be wrong."""
     found = dict[str, Part]()
     try:
         lines = files.read(folder / MANIFEST, 64 * files.MiB).decode(errors="replace").splitlines()
     except InputError:
         return found
-    for line in lines:  # a part each, as `write_manifest` writes them
+    for line in lines:  # one part each, as `write_manifest` writes them
         with suppress(InputError, ValueError, RecursionError):
             part = _part(line, json.loads(line.strip().removesuffix(",")))
             found[part.path] = part
@@ -90,7 +90,7 @@ def hint_manifest(folder: Path) -> dict[str, Part]:
 
 
 def _parted(path: str) -> bool:
-    """Whether a file is one of several of its table, which are written only for rows."""
+    """Return true if a file is one of several of its table, which are never empty."""
     return "/" in path
 
 
@@ -98,15 +98,15 @@ def _digest(lines: str) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
-def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - whatever the file holds
+def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - any JSON
     values: dict[str, Any] = cast("dict[str, Any]", content) if isinstance(content, dict) else {}
     if {key: type(value) for key, value in values.items()} != _TYPES:
-        raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types; {_MENDED}")
+        raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types; {_FIX}")
     part = Part(**values)
     times = -_TIMES <= part.first <= part.last < _TIMES
     empty = not part.rows and not part.first and not part.last and not _parted(part.path)
     if (part.rows < 1 and not empty) or not times or not _SHA256.fullmatch(part.sha256):
-        raise InputError(where, f"has rows, times or a sha256 that cannot be; {_MENDED}")
+        raise InputError(where, f"has invalid rows, times or sha256; {_FIX}")
     if not _FILE.fullmatch(part.path):
-        raise InputError(where, f"{part.path!r} is no file of a session; {_MENDED}")
+        raise InputError(where, f"{part.path!r} is not a file of a session; {_FIX}")
     return part

@@ -1,4 +1,4 @@
-"""Models on disk: named arrays with some text about them, never code."""
+"""Models on disk: named arrays with a description, never code."""
 
 import hashlib
 import json
@@ -18,31 +18,33 @@ from operators.errors import InputError, ParameterError
 from storage import files
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
-_DIGEST: Final = "slipflow.sha256"  # of all else that a .safetensors file says; itself knows no checksum
-_UNNAMED: Final = "paper_tcn"  # what weights are of that do not say so, as those in .npz
-LIMIT: Final = 256 * files.MiB  # of a file, and of what is packed in it
+_DIGEST: Final = "slipflow.sha256"  # of the rest of a .safetensors file, whose format has no checksum
+_UNNAMED: Final = "paper_tcn"  # detector of weights that do not name one, such as .npz
+LIMIT: Final = 256 * files.MiB  # of a file, and of its unpacked content
 
 
 def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
-    """The arrays of a model and what it says of itself, from .safetensors or .npz (which says nothing).
+    """Return the arrays of a model and its description, from .safetensors or .npz (without description).
 
     Raises:
-        InputError: if the file is missing, too large or damaged, or an array is not of finite numbers.
+        InputError: if the file is missing, too large or damaged, or an array has values that are not finite.
     """
     path = Path(path)
     if path.suffix not in _READERS:
-        raise InputError(str(path), f"is no model file: these end in {' or '.join(_READERS)}")
+        raise InputError(str(path), f"is not a model file: these end in {' or '.join(_READERS)}")
     data = files.read(path, LIMIT)
     try:
         weights, about = _READERS[path.suffix](data)
     except Exception as error:  # zipfile, zlib, json, numpy and safetensors each raise their own
         reason = str(error).partition("\n")[0]
         raise InputError(
-            str(path), f"is damaged or no {path.suffix} file: {reason}; put a copy back"
+            str(path), f"is damaged or not a {path.suffix} file: {reason}; restore a copy"
         ) from error
     for name, array in weights.items():
         if array.dtype.kind not in "biuf" or not np.isfinite(array).all():
-            raise InputError(str(path), f"array {name!r} does not hold finite numbers: train it again")
+            raise InputError(
+                str(path), f"array {name!r} has values that are not finite: train the model again"
+            )
     return weights, about
 
 
@@ -70,7 +72,7 @@ def save_weights(
 
 
 def save_card(path: Path, card: Mapping[str, Any]) -> None:
-    """Write a model's card, the .json beside it, so that damage to it shows.
+    """Write the card of a model, a .json of the same name, with a checksum.
 
     Raises:
         OSError: if it cannot be written.
@@ -79,34 +81,35 @@ def save_card(path: Path, card: Mapping[str, Any]) -> None:
 
 
 def load_detector(name: str | Path) -> Detector:
-    """A detector by its name, such as tcn or psd, or the one whose weights are in a file.
+    """Return a detector by its name, such as tcn or psd, or by its file of weights.
 
     Raises:
-        InputError: if there is no such detector, the file does not hold its weights, or they are not those
-            that its card tells of.
+        InputError: if there is no such detector, or the file has no weights or does not match its card.
     """
     if make := DETECTORS.get(str(name)):
         return make()
     path = shipped(str(name)) or Path(name)
     if path.suffix in _READERS:
         weights, about = load_weights(path)
-        told = load_card(path).get("sha256")
-        if told is not None and told != hashlib.sha256(files.read(path, LIMIT)).hexdigest():
+        expected = load_card(path).get("sha256")
+        if expected is not None and expected != hashlib.sha256(files.read(path, LIMIT)).hexdigest():
             reason = f"is damaged, or not the model of {path.with_suffix('.json').name}: copy both together"
             raise InputError(str(path), reason)
         kind = about.get("detector", _UNNAMED)
         if kind not in TRAINED:
-            raise InputError(str(name), f"is of a detector {kind!r}; known are {', '.join(sorted(TRAINED))}")
+            raise InputError(str(name), f"is for detector {kind!r}; known: {', '.join(sorted(TRAINED))}")
         try:
             return TRAINED[kind](weights)
         except InputError as error:
             raise InputError(str(name), error.reason) from error
     known = ", ".join(sorted([*DETECTORS, *filter(shipped, TRAINED)]))
-    raise InputError(str(name), f"is no detector: give {known} or a {' or '.join(_READERS)} file of weights")
+    raise InputError(
+        str(name), f"is not a detector: give {known} or a {' or '.join(_READERS)} file of weights"
+    )
 
 
 def identify_detector(name: str | Path) -> dict[str, str]:
-    """Which detector that is, for events to tell: its id, and the sha256 of its weights if it has any.
+    """Return the id of a detector, and the sha256 of its weights if it has any, for events.
 
     >>> identify_detector("psd")
     {'id': 'psd'}
@@ -121,13 +124,13 @@ def identify_detector(name: str | Path) -> dict[str, str]:
 
 
 def shipped(name: str) -> Path | None:
-    """The file of a trained detector that comes with the package; None where there is none of that name."""
+    """Return the file of a detector that ships with the package, None if there is none of that name."""
     path = _SHIPPED / f"{name}.safetensors"
     return path if name in TRAINED and path.exists() else None
 
 
 def load_card(path: Path) -> dict[str, Any]:
-    """What a model's card, the .json beside it, says; nothing where there is none.
+    """Return the content of a model's card, a .json of the same name; empty if there is none.
 
     Raises:
         InputError: if it is damaged.
@@ -137,7 +140,7 @@ def load_card(path: Path) -> dict[str, Any]:
 
 
 def load_debounce(name: str | Path) -> Debounce | None:
-    """How a detector's card says that its scores are best turned into events; None where it does not.
+    """Return the debounce settings of a detector's card, None if it has none.
 
     Raises:
         InputError: if the card is damaged.
@@ -157,13 +160,13 @@ def _read_safetensors(data: bytes) -> tuple[dict[str, NDArray[Any]], dict[str, s
     header, arrays = _split(data)
     about = header.get("__metadata__", {})
     if (digest := about.pop(_DIGEST, None)) and digest != _digest(header, arrays):
-        raise ValueError("its sha256 is not the one that it names")
+        raise ValueError("its sha256 differs from the one that it contains")
     return weights, about
 
 
 def _split(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """The header of a .safetensors file, and its arrays, end to end."""
-    start = 8  # bytes, which hold the length of the header
+    """Return the header of a .safetensors file and the bytes of its arrays."""
+    start = 8  # bytes, with the length of the header
     end = start + int.from_bytes(data[:start], "little")
     return json.loads(data[start:end]), data[end:]
 

@@ -1,4 +1,4 @@
-"""One Parquet file: written whole or not at all, checked to the last bit when read."""
+"""Parquet files of a session: written whole or not at all, verified when read."""
 
 import hashlib
 from pathlib import Path
@@ -14,10 +14,10 @@ from storage.manifest import Part
 
 
 def write_part(path: Path, table: pa.Table, put: files.Put = files.put) -> str:
-    """Commit a table as one Parquet file; give its sha256.
+    """Write a table as one Parquet file and return its sha256.
 
     Raises:
-        OSError: the file is not there, or is whole.
+        OSError: the file is missing, or whole.
     """
     sink = pa.BufferOutputStream()
     cast("Any", pq).write_table(
@@ -39,23 +39,23 @@ def commit_part(
     table: pa.Table,
     put: files.Put = files.put,
 ) -> Part:
-    """Write a table as a file of the session in `folder`; give what the manifest is to say of it.
+    """Write a table as a file of a session and return its manifest entry.
 
     Args:
-        folder: The session's.
-        path: Within it.
+        folder: Folder of the session.
+        path: Path within it.
         table: The rows.
-        put: How to write it.
+        put: Function that writes the file.
 
     Raises:
-        OSError: the file is not there, or is whole.
+        OSError: the file is missing, or whole.
         InputError: if a link leads out of the session.
     """
     return described(path, table, write_part(inside(folder, folder / path), table, put))
 
 
 def described(path: str, table: pa.Table, sha256: str) -> Part:
-    """What the manifest says of a file that holds these rows."""
+    """Return the manifest entry of a file with these rows."""
     if not len(table):
         return Part(path, 0, 0, 0, sha256)
     time = table["time"].to_numpy()
@@ -63,7 +63,7 @@ def described(path: str, table: pa.Table, sha256: str) -> Part:
 
 
 def hash_part(path: Path) -> str:
-    """The sha256 of a file, hex.
+    """Return the sha256 (hex) of a file.
 
     Raises:
         InputError: if it cannot be read.
@@ -72,7 +72,7 @@ def hash_part(path: Path) -> str:
 
 
 def inspect_part(folder: Path, path: str, schema: pa.Schema) -> Part:
-    """What a manifest would say of a file of the session in `folder`, which is read for it.
+    """Read a file of a session and return its manifest entry.
 
     Raises:
         InputError: as `read_part`, or if a link leads out of the session.
@@ -83,48 +83,47 @@ def inspect_part(folder: Path, path: str, schema: pa.Schema) -> Part:
 
 
 def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:
-    """The columns of `schema` from a Parquet file; it may have others.
+    """Return the columns of `schema` from a Parquet file, which may have others.
 
     Args:
         path: The file.
-        schema: The columns that it must have, with their types and units.
-        sha256: What the manifest says of it; None where it is not listed: its pages still carry checksums.
+        schema: Columns that it must have, with their types and units.
+        sha256: Its sha256 in the manifest; None if it is not listed: only the page checksums are verified.
 
     Raises:
         InputError: if the file is missing, damaged or lacks a column.
     """
     data = files.read(path)
     if sha256 and hashlib.sha256(data).hexdigest() != sha256:
-        raise InputError(str(path), "is damaged: its sha256 is not the one in the manifest; put a copy back")
+        raise InputError(str(path), "is damaged: its sha256 differs from the manifest; restore a copy")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        # in this thread: one of Arrow's own may be the last to let go of `data`, which aborts a process that
-        # just ends
+        # without Arrow's threads: one that is the last to release `data` aborts a process that is ending
         _check(path, file.schema_arrow, schema)
         table: pa.Table = file.read(schema.names, use_threads=False)
         table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).partition("\n")[0].rstrip(".")
-        raise InputError(str(path), f"is damaged or no Parquet file: {reason}; put a copy back") from error
+        raise InputError(str(path), f"is damaged or not a Parquet file: {reason}; restore a copy") from error
     if len(table) != file.metadata.num_rows:
-        there = f"{len(table)} of its {file.metadata.num_rows} rows are there"
-        raise InputError(str(path), f"is damaged: {there}; put a copy back")
+        reason = f"is damaged: it has {len(table)} of its {file.metadata.num_rows} rows; restore a copy"
+        raise InputError(str(path), reason)
     for field in _fields(schema):
         column = table[field.name]
         if not field.nullable and (column.null_count or flat(column).null_count):
-            raise InputError(str(path), f"column {field.name!r} holds nulls, must hold none")
+            raise InputError(str(path), f"column {field.name!r} has nulls, must have none")
     return table
 
 
 def flat(column: "pa.ChunkedArray[Any]") -> "pa.Array[Any]":
-    """The values of a column in one array; those of FixedSizeLists, end to end."""
+    """Return the values of a column in one array, those of FixedSizeLists end to end."""
     array: Any = column.combine_chunks()
     values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
     return values
 
 
 def _encodings(schema: pa.Schema) -> dict[str, str]:
-    """How the columns are packed before they are compressed, by their path in the file."""
+    """Return the Parquet encoding of each column by its path in the file."""
     encodings: dict[str, str] = {}
     for field in _fields(schema):
         nested = pa.types.is_fixed_size_list(field.type)

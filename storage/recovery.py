@@ -1,61 +1,88 @@
-"""Putting a session right whose recorder was killed: what its journal holds becomes parts."""
+"""Recovery of a session whose recorder was killed, or whose files were damaged."""
 
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from operators.errors import EndpointError, os_error_reason
 from storage.description import read_session
 from storage.layout import JOURNAL
 from storage.lock import lock
-from storage.recovered import Recovery
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Result of a recovery."""
+
+    session: str
+    rows: Mapping[str, int]  # recovered rows by table
+    adopted: tuple[str, ...]  # files that were whole but not in the manifest
+    lost: tuple[str, ...]  # a line for each loss that was not known before
+    cut: tuple[str, ...]  # of these, those at the end only, where the recorder was killed
+    done: tuple[str, ...]  # a line for each other repair
+
+    @property
+    def complete(self) -> bool:
+        """True if nothing was lost."""
+        return not self.lost
+
+    @property
+    def changed(self) -> bool:
+        """True if anything was repaired or lost."""
+        return bool(self.rows or self.adopted or self.lost or self.done)
 
 
 def recover(folder: str | Path) -> Recovery:
-    """Put a session right, so that all of it can be read from parts that its manifest lists.
+    """Repair a session, so that all its rows are in parts that its manifest lists.
 
-    Files that are whole but not listed are listed, but not what is there twice; a part that is known of and
-    gone is told of as lost, by what a damaged manifest still lists or by its number. The rows of the journal
-    follow, table by table, up to the first that is missing: a table never has a hole that its reader would
-    have to look for. What stands behind damage is kept in the session's folder `damaged`, as are a file that
-    was there twice and a damaged manifest. At last session.json says what was done, and the journal goes. A
-    session that needs nothing is left alone; killed at any step, it may be called again.
+    Whole files that are not listed are added to the manifest, unless they duplicate others. The rows of the
+    journal become parts, table by table, up to the first missing row: a table never has a gap. Missing
+    parts are reported as lost. Unreadable files, duplicates and a damaged manifest are kept in the folder
+    `damaged`. Finally session.json records the recovery, and the journal is deleted. A session that needs
+    no repair is not changed; a recovery that was killed can be run again.
 
     Args:
-        folder: The session's.
+        folder: Folder of the session.
 
     Raises:
-        InputError: if it is no session, or its journal is of another version; nothing is changed then.
-        EndpointError: if it is being recorded, or cannot be written to.
+        InputError: if it is not a session, or its journal has another version; nothing is changed then.
+        EndpointError: if it is being recorded, or cannot be written.
     """
     folder = Path(folder)
     about = read_session(folder)
-    with _alone(folder):
-        from storage.salvage import Salvage  # noqa: PLC0415 - it imports pyarrow
+    with _exclusive(folder):
+        from storage.session_recovery import SessionRecovery  # noqa: PLC0415 - imports pyarrow
 
         try:
-            return Salvage(folder, about).carry_out()
+            return SessionRecovery(folder, about).finish()
         except OSError as error:
             raise EndpointError(str(folder), f"cannot be recovered: {os_error_reason(error)}") from error
 
 
 @contextmanager
-def _alone(folder: Path) -> Generator[None]:
-    """Nobody records the session, or recovers it, meanwhile."""
+def _exclusive(folder: Path) -> Generator[None]:
+    """Lock a session against recorders and other recoveries."""
     held = list[int]()
     try:
-        with suppress(FileNotFoundError):  # those who recover wait for each other; then there is no journal
+        with suppress(FileNotFoundError):  # concurrent recoveries wait here, and then find no journal
             turn = lock(folder / JOURNAL, wait=True)
             held += [] if turn is None else [turn]
         own = lock(folder)
         if own is None:
-            raise EndpointError(str(folder), "is being recorded just now; recover it when that has ended")
+            _close(held)
+            raise EndpointError(str(folder), "is being recorded: recover it when the recording ends")
         held.append(own)
     except OSError as error:
+        _close(held)
         raise EndpointError(str(folder), f"cannot be locked: {os_error_reason(error)}") from error
-    else:
+    try:
         yield
     finally:
-        for number in reversed(held):
-            os.close(number)
+        _close(held)
+
+
+def _close(held: list[int]) -> None:
+    for number in reversed(held):
+        os.close(number)

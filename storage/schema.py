@@ -19,7 +19,7 @@ _KINDS: Final = {kind.__name__: kind for kind in TABLE_OF}
 
 
 def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
-    """The Arrow schema of a table; its metadata "batch" names the type of the batches that it was made of.
+    """Return the Arrow schema of a table; its metadata "batch" has the type of its batches.
 
     >>> from storage.layout import TOUCH
     >>> schema(TOUCH).field("counts").type
@@ -28,11 +28,11 @@ def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
     return pa.schema(_fields(table), {"batch": (kind or table.kind).__name__})
 
 
-def holders(table: Table) -> pa.Schema:
-    """As much of a table's schema as tells whose its rows are: the fingertip, or else the time.
+def finger_schema(table: Table) -> pa.Schema:
+    """Return the schema of the one column that `fingers` needs: the fingertip, or else the time.
 
     >>> from storage.layout import MOTION, TOUCH
-    >>> holders(TOUCH).names, holders(MOTION).names
+    >>> finger_schema(TOUCH).names, finger_schema(MOTION).names
     (['finger'], ['time'])
     """
     name = "finger" if table.finger else "time"
@@ -52,12 +52,12 @@ def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
 
 
 def batch_type(rows: pa.Table) -> type[Batch] | None:
-    """The type of the batches that a table was made of, None where its metadata do not say."""
+    """Return the type of the batches of a table, None if its metadata lack it."""
     return _KINDS.get((rows.schema.metadata or {}).get(b"batch", b"").decode(errors="replace"))
 
 
 def fingers(table: Table, rows: pa.Table) -> frozenset[int]:
-    """The fingertips that have rows, of which the columns of `holders` are enough."""
+    """Return the fingertips that have rows; the columns of `finger_schema` suffice."""
     if not table.finger:
         return frozenset({EVERY} if len(rows) else ())
     found: list[int] = np.unique(_values(rows, "finger")).tolist()
@@ -65,10 +65,13 @@ def fingers(table: Table, rows: pa.Table) -> frozenset[int]:
 
 
 def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Batch]:
-    """The rows as batches of `kind`, by fingertip.
+    """Return the rows as batches of `kind`, by fingertip.
 
-    What samples do not keep comes back as unknown: the temperature as -1, the pose as NaN, `matched` as
-    whether there is a velocity.
+    Columns that samples do not store are unknown: temperature -1, pose NaN, `matched` true if there is a
+    velocity.
+
+    Raises:
+        BatchError: if a name has no code.
     """
     values: dict[str, NDArray[Any]] = {}
     for name, each in columns(kind).items():
@@ -86,7 +89,7 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
     if len(found) <= 1:
         return {each: kind(*values.values(), finger=each) for each in found}
     finger = _values(rows, "finger")  # (n,)
-    order = finger.argsort(kind="stable")  # a fingertip's rows side by side, in their order
+    order = finger.argsort(kind="stable")  # rows of a fingertip together, in order
     first = finger[order].searchsorted(sorted(found))  # (fingers,)
     return {
         each: kind(*(value[own] for value in values.values()), finger=each)

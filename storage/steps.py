@@ -1,6 +1,6 @@
-"""The steps at which a recording, or its recovery, can be cut off: each leaves something that can be read.
+"""Steps at which a recording or a recovery can be killed; what is left after each must be readable.
 
-A test puts a function in place of `reach`, which is told each step as it begins, and ends the process there.
+Tests replace `reach`, which is called at the start of each step, to end the process there.
 """
 
 from collections.abc import Callable
@@ -8,22 +8,22 @@ from itertools import product
 from typing import Final
 
 
-def _go_on(_: str) -> None:
+def _continue(_: str) -> None:
     return
 
 
-reach: Callable[[str], None] = _go_on
+reach: Callable[[str], None] = _continue
 
 STEPS: Final = (
     *(
-        f"{action} {what}"
-        for what, action in product(
+        f"{action} {file}"
+        for file, action in product(
             ("dataset", "session", "segment", "part", "manifest"),
-            ("write", "sync", "rename", "settle"),  # settle: make the new name durable
+            ("write", "sync", "rename", "sync name of"),
         )
     ),
     "append frames",
     "sync frames",
-    "drop segment",
-    "drop journal",
+    "delete segment",
+    "delete journal",
 )

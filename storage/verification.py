@@ -1,48 +1,73 @@
-"""Whether a dataset is all there: every file against the manifests, every page against its checksum."""
+"""Verification of a dataset: every file against the manifests, every page against its checksum."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Literal, cast
 
-from operators.errors import InputError
-from storage.description import read_dataset
-from storage.findings import Finding, Weight, heaviest
+from operators.errors import InputError, os_error_reason
+from operators.ports import Description
+from storage import files, journal_segment
+from storage.description import read_dataset, read_session, recorders
 from storage.layout import (
+    DAMAGED,
     DATASET,
+    JOURNAL,
+    MANIFEST,
+    SAMPLES,
     SESSION,
     SESSIONS,
+    TABLES,
+    Table,
     headless,
     headless_names,
     inside,
-    may_be,
+    may_exist,
+    segments,
     session_names,
+    single_log,
 )
-from storage.manifest import Part
-from storage.session_check import SessionCheck
+from storage.lock import locked
+from storage.manifest import Part, read_manifest
+
+Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
+Progress = Callable[[int, int, str], object]  # files done, of how many, session
 
 GOOD: Final = 0  # exit codes
 LOST: Final = 1
 LOSSY: Final = 3
+_ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", "lost")
 
-Progress = Callable[[int, int, str], object]  # files done, of how many, session
+
+@dataclass(frozen=True)
+class Finding:
+    """Result of a check of a session.
+
+    A note is no fault. Repairable: a recovery can repair it; repaired: one has; neither lost a row. Lossy:
+    rows known to be missing, because they were dropped, or cut off with the recorder. Lost: recorded rows
+    are missing.
+    """
+
+    session: str
+    weight: Weight
+    text: str
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A file that a session's manifest lists."""
+    """File in the manifest of a session."""
 
     session: str
     part: Part
-    whole: bool  # False: it is gone or damaged
+    whole: bool  # False: it is missing or damaged
 
 
 @dataclass(frozen=True)
 class Verified:
-    """What a check of a dataset found."""
+    """Result of the verification of a dataset."""
 
     sessions: int
-    files: int  # Parquet files that were read
+    files: int  # readable Parquet files
     rows: int  # in them
     findings: tuple[Finding, ...]
     parts: tuple[Checked, ...] = ()
@@ -50,30 +75,44 @@ class Verified:
 
     @property
     def code(self) -> int:
-        """0: all there; 3: something was repaired, or is missing and known to be; 1: something was lost."""
+        """Exit code: 0 good; 3 repaired, repairable, or known to be lossy; 1 lost."""
         return GOOD if self.worst == "note" else LOST if self.worst == "lost" else LOSSY
 
     @property
     def worst(self) -> Weight:
-        """The weight of the worst finding; a note if there is none."""
+        """Weight of the worst finding; a note if there is none."""
         return heaviest(self.findings)
 
 
-def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: None) -> Verified:
-    """Read all of a dataset, or of one session, and compare; nothing is changed.
+def heaviest(findings: Iterable[Finding]) -> Weight:
+    """Return the weight of the worst finding, a note if there is none."""
+    return _ORDER[max((severity(finding.weight) for finding in findings), default=0)]
 
-    A session that is being recorded is checked as far as it is committed.
+
+def severity(weight: Weight) -> int:
+    """Return the rank of a weight, 0 for a note.
+
+    >>> severity("lossy") < severity("lost")
+    True
+    """
+    return _ORDER.index(weight)
+
+
+def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: None) -> Verified:
+    """Read and check all files of a dataset, or of one session; nothing is changed.
+
+    A session that is being recorded is checked up to its last commit.
 
     Args:
-        path: The dataset's folder, or the session's.
-        progress: Told how far the check is.
+        path: Folder of the dataset or session.
+        progress: Called after each file.
 
     Raises:
-        InputError: if there is neither, or it may not be looked into.
+        InputError: if `path` is neither, or cannot be read.
     """
     root = Path(path)
     findings = list[Finding]()
-    if may_be(root / SESSION) or headless(root):
+    if may_exist(root / SESSION) or headless(root):
         folders = [root]
     else:
         if not root.is_dir():
@@ -86,14 +125,14 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
         names = sorted([*session_names(root), *headless_names(root)])
         folders = [inside(root, root / SESSIONS / name) for name in names]
         if findings and not folders:
-            reason = f"is no session, which has a {SESSION}, and no dataset, which has a {DATASET}"
+            reason = f"is not a session (no {SESSION}) and not a dataset (no {DATASET})"
             raise InputError(str(root), reason)
         if not folders:
-            findings.append(Finding("", "lossy", "holds no session: none was recorded, or they are gone"))
-    checks = [SessionCheck(folder) for folder in folders]
+            findings.append(Finding("", "lossy", "has no session: none was recorded, or they are missing"))
+    checks = [_SessionCheck(folder) for folder in folders]
     done, of = 0, sum(len(check.listed) for check in checks)
     for check in checks:
-        for _ in check.carry_out():
+        for _ in check.run():
             progress(done := done + 1, of, check.name)
         findings += check.findings
     read = [check.read for check in checks]
@@ -109,3 +148,191 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
         ),
         tuple(check.name for check in checks),
     )
+
+
+class _SessionCheck:
+    """Check of one session.
+
+    Attributes:
+        folder: Folder of the session.
+        name: Name of the session.
+        findings: Findings so far.
+        read: Rows of the files that could be read so far, by path.
+        listed: Parts in the manifest, by path.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.name = folder, folder.resolve().name
+        self.findings: list[Finding] = []
+        self.read: dict[str, int] = {}
+        self.recording = locked(folder)
+        self.listed: dict[str, Part] = {}
+        self.about: Description = {}  # session.json, if it can be read
+        try:
+            self.listed = read_manifest(folder)
+        except InputError as error:
+            self._add("lost", str(error))
+
+    def run(self) -> Iterator[None]:
+        """Check the session; yield after each file."""
+        try:
+            yield from self._check_all()
+        except OSError as error:  # of folders; errors of files are findings already
+            self._add("lost", f"{error.filename or self.folder}: cannot be read: {os_error_reason(error)}")
+
+    def _check_all(self) -> Iterator[None]:
+        from storage.orphan_parts import extent  # noqa: PLC0415 - imports pyarrow
+
+        self._check_description()
+        self._check_journal()
+        for path, part in self.listed.items():
+            try:
+                self.read[path] = self._check_part(path, part)
+            except InputError as error:
+                self._add("lost", f"{error}; it had {extent(part)}")
+            yield
+        self._check_rest()
+
+    def _add(self, weight: Weight, text: str) -> None:
+        self.findings.append(Finding(self.name, weight, text))
+
+    def _check_description(self) -> None:
+        if self.recording:
+            self._add("note", "is being recorded: checked up to its last commit")
+            return
+        if headless(self.folder):
+            self._add("lost", f"its {SESSION} is missing; its readable rows are counted")
+            return
+        try:
+            about = self.about = read_session(self.folder)
+            self._check_ending(about)
+            self._check_streams(about)
+        except InputError as error:
+            self._add("lost", str(error))
+        except (AttributeError, LookupError, TypeError) as error:
+            self.about = {}
+            self._add("lost", f"{self.folder / SESSION}: has invalid content: {error!r}")
+
+    def _check_ending(self, about: Description) -> None:
+        recovered = cast("dict[str, Any] | None", about.get("recovered"))
+        if recovered is not None:
+            rows = ", ".join(f"{count} rows of {table}" for table, count in recovered["rows"].items())
+            self._add("repaired" if rows else "lossy", f"was recovered: {rows or 'no rows'}")
+            for each in recovered["lost"]:
+                cut = each in recovered.get("cut", [])
+                self._add(
+                    "lossy" if cut else "lost",
+                    f"{'cut off' if cut else 'lost'} before it was recovered: {each}",
+                )
+        elif "end_ns" not in about and not (self.folder / JOURNAL).exists():
+            reason = "was not closed and has no journal: rows after its last part are missing"
+            self._add("lossy", f"{reason}; slipflow recover records this")
+        elif about.get("error"):
+            self._add("note", f"ended early: {about['error']}")
+
+    def _check_streams(self, about: Description) -> None:
+        keep = recorders(about)
+        for name, sink in cast("dict[str, dict[str, int]]", about.get("sinks", {})).items():
+            if sink["dropped"]:
+                weight: Weight = "lossy" if name in keep else "note"
+                self._add(weight, f"{sink['dropped']} rows for {name} were dropped")
+        for name, stream in cast("dict[str, dict[str, Any]]", about.get("streams", {})).items():
+            for gap in stream["gaps"]:
+                seconds = (gap["end"] - gap["start"]) / 1e9
+                self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
+
+    def _check_journal(self) -> None:
+        from storage.orphan_parts import missing_segments  # noqa: PLC0415 - imports pyarrow
+
+        if self.recording or not (self.folder / JOURNAL).exists():
+            return
+        self._add("repairable", "has a journal: slipflow recover turns it into parts")
+        for text in missing_segments(self.folder, self.about):
+            self._add("lost" if self.listed or segments(self.folder) else "lossy", text)
+        logs, single = [*segments(self.folder).items()], single_log(self.folder)
+        logs += [(journal_segment.SINGLE_LOG, single)] if single.exists() else []
+        session = str(self.about.get("session", self.name))
+        for number, path in logs:
+            try:
+                data = files.read(path, journal_segment.WHOLE)
+                damage = journal_segment.read_segment(data, str(path), session, number).damage
+            except InputError as error:
+                self._add("lost", str(error))
+                continue
+            if damage and damage.more:
+                self._add("lost", f"{path.name}: is damaged at byte {damage.offset}")
+            elif damage:
+                self._add("lossy", f"{path.name}: its last {damage.size} bytes cannot be read")
+
+    def _check_part(self, path: str, part: Part) -> int:
+        """Return the rows of a listed part.
+
+        Raises:
+            InputError: if it is damaged.
+        """
+        from storage import parts, schema  # noqa: PLC0415 - they import pyarrow
+
+        table = _table(path)
+        rows = parts.read_part(inside(self.folder, self.folder / path), schema.schema(table), part.sha256)
+        if parts.described(path, rows, part.sha256) != part:
+            raise InputError(str(self.folder / path), "has other rows or times than in the manifest")
+        if table is SAMPLES:
+            for finger, batch in schema.from_arrow(table, table.kind, rows).items():
+                if (batch.time[1:] < batch.time[:-1]).any():
+                    self._add("lossy", f"{path}: rows of finger {finger} are not in order of time")
+        return len(rows)
+
+    def _check_rest(self) -> None:
+        """Check everything that is not in the manifest."""
+        if (self.folder / DAMAGED).exists():
+            self._add("repaired", f"has a folder {DAMAGED!r}, with files that a recovery moved there")
+        if self.recording or (self.folder / JOURNAL).exists():
+            return
+        if not (self.folder / MANIFEST).exists():
+            self._add("repairable", f"has no {MANIFEST}: slipflow recover rewrites it")
+        self._check_missing([*self.listed, *self._check_unlisted()])
+        for path in (*self.folder.glob("*" + files.SCRATCH), *self.folder.glob("*/*" + files.SCRATCH)):
+            self._add("note", f"{path.name} was left over: slipflow recover deletes it")
+
+    def _check_unlisted(self) -> list[str]:
+        """Check unlisted files; return all existing files except duplicates."""
+        from storage import orphan_parts, parts, schema  # noqa: PLC0415 - they import pyarrow
+
+        there = list[str]()
+        for table in TABLES:
+            found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]
+            paths = sorted(found, key=orphan_parts.part_number)
+            kept = orphan_parts.without_duplicates(self.folder, table, paths, self.listed)
+            for path in paths:
+                if path not in kept:
+                    self._add("repairable", f"{path} has duplicate rows: slipflow recover moves it away")
+            there += kept
+        for path in there:
+            if path in self.listed:
+                continue
+            try:
+                parts.read_part(inside(self.folder, self.folder / path), schema.schema(_table(path)))
+            except InputError as error:
+                self._add("lost", f"{error}; it is not in the manifest")
+            else:
+                self._add("repairable", f"{path} is not in the manifest: slipflow recover adds it")
+        return there
+
+    def _check_missing(self, paths: list[str]) -> None:
+        """Check for parts and rows of which no file is left, except losses that a recovery has recorded."""
+        from storage.orphan_parts import missing_parts, missing_rows  # noqa: PLC0415 - imports pyarrow
+
+        recovered = cast("dict[str, Any]", self.about.get("recovered", {}))
+        known: list[str] = recovered.get("lost", [])
+        for path in missing_parts(paths):
+            if not any(path in each for each in known):
+                self._add("lost", f"{path}: is missing, and not in the manifest")
+        if len(self.listed) == len(set(paths)):  # else the rows of unlisted files are unknown
+            text = missing_rows(self.about, self.listed.values())
+            if text and text not in known:
+                self._add("lost", text)
+
+
+def _table(path: str) -> Table:
+    """Return the table of a file."""
+    return next(table for table in TABLES if path.startswith((f"{table.name}/", f"{table.name}.")))

@@ -1,4 +1,4 @@
-"""A session while it is recorded: rows gather in memory and are committed as Parquet parts."""
+"""Writer of a session: rows are buffered in memory and committed as Parquet parts."""
 
 import os
 import weakref
@@ -16,52 +16,56 @@ from operators.ports import Run
 from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
-from storage.frames import Rows
-from storage.growing import Growing
 from storage.journal import Journal
+from storage.journal_segment import NumberedRows
 from storage.layout import SESSIONS, TABLE_OF, TABLES, TOUCH, Table, session_folder
 from storage.lock import lock
 from storage.manifest import Part, write_manifest
 from storage.parts import commit_part
 from storage.schema import to_arrow
-from storage.unsettled import Unsettled
 
 
 class SessionWriter:
-    """One session being written. Apart from `full`, `add` and `take`, its methods wait for the disk.
+    """Writer of one session. Only `full`, `add` and `begin_commit` do not wait for the disk.
 
-    All tables are committed together, so that their parts cover the same time. A live run's rows are in a
-    journal until then, so that a crash does not cost them. A replay can be made again: it is made durable all
-    at once, before it is declared ended.
+    All tables are committed together, so that their parts cover the same time. The rows of a live run are
+    in a journal until then. A replay can be repeated: its files are made durable together before the
+    session ends.
+
+    Args:
+        root: Folder of the dataset.
+        run: The run.
+        part_span: Event time of a part, ns.
+        part_rows: Most rows of a part.
+        host: Name of the machine; default: its host name.
+
+    Raises:
+        EndpointError: if the dataset cannot be written, or has a session of that name.
+        ParameterError: if the name of the session is not a file name.
+        InputError: if dataset.json or the description of a source is invalid, or the folder is not a dataset
+            and not empty.
     """
 
     def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
-        """Make the session's folder and say in it what is known at the beginning.
-
-        Raises:
-            EndpointError: if the dataset cannot be written to, or has a session of that name.
-            ParameterError: if the session's name is no file name.
-            InputError: if dataset.json or a source's description is not as it must be, or the folder holds
-                other files and is no dataset.
-        """
         self.folder = session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
         kinds = run.sink_types.get(str(root), ())
-        self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # that may get rows
-        self._buffers: dict[str, Buffer | Growing] = {
-            table.name: Growing(table.kind) for table in self._tables if not table.parted
+        self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # may get rows
+        self._buffers: dict[str, Buffer] = {
+            table.name: Buffer(table.kind) for table in self._tables if not table.parted
         }
-        self._taken: dict[str, Buffer | Growing] | None = None  # what the commit that is due is about
-        self._rotated = self._behind = False  # of that commit: the journal has gone on; it failed
+        self._committing: dict[str, Buffer] | None = None  # buffers of the commit in progress
+        self._rotated = False  # by that commit: the journal has begun its next segment
+        self.failed = False  # the last commit failed: it must succeed before more rows are added
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
-        self._gathering = Lock()  # guards the buffers; never held while the disk works
-        self._writing = Lock()  # a commit goes on in its thread when the task that awaited it is cancelled
+        self._buffering = Lock()  # guards the buffers; never held during disk work
+        self._writing = Lock()  # a commit continues in its thread if the task that awaits it is cancelled
         self._journal: Journal | None = None
-        self._unsettled = None if run.live else Unsettled()
-        self._put = self._unsettled.put if self._unsettled else files.put
-        self._make_folder = self._unsettled.make_folder if self._unsettled else files.make_folder
+        self._deferred = None if run.live else files.DeferredSync()
+        self._put = self._deferred.put if self._deferred else files.put
+        self._make_folder = self._deferred.make_folder if self._deferred else files.make_folder
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
@@ -71,7 +75,7 @@ class SessionWriter:
             try:
                 self._make_folder(self.folder, new=True)
             except FileExistsError:
-                reason = f"has a session {run.session!r} already; give this one another name"
+                reason = f"already has a session {run.session!r}; give this one another name"
                 raise EndpointError(str(root), reason) from None
             held = None
             try:
@@ -85,24 +89,19 @@ class SessionWriter:
                 if held is not None:
                     os.close(held)
                 raise
-        self._leave = weakref.finalize(self, _leave, self._journal, held)
+        self._release = weakref.finalize(self, _release, self._journal, held)
 
     @property
     def journalled(self) -> bool:
-        """Whether what gathers survives a crash: a commit then need not be waited for."""
+        """True if buffered rows survive a crash: then commits run in the background."""
         return self._journal is not None
 
-    @property
-    def behind(self) -> bool:
-        """Whether a commit has failed, which has to be made good before more is taken."""
-        return self._behind
-
     def full(self, batch: Batch) -> bool:
-        """Whether to commit before `batch` is added.
+        """Return true if a commit is needed before `batch` is added.
 
         Raises:
-            ParameterError: if no table takes it.
-            BatchError: if it is broken: it would spoil the part that it goes into.
+            ParameterError: if no table has its type.
+            BatchError: if it is invalid.
         """
         kind, table = type(batch), TABLE_OF.get(type(batch))
         if table is None:
@@ -111,136 +110,136 @@ class SessionWriter:
         if not table.finger and batch.finger != EVERY:
             raise ParameterError("Dataset", f"finger of a {kind.__name__}", batch.finger, f"EVERY ({EVERY})")
         buffer = self._buffers.get(table.name)
-        if buffer and buffer.kind is not kind:
-            reason = f"{buffer.kind.__name__}: a session keeps either raw or zeroed counts"
+        if buffer is not None and buffer.kind is not kind:
+            reason = f"{buffer.kind.__name__}: a session has either raw or zeroed counts"
             raise ParameterError("Dataset", "batch", kind.__name__, reason)
         rows = len(batch.check())
-        if self._behind or (self._journal and self._journal.suspect):
+        if self.failed or (self._journal and self._journal.suspect):
             return True
-        if not rows or not isinstance(buffer, Buffer) or not buffer.rows:
+        if not rows or not table.parted or buffer is None or not buffer.rows:
             return False
         rows, first, last = buffer.plus(batch)
         return rows > self._part_rows or last - first >= self._part_span
 
     def add(self, batch: Batch) -> bool:
-        """Keep a batch, which `full` has seen, until the next commit.
+        """Buffer a batch, for which `full` was false, until the next commit.
 
-        False: not taken, since the journal is behind; `append` waits for it.
+        Returns:
+            False if the journal is busy and the batch was not buffered: `append` waits for it.
         """
         if not len(batch):
             return True
-        with self._gathering:
+        with self._buffering:
             buffer = self._buffer(batch)
-            if self._journal and not self._journal.add(Rows(buffer.end, batch)):
+            if self._journal and not self._journal.add(NumberedRows(buffer.end, batch)):
                 return False
             buffer.add(batch)
         return True
 
     def append(self, batch: Batch) -> None:
-        """Keep a batch as `add` does once it is in the journal.
+        """Buffer a batch as `add` does, after it has been appended to the journal.
 
         Raises:
-            EndpointError: if it cannot be written; it was not taken.
+            EndpointError: if it cannot be written; it was not buffered.
         """
-        assert self._journal, "without one, add takes all"
+        assert self._journal, "without a journal, add never refuses"
         with self._reporting(), self._journal.held():
             buffer = self._buffer(batch)
-            self._journal.append(Rows(buffer.end, batch))
-            with self._gathering:
+            self._journal.append(NumberedRows(buffer.end, batch))
+            with self._buffering:
                 self._buffer(batch).add(batch)
 
-    def take(self, *, final: bool = False) -> None:
-        """What has gathered is what the next commit is about; `final`: the tables of one file, too."""
-        if self._taken is None:
+    def begin_commit(self, *, final: bool = False) -> None:
+        """Select the buffered rows for the next commit; single-file tables only if it is `final`."""
+        if self._committing is None:
             tables = [table for table in TABLES if table.parted or final]
-            with self._gathering:
+            with self._buffering:
                 found = {table.name: self._buffers.get(table.name) for table in tables}
-                self._taken = {
+                self._committing = {
                     name: buffer
                     for name, buffer in found.items()
-                    if buffer and (buffer.rows or (final and self._is_due_empty(name)))
+                    if buffer is not None and (buffer.rows or (final and self._needs_empty_file(name)))
                 }
-                for name, buffer in self._taken.items():
-                    self._buffers[name] = type(buffer)(buffer.kind, buffer.end)
-            self._rotated = final  # nothing stays behind
+                for name, buffer in self._committing.items():
+                    self._buffers[name] = Buffer(buffer.kind, buffer.end)
+            self._rotated = final  # no rows are left
 
     def commit(self, *, final: bool = False) -> None:
-        """Write what was taken, or else what has gathered, as parts and then the manifest.
+        """Write the selected rows, by default all buffered ones, as parts, then the manifest.
 
         Raises:
-            EndpointError: what could not be committed is kept for the next try.
+            EndpointError: rows that could not be committed are kept for the next try.
         """
         with self._writing, self._reporting():
             try:
-                self.take(final=final)
-                self._commit_taken()
+                self.begin_commit(final=final)
+                self._commit_selected()
             except BaseException:
-                self._behind = True
+                self.failed = True
                 raise
-            self._behind = False
+            self.failed = False
 
     def close(self) -> None:
-        """Commit everything, declare the session ended and let go of it.
+        """Commit all rows, end the session and release it.
 
         Raises:
             EndpointError: it may be called again.
         """
         if self._journal:
             self._journal.stop()
-        if self._taken is not None:
+        if self._committing is not None:
             self.commit()
         self.commit(final=True)
         touch = self._buffers.get(TOUCH.name)
         with self._reporting():
-            if self._unsettled:
-                self._unsettled.settle()
+            if self._deferred:
+                self._deferred.settle()
             zeroed = touch is not None and touch.kind is Zeroed
             describe_session(
                 self.folder, self._run, host=self._host, tables=self._tables, zeroed=zeroed, ended=True
             )
             if self._journal:
                 self._journal.remove()
-        self._leave()
+        self._release()
 
-    def _buffer(self, batch: Batch) -> Buffer | Growing:
-        table = TABLE_OF[type(batch)]
-        found = self._buffers.get(table.name)
-        if found is None:
-            found = self._buffers[table.name] = (Buffer if table.parted else Growing)(type(batch))
+    def _buffer(self, batch: Batch) -> Buffer:
+        table = TABLE_OF[type(batch)].name
+        if (found := self._buffers.get(table)) is None:
+            found = self._buffers[table] = Buffer(type(batch))
         return found
 
-    def _is_due_empty(self, table: str) -> bool:
-        """Whether a table of one file, which has no rows, still lacks the file that says so."""
-        return isinstance(self._buffers[table], Growing) and not self._numbers[table]
+    def _needs_empty_file(self, table: str) -> bool:
+        """Return true if a single-file table has no rows and its file is not written yet."""
+        return not TABLE_OF[self._buffers[table].kind].parted and not self._numbers[table]
 
-    def _kept(self, form: type[Buffer | Growing]) -> list[Rows]:
-        """The rows that are not taken, of tables of parts or of one file."""
-        with self._gathering:
-            kept = [buffer for buffer in self._buffers.values() if isinstance(buffer, form)]
+    def _kept(self, *, parted: bool) -> list[NumberedRows]:
+        """Return the rows that are not being committed, of tables of parts or of single-file tables."""
+        with self._buffering:
+            kept = [each for each in self._buffers.values() if TABLE_OF[each.kind].parted is parted]
             return [rows for buffer in kept for rows in buffer.numbered()]
 
-    def _commit_taken(self) -> None:
-        """In this order, so that at each step all rows are in a listed part or in the journal."""
-        assert self._taken is not None, "take comes first"
+    def _commit_selected(self) -> None:
+        """Commit in such an order that at each step all rows are in a listed part or in the journal."""
+        assert self._committing is not None, "begin_commit comes first"
         if self._journal and not self._rotated:
-            self._journal.rotate(partial(self._kept, Buffer), partial(self._kept, Growing))
+            self._journal.rotate(partial(self._kept, parted=True), partial(self._kept, parted=False))
             self._rotated = True
         for table in TABLES:
-            if buffer := self._taken.get(table.name):
+            if buffer := self._committing.get(table.name):
                 self._commit_rows(table, buffer)
-                del self._taken[table.name]
+                del self._committing[table.name]
         write_manifest(self.folder, self._parts, self._put)
         if self._journal:
             self._journal.drop()
-        self._taken = None
+        self._committing = None
 
-    def _commit_rows(self, table: Table, buffer: Buffer | Growing) -> None:
-        rows = to_arrow(table, buffer.batches or [buffer.kind.empty()])
+    def _commit_rows(self, table: Table, buffer: Buffer) -> None:
+        rows = to_arrow(table, buffer.batches() or [buffer.kind.empty()])
         parts, some = list[Part](), max(len(rows), 1)
         size = self._part_rows if table.parted else some
         if table.parted:
             self._make_folder(self.folder / table.name)
-        for start in range(0, some, size):  # more than one part only where one batch is larger
+        for start in range(0, some, size):  # several parts only if one batch is larger
             path = table.file(self._numbers[table.name] + len(parts))
             parts.append(commit_part(self.folder, path, rows.slice(start, size), put=self._put))
         self._parts += parts
@@ -254,8 +253,8 @@ class SessionWriter:
             raise EndpointError(str(self._root), f"cannot be written: {os_error_reason(error)}") from error
 
 
-def _leave(journal: Journal | None, held: int | None) -> None:
-    """Let go of a session, also one that was never closed."""
+def _release(journal: Journal | None, held: int | None) -> None:
+    """Release a session, also one that was never closed."""
     if journal:
         journal.leave()
     if held is not None:

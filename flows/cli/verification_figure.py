@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from flows.report.figures import INK, MAIN, SECOND, Figure, grid, styled
 from operators.batch import s
-from storage.findings import severity
-from storage.verification import Checked, Verified
+from storage.verification import Checked, Verified, severity
 
 MAX_SESSIONS: Final = 40
 

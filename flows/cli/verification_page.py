@@ -15,8 +15,7 @@ from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, counted
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError, os_error_reason
-from storage.findings import Finding, Weight, heaviest
-from storage.verification import Verified
+from storage.verification import Finding, Verified, Weight, heaviest
 
 VERDICTS: Final[Mapping[Weight, str]] = MappingProxyType(
     {

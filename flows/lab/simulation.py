@@ -33,8 +33,8 @@ from operators.checks import check_at_least, check_choice
 from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
 from storage.description import describe_dataset
+from storage.files import partial_folder
 from storage.layout import session_folder
-from storage.partial import partial_folder
 
 PLANS: Final[Mapping[str, PaperPlan]] = {
     "paper": PaperPlan(),

@@ -39,8 +39,7 @@ from storage.exports.lerobot_files import (
     write_episodes,
     write_tasks,
 )
-from storage.files import put_json
-from storage.partial import partial_folder
+from storage.files import partial_folder, put_json
 from storage.session import Session
 
 VERSION: Final = "v3.0"

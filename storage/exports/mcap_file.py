@@ -13,8 +13,8 @@ from typing import Any, Final, TypeAlias
 from operators.batch import Batch
 from operators.errors import InputError
 from storage.exports import mcap_messages
+from storage.files import partial_file
 from storage.layout import TABLES, Table
-from storage.partial import partial_file
 from storage.session import Session
 
 _CHUNK: Final = 1 << 20  # bytes of messages per compressed chunk

@@ -18,7 +18,7 @@ from operators.errors import EndpointError, InputError
 from operators.health import FaultKind
 from operators.score import Score
 from operators.zero import Zero
-from storage.partial import partial_file
+from storage.files import partial_file
 from storage.session import Session
 
 TIMELINE: Final = "time"  # event time, since 1970 UTC

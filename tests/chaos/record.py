@@ -30,7 +30,7 @@ from operators import (
     s,
 )
 from storage import Dataset
-from storage.dataset import Rows
+from storage.dataset import Recordable
 from tests.chaos.numbered import Numbered, motion, touch
 
 SESSION = "killed"
@@ -47,7 +47,7 @@ class Counted(Dataset):
         super().__init__(path, part_span=PART)
         self._taken = counts[TAKEN]
 
-    async def write(self, batch: Rows) -> None:
+    async def write(self, batch: Recordable) -> None:
         """Take one batch, and count it."""
         await super().write(batch)
         self._taken[KINDS.index(type(batch))] += len(batch)

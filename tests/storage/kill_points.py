@@ -102,7 +102,7 @@ def killed(turn: int, step: str, work: Callable[[], object]) -> bool:
 
 def main() -> None:
     """Kill at each step."""
-    import_module("storage.salvage")  # once, not after each fork
+    import_module("storage.session_recovery")  # once, not after each fork
     left, root = Path(sys.argv[2]), Path(sys.argv[-1])
     counts = dict.fromkeys(steps.STEPS, 0)
     for step in steps.STEPS:

@@ -53,7 +53,7 @@ def new_run(
 def new_batch(
     kind: type[AnyBatch], rows: int = 5, *, start: int = 0, finger: int = 0, seed: int = 0
 ) -> AnyBatch:
-    """Rows 10 ms apart whose other columns are random bits: every NaN and every extreme occurs."""
+    """NumberedRows 10 ms apart whose other columns are random bits: every NaN and every extreme occurs."""
     random = np.random.default_rng(seed)
     values: list[Any] = [start + np.arange(rows) * 10 * ms]
     for column in list(columns(kind).values())[1:]:

@@ -223,7 +223,7 @@ def test_a_place_that_cannot_be_written_to_is_one_line_and_leaves_nothing(tmp_pa
 
 def test_a_session_is_never_written_over(tmp_path: Path) -> None:
     record(Dataset(tmp_path), new_run(), [new_batch(Touch)])
-    with pytest.raises(EndpointError, match="has a session 'one' already"):
+    with pytest.raises(EndpointError, match="already has a session 'one'"):
         record(Dataset(tmp_path), new_run(), [])
     assert len(Session.open(tmp_path).frame("touch")) == 5
     record(Dataset(tmp_path), new_run("two"), [])
@@ -257,7 +257,7 @@ def test_a_dataset_of_another_version_is_left_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [float("nan"), [float("inf")]])
 def test_a_description_that_cannot_be_json_is_refused_at_the_start(tmp_path: Path, value: Json) -> None:
-    with pytest.raises(InputError, match="description of source 'rig': cannot be JSON"):
+    with pytest.raises(InputError, match="description of source 'rig': is not JSON"):
         record(Dataset(tmp_path), new_run(describe={"rig": {"rate": value}}), [])
     assert session_names(tmp_path) == []
 

@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -29,10 +30,11 @@ def test_the_start_is_given_to_the_nanosecond_as_a_number_and_as_rfc_3339(
 def test_of_several_processes_that_begin_a_dataset_one_describes_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def beaten(root: Path, *, wait: bool) -> None:
+    def beaten(root: Path, *, wait: bool) -> int:
         """By a process that held the lock when we asked for it."""
         assert wait
         files.put_json(root / "dataset.json", {"format": "slipflow dataset", "version": 2, "by": "another"})
+        return os.open(root, os.O_RDONLY)
 
     monkeypatch.setattr(description, "lock", beaten)
     describe_dataset(tmp_path)

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from operators.batch import Batch, Motion, Slips, Touch
-from storage import frames, steps
-from storage.frames import Rows, read_segment
+from storage import journal_segment, steps
 from storage.journal import MOST, SOON, Journal
+from storage.journal_segment import NumberedRows, read_segment
 from storage.layout import segments, single_log
 from tests.storage.made import new_batch
 
@@ -52,7 +52,7 @@ def journal(tmp_path: Path, step: Steps) -> Iterator[Journal]:
 
 def singles(folder: Path) -> list[tuple[int, int]]:
     """First row and rows of each frame of a table of one file."""
-    segment = read_segment(single_log(folder).read_bytes(), "", "one", frames.SINGLE_LOG)
+    segment = read_segment(single_log(folder).read_bytes(), "", "one", journal_segment.SINGLE_LOG)
     return [(rows.first, len(rows.batch)) for rows in segment.rows]
 
 
@@ -66,7 +66,7 @@ def found(folder: Path) -> list[tuple[str, int, int]]:
 
 
 def test_what_is_added_is_appended_by_itself(journal: Journal, step: Steps, tmp_path: Path) -> None:
-    assert journal.add(Rows(0, new_batch(Touch, 1)))
+    assert journal.add(NumberedRows(0, new_batch(Touch, 1)))
     step.wait()
     with journal.held():
         assert found(tmp_path) == [("Touch", 0, 1)]
@@ -78,7 +78,7 @@ def test_rows_that_wait_are_appended_at_once_when_there_are_some(
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
     journal = Journal(tmp_path, "one")
     for number in range(SOON):
-        assert journal.add(Rows(number, new_batch(Touch, 1)))
+        assert journal.add(NumberedRows(number, new_batch(Touch, 1)))
     step.wait()
     with journal.held():
         assert found(tmp_path) == [("Touch", 0, SOON)]
@@ -87,49 +87,49 @@ def test_rows_that_wait_are_appended_at_once_when_there_are_some(
 
 def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(journal: Journal, step: Steps) -> None:
     step.go_on.clear()
-    took = [journal.add(Rows(number, new_batch(Touch, 1))) for number in range(2 * MOST)]
+    took = [journal.add(NumberedRows(number, new_batch(Touch, 1))) for number in range(2 * MOST)]
     assert took == [True] * MOST + [False] * MOST
-    assert journal.add(Rows(0, new_batch(Motion, MOST)))
-    assert not journal.add(Rows(0, new_batch(Slips, MOST + 1)))
+    assert journal.add(NumberedRows(0, new_batch(Motion, MOST)))
+    assert not journal.add(NumberedRows(0, new_batch(Slips, MOST + 1)))
 
 
 def test_what_does_not_fit_waits_for_what_came_before(journal: Journal, step: Steps, tmp_path: Path) -> None:
     step.go_on.clear()
-    assert journal.add(Rows(0, new_batch(Touch, MOST)))
+    assert journal.add(NumberedRows(0, new_batch(Touch, MOST)))
     step.wait()
-    waiter = threading.Thread(target=journal.append, args=[Rows(MOST, new_batch(Touch, 100))])
+    waiter = threading.Thread(target=journal.append, args=[NumberedRows(MOST, new_batch(Touch, 100))])
     waiter.start()
     assert found(tmp_path) == []
     step.go_on.set()
     waiter.join(60)
     assert found(tmp_path) == [("Touch", 0, MOST), ("Touch", MOST, 100)]
-    assert journal.add(Rows(110, new_batch(Touch, MOST)))
+    assert journal.add(NumberedRows(110, new_batch(Touch, MOST)))
 
 
 def test_a_full_disk_refuses_rows_until_there_is_room_and_loses_and_repeats_none(
     journal: Journal, step: Steps, tmp_path: Path
 ) -> None:
     step.failing = True
-    assert journal.add(Rows(0, new_batch(Touch, SOON)))
+    assert journal.add(NumberedRows(0, new_batch(Touch, SOON)))
     step.wait()
     for _ in range(3):
         with pytest.raises(OSError, match="No space left"):
-            journal.append(Rows(SOON, new_batch(Touch, 1)))
-        assert not journal.add(Rows(SOON, new_batch(Touch, 1)))
+            journal.append(NumberedRows(SOON, new_batch(Touch, 1)))
+        assert not journal.add(NumberedRows(SOON, new_batch(Touch, 1)))
     step.failing = False
-    journal.append(Rows(SOON, new_batch(Touch, 2)))
+    journal.append(NumberedRows(SOON, new_batch(Touch, 2)))
     assert found(tmp_path) == [("Touch", 0, SOON + 2)]
-    assert journal.add(Rows(SOON + 2, new_batch(Touch, 1)))
+    assert journal.add(NumberedRows(SOON + 2, new_batch(Touch, 1)))
 
 
 def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_may(
     journal: Journal, tmp_path: Path
 ) -> None:
-    kept = [Rows(3, new_batch(Slips, 2))]
-    journal.append(Rows(0, new_batch(Touch, 4)), *kept)
+    kept = [NumberedRows(3, new_batch(Slips, 2))]
+    journal.append(NumberedRows(0, new_batch(Touch, 4)), *kept)
     journal.rotate(lambda: kept, list)
     assert list(segments(tmp_path)) == [0, 1]
-    journal.append(Rows(4, new_batch(Touch, 1)))
+    journal.append(NumberedRows(4, new_batch(Touch, 1)))
     journal.drop()
     assert list(segments(tmp_path)) == [1]
     assert found(tmp_path) == [("Slips", 3, 2), ("Touch", 4, 1)]
@@ -141,11 +141,15 @@ def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
     monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
     journal, touch = Journal(tmp_path, "one"), [new_batch(Touch, 1) for _ in range(3)]
     for number in range(3):
-        assert journal.add(Rows(number, touch[number]))
-    journal.rotate(lambda: [Rows(2, touch[2])], list)  # the others are to be committed, and may not be yet
+        assert journal.add(NumberedRows(number, touch[number]))
+    journal.rotate(
+        lambda: [NumberedRows(2, touch[2])], list
+    )  # the others are to be committed, and may not be yet
     assert found(tmp_path) == [("Touch", 0, 3), ("Touch", 2, 1)]
-    assert journal.add(Rows(3, touch[0]))
-    journal.rotate(lambda: [Rows(2, new_batch(Touch, 2))], list)  # one of them is in the segment before
+    assert journal.add(NumberedRows(3, touch[0]))
+    journal.rotate(
+        lambda: [NumberedRows(2, new_batch(Touch, 2))], list
+    )  # one of them is in the segment before
     journal.drop()
     assert found(tmp_path) == [("Touch", 2, 2), ("Touch", 3, 1)]
     journal.leave()
@@ -154,12 +158,12 @@ def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
 def test_a_segment_that_cannot_be_begun_leaves_the_old_one_in_use(
     journal: Journal, step: Steps, tmp_path: Path
 ) -> None:
-    journal.append(Rows(0, new_batch(Touch, 1)))
+    journal.append(NumberedRows(0, new_batch(Touch, 1)))
     step.failing = True
     with pytest.raises(OSError, match="No space left"):
-        journal.rotate(lambda: [Rows(0, new_batch(Touch, 1))], list)
+        journal.rotate(lambda: [NumberedRows(0, new_batch(Touch, 1))], list)
     step.failing = False
-    journal.append(Rows(1, new_batch(Touch, 1)))
+    journal.append(NumberedRows(1, new_batch(Touch, 1)))
     assert found(tmp_path) == [("Touch", 0, 1), ("Touch", 1, 1)]
     journal.rotate(list, list)
     journal.drop()
@@ -180,10 +184,10 @@ def test_a_slow_fsync_does_not_hold_up_what_is_appended(
     monkeypatch.setattr("storage.journal.SYNC", 0.001)
     monkeypatch.setattr(os, "fsync", slow)
     journal = Journal(tmp_path, "one")
-    journal.append(Rows(0, new_batch(Touch, 1)))
+    journal.append(NumberedRows(0, new_batch(Touch, 1)))
     assert syncing.wait(60)
     for number in range(1, 50):
-        journal.append(Rows(number, new_batch(Touch, 1)))
+        journal.append(NumberedRows(number, new_batch(Touch, 1)))
     assert len(found(tmp_path)) == 50
     go_on.set()
     journal.leave()
@@ -202,7 +206,7 @@ def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
     journal = Journal(tmp_path, "one")
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fail)
-        journal.append(Rows(0, new_batch(Touch, 1)))
+        journal.append(NumberedRows(0, new_batch(Touch, 1)))
         assert failed.wait(60)
         journal.stop()
     suspect = [journal.suspect]
@@ -215,7 +219,7 @@ def test_its_threads_end_with_it_and_what_waited_is_there(tmp_path: Path) -> Non
     before = threading.active_count()
     journal, batch = Journal(tmp_path, "one"), list[Batch]([new_batch(Touch, 1)])
     assert threading.active_count() == before + 2
-    assert journal.add(Rows(0, batch[0]))
+    assert journal.add(NumberedRows(0, batch[0]))
     journal.leave()
     assert threading.active_count() == before
     assert found(tmp_path) == [("Touch", 0, 1)]
@@ -226,11 +230,11 @@ def test_its_threads_end_with_it_and_what_waited_is_there(tmp_path: Path) -> Non
 def test_rows_of_a_table_of_one_file_are_appended_once_and_outlive_the_segments(
     journal: Journal, tmp_path: Path
 ) -> None:
-    def refuse() -> list[Rows]:
+    def refuse() -> list[NumberedRows]:
         raise AssertionError
 
     for number in range(3):
-        journal.append(Rows(2 * number, new_batch(Slips, 2)))
+        journal.append(NumberedRows(2 * number, new_batch(Slips, 2)))
         journal.rotate(list, refuse)
         journal.drop()
     assert singles(tmp_path) == [(0, 2), (2, 2), (4, 2)]
@@ -244,14 +248,14 @@ def test_after_a_failed_fsync_they_are_written_anew_from_memory(
         raise OSError(5, "Input/output error")
 
     slips = new_batch(Slips, 4)
-    journal.append(Rows(0, slips))
+    journal.append(NumberedRows(0, slips))
     before = single_log(tmp_path).stat().st_ino
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fail)
         with pytest.raises(OSError, match="Input/output"):
             journal.sync()
     suspect = [journal.suspect]
-    journal.rotate(list, lambda: [Rows(0, slips)])
+    journal.rotate(list, lambda: [NumberedRows(0, slips)])
     assert [*suspect, journal.suspect] == [True, False]
     assert singles(tmp_path) == [(0, 4)]
     assert single_log(tmp_path).stat().st_ino != before
@@ -265,12 +269,12 @@ def test_what_could_not_be_appended_to_both_is_not_taken_by_either(
             raise OSError(28, "No space left on device")
 
     with journal.held():
-        assert journal.add(Rows(0, new_batch(Touch, 1)))
+        assert journal.add(NumberedRows(0, new_batch(Touch, 1)))
         with monkeypatch.context() as patch:
             patch.setattr(steps, "reach", fail)
             with pytest.raises(OSError, match="No space left"):
-                journal.append(Rows(0, new_batch(Slips, 1)))
+                journal.append(NumberedRows(0, new_batch(Slips, 1)))
         assert singles(tmp_path) == []
-        journal.append(Rows(0, new_batch(Slips, 3)))
+        journal.append(NumberedRows(0, new_batch(Slips, 3)))
     assert singles(tmp_path) == [(0, 3)]
     assert found(tmp_path) == [("Touch", 0, 1)]

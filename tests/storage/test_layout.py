@@ -89,7 +89,7 @@ def test_sessions_that_may_not_be_looked_for_are_an_error(
     monkeypatch.setattr(os, "listdir", listdir)
     monkeypatch.setattr(os, "scandir", listdir)
     for names in (session_names, headless_names):
-        with pytest.raises(InputError, match="sessions: cannot be read: Permission denied; give this user"):
+        with pytest.raises(InputError, match="sessions: cannot be read: Permission denied; grant this user"):
             names(tmp_path)
 
 

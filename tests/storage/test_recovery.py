@@ -54,7 +54,7 @@ async def test_a_session_that_was_closed_needs_nothing(tmp_path: Path) -> None:
 def test_a_session_that_is_being_recorded_is_left_alone(left: Path) -> None:
     held = lock(left)
     assert held is not None
-    with pytest.raises(EndpointError, match="one: is being recorded just now"):
+    with pytest.raises(EndpointError, match="one: is being recorded"):
         recover(left)
     assert rows(left, BATCHES) == [20, 20, 20, 20, 0]
 
@@ -69,8 +69,8 @@ def test_a_journal_of_another_slipflow_is_refused_and_nothing_is_changed(
     left: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
-    monkeypatch.setattr("storage.frames.VERSION", 7)
-    with pytest.raises(InputError, match=r"\.wal: is of version 3, this slipflow knows 7"):
+    monkeypatch.setattr("storage.journal_segment.VERSION", 7)
+    with pytest.raises(InputError, match=r"\.wal: has version 3, this slipflow reads version 7"):
         recover(left)
     assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
 

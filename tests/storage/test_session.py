@@ -72,7 +72,7 @@ def test_a_batch_of_no_rows_is_refused(dataset: Path) -> None:
 
 
 def test_a_table_it_does_not_hold_is_refused_by_naming_those_it_holds(dataset: Path) -> None:
-    with pytest.raises(InputError, match="holds no table 'motion'; it holds touch, slips, episodes"):
+    with pytest.raises(InputError, match="has no table 'motion'; it has touch, slips, episodes"):
         Session.open(dataset).frame("motion")
 
 
@@ -83,7 +83,7 @@ def test_a_session_opens_by_its_own_folder(folder: Path) -> None:
 def test_a_dataset_of_several_sessions_lists_them(dataset: Path) -> None:
     asyncio.run(Dataset(dataset).open(new_run("two")))
     with pytest.raises(
-        InputError, match=r"holds 2 sessions, give one, as .*/sessions/two; there are one, two$"
+        InputError, match=r"has 2 sessions: give one, such as .*/sessions/two; it has one, two$"
     ):
         Session.open(dataset)
 
@@ -92,8 +92,8 @@ def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty/sessions").mkdir(parents=True)
     for name, complaint in (
         ("missing", "missing: there is no such folder"),
-        ("", "is no session, which has a session.json, and no dataset"),
-        ("empty", "empty: holds no session"),
+        ("", r"is not a session \(no session\.json\) and not a dataset"),
+        ("empty", "empty: has no session"),
     ):
         with pytest.raises(InputError, match=complaint):
             Session.open(tmp_path / name)
@@ -151,7 +151,7 @@ def test_parts_that_do_not_say_what_they_hold_or_disagree_are_reported(folder: P
     for each in metadata:
         write_part(path, rows.replace_schema_metadata(each))
         with pytest.raises(
-            InputError, match=r"part-000001\.parquet: its metadata \"batch\" is missing or not"
+            InputError, match=r"part-000001\.parquet: its metadata \"batch\" is missing or differs"
         ):
             list(Session.open(folder).read(Touch, 0))
 
@@ -283,6 +283,6 @@ def test_on_a_disk_that_cannot_be_written_what_is_committed_is_read_and_the_rest
         patch.setattr(files, "put", fail)
         patch.setattr(files, "make_folder", fail)
         assert [len(Session.open(tmp_path).frame("touch")) for _ in range(2)] == [20, 20]
-    [said] = [each for each in caplog.records if "only its journal has" in each.getMessage()]
+    [said] = [each for each in caplog.records if "the rows in its journal are not read" in each.getMessage()]
     assert "Read-only file system" in said.getMessage()
     assert len(Session.open(tmp_path).frame("touch")) == 30

@@ -43,8 +43,8 @@ def test_a_replay_killed_at_any_step_is_whole_or_says_that_it_is_not(tmp_path: P
             for each in ("write", "rename", "sync")
             for what in ("part", "session", "manifest")
         ),
-        *(f"{each} dataset" for each in ("write", "rename", "sync", "settle")),
-        "settle session",
+        *(f"{each} dataset" for each in ("write", "rename", "sync", "sync name of")),
+        "sync name of session",
     }
     for place in tmp_path.iterdir():
         folder = place / "sessions/one"
@@ -89,7 +89,7 @@ def test_a_recovery_killed_at_any_step_is_carried_out_by_the_next(tmp_path: Path
     assert reached >= {
         f"{each} {what}" for each in ("write", "rename") for what in ("part", "session", "manifest")
     }
-    assert reached >= {"drop segment", "drop journal"}
+    assert reached >= {"delete segment", "delete journal"}
     for place in (tmp_path / "killed").iterdir():
         recover(place)
         assert rows(place, BATCHES) == [25] * 5, place

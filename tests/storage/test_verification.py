@@ -62,19 +62,19 @@ def test_a_session_that_lost_its_description_is_lost(dataset: Path, left: str) -
     for path, sessions in ((dataset, 2), (dataset / "sessions/one", 1)):
         found = verify(path)
         assert (found.code, found.sessions) == (1, sessions)
-        assert any("its session.json is gone" in each.text for each in found.findings)
+        assert any("its session.json is missing" in each.text for each in found.findings)
 
 
 def test_a_dataset_without_sessions_is_not_all_there(dataset: Path) -> None:
     rmtree(dataset / "sessions")
     found = verify(dataset)
     assert (found.code, found.sessions) == (3, 0)
-    assert "holds no session" in found.findings[0].text
+    assert "has no session" in found.findings[0].text
 
 
 def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(InputError, match=r"no such folder|is no session"):
+        with pytest.raises(InputError, match=r"no such folder|is not a session"):
             verify(path)
 
 

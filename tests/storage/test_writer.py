@@ -11,7 +11,7 @@ import pytest
 from operators.batch import EVERY, Batch, Episodes, Faults, Touch, concat, ms
 from operators.errors import EndpointError
 from operators.ports import Run
-from storage.frames import SINGLE_LOG, read_segment
+from storage.journal_segment import SINGLE_LOG, read_segment
 from storage.layout import single_log
 from storage.session import Session
 from storage.writer import SessionWriter

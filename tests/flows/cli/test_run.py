@@ -89,7 +89,7 @@ def test_other_invalid_input_is_a_one_line_error(tmp_path: Path) -> None:
     assert "missing.csv" in error("run", "live", "--replay", str(tmp_path / "missing.csv"))
     assert "wrong.csv" in error("run", "live", "--replay", str(wrong))
     assert str(tmp_path / "none") in error("run", "live", "--replay", str(tmp_path / "none"))
-    assert "oracle: is no detector: give " in error("check", "live", "--set", "detector=oracle")
+    assert "oracle: is not a detector: give " in error("check", "live", "--set", "detector=oracle")
     assert error("check", "live", "--set", "seeds=1").startswith(
         "live: has no parameter 'seeds'; did you mean 'seed'? It has detector, broker, "
     )

@@ -87,7 +87,7 @@ def test_another_folder_is_a_one_line_error(tmp_path: Path) -> None:
     done = slipflow("show", tmp_path)
     assert done.returncode == 2
     [line] = done.stderr.splitlines()
-    assert line.startswith(f"error: {tmp_path}: is no session")
+    assert line.startswith(f"error: {tmp_path}: is not a session")
 
 
 @pytest.mark.parametrize("token", [None, "short"])
@@ -103,5 +103,5 @@ def test_an_invalid_token_is_an_error_before_anything_is_read(
 
 
 def test_an_unknown_detector_is_an_error(session: Session) -> None:
-    with pytest.raises(InputError, match="oracle: is no detector"):
+    with pytest.raises(InputError, match="oracle: is not a detector"):
         asyncio.run(load(session, "oracle"))

@@ -9,9 +9,8 @@ from flows.cli.verification_page import report, summary, write
 from flows.report import report_page
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError
-from storage.findings import Finding
 from storage.manifest import Part
-from storage.verification import Checked, Verified
+from storage.verification import Checked, Finding, Verified
 
 LOST = Finding("b", "lost", "touch/part-000001.parquet: <gone>: 50 rows, 10.0 s")
 

@@ -142,7 +142,7 @@ def test_a_folder_with_other_files_is_refused(tmp_path: Path, write: Write) -> N
     out.mkdir()
     (out / "chapter.txt").touch()
     with pytest.raises(
-        InputError, match=r"thesis: holds other files and is no dataset: give a folder of its own"
+        InputError, match=r"thesis: has other files and is not a dataset: give another folder"
     ):
         asyncio.run(TraceImport(trace, out, GUESS).write())
     assert [path.name for path in out.iterdir()] == ["chapter.txt"]

@@ -1,4 +1,4 @@
-"""What no manifest lists: files that may not be read beside the parts, and those that should be there."""
+"""Files that the manifest of a session does not list, and files that are missing."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +18,7 @@ from storage.schema import schema
 
 
 def part_number(path: str) -> int:
-    """Of a part, by its path; 0 for a table of one file.
+    """Return the number of a part by its path, 0 for a table of one file.
 
     >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
     (12, 0)
@@ -27,19 +27,20 @@ def part_number(path: str) -> int:
     return int(stem) if stem.isdigit() else 0
 
 
-def doubled(folder: Path, table: Table, part: Part, known: Iterable[Part]) -> str:
-    """Why a file that no manifest lists does not belong beside the others of its table; empty: it does.
+def duplicate_reason(folder: Path, table: Table, part: Part, known: Iterable[Part]) -> str:
+    """Return the reason why a file duplicates rows of its table, empty if it does not.
 
-    It is none of them again, and its rows are later than those of the parts before it, at each fingertip.
+    It does if it is a copy of another part, or if a fingertip's rows are not later than those of the parts
+    with lower numbers.
 
     Args:
-        folder: The session's.
-        table: Of whose rows they are.
+        folder: Folder of the session.
+        table: Table of the file.
         part: The file.
         known: The other parts of the table.
 
     Raises:
-        InputError: if the file cannot be read; the others may be damaged.
+        InputError: if the file cannot be read; others that are damaged are ignored.
     """
     others = list(known)
     for other in others:
@@ -52,66 +53,68 @@ def doubled(folder: Path, table: Table, part: Part, known: Iterable[Part]) -> st
     return ""
 
 
-def followers(folder: Path, table: Table, paths: Sequence[str], listed: Mapping[str, Part]) -> list[str]:
-    """The files of a table without those that `doubled` tells of; what cannot be read stays."""
+def without_duplicates(
+    folder: Path, table: Table, paths: Sequence[str], listed: Mapping[str, Part]
+) -> list[str]:
+    """Return the files of a table without unlisted duplicates; unreadable files stay."""
     known, found = [listed[path] for path in paths if path in listed], list[str]()
     for path in paths:
         if path not in listed:
             try:
                 part = inspect_part(folder, path, schema(table))
-                if doubled(folder, table, part, known):
+                if duplicate_reason(folder, table, part, known):
                     continue
             except InputError:
-                pass  # who reads it is told why
+                pass  # reported when it is read
             else:
                 known.append(part)
         found.append(path)
     return found
 
 
-def missing_numbers(paths: Iterable[str]) -> list[str]:
-    """The parts that are missing between those of these paths, and before them.
+def missing_parts(paths: Iterable[str]) -> list[str]:
+    """Return the parts whose numbers are missing before the last of each table.
 
-    >>> missing_numbers(["touch/part-000000.parquet", "touch/part-000002.parquet", "slips.parquet"])
+    >>> missing_parts(["touch/part-000000.parquet", "touch/part-000002.parquet", "slips.parquet"])
     ['touch/part-000001.parquet']
     """
     there, missing = set(paths), list[str]()
     for table in TABLES:
         if table.parted:
             numbers = [part_number(path) for path in there if path.startswith(f"{table.name}/")]
-            wanted = map(table.file, range(max(numbers, default=-1)))
-            missing += [path for path in wanted if path not in there]
+            expected = map(table.file, range(max(numbers, default=-1)))
+            missing += [path for path in expected if path not in there]
     return missing
 
 
 def missing_segments(folder: Path, about: Description) -> list[str]:
-    """The segments of a journal that should be there, a line each; none where there is no journal."""
+    """Return a line for each segment that is missing from a journal; none if there is no journal."""
     numbers = list(segments(folder))
     if not numbers:
         waits = (folder / JOURNAL).is_dir() and "end_ns" not in about
-        return [f"{JOURNAL}: has no segment: the newest rows were in it"] if waits else []
+        return [f"{JOURNAL}: has no segment: the newest rows are lost"] if waits else []
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
     lost = [segment_file(number) for number in gaps]
-    if not single_log(folder).exists() and "end_ns" not in about:  # it was there before all others
+    if not single_log(folder).exists() and "end_ns" not in about:  # it is made before all others
         lost.append(single_log(folder).relative_to(folder.resolve()).as_posix())
-    return [f"{path}: is gone, with the rows that it held" for path in lost]
+    return [f"{path}: is missing, with its rows" for path in lost]
 
 
-def shortfall(about: Description, parts: Iterable[Part]) -> str:
-    """How many of the rows that a closed session says were recorded no part holds; empty: all are held."""
+def missing_rows(about: Description, parts: Iterable[Part]) -> str:
+    """Return a line with the number of recorded rows of a closed session that no part has, empty if none."""
     sinks = cast("dict[str, dict[str, int]]", about.get("sinks", {}))
     try:
         written = [sinks[name]["rows"] for name in recorders(about)]
-    except (AttributeError, LookupError, TypeError):  # who reads the description says so
+    except (AttributeError, LookupError, TypeError):  # reported when the description is checked
         return ""
     there = sum(part.rows for part in parts)
-    if len(written) != 1 or there >= written[0]:  # of several, each is another dataset
+    if len(written) != 1 or there >= written[0]:  # several sinks are several datasets
         return ""
-    return f"{written[0] - there:,} of the {written[0]:,} rows that were recorded are in no part"
+    return f"{written[0] - there:,} of the {written[0]:,} recorded rows are in no part"
 
 
 def extent(part: Part) -> str:
-    """How much a part holds.
+    """Return rows and duration of a part as text.
 
     >>> extent(Part("touch/part-000000.parquet", 6000, 0, 60 * s, "0" * 64))
     '6,000 rows, 60.0 s'
@@ -120,7 +123,7 @@ def extent(part: Part) -> str:
 
 
 def _overlap(folder: Path, table: Table, before: Part, after: Part, part: Part) -> bool:
-    """Whether a fingertip has rows in `after` that are older than one in `before`."""
+    """Return true if a fingertip has rows in `after` that are older than one in `before`."""
     spans = list[dict[int, tuple[int, int]]]()
     for each in (before, after):
         try:
@@ -128,13 +131,13 @@ def _overlap(folder: Path, table: Table, before: Part, after: Part, part: Part) 
         except InputError:
             if each is part:
                 raise
-            return False  # a part that is damaged tells nothing
+            return False  # unknown, since the other is damaged
     ends, begins = spans
     return any(begins[finger][0] < ends[finger][1] for finger in ends.keys() & begins.keys())
 
 
 def _spans(folder: Path, table: Table, part: Part) -> dict[int, tuple[int, int]]:
-    """The earliest and the latest time, ns, by fingertip."""
+    """Return the earliest and latest time (ns) by fingertip."""
     columns: Any = schema(table)
     held: list[pa.Field[Any]] = [columns.field(name) for name in ("time", "finger")[: 1 + table.finger]]
     wanted = pa.schema(held)

@@ -5,8 +5,8 @@ import pytest
 
 from operators.batch import Slips, Touch, Zeroed, concat, ms
 from operators.errors import InputError
-from storage import Session, frames, recover, verify
-from storage.frames import read_segment
+from storage import Session, journal_segment, recover, verify
+from storage.journal_segment import read_segment
 from storage.layout import TOUCH, segments, single_log
 from storage.manifest import read_manifest, write_manifest
 from storage.parts import read_part, write_part
@@ -56,7 +56,7 @@ def test_with_manifest_and_a_part_damaged_nothing_is_joined_that_may_not_follow(
     done = recover(left)
     assert not done.complete
     assert "touch" in done.lost[0]
-    assert "touch: 10 rows that do not follow on row" in done.lost[1]
+    assert "touch: 10 rows that do not follow row" in done.lost[1]
     assert (left / "damaged/touch-part-000000.parquet").read_bytes() == b"gone"
     assert list((left / "damaged").glob("*.wal"))
     session = Session.open(left)
@@ -73,7 +73,7 @@ def test_damage_in_the_middle_ends_the_tables_there_and_what_is_behind_it_is_kep
     path.write_bytes(data)
     done = recover(left)
     assert not done.complete
-    assert "whole frames are behind it" in done.lost[0]
+    assert "whole frames follow" in done.lost[0]
     assert (left / "damaged" / f"journal-{path.name}").read_bytes() == data
     counts = rows(left, BATCHES)
     assert [20] * 4 <= counts < [25] * 5
@@ -126,7 +126,7 @@ def test_a_damaged_manifest_still_tells_of_a_part_that_is_gone_with_it(left: Pat
     path.write_text(path.read_text().replace('"rows": 20', '"rows": 21'))
     damaged = path.read_bytes()
     done = recover(left)
-    assert f"touch/part-00000{number}.parquet: is gone: 2" in done.lost[0]
+    assert f"touch/part-00000{number}.parquet: is missing: 2" in done.lost[0]
     assert (left / "damaged/MANIFEST.json").read_bytes() == damaged
     for _ in range(2):
         assert verify(left).worst == "lost"
@@ -139,21 +139,21 @@ def test_a_part_that_is_gone_with_the_manifest_is_missed_by_its_number(left: Pat
         (left / name).unlink()
     before = verify(left)
     assert before.code == 1
-    assert "touch/part-000001.parquet: is gone" in " ".join(each.text for each in before.findings)
-    assert recover(left).lost == ("touch/part-000001.parquet: is gone, and no manifest tells of it",)
+    assert "touch/part-000001.parquet: is missing" in " ".join(each.text for each in before.findings)
+    assert recover(left).lost == ("touch/part-000001.parquet: is missing, and not in the manifest",)
     found = [each.text for each in verify(left).findings if each.weight == "lost"]
     assert found == [
-        "lost before it was recovered: touch/part-000001.parquet: is gone, and no manifest tells of it"
+        "lost before it was recovered: touch/part-000001.parquet: is missing, and not in the manifest"
     ]
 
 
 def test_a_segment_that_is_gone_is_lost(left: Path) -> None:
     [path] = segments(left).values()
     later = path.with_name(f"{int(path.stem) + 2:06d}.wal")
-    about = frames.describe("one", int(later.stem))
-    salt = frames.new_salt()
-    later.write_bytes(salt + frames.seal(about, salt, len(salt)))
-    name = f"journal/{int(path.stem) + 1:06d}.wal: is gone"
+    about = journal_segment.describe("one", int(later.stem))
+    salt = journal_segment.new_salt()
+    later.write_bytes(salt + journal_segment.seal(about, salt, len(salt)))
+    name = f"journal/{int(path.stem) + 1:06d}.wal: is missing"
     assert verify(left).worst == "lost"
     assert name in recover(left).lost[0]
     assert rows(left, BATCHES) == [25] * 5
@@ -180,9 +180,9 @@ def test_a_session_that_lost_its_journal_is_told_to_be_cut_off(left: Path) -> No
 def test_whatever_is_changed_is_told(left: Path) -> None:
     recover(left)
     (left / "MANIFEST.json.tmp").write_text("half")
-    assert recover(left).done == ("1 files that were never whole were deleted",)
+    assert recover(left).done == ("1 incomplete files were deleted",)
     (left / "journal").mkdir()
-    assert "its journal was put away" in recover(left).done[0]
+    assert "its journal was deleted" in recover(left).done[0]
     assert not recover(left).changed
 
 
@@ -192,7 +192,7 @@ def test_rows_that_do_not_follow_are_left_out(left: Path) -> None:
     (left / "motion/part-000001.parquet").unlink()
     write_manifest(left, listed.values())
     done = recover(left)
-    assert done.lost == ("motion: 5 rows that do not follow on row 10",)
+    assert done.lost == ("motion: 5 rows that do not follow row 10",)
     assert rows(left, BATCHES) == [25, 25, 10, 25, 25]
 
 
@@ -205,7 +205,7 @@ def test_a_cut_off_end_costs_its_own_rows_only(left: Path) -> None:
     path.write_bytes(data)
     assert verify(left).worst == "lossy"
     done = recover(left)
-    assert "there the recorder was cut off" in done.lost[0]
+    assert "the recorder was cut off there" in done.lost[0]
     assert done.cut == done.lost
     assert rows(left, BATCHES) == [25, 25, 25, 20, 25]
     assert not (left / "damaged").exists()
@@ -271,7 +271,7 @@ def left_whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_log_of_single_files_that_is_gone_is_told_of(left: Path) -> None:
     single_log(left).unlink()
     assert verify(left).worst == "lost"
-    assert "journal/single.wal: is gone, with the rows that it held" in recover(left).lost
+    assert "journal/single.wal: is missing, with its rows" in recover(left).lost
     assert rows(left, BATCHES) == [25, 25, 25, 25, 0]
 
 
@@ -292,5 +292,5 @@ def test_slips_that_may_have_been_lost_are_not_said_to_be_none(tmp_path: Path) -
     run.sink_types = {str(tmp_path): (Touch, Slips)}
     folder = leave(tmp_path, run, [batch for batch in BATCHES if type(batch) is Touch])
     single_log(folder).unlink()
-    assert "single.wal: is gone" in " ".join(recover(folder).lost)
+    assert "single.wal: is missing" in " ".join(recover(folder).lost)
     assert Session.open(folder).tables == ("touch",)

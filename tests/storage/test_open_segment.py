@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from operators import Clocks
-from storage import frames
-from storage.frames import Rows, Segment, read_segment
-from storage.segment import OpenSegment
+from storage import journal_segment
+from storage.journal_segment import NumberedRows, OpenSegment, Segment, read_segment
 from tests.storage.made import new_batch
 
 
@@ -18,7 +17,7 @@ def read(path: Path) -> Segment:
 
 
 def body(number: int, rows: int = 1) -> bytes:
-    [data] = frames.bodies([Rows(number, new_batch(Clocks, rows))])
+    [data] = journal_segment.bodies([NumberedRows(number, new_batch(Clocks, rows))])
     return data
 
 
@@ -93,15 +92,15 @@ def test_a_file_that_may_not_grow_keeps_whole_frames_only(tmp_path: Path) -> Non
 import resource, signal
 from pathlib import Path
 from operators import Clocks
-from storage import frames
-from storage.segment import OpenSegment
+from storage import journal_segment
+from storage.journal_segment import OpenSegment
 from tests.storage.made import new_batch
 signal.signal({signal.SIGXFSZ.value}, signal.SIG_IGN)
 segment, took = OpenSegment(Path({str(tmp_path / "000000.wal")!r}), "one", 0), 0
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
     while True:
-        segment.append(frames.bodies([frames.Rows(took, new_batch(Clocks, 1))]))
+        segment.append(journal_segment.bodies([journal_segment.NumberedRows(took, new_batch(Clocks, 1))]))
         took += 1
 except OSError as error:
     print(took, error.strerror)

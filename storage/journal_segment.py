@@ -1,24 +1,26 @@
-"""The frames of a journal: rows as bytes that cannot be taken for anything else.
+"""Segment files of a journal: rows as checksummed frames, appended whole or not at all.
 
 .. code-block:: text
 
     segment   "SLIPWAL1", 8 random bytes; then frames, the first of which describes the segment as JSON
     frame     "SLIP", length of the body (4 bytes), CRC-32 (4 bytes); body
     body      code (1), finger (2), rows (4), number of the first in its table (8); the columns, end to end
-    CRC-32    zlib's, of these, end to end: the 16 bytes with which the segment begins; where in the file the
-              frame begins (8); length of the body (4); the body
+    CRC-32    zlib's, of these, end to end: the 16 bytes with which the segment begins; the frame's offset in
+              the file (8); length of the body (4); the body
 
-All numbers are little-endian and, but for the finger, not signed. Since segment and place are in the CRC, a
-frame that the disk gives back from elsewhere, such as from an older file whose blocks were used again, is
-never valid, nor is a tail of zeros or a repeated one.
+All numbers are little-endian and, except for the finger, unsigned. The CRC covers segment and offset, so a
+stale frame, such as one of an older file whose blocks were reused, is never valid, nor is a tail of zeros
+or a repeated one.
 """
 
 import json
 import os
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from operator import attrgetter
+from pathlib import Path
 from struct import Struct
 from typing import Any, Final, NamedTuple, cast
 
@@ -27,32 +29,31 @@ from numpy.typing import NDArray
 
 from operators.batch import Batch, columns
 from operators.errors import InputError
-from storage import files
+from storage import files, steps
 from storage.layout import TABLE_OF
 
-# of what bodies hold: raise it when that changes; other versions then refuse the segment and name it
-VERSION: Final = 3  # 2 had frames of episodes
-SINGLE_LOG: Final = -2  # of the one that has the rows of tables of one file
-LIMIT: Final = 64 * files.MiB  # bytes of a body, looked at before any are read
-WHOLE: Final = 8192 * files.MiB  # bytes of a segment, the same
+VERSION: Final = 3  # of the bodies; other versions refuse the segment
+SINGLE_LOG: Final = -1  # number of the segment with the rows of tables of one file
+LIMIT: Final = 64 * files.MiB  # bytes of a body
+WHOLE: Final = 8192 * files.MiB  # bytes of a segment
 
-# of how segments and frames are laid out: raise its digit when that changes; to other versions such a segment
-# is damaged from its first byte, so a recovery by them puts it aside whole
+# Layout of segments and frames: change the digit when it changes. To other versions the segment is then
+# damaged from its first byte, and a recovery keeps it aside.
 _PREAMBLE: Final = b"SLIPWAL1"
 _MAGIC: Final = b"SLIP"
 _PREFIX: Final = Struct("<4sII")
 _HEAD: Final = Struct("<BhIQ")
 _PLACE: Final = Struct("<QI")
-_KINDS: Final = tuple(TABLE_OF)  # a frame's code is a batch type's place here
+_KINDS: Final = tuple(TABLE_OF)  # the code of a frame is the index of its batch type
 _CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
-_DESCRIPTION: Final = 255  # code; JSON follows
-_SEARCHED: Final = 256 * files.MiB  # bytes, which a search for a frame may hash
-_UNREAD: Final = "; move it away, and the rest can be recovered"
-SALT_SIZE: Final = len(_PREAMBLE) + 8  # bytes, with which a segment begins
+_DESCRIPTION: Final = 255  # code of a frame with JSON
+_SEARCHED: Final = 256 * files.MiB  # bytes hashed in a search for whole frames after damage
+_MOVE: Final = "; move it away to recover the rest"
+SALT_SIZE: Final = len(_PREAMBLE) + 8  # bytes at the start of a segment
 
 
-class Rows(NamedTuple):
-    """Rows of one batch, and the number of the first within all that its table ever got."""
+class NumberedRows(NamedTuple):
+    """Rows of one batch, and the number of the first within its table."""
 
     first: int
     batch: Batch
@@ -60,34 +61,102 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True)
 class Damage:
-    """Where a segment cannot be read on."""
+    """Position from which a segment cannot be read."""
 
     offset: int  # bytes, of the first frame that is not whole
     size: int  # bytes from there to the end
-    more: bool  # whole frames stand behind it: it is not just where the recorder was cut off
+    more: bool  # whole frames follow: it is not just the cut-off end of a killed recorder
 
 
 @dataclass(frozen=True)
 class Segment:
-    """What a segment holds, up to where it is damaged."""
+    """Content of a segment, up to its damage if any."""
 
-    rows: list[Rows]
+    rows: list[NumberedRows]
     damage: Damage | None
 
 
+class OpenSegment:
+    """Segment file being written, which begins with its description.
+
+    Args:
+        path: The file; one of the same name is replaced.
+        session: Name of the session.
+        number: Number of the segment.
+        bodies: Frames to begin with.
+
+    Raises:
+        OSError: if it cannot be written; the file is missing or whole then.
+    """
+
+    def __init__(self, path: Path, session: str, number: int, bodies: Iterable[bytes] = ()) -> None:
+        self.path, self.number = path, number
+        self._salt = new_salt()
+        self._end = len(self._salt)  # bytes
+        head = self._salt + self._sealed([describe(session, number), *bodies])
+        files.put(path, head)
+        self._file = os.open(path, os.O_WRONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        self._end = self._synced = len(head)
+
+    def append(self, bodies: Iterable[bytes]) -> None:
+        """Append a frame for each body, all or none.
+
+        Raises:
+            OSError: nothing was appended.
+        """
+        data, place = self._sealed(bodies), self._end
+        left, end = memoryview(data), place + len(data)
+        steps.reach("append frames")
+        try:
+            while left:
+                written = os.pwrite(self._file, left, place)
+                left, place = left[written:], place + written
+        except OSError:
+            with suppress(OSError):  # if this fails, the next frames overwrite the rest
+                os.ftruncate(self._file, self._end)
+            raise
+        self._end = end
+
+    def sync(self) -> None:
+        """Make the appended frames durable; other threads may append meanwhile.
+
+        Raises:
+            OSError: frames appended since the last sync may be lost.
+        """
+        end = self._end
+        if end > self._synced:
+            steps.reach("sync frames")
+            os.fsync(self._file)
+            self._synced = end
+
+    def close(self) -> None:
+        """Close the file; may be called again, but not during `sync`."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
+
+    def _sealed(self, bodies: Iterable[bytes]) -> bytes:
+        """Return the frames of bodies for the end of the file."""
+        parts, end = list[bytes](), self._end
+        for body in bodies:
+            parts.append(seal(body, self._salt, end))
+            end += len(parts[-1])
+        return b"".join(parts)
+
+
 def new_salt() -> bytes:
-    """How a new segment begins."""
+    """Return the random start of a new segment."""
     return _PREAMBLE + os.urandom(SALT_SIZE - len(_PREAMBLE))
 
 
 def describe(session: str, number: int) -> bytes:
-    """The body of a segment's first frame."""
+    """Return the body of the first frame of a segment."""
     kinds = [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
     return _note(_DESCRIPTION, {"version": VERSION, "session": session, "segment": number, "kinds": kinds})
 
 
-def bodies(rows: Iterable[Rows]) -> Iterator[bytes]:
-    """The bodies of the frames that hold these rows; those that follow on each other share one."""
+def bodies(rows: Iterable[NumberedRows]) -> Iterator[bytes]:
+    """Return the bodies of the frames for these rows; consecutive rows of a fingertip share one."""
     runs, newest = list[_Run](), dict[type[Batch], _Run]()
     for first, batch in rows:
         kind, count = type(batch), len(batch.time)
@@ -106,7 +175,7 @@ def bodies(rows: Iterable[Rows]) -> Iterator[bytes]:
 
 @dataclass(slots=True)
 class _Run:
-    """Rows of one type and fingertip that follow on each other."""
+    """Consecutive rows of one type and fingertip."""
 
     first: int  # number within its table
     end: int  # after the last
@@ -124,28 +193,28 @@ def _body_of(run: _Run) -> bytes:
 
 
 def seal(body: bytes, salt: bytes, offset: int) -> bytes:
-    """The frame of a body, valid at `offset` in the segment that begins with `salt` and nowhere else."""
+    """Return the frame of a body, valid only at `offset` in the segment that begins with `salt`."""
     return _PREFIX.pack(_MAGIC, len(body), _checksum(body, salt, offset)) + body
 
 
 def read_segment(data: bytes, where: str, session: str, number: int) -> Segment:
-    """What the bytes of a segment hold, up to the first frame that is not whole.
+    """Return the rows of a segment, up to the first frame that is not whole.
 
     Args:
-        data: All of them.
-        where: What to call them in an error.
-        session: That they must belong to.
-        number: Of the segment.
+        data: Content of the file.
+        where: Name for errors.
+        session: Session that it must belong to.
+        number: Number that it must have.
 
     Raises:
-        InputError: if they are whole but of a slipflow that keeps other rows, or of another session.
+        InputError: if it is whole, but of another version or session.
     """
     salt, offset = data[:SALT_SIZE], SALT_SIZE
     body = _body(data, salt, offset) if salt.startswith(_PREAMBLE) else None
     if body is None:
         return Segment([], Damage(0, len(data), more=len(data) > SALT_SIZE))
     kinds = _described(body, where, session, number)
-    rows = list[Rows]()
+    rows = list[NumberedRows]()
     while offset < len(data):
         body = _body(data, salt, offset)
         if body is None:
@@ -161,7 +230,7 @@ def _checksum(body: bytes, salt: bytes, offset: int) -> int:
 
 
 def _body(data: bytes, salt: bytes, offset: int) -> bytes | None:
-    """The body of the frame at `offset`; None if there is no whole one."""
+    """Return the body of the frame at `offset`, None if there is no whole one."""
     if len(data) - offset < _PREFIX.size + _HEAD.size:
         return None
     magic, length, checksum = _PREFIX.unpack_from(data, offset)
@@ -173,7 +242,7 @@ def _body(data: bytes, salt: bytes, offset: int) -> bytes | None:
 
 
 def _more(data: bytes, salt: bytes, offset: int) -> bool:
-    """Whether a whole frame begins anywhere from `offset` on."""
+    """Return true if a whole frame begins at `offset` or later."""
     hashed = 0
     while (offset := data.find(_MAGIC, offset)) >= 0 and hashed < _SEARCHED:
         if _body(data, salt, offset) is not None:
@@ -183,11 +252,11 @@ def _more(data: bytes, salt: bytes, offset: int) -> bool:
     return False
 
 
-def _rows(body: bytes, kinds: Mapping[int, type[Batch]], where: str) -> Rows:
+def _rows(body: bytes, kinds: Mapping[int, type[Batch]], where: str) -> NumberedRows:
     code, finger, count, first = _HEAD.unpack_from(body)
     kind = kinds.get(code)
     if kind is None or len(body) != _HEAD.size + count * _row_size(kind):
-        raise InputError(where, f"holds a frame that no slipflow writes{_UNREAD}")
+        raise InputError(where, f"has an invalid frame{_MOVE}")
     values, offset = list[NDArray[Any]](), _HEAD.size
     for column in columns(kind).values():
         size = int(np.prod(column.shape, dtype=np.int64))
@@ -195,20 +264,22 @@ def _rows(body: bytes, kinds: Mapping[int, type[Batch]], where: str) -> Rows:
             np.frombuffer(body, column.dtype, count * size, offset).reshape(count, *column.shape).copy()
         )
         offset += count * size * column.dtype.itemsize
-    return Rows(first, kind(*values, finger=finger))
+    return NumberedRows(first, kind(*values, finger=finger))
 
 
 def _described(body: bytes, where: str, session: str, number: int) -> dict[int, type[Batch]]:
-    """The batch types by their codes."""
+    """Return the batch types by their codes."""
     about = _json(body, where)
     if body[0] != _DESCRIPTION or not isinstance(about, dict):
-        raise InputError(where, f"does not begin with a description{_UNREAD}")
+        raise InputError(where, f"does not begin with a description{_MOVE}")
     said = cast("dict[str, Any]", about)
     if said.get("version") != VERSION:
-        reason = f"is of version {said.get('version')!r}, this slipflow knows {VERSION}: recover it with"
-        raise InputError(where, f"{reason} the slipflow that session.json names")
+        reason = (
+            f"has version {said.get('version')!r}, this slipflow reads version {VERSION}: recover it with"
+        )
+        raise InputError(where, f"{reason} the software named in session.json")
     if (said.get("session"), said.get("segment")) != (session, number):
-        reason = f"is segment {said.get('segment')!r} of session {said.get('session')!r}; put it back there"
+        reason = f"is segment {said.get('segment')!r} of session {said.get('session')!r}; move it back there"
         raise InputError(where, reason)
     known = {kind.__name__: kind for kind in _KINDS}
     kinds = dict[int, type[Batch]]()
@@ -216,11 +287,11 @@ def _described(body: bytes, where: str, session: str, number: int) -> dict[int, 
         for code, each in enumerate(said["kinds"]):
             kind = known.get(each["batch"])
             if kind is None or _layout(kind) != each["columns"]:
-                reason = f"has {each['batch']} rows of other columns than this slipflow keeps: recover it"
-                raise InputError(where, f"{reason} with the slipflow that session.json names")
+                reason = f"has {each['batch']} rows with unknown columns: recover it"
+                raise InputError(where, f"{reason} with the software named in session.json")
             kinds[code] = kind
     except (LookupError, TypeError) as error:
-        raise InputError(where, f"is described as no slipflow does{_UNREAD}: {error!r}") from error
+        raise InputError(where, f"has an invalid description{_MOVE}: {error!r}") from error
     return kinds
 
 
@@ -250,5 +321,5 @@ def _json(body: bytes, where: str) -> object:
     try:
         found: object = json.loads(body[_HEAD.size :])
     except (ValueError, RecursionError) as error:
-        raise InputError(where, f"holds text that is no JSON{_UNREAD}: {error}") from error
+        raise InputError(where, f"has invalid JSON{_MOVE}: {error}") from error
     return found

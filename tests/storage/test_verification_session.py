@@ -49,7 +49,7 @@ def test_samples_out_of_the_order_of_time_are_found(tmp_path: Path) -> None:
     write(tmp_path, new_run(), [new_batch(Labelled, 3, start=50 * ms), new_batch(Labelled, 3)]).close()
     found = verify(tmp_path)
     assert (found.code, len(found.findings)) == (3, 1)
-    assert "are not in the order of time" in found.findings[0].text
+    assert "are not in order of time" in found.findings[0].text
 
 
 def test_a_journal_waits_to_be_recovered_and_what_was_recovered_stays_known(tmp_path: Path) -> None:
@@ -106,7 +106,7 @@ def test_a_file_that_nobody_lists_and_nobody_can_read_is_lost(dataset: Path) -> 
     (folder / "MANIFEST.json").unlink()
     (folder / "touch/part-000000.parquet").write_bytes(b"half")
     found = {each.text for each in verify(folder).findings if each.weight == "lost"}
-    assert any("is damaged or no Parquet file" in each and "not in the manifest" in each for each in found)
+    assert any("is damaged or not a Parquet file" in each and "not in the manifest" in each for each in found)
 
 
 def test_what_may_not_be_looked_into_is_lost_and_the_check_goes_on(
@@ -123,7 +123,7 @@ def test_what_may_not_be_looked_into_is_lost_and_the_check_goes_on(
     monkeypatch.setattr(Path, "stat", stat)
     found = verify(dataset)
     assert (found.code, found.names) == (1, whole.names)
-    assert any("cannot be read: Permission denied; give this user" in each.text for each in found.findings)
+    assert any("cannot be read: Permission denied; grant this user" in each.text for each in found.findings)
     assert {each.session for each in found.findings} == {"one"}
 
 
@@ -138,7 +138,7 @@ def test_a_description_that_cannot_be_read_is_lost(dataset: Path, name: str, con
 
 def test_what_a_lost_part_held_is_told(dataset: Path) -> None:
     (dataset / "sessions/two/touch/part-000000.parquet").unlink()
-    assert verify(dataset).findings[0].text.endswith("No such file or directory; it held 10 rows, 0.0 s")
+    assert verify(dataset).findings[0].text.endswith("No such file or directory; it had 10 rows, 0.0 s")
 
 
 def test_rows_that_a_closed_session_counts_are_missed_where_no_manifest_tells_of_them(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_rows_that_a_closed_session_counts_are_missed_where_no_manifest_tells_of
     rows = len(read_part(last, schema(TOUCH)))
     last.unlink()
     (folder / "MANIFEST.json").unlink()
-    text = f"{rows} of the 125 rows that were recorded are in no part"
+    text = f"{rows} of the 125 recorded rows are in no part"
     assert recover(folder).lost == (text,)
     assert [each.text for each in verify(folder).findings if each.weight == "lost"] == [
         f"lost before it was recovered: {text}"

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from operators.errors import EndpointError
-from storage.partial import SUFFIX, partial_file, partial_folder
+from storage.files import PARTIAL, partial_file, partial_folder
 
 
 def test_a_file_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
@@ -46,11 +46,11 @@ def test_nothing_is_left_of_what_failed(tmp_path: Path, error: type[BaseExceptio
 
 
 def test_what_is_there_is_neither_replaced_nor_removed(tmp_path: Path) -> None:
-    for name, is_there in (("a", "a"), ("b", "b" + SUFFIX)):
+    for name, is_there in (("a", "a"), ("b", "b" + PARTIAL)):
         (tmp_path / is_there).write_text("mine")
         for partial in (partial_file, partial_folder):
             with (
-                pytest.raises(EndpointError, match=r"there already|must be a new|being written"),
+                pytest.raises(EndpointError, match=r"exists already|must be a new|being written"),
                 partial(tmp_path / name),
             ):
                 raise AssertionError

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from storage import steps
-from storage.unsettled import Unsettled
+from storage.files import DeferredSync
 
 
 @pytest.fixture
@@ -21,8 +21,8 @@ def synced(monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
 
 @pytest.fixture
-def unsettled(tmp_path: Path) -> Unsettled:
-    made = Unsettled()
+def deferred(tmp_path: Path) -> DeferredSync:
+    made = DeferredSync()
     made.make_folder(tmp_path / "touch", new=True)
     for name in ("touch/part-000000.parquet", "MANIFEST.json", "MANIFEST.json"):
         made.put(tmp_path / name, name.encode())
@@ -30,33 +30,33 @@ def unsettled(tmp_path: Path) -> Unsettled:
 
 
 def test_files_are_there_at_once_and_durable_when_told(
-    unsettled: Unsettled, tmp_path: Path, synced: set[str]
+    deferred: DeferredSync, tmp_path: Path, synced: set[str]
 ) -> None:
     assert (tmp_path / "MANIFEST.json").read_bytes() == b"MANIFEST.json"
     assert synced == set()
-    unsettled.settle()
+    deferred.settle()
     assert synced == {"part-000000.parquet", "MANIFEST.json", "touch", tmp_path.name}
     synced.clear()
-    unsettled.settle()
+    deferred.settle()
     assert synced == set()
 
 
 def test_all_files_are_durable_before_any_folder_is_asked_for(
-    unsettled: Unsettled, synced: set[str], monkeypatch: pytest.MonkeyPatch
+    deferred: DeferredSync, synced: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = list[set[str]]()
 
     def note(step: str) -> None:
-        if step.startswith("settle"):
+        if step.startswith("sync name of"):
             before.append(set(synced))
 
     monkeypatch.setattr(steps, "reach", note)
-    unsettled.settle()
+    deferred.settle()
     assert before[0] == {"part-000000.parquet", "MANIFEST.json"}
 
 
 def test_after_a_failed_fsync_files_are_written_anew(
-    unsettled: Unsettled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    deferred: DeferredSync, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     part = tmp_path / "touch/part-000000.parquet"
     before = part.stat().st_ino
@@ -67,15 +67,15 @@ def test_after_a_failed_fsync_files_are_written_anew(
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fail)
         with pytest.raises(OSError, match="Input/output"):
-            unsettled.settle()
+            deferred.settle()
     assert part.stat().st_ino == before
-    unsettled.settle()
+    deferred.settle()
     assert part.read_bytes() == b"touch/part-000000.parquet"
     assert part.stat().st_ino != before
 
 
 def test_what_the_disk_has_forgotten_is_not_made_up(
-    unsettled: Unsettled, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    deferred: DeferredSync, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> None:
         raise OSError(5, "Input/output error")
@@ -83,14 +83,16 @@ def test_what_the_disk_has_forgotten_is_not_made_up(
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fail)
         with pytest.raises(OSError, match="Input/output"):
-            unsettled.settle()
+            deferred.settle()
     (tmp_path / "MANIFEST.json").write_bytes(b"anything")
     for _ in range(2):
         with pytest.raises(OSError, match="not there any more; replay it again"):
-            unsettled.settle()
+            deferred.settle()
 
 
-def test_a_folder_that_has_to_be_new_is_refused_if_it_is_there(unsettled: Unsettled, tmp_path: Path) -> None:
-    unsettled.make_folder(tmp_path / "touch")
+def test_a_folder_that_has_to_be_new_is_refused_if_it_is_there(
+    deferred: DeferredSync, tmp_path: Path
+) -> None:
+    deferred.make_folder(tmp_path / "touch")
     with pytest.raises(FileExistsError):
-        unsettled.make_folder(tmp_path / "touch", new=True)
+        deferred.make_folder(tmp_path / "touch", new=True)

@@ -1,0 +1,283 @@
+"""Recovery of one session: whole files that no manifest lists, then the rows of the journal."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, cast
+
+import pyarrow as pa
+
+from operators.batch import Batch, Zeroed
+from operators.errors import InputError
+from operators.ports import Description
+from storage import files, journal_segment
+from storage.description import describe_recovery
+from storage.journal import delete_journal
+from storage.layout import (
+    DAMAGED,
+    JOURNAL,
+    MANIFEST,
+    TABLE_OF,
+    TABLES,
+    TOUCH,
+    Table,
+    inside,
+    segments,
+    single_log,
+)
+from storage.manifest import Part, damaged_parts, read_manifest, write_manifest
+from storage.orphan_parts import (
+    duplicate_reason,
+    extent,
+    missing_parts,
+    missing_rows,
+    missing_segments,
+    part_number,
+)
+from storage.parts import commit_part, inspect_part, read_part
+from storage.recovery import Recovery
+from storage.schema import batch_type, schema, to_arrow
+
+PART_ROWS: Final = 100_000  # in a part made from the journal
+
+
+class SessionRecovery:
+    """Recovery of one locked session: the constructor examines it and changes nothing, `finish` repairs it.
+
+    Raises:
+        InputError: if the journal has another version, or a link leads out of the session.
+    """
+
+    def __init__(self, folder: Path, about: Description) -> None:
+        self._folder, self._about, self._session = folder, about, str(about["session"])
+        self._lost, self._cut, self._done = list[str](), list[str](), list[str]()  # as in `Recovery`
+        self._adopted: list[str] = []
+        self._journalled = (folder / JOURNAL).is_dir()
+        before = cast("dict[str, Any]", about.get("recovered", {}))
+        self._known_lost: list[str] = before.get("lost", [])
+        self._known_cut: list[str] = before.get("cut", [])
+        self._doubtful: dict[str, str] = {}  # by table, why its last, unlisted file cannot be read
+        self._with_gaps: set[str] = set()  # tables with an unreadable file that the journal cannot replace
+        self._unreadable: set[str] = set()  # files of tables
+        self._aside: list[Path] = []  # files to be moved to `damaged`
+        self._listed, self._damaged_list = dict[str, Part](), dict[str, Part]()  # of the manifest, by path
+        self._rewrite = not (folder / MANIFEST).exists()
+        try:
+            self._listed |= read_manifest(folder)
+        except InputError:
+            self._rewrite = True
+            self._damaged_list |= damaged_parts(folder)
+        self._listed_before = dict(self._listed)
+        self._parts = {table.name: self._find_parts(table) for table in TABLES}
+        self._rows: dict[str, list[Batch]] = {}  # from the journal, by table
+        self._empty = list[Table]()  # tables of one file without rows, whose file is still missing
+        self._read_journal()
+        self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
+        self._find_missing()
+
+    def finish(self) -> Recovery:
+        """Repair the session.
+
+        Raises:
+            OSError: it may be tried again.
+        """
+        before = {table.name: _count(self._listed_of(table)) for table in TABLES}
+        for table in TABLES:
+            rows = self._rows.get(table.name, [table.kind.empty()] if table in self._empty else [])
+            if rows:
+                self._commit(table, to_arrow(table, rows))
+        after = {name: _count(parts) for name, parts in self._parts.items()}
+        found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
+        parts = self._all_parts()
+        rewritten = self._rewrite or {part.path: part for part in parts} != self._listed_before
+        if rewritten and not found:
+            self._done.append("its manifest was rewritten")
+        if self._journalled and not found:
+            self._done.append("its journal was deleted: all its rows are in parts")
+        lost = tuple(each for each in self._lost if each not in self._known_lost)
+        result = Recovery(
+            self._session, found, tuple(self._adopted), lost, tuple(self._cut), tuple(self._done)
+        )
+        self._describe(result)
+        if rewritten:
+            self._keep_manifest()
+            write_manifest(self._folder, parts)
+        return replace(result, done=(*result.done, *self._clean_up()))
+
+    def _all_parts(self) -> list[Part]:
+        return [part for each in self._parts.values() for part in each]
+
+    def _listed_of(self, table: Table) -> list[Part]:
+        paths = (path for path in self._listed if path.startswith((f"{table.name}/", f"{table.name}.")))
+        return [self._listed[path] for path in sorted(paths, key=part_number)]
+
+    def _find_parts(self, table: Table) -> list[Part]:
+        """Return the listed parts of a table and the unlisted ones that are whole."""
+        parts = self._listed_of(table)
+        there = {path.relative_to(self._folder).as_posix() for path in self._folder.glob(table.pattern)}
+        for path in sorted(there - {part.path for part in parts}, key=part_number):
+            try:
+                part = inspect_part(self._folder, path, schema(table))
+                duplicate = duplicate_reason(self._folder, table, part, parts)
+            except InputError as error:
+                self._add_unreadable(table, path, error, last=path == max(there, key=part_number))
+                continue
+            if duplicate:
+                self._aside.append(self._folder / path)
+                self._done.append(f"{duplicate}: it is kept in {DAMAGED!r}")
+                continue
+            parts.append(part)
+            self._adopted.append(path)
+        return sorted(parts, key=lambda part: part_number(part.path))
+
+    def _add_unreadable(self, table: Table, path: str, error: InputError, *, last: bool) -> None:
+        """Note an unreadable, unlisted file; the journal still has the rows of the last of a table."""
+        self._aside.append(self._folder / path)
+        self._unreadable.add(path)
+        if last and segments(self._folder):
+            self._doubtful[table.name] = f"{table.name}: {error}"
+        else:
+            self._with_gaps.add(table.name)
+            self._lost.append(f"{table.name}: {error}")
+
+    def _find_missing(self) -> None:
+        """Note missing parts, missing rows of a closed session, and a missing journal."""
+        parts = self._all_parts()
+        hashes = {part.sha256 for part in parts}
+        paths = {part.path for part in parts} | self._unreadable
+        for path, part in self._damaged_list.items():
+            if not (self._folder / path).exists() and part.sha256 not in hashes:
+                self._lost.append(f"{path}: is missing: {extent(part)}")
+        reported = " ".join([*self._lost, *self._known_lost])
+        missing = [path for path in missing_parts(paths) if path not in reported]
+        self._lost += [f"{path}: is missing, and not in the manifest" for path in missing]
+        if self._rewrite and not self._journalled and (text := missing_rows(self._about, parts)):
+            self._lost.append(text)
+        if "end_ns" in self._about:
+            return
+        if not parts and not self._rows:
+            self._done.append("was not closed, and has no rows")
+        elif not self._journalled:
+            self._cut.append("was not closed and has no journal: rows after its last part are missing")
+            self._lost += self._cut[-1:]
+
+    def _read_journal(self) -> None:
+        """Collect the rows of the journal, up to the first missing row of each table."""
+        next_row = {name: _count(parts) for name, parts in self._parts.items()}
+        left_out = dict[str, int]()  # rows by table
+        logs, single = segments(self._folder), single_log(self._folder)
+        newest = [next(reversed(logs.values()), None), single]
+        logs |= {journal_segment.SINGLE_LOG: single} if single.exists() else {}
+        missing = missing_segments(self._folder, self._about)
+        self._lost += missing if any(self._parts.values()) or segments(self._folder) else []
+        for number, path in logs.items():
+            data = files.read(path, journal_segment.WHOLE)
+            segment = journal_segment.read_segment(data, str(path), self._session, number)
+            for rows in segment.rows:
+                table, end = TABLE_OF[type(rows.batch)].name, rows.first + len(rows.batch)
+                if table in left_out or table in self._with_gaps or rows.first > next_row[table]:
+                    left_out[table] = left_out.get(table, 0) + len(rows.batch)
+                elif end > next_row[table]:
+                    self._rows.setdefault(table, []).append(rows.batch[next_row[table] - rows.first :])
+                    next_row[table] = end
+            self._add_damage(path, segment.damage, last=path in newest)
+        for table, rows_left in left_out.items():
+            self._lost.append(f"{table}: {rows_left} rows that do not follow row {next_row[table]}")
+        if left_out:
+            self._aside += [path for path in logs.values() if path not in self._aside]
+        elif single.exists() and single not in self._aside:
+            self._empty += [table for table in TABLES if self._is_empty(table)]
+
+    def _is_empty(self, table: Table) -> bool:
+        """Return true for a wired table of one file that got no rows."""
+        name = table.name
+        known = self._parts[name] or name in {*self._rows, *self._doubtful, *self._with_gaps}
+        return not table.parted and not known and name in cast("list[str]", self._about.get("tables", []))
+
+    def _add_damage(self, path: Path, damage: journal_segment.Damage | None, *, last: bool) -> None:
+        """Note the damage of a segment, the last of its kind or not."""
+        if damage:
+            reason = "whole frames follow" if damage.more else "the recorder was cut off there"
+            self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")
+            self._aside += [path] if damage.more else []
+            self._cut += self._lost[-1:] if last and not damage.more else []
+
+    def _commit(self, table: Table, rows: pa.Table) -> None:
+        parts = self._parts[table.name]
+        if not table.parted:
+            before = [read_part(self._folder / part.path, schema(table), part.sha256) for part in parts]
+            whole = pa.concat_tables([*before, rows])
+            self._parts[table.name] = [commit_part(self._folder, table.file(0), whole)]
+            return
+        files.make_folder(inside(self._folder, self._folder / table.name))
+        number = 1 + max((part_number(part.path) for part in parts), default=-1)
+        for start in range(0, len(rows), PART_ROWS):
+            parts.append(commit_part(self._folder, table.file(number), rows.slice(start, PART_ROWS)))
+            number += 1
+
+    def _describe(self, result: Recovery) -> None:
+        """Record the recovery in session.json."""
+        before = cast("dict[str, Any]", self._about.get("recovered", {}))
+        found = bool(result.rows or result.adopted)
+        if not (found or result.lost) and (before or "end_ns" in self._about):
+            return
+        rows, adopted = (
+            (result.rows, list(result.adopted))
+            if found
+            else (before.get("rows", {}), before.get("adopted", []))
+        )
+        describe_recovery(
+            self._folder,
+            self._about,
+            {
+                "rows": dict(rows),
+                "adopted": adopted,
+                "lost": [*self._known_lost, *result.lost],
+                "cut": [*self._known_cut, *(each for each in result.cut if each not in self._known_cut)],
+            },
+            newest=max((part.last for part in self._all_parts() if part.rows), default=None),
+            zeroed=self._zeroed(),
+        )
+
+    def _zeroed(self) -> bool:
+        """Return true if the touch was recorded zeroed."""
+        touch = self._parts[TOUCH.name]
+        if not touch:
+            return False
+        try:
+            return batch_type(read_part(self._folder / touch[0].path, schema(TOUCH))) is Zeroed
+        except InputError:
+            return False
+
+    def _keep_manifest(self) -> None:
+        """Copy a damaged manifest to `damaged` before it is rewritten."""
+        path = self._folder / MANIFEST
+        if self._rewrite and path.exists():
+            files.make_folder(self._folder / DAMAGED)
+            files.put(self._folder / DAMAGED / MANIFEST, files.read(path))
+
+    def _clean_up(self) -> list[str]:
+        """Delete temporary files and the journal, move files to `damaged`; return lines for `done`."""
+        deleted = 0
+        for pattern in ("*", "*/*"):
+            for path in self._folder.glob(pattern + files.SCRATCH):
+                if path.parent.name != JOURNAL:
+                    inside(self._folder, path.parent)
+                    path.unlink(missing_ok=True)
+                    deleted += 1
+        if self._aside:
+            files.make_folder(self._folder / DAMAGED)
+        kept = {part.path for part in self._all_parts()}
+        for path in self._aside:
+            name = path.relative_to(self._folder).as_posix()
+            if path.exists() and name not in kept:
+                path.replace(self._folder / DAMAGED / name.replace("/", "-"))
+        if self._aside:
+            files.sync(self._folder / DAMAGED)
+        if (self._folder / JOURNAL).is_dir():
+            delete_journal(self._folder)
+        return [f"{deleted} incomplete files were deleted"] if deleted else []
+
+
+def _count(parts: Iterable[Part]) -> int:
+    return sum(part.rows for part in parts)
