@@ -1,37 +1,15 @@
 """Recovery of a session whose recorder was killed, or whose files were damaged."""
 
 import os
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from operators.errors import EndpointError, os_error_reason
 from storage.description import read_session
 from storage.layout import JOURNAL
 from storage.lock import lock
-
-
-@dataclass(frozen=True)
-class Recovery:
-    """Result of a recovery."""
-
-    session: str
-    rows: Mapping[str, int]  # recovered rows by table
-    adopted: tuple[str, ...]  # files that were whole but not in the manifest
-    lost: tuple[str, ...]  # a line for each loss that was not known before
-    cut: tuple[str, ...]  # of these, those at the end only, where the recorder was killed
-    done: tuple[str, ...]  # a line for each other repair
-
-    @property
-    def complete(self) -> bool:
-        """True if nothing was lost."""
-        return not self.lost
-
-    @property
-    def changed(self) -> bool:
-        """True if anything was repaired or lost."""
-        return bool(self.rows or self.adopted or self.lost or self.done)
+from storage.recovery_result import Recovery
 
 
 def recover(folder: str | Path) -> Recovery:

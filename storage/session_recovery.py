@@ -35,7 +35,7 @@ from storage.orphan_parts import (
     part_number,
 )
 from storage.parts import commit_part, inspect_part, read_part
-from storage.recovery import Recovery
+from storage.recovery_result import Recovery
 from storage.schema import batch_type, schema, to_arrow
 
 PART_ROWS: Final = 100_000  # in a part made from the journal
