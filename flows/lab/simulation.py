@@ -213,11 +213,11 @@ async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
     rig = SimulatedRig(planned.scene, planned.seed, pace=None)
     clock = EventClock(planned.start)
     streams: tuple[Source[Any], ...] = (rig.touch, rig.motion, rig.episodes, rig.truth)
-    played = _Played(planned.session, await asyncio.gather(*(_all(each, clock) for each in streams)))
+    finished = _FinishedScene(planned.session, await asyncio.gather(*(_all(each, clock) for each in streams)))
     flow = Flow("simulate")
     dataset = Dataset(root, part_span=_WHOLE, host="simulated")
     declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
-    runner = ReplayRunner(flow, played, planned.session, rows=max(map(len, played.streams)))
+    runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, finished.streams)))
     about = {
         **rig.touch.describe(),
         "plan": planned.plan,
@@ -233,7 +233,7 @@ async def _all(source: Source[SomeBatch], clock: EventClock) -> SomeBatch:
 
 
 @dataclass(frozen=True, slots=True)
-class _Played:
+class _FinishedScene:
     """A finished scene, as a recording of the rig."""
 
     name: str
