@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -25,10 +25,8 @@ from flows.cli.experiment_options import (
     trials_of,
 )
 from flows.cli.options import AsJson
+from flows.cli.report_output import prepare_report, write_report
 from flows.cli.terminal import check_output_file, note, progress_bar
-
-if TYPE_CHECKING:
-    from flows.report.report_page import Report
 
 # Imports inside functions: `slipflow --help` must not wait for numpy.
 # ruff: noqa: PLC0415
@@ -59,15 +57,14 @@ def tap(
     from flows.lab.experiments.study import DEFAULT, Method, run_study
     from flows.lab.experiments.study_report import tap_report
     from flows.lab.experiments.tap_trial import tap as run_tap
-    from flows.report.report_page import make_output_folder
 
     usual = [Method(name) for name in (DEFAULT, "tcn", "paper_tcn", "frequency_cnn", "psd")]
     methods, trials = methods_of(usual, method, None), trials_of(count, seed, objects)
     conditions = {"": conditions_of("direct", "0s", rate)}
-    make_output_folder(out)
+    prepare_report(out)
     with progress_bar("tap") as update:
         found = run_study(run_tap, methods, conditions, trials, jobs=jobs, progress=update)
-    _write(tap_report(found[""], command_line(context)), out, as_json=as_json)
+    write_report(tap_report(found[""], command_line(context)), out, "tap", as_json=as_json)
 
 
 def lift(
@@ -111,13 +108,12 @@ def lift(
     if ablation and conditions != conditions_of("direct", "0s", 100):
         raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it sets its own")
     from flows.lab.experiments.study import DEFAULT, NONE, OURS, STEPS, Method
-    from flows.report.report_page import make_output_folder
 
     trials, again = trials_of(count, seed, objects), command_line(context)
     usual = [Method(DEFAULT, each) for each in (OURS, STEPS, NONE)]
     usual += [Method("tcn"), *(Method(name, STEPS) for name in ("tcn", "paper_tcn", "frequency_cnn", "psd"))]
     methods = methods_of(usual, method, rule)
-    make_output_folder(out)
+    prepare_report(out)
     with progress_bar("lift") as update:
         if ablation:
             from flows.lab.experiments.ablation_report import ablation_report
@@ -137,7 +133,7 @@ def lift(
 
             results = run_study(run_lift, methods, {"": conditions}, trials, jobs=jobs, progress=update)
             report = lift_report(results[""], again)
-    _write(report, out, as_json=as_json)
+    write_report(report, out, report.sections[0].name, as_json=as_json)
 
 
 def learn(
@@ -186,16 +182,6 @@ def learn(
     scores = ", ".join(f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items())
     summary = {"path": str(model.path), **model.card}
     typer.echo(json.dumps(summary) if as_json else f"{model.path}: balanced accuracy {scores}")
-
-
-def _write(report: "Report", out: Path, *, as_json: bool) -> None:
-    """Write the report and print it; log what was written and what figures need."""
-    from flows.report.figures import lacking
-
-    paths = report.write(out, report.sections[0].name)
-    missing = any(section.draw and section.figure is None for section in report.sections)
-    note(f"wrote {', '.join(map(str, paths))}" + (f"; figures {lacking()}" if missing else ""))
-    typer.echo(json.dumps(report.json(), allow_nan=False) if as_json else report.terminal())
 
 
 for each in (tap, lift, learn):

@@ -49,7 +49,7 @@ def test_the_log_says_what_figures_need(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(figures, "find_spec", nothing)
     result = CliRunner().invoke(app, ["lift", *ONE, "--rule", "none", "--out", str(tmp_path)])
-    assert "; figures need matplotlib: in the clone, pip install -e '.[report]'" in result.stderr
+    assert "no figures, which need matplotlib: in the clone, pip install -e '.[report]'" in result.stderr
     assert not (tmp_path / "lift.svg").exists()
 
 
