@@ -43,7 +43,7 @@ _ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", 
 class Finding:
     """Result of a check of a session.
 
-    A note is no fault. Repairable: a recovery can repair it; repaired: one has; neither lost a row. Lossy:
+    A note is not a fault. Repairable: a recovery can repair it; repaired: one has; neither lost a row. Lossy:
     rows known to be missing, because they were dropped, or cut off with the recorder. Lost: recorded rows
     are missing.
     """

@@ -15,12 +15,11 @@ from flows.cli.main import app
 
 ROOT: Final = Path(__file__).parents[1]
 FOLDERS: Final = ("operators", "connectors", "storage", "flows", "deploy")
-UNFINISHED: Final = (
-    "storage/",
-    "docs/decisions",
-    "docs/explanations",
-    "docs/reference",
-)  # paths that still fail
+UNFINISHED: Final = (  # pages that still fail
+    "docs/decisions/0011-a-journal-before-the-parts.md",
+    "docs/explanations/scene.md",
+    "docs/reference/dataset.md",
+)
 
 FIRST_WORDS: Final = re.compile(r"(What|How|Whether|That|Where|Who|When|Which|Whose)\b")
 UNFINISHED_COMMANDS: Final[tuple[str, ...]] = ()
