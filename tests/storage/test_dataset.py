@@ -133,7 +133,7 @@ async def test_slips_that_were_found_are_not_emptied_when_closing_is_tried_again
     assert len(Session.open(tmp_path).frame("slips")) == 5
 
 
-async def test_what_the_session_says_of_itself_is_written_first_and_completed_last(tmp_path: Path) -> None:
+async def test_the_description_is_written_first_and_completed_last(tmp_path: Path) -> None:
     run = new_run(describe={"rig": {"seed": 7, "split": "test"}})
     dataset = Dataset(tmp_path)
     await dataset.open(run)
@@ -182,7 +182,7 @@ def test_zeroed_counts_come_back_as_zeroed(tmp_path: Path) -> None:
     assert (session.fingers(Touch), session.fingers(Zeroed)) == ((0,), (0,))
 
 
-async def test_what_no_table_takes_is_refused_and_nothing_of_it_is_kept(tmp_path: Path) -> None:
+async def test_a_batch_without_a_table_is_refused_and_not_stored(tmp_path: Path) -> None:
     good, broken = new_batch(Touch), new_batch(Touch)
     broken = Touch(broken.time, broken.counts.astype(float), broken.temperature, broken.valid, finger=0)
     aside = Motion(*(getattr(new_batch(Motion), name) for name in columns(Motion)), finger=2)
@@ -306,7 +306,7 @@ async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spo
     assert Session.open(tmp_path).frame("touch")["time"].to_list() == [n * 10 * ms for n in range(5)]
 
 
-async def test_what_is_recorded_live_goes_on_while_a_commit_waits_for_the_disk(
+async def test_a_live_recording_continues_while_a_commit_waits_for_the_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writing, go_on = threading.Event(), threading.Event()
@@ -365,7 +365,7 @@ async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
     assert len(Session.open(tmp_path).frame("touch")) == 30
 
 
-def test_a_full_disk_is_told_at_each_write_until_there_is_room_and_costs_no_row(
+def test_a_full_disk_is_reported_at_each_write_and_loses_no_row(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     full = False

@@ -29,7 +29,7 @@ def deferred(tmp_path: Path) -> DeferredSync:
     return made
 
 
-def test_files_are_there_at_once_and_durable_when_told(
+def test_files_are_in_place_at_once_and_durable_after_settle(
     deferred: DeferredSync, tmp_path: Path, synced: set[str]
 ) -> None:
     assert (tmp_path / "MANIFEST.json").read_bytes() == b"MANIFEST.json"
@@ -55,7 +55,7 @@ def test_all_files_are_durable_before_any_folder_is_asked_for(
     assert before[0] == {"part-000000.parquet", "MANIFEST.json"}
 
 
-def test_after_a_failed_fsync_files_are_written_anew(
+def test_after_a_failed_fsync_files_are_written_again(
     deferred: DeferredSync, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     part = tmp_path / "touch/part-000000.parquet"
@@ -74,7 +74,7 @@ def test_after_a_failed_fsync_files_are_written_anew(
     assert part.stat().st_ino != before
 
 
-def test_what_the_disk_has_forgotten_is_not_made_up(
+def test_content_that_the_disk_lost_is_an_error(
     deferred: DeferredSync, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> None:

@@ -55,7 +55,7 @@ def test_the_data_are_durable_before_the_name_and_the_name_before_the_end(
     assert steps == ["fsync x.tmp", "rename x.tmp x", f"fsync {tmp_path.name}"]
 
 
-def test_what_cannot_be_read_is_an_input_error(tmp_path: Path) -> None:
+def test_an_unreadable_file_is_an_input_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="missing: cannot be read: No such file"):
         files.read(tmp_path / "missing")
     with pytest.raises(InputError, match="cannot be read: Is a directory"):
@@ -69,7 +69,7 @@ def test_what_cannot_be_read_is_an_input_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", [b"", b"[1]", b"1", b'{"a": NaN}', b"{", b"\xff", b"[" * 100_000, b'{"a":1}}']
 )
-def test_what_is_no_json_object_is_an_input_error(tmp_path: Path, text: bytes) -> None:
+def test_a_file_without_a_json_object_is_an_input_error(tmp_path: Path, text: bytes) -> None:
     (tmp_path / "x.json").write_bytes(text)
     with pytest.raises(InputError, match=r"x\.json: is not"):
         files.read_json(tmp_path / "x.json")
@@ -113,7 +113,7 @@ def test_a_flipped_bit_anywhere_in_a_checked_object_is_refused_or_changes_nothin
             continue
 
 
-def test_an_object_without_a_check_is_read_and_one_changed_by_hand_says_what_to_remove(
+def test_an_object_without_a_check_is_read_and_an_edited_one_names_the_entry_to_remove(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "about.json"

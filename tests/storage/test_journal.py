@@ -65,7 +65,7 @@ def found(folder: Path) -> list[tuple[str, int, int]]:
     ]
 
 
-def test_what_is_added_is_appended_by_itself(journal: Journal, step: Steps, tmp_path: Path) -> None:
+def test_added_rows_are_appended_in_the_background(journal: Journal, step: Steps, tmp_path: Path) -> None:
     assert journal.add(NumberedRows(0, new_batch(Touch, 1)))
     step.wait()
     with journal.held():
@@ -93,7 +93,7 @@ def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(journal: Journal
     assert not journal.add(NumberedRows(0, new_batch(Slips, MOST + 1)))
 
 
-def test_what_does_not_fit_waits_for_what_came_before(journal: Journal, step: Steps, tmp_path: Path) -> None:
+def test_rows_beyond_the_limit_wait_for_earlier_ones(journal: Journal, step: Steps, tmp_path: Path) -> None:
     step.go_on.clear()
     assert journal.add(NumberedRows(0, new_batch(Touch, MOST)))
     step.wait()
@@ -170,9 +170,7 @@ def test_a_segment_that_cannot_be_begun_leaves_the_old_one_in_use(
     assert found(tmp_path) == []
 
 
-def test_a_slow_fsync_does_not_hold_up_what_is_appended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_slow_fsync_does_not_delay_appends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     syncing, go_on, fsync = threading.Event(), threading.Event(), os.fsync
 
     def slow(file: int) -> None:
@@ -215,7 +213,7 @@ def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
     journal.leave()
 
 
-def test_its_threads_end_with_it_and_what_waited_is_there(tmp_path: Path) -> None:
+def test_its_threads_end_with_it_and_waiting_rows_are_written(tmp_path: Path) -> None:
     before = threading.active_count()
     journal, batch = Journal(tmp_path, "one"), list[Batch]([new_batch(Touch, 1)])
     assert threading.active_count() == before + 2
@@ -241,7 +239,7 @@ def test_rows_of_a_table_of_one_file_are_appended_once_and_outlive_the_segments(
     assert found(tmp_path) == []
 
 
-def test_after_a_failed_fsync_they_are_written_anew_from_memory(
+def test_after_a_failed_fsync_rows_are_written_again_from_memory(
     journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: int) -> None:
@@ -261,7 +259,7 @@ def test_after_a_failed_fsync_they_are_written_anew_from_memory(
     assert single_log(tmp_path).stat().st_ino != before
 
 
-def test_what_could_not_be_appended_to_both_is_not_taken_by_either(
+def test_rows_that_cannot_be_appended_to_both_are_in_neither(
     journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(step: str) -> None:

@@ -162,7 +162,7 @@ def test_a_flipped_bit_anywhere_is_noticed_and_leaves_a_prefix(
         assert is_prefix(found, written)
 
 
-def test_damage_with_whole_frames_behind_it_is_told_from_a_cut_off_end(data: bytes) -> None:
+def test_damage_before_whole_frames_differs_from_a_cut_off_end(data: bytes) -> None:
     middle, end = bytearray(data), bytearray(data)
     middle[len(data) // 2] ^= 1
     end[-1] ^= 1
@@ -214,9 +214,7 @@ CHANGES: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("changes", "complaint"), CHANGES)
-def test_what_another_slipflow_wrote_is_refused_not_misread(
-    changes: dict[str, object], complaint: str
-) -> None:
+def test_segments_of_other_versions_are_refused(changes: dict[str, object], complaint: str) -> None:
     with pytest.raises(InputError, match=rf"^000003\.wal: {complaint}"):
         read(said(**changes))
 

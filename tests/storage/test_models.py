@@ -99,7 +99,7 @@ def test_a_flipped_bit_in_npz_is_reported_or_changes_nothing(
         np.testing.assert_array_equal(array, np.arange(100.0))
 
 
-def test_what_is_missing_or_no_model_is_refused(tmp_path: Path) -> None:
+def test_a_missing_file_or_another_file_type_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file"):
         load_weights(tmp_path / "model.npz")
     with pytest.raises(InputError, match=r"is not a model file: these end in \.safetensors or \.npz"):
@@ -108,7 +108,7 @@ def test_what_is_missing_or_no_model_is_refused(tmp_path: Path) -> None:
         save_weights(tmp_path / "model.npz", {})
 
 
-def test_what_would_unpack_to_too_much_is_refused_unread(tmp_path: Path) -> None:
+def test_an_archive_that_unpacks_to_too_much_is_refused_unread(tmp_path: Path) -> None:
     with (
         zipfile.ZipFile(tmp_path / "model.npz", "w", zipfile.ZIP_DEFLATED) as archive,
         archive.open("x.npy", "w") as file,
@@ -120,7 +120,9 @@ def test_what_would_unpack_to_too_much_is_refused_unread(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("array", [np.array([1.0, np.nan]), np.array([np.inf]), np.array(["a"])])
-def test_what_is_no_finite_number_is_refused_by_its_name(tmp_path: Path, array: NDArray[Any]) -> None:
+def test_an_array_with_values_that_are_not_finite_is_refused_by_name(
+    tmp_path: Path, array: NDArray[Any]
+) -> None:
     np.savez(tmp_path / "model.npz", allow_pickle=False, good=np.ones(2), bad=array)
     with pytest.raises(InputError, match="array 'bad' has values that are not finite"):
         load_weights(tmp_path / "model.npz")
@@ -151,7 +153,7 @@ def test_the_papers_tcn_is_made_of_its_weights_in_either_format(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("name", sorted(TRAINED))
-def test_what_ships_is_small_and_what_its_card_says(name: str) -> None:
+def test_shipped_models_are_small_and_match_their_cards(name: str) -> None:
     path = shipped(name)
     assert path is not None
     card = load_card(path)

@@ -37,7 +37,7 @@ def test_frames_are_there_in_order_as_soon_as_they_are_appended(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("part", [0, 1, 29, 45])
-def test_what_could_not_be_appended_whole_is_taken_back_and_can_be_tried_again(
+def test_a_partial_append_is_undone_and_can_be_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: int
 ) -> None:
     pwrite = os.pwrite
@@ -117,7 +117,7 @@ except OSError as error:
     assert (told(found), found.damage, reason) == ([*range(int(took))], None, "File too large")
 
 
-def test_only_what_is_new_is_made_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_new_frames_are_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     segment, synced = OpenSegment(tmp_path / "000000.wal", "one", 0), list[int]()
     monkeypatch.setattr(os, "fsync", synced.append)
     segment.sync()

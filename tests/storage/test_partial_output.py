@@ -28,7 +28,7 @@ def test_a_folder_has_its_name_only_when_it_is_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_nothing_is_left_of_what_failed(tmp_path: Path, error: type[BaseException]) -> None:
+def test_a_failed_block_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
     def half_a_file() -> None:
         with partial_file(tmp_path / "a") as file:
             file.write(b"half")
@@ -45,7 +45,7 @@ def test_nothing_is_left_of_what_failed(tmp_path: Path, error: type[BaseExceptio
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_is_there_is_neither_replaced_nor_removed(tmp_path: Path) -> None:
+def test_existing_files_are_neither_replaced_nor_removed(tmp_path: Path) -> None:
     for name, is_there in (("a", "a"), ("b", "b" + PARTIAL)):
         (tmp_path / is_there).write_text("mine")
         for partial in (partial_file, partial_folder):

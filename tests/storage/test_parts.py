@@ -66,7 +66,7 @@ def test_a_flipped_bit_in_any_page_is_reported_without_a_manifest(part: bytes, t
 
 
 @pytest.mark.parametrize("data", [b"", b"PAR1", b"PAR1PAR1", b"no parquet at all", bytes(1000)])
-def test_what_is_no_parquet_file_is_reported(tmp_path: Path, data: bytes) -> None:
+def test_a_file_that_is_not_parquet_is_reported(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "x.parquet").write_bytes(data)
     with pytest.raises(InputError, match=r"x\.parquet: is damaged or not a Parquet file"):
         read_part(tmp_path / "x.parquet", schema(TOUCH))

@@ -18,7 +18,7 @@ def left(tmp_path: Path) -> Path:
     return leave(tmp_path / "data", new_run(), BATCHES)
 
 
-def test_what_only_the_journal_had_is_back_in_listed_parts(left: Path) -> None:
+def test_rows_of_the_journal_become_listed_parts(left: Path) -> None:
     done = recover(left)
     assert done.rows == {"touch": 10, "motion": 5, "samples": 5, "slips": 25}
     assert (done.adopted, done.lost, done.complete) == ((), (), True)
@@ -59,7 +59,7 @@ def test_a_session_that_is_being_recorded_is_left_alone(left: Path) -> None:
     assert rows(left, BATCHES) == [20, 20, 20, 20, 0]
 
 
-def test_what_came_back_whole_is_repaired(left: Path) -> None:
+def test_a_complete_recovery_is_repaired(left: Path) -> None:
     assert (verify(left).code, verify(left).worst) == (3, "repairable")
     recover(left)
     assert (verify(left).code, verify(left).worst) == (3, "repaired")

@@ -107,7 +107,7 @@ def test_a_name_without_a_code_is_refused() -> None:
         from_arrow(EPISODES, Episodes, rows)
 
 
-def test_what_samples_do_not_keep_comes_back_as_unknown() -> None:
+def test_columns_that_samples_do_not_store_are_unknown() -> None:
     batch = new_batch(Labelled, 3)
     batch.velocity[1] = np.nan
     found = from_arrow(SAMPLES, Labelled, to_arrow(SAMPLES, [batch]))[0]

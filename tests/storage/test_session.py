@@ -58,7 +58,7 @@ def test_rows_come_in_the_order_recorded_and_in_bounded_batches(dataset: Path, r
     same(concat(Touch, batches), concat(Touch, written))
 
 
-def test_there_is_nothing_of_what_was_not_recorded(dataset: Path) -> None:
+def test_streams_that_were_not_recorded_are_empty(dataset: Path) -> None:
     session = Session.open(dataset)
     for kind in (Motion, Labelled, Faults, Zeroed, Sample, Scores):
         assert session.fingers(kind) == ()
@@ -88,7 +88,7 @@ def test_a_dataset_of_several_sessions_lists_them(dataset: Path) -> None:
         Session.open(dataset)
 
 
-def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_dataset_is_refused(tmp_path: Path) -> None:
     (tmp_path / "empty/sessions").mkdir(parents=True)
     for name, complaint in (
         ("missing", "missing: there is no such folder"),
@@ -143,7 +143,7 @@ def test_a_damaged_part_is_reported_wherever_it_is_read(folder: Path) -> None:
             read()
 
 
-def test_parts_that_do_not_say_what_they_hold_or_disagree_are_reported(folder: Path) -> None:
+def test_parts_without_a_batch_type_or_with_different_ones_are_reported(folder: Path) -> None:
     (folder / "MANIFEST.json").unlink()
     path = folder / "touch/part-000001.parquet"
     rows = read_part(path, schema(TOUCH))
@@ -180,7 +180,7 @@ def test_fingertips_that_are_read_side_by_side_share_each_part(
     assert read == [f"part-{number:06d}.parquet" for number in range(3)]
 
 
-def test_a_part_that_is_being_read_is_not_given_as_what_it_is_not(folder: Path) -> None:
+def test_a_part_being_read_is_not_read_as_another_type(folder: Path) -> None:
     session = Session.open(folder)
     raw, zeroed = session.read(Touch, 0), session.read(Zeroed, 0)
     assert len(next(raw)) == 10
@@ -240,9 +240,7 @@ def test_a_session_that_is_being_recorded_is_read_as_far_as_it_is_committed(
     assert not (tmp_path / "sessions/one/journal").exists()
 
 
-def test_a_part_that_is_not_listed_yet_is_not_read_beside_the_journal(
-    tmp_path: Path, thirty: list[Batch]
-) -> None:
+def test_an_unlisted_part_is_not_read_while_there_is_a_journal(tmp_path: Path, thirty: list[Batch]) -> None:
     writer = record(tmp_path, new_run(), thirty[:2])
     folder = tmp_path / "sessions/one"
     (folder / "touch").mkdir()
@@ -262,9 +260,7 @@ def test_a_copy_of_a_part_is_not_read(folder: Path, *, listed: bool) -> None:
     assert len(Session.open(folder).frame("touch")) == rows
 
 
-def test_a_session_whose_recorder_is_gone_is_put_right_when_it_is_opened(
-    tmp_path: Path, thirty: list[Batch]
-) -> None:
+def test_a_session_of_a_killed_recorder_is_recovered_when_opened(tmp_path: Path, thirty: list[Batch]) -> None:
     record(tmp_path, new_run(), thirty)
     session = Session.open(tmp_path)
     assert len(session.frame("touch")) == 30
@@ -272,7 +268,7 @@ def test_a_session_whose_recorder_is_gone_is_put_right_when_it_is_opened(
     assert not (tmp_path / "sessions/one/journal").exists()
 
 
-def test_on_a_disk_that_cannot_be_written_what_is_committed_is_read_and_the_rest_told_of_once(
+def test_on_a_read_only_disk_committed_rows_are_read_and_a_warning_is_logged_once(
     tmp_path: Path, thirty: list[Batch], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def fail(*_: object) -> None:

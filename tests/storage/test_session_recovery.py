@@ -36,7 +36,7 @@ def test_a_part_that_was_not_listed_yet_is_listed_and_its_rows_are_there_once(
 
 
 @pytest.mark.parametrize("damage", ["lost", "flipped"])
-def test_a_manifest_that_is_gone_is_made_again_from_whole_parts(left: Path, damage: str) -> None:
+def test_a_missing_manifest_is_rewritten_from_whole_parts(left: Path, damage: str) -> None:
     path = left / "MANIFEST.json"
     listed = read_manifest(left)
     if damage == "lost":
@@ -65,7 +65,7 @@ def test_with_manifest_and_a_part_damaged_nothing_is_joined_that_may_not_follow(
     assert len(session.frame("motion")) == 25
 
 
-def test_damage_in_the_middle_ends_the_tables_there_and_what_is_behind_it_is_kept_aside(left: Path) -> None:
+def test_damage_in_the_middle_ends_the_tables_there_and_the_rest_is_kept(left: Path) -> None:
     [path] = segments(left).values()
     data = bytearray(path.read_bytes())
     frame = data.rindex(b"SLIP", 0, data.rindex(b"SLIP"))  # the last but one
@@ -83,7 +83,7 @@ def test_damage_in_the_middle_ends_the_tables_there_and_what_is_behind_it_is_kep
 
 
 @pytest.mark.parametrize("manifest", ["whole", "gone"])
-def test_a_copy_of_a_part_is_put_aside_and_told_of(left: Path, manifest: str) -> None:
+def test_a_copy_of_a_part_is_moved_away_and_reported(left: Path, manifest: str) -> None:
     recover(left)
     copyfile(left / "touch/part-000000.parquet", left / "touch/part-000007.parquet")
     if manifest == "gone":
@@ -119,7 +119,7 @@ def test_fingertips_may_share_the_time_of_another_part(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("number", [0, 1])
-def test_a_damaged_manifest_still_tells_of_a_part_that_is_gone_with_it(left: Path, number: int) -> None:
+def test_a_damaged_manifest_still_names_a_missing_part(left: Path, number: int) -> None:
     recover(left)
     (left / f"touch/part-00000{number}.parquet").unlink()
     path = left / "MANIFEST.json"
@@ -133,7 +133,7 @@ def test_a_damaged_manifest_still_tells_of_a_part_that_is_gone_with_it(left: Pat
         assert not recover(left).changed
 
 
-def test_a_part_that_is_gone_with_the_manifest_is_missed_by_its_number(left: Path) -> None:
+def test_a_part_missing_with_the_manifest_is_found_by_its_number(left: Path) -> None:
     recover(left)
     for name in ("touch/part-000001.parquet", "MANIFEST.json"):
         (left / name).unlink()
@@ -147,7 +147,7 @@ def test_a_part_that_is_gone_with_the_manifest_is_missed_by_its_number(left: Pat
     ]
 
 
-def test_a_segment_that_is_gone_is_lost(left: Path) -> None:
+def test_a_missing_segment_is_lost(left: Path) -> None:
     [path] = segments(left).values()
     later = path.with_name(f"{int(path.stem) + 2:06d}.wal")
     about = journal_segment.describe("one", int(later.stem))
@@ -169,7 +169,7 @@ def test_a_journal_without_segments_is_lost_once_rows_were_committed(left: Path)
     assert not (left / "journal").exists()
 
 
-def test_a_session_that_lost_its_journal_is_told_to_be_cut_off(left: Path) -> None:
+def test_a_session_that_lost_its_journal_is_cut_off(left: Path) -> None:
     rmtree(left / "journal")
     done = recover(left)
     assert done.cut == done.lost
@@ -177,7 +177,7 @@ def test_a_session_that_lost_its_journal_is_told_to_be_cut_off(left: Path) -> No
     assert verify(left).worst == "lossy"
 
 
-def test_whatever_is_changed_is_told(left: Path) -> None:
+def test_every_change_is_reported(left: Path) -> None:
     recover(left)
     (left / "MANIFEST.json.tmp").write_text("half")
     assert recover(left).done == ("1 incomplete files were deleted",)
@@ -268,7 +268,7 @@ def left_whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return leave(tmp_path_factory.mktemp("data"), new_run(), BATCHES)
 
 
-def test_a_log_of_single_files_that_is_gone_is_told_of(left: Path) -> None:
+def test_a_missing_segment_of_single_file_tables_is_reported(left: Path) -> None:
     single_log(left).unlink()
     assert verify(left).worst == "lost"
     assert "journal/single.wal: is missing, with its rows" in recover(left).lost

@@ -72,7 +72,7 @@ def test_a_dataset_without_sessions_is_not_all_there(dataset: Path) -> None:
     assert "has no session" in found.findings[0].text
 
 
-def test_what_is_no_dataset_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_dataset_is_refused(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(InputError, match=r"no such folder|is not a session"):
             verify(path)
