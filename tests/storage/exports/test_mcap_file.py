@@ -241,6 +241,6 @@ def test_a_failed_export_leaves_no_file_and_existing_files_stay(tmp_path: Path) 
         export(session, tmp_path / "one.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["data"]
     (tmp_path / "one.mcap").write_text("mine")
-    with pytest.raises(EndpointError, match="is there already"):
+    with pytest.raises(EndpointError, match="exists already"):
         export(session, tmp_path / "one.mcap")
     assert (tmp_path / "one.mcap").read_text() == "mine"

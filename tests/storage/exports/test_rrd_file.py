@@ -124,7 +124,7 @@ def test_a_failed_export_leaves_no_file_and_existing_files_stay(
         export(session, path)
     assert [each.name for each in tmp_path.iterdir()] == ["data"]
     path.write_text("mine")
-    with pytest.raises(EndpointError, match="is there already"):
+    with pytest.raises(EndpointError, match="exists already"):
         export(session, path)
     assert path.read_text() == "mine"
 
