@@ -185,7 +185,9 @@ def test_a_killed_simulation_leaves_a_partial_folder_that_is_reported(tmp_path: 
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120, check=False)
     assert done.returncode == -signal.SIGKILL  # and its workers ended: they held the pipes
     assert [path.name for path in tmp_path.iterdir()] == ["out.partial"]
-    with pytest.raises(EndpointError, match=r"out\.partial: is being written by another process, or was left"):
+    with pytest.raises(
+        EndpointError, match=r"out\.partial: is being written by another process, or was left"
+    ):
         simulate(tmp_path / "out", "tiny", 0)
 
 
