@@ -81,12 +81,12 @@ class LabelledRecording:
 
 
 def simulated_recordings(
-    collection: PaperPlan, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
+    plan: PaperPlan, seed: int, change: Callable[[Scene], Scene] = lambda scene: scene
 ) -> list[LabelledRecording]:
     """Simulate every recording of a plan, each scene altered by `change`."""
     return [
         simulated_recording(change(scene), int(np.random.SeedSequence([seed, n]).generate_state(1)[0]))
-        for n, scene in enumerate(collection.scenes(seed))
+        for n, scene in enumerate(plan.scenes(seed))
     ]
 
 
