@@ -15,14 +15,8 @@ from flows.cli.main import app
 
 ROOT: Final = Path(__file__).parents[1]
 FOLDERS: Final = ("operators", "connectors", "storage", "flows", "deploy")
-UNFINISHED: Final = (  # pages that still fail
-    "docs/decisions/0011-a-journal-before-the-parts.md",
-    "docs/explanations/scene.md",
-    "docs/reference/dataset.md",
-)
 
 FIRST_WORDS: Final = re.compile(r"(What|How|Whether|That|Where|Who|When|Which|Whose)\b")
-UNFINISHED_COMMANDS: Final[tuple[str, ...]] = ()
 # Words and phrases with a plainer term; the reason or the term is the second part.
 AVOID: Final = {
     r"told|tells?": "log, report, print, state",
@@ -87,11 +81,6 @@ def avoided(text: str) -> list[str]:
     return [found[0] for found in _AVOIDED.finditer(_PERMITTED.sub("", text))]
 
 
-def finished(path: Path) -> bool:
-    """Return true if the rules hold for a file already."""
-    return not path.relative_to(ROOT).as_posix().startswith(UNFINISHED)
-
-
 def options(command: Any, name: str = "slipflow") -> Iterator[tuple[str, str]]:  # noqa: ANN401 - click's types
     """Yield the name and help of each option of a command and of those below it."""
     for parameter in command.params:
@@ -105,7 +94,7 @@ def options(command: Any, name: str = "slipflow") -> Iterator[tuple[str, str]]: 
 def test_a_docstring_starts_with_a_verb_or_a_noun() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
-        for path in filter(finished, MODULES)
+        for path in MODULES
         for line, text in docstrings(ast.parse(path.read_text()))
         if FIRST_WORDS.match(text)
     ]
@@ -115,7 +104,7 @@ def test_a_docstring_starts_with_a_verb_or_a_noun() -> None:
 def test_docstrings_comments_and_messages_use_plain_words() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {', '.join(words)}"
-        for path in filter(finished, MODULES)
+        for path in MODULES
         for line, text in texts(path.read_text())
         if (words := avoided(text))
     ]
@@ -125,7 +114,7 @@ def test_docstrings_comments_and_messages_use_plain_words() -> None:
 def test_pages_use_plain_words() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{line}: {', '.join(words)}"
-        for path in filter(finished, [*WEB, *PAGES])
+        for path in [*WEB, *PAGES]
         for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
         if (words := avoided(text))
     ]
