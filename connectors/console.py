@@ -1,4 +1,4 @@
-"""Printed slip events, as text or JSON."""
+"""Sink that prints slip events and faults, as text or JSON."""
 
 import sys
 from collections.abc import Mapping
@@ -21,8 +21,8 @@ class Console(Sink[Slips | Faults]):
     >>> asyncio.run(Console().write(Slips(time, onset, time, probability, finger=0)))
     1970-01-01 00:00:05.000  finger 0  slip onset  p 0.93
 
-    With ``format="json"`` each line is an object, with latency in ms, null for unknown numbers, and the name
-    of the recording in replays:
+    With ``format="json"`` each line is a JSON object: latency in ms if it is known, null for NaN, and in
+    replays the name of the recording:
 
     >>> asyncio.run(Console(format="json").write(Slips(time, onset, time, probability, finger=0)))
     {"time":"1970-01-01T00:00:05.000000000Z","event":"slip_onset","finger":"0","p":0.93}
@@ -46,20 +46,20 @@ class Console(Sink[Slips | Faults]):
         return str(getattr(self.stream, "name", "console"))
 
     async def open(self, run: Run) -> None:
-        """Use the clock of this run for latencies."""
+        """Use the clock and the recording name of this run."""
         self._run = run
 
     async def write(self, batch: Slips | Faults) -> None:
         """Print the events of a batch."""
         if isinstance(batch, Faults):
             for time, fault, begins in faults(batch):
-                ends = "begins" if begins else "ends"
+                change = "begins" if begins else "ends"
                 if self.format == "json":
                     details: dict[str, Json] = {"barometer": fault.barometer, "fault": fault.kind}
-                    self._print_json(time, batch.finger, f"fault_{ends}", details)
+                    self._print_json(time, batch.finger, f"fault_{change}", details)
                 else:
                     self._print(
-                        time, batch.finger, f"barometer {fault.barometer} {fault.kind} {ends}", "yellow"
+                        time, batch.finger, f"barometer {fault.barometer} {fault.kind} {change}", "yellow"
                     )
             return
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
@@ -84,9 +84,8 @@ class Console(Sink[Slips | Faults]):
             "finger": finger_name(finger),
             **details,
         }
-        self.stream.write(
-            f"{encode(document).decode()}\n"
-        )  # one write per line, as other processes may print there
+        # one write per line: other processes may print to the same stream
+        self.stream.write(f"{encode(document).decode()}\n")
         self.stream.flush()
 
     def _print(self, time: int, finger: int, text: str, style: str) -> None:

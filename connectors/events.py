@@ -1,4 +1,4 @@
-"""Slip events as CloudEvents 1.0 in structured JSON, described by ``slip-event.schema.json``.
+"""Slip events as CloudEvents 1.0 in structured JSON; the schema is ``slip-event.schema.json``.
 
 This module does no I/O and reads no clock. Source: https://github.com/cloudevents/spec, v1.0.2.
 """
@@ -44,16 +44,20 @@ class Event:
     site: str
     rig: str
     finger: str
-    epoch: str  # series of numbers of the rig's outbox
+    epoch: str  # name of the number series of the rig's outbox
     seq: int  # counts from 1 in each epoch, over all runs; a gap is a late or lost event
     onset: bool = field(kw_only=True)  # False: the end of a slip
     time: int = field(kw_only=True)  # ns since 1970-01-01 UTC, of the deciding sample
-    probability: float | None = field(kw_only=True)  # of slip, 0..1; None: unknown
+    probability: float | None = field(kw_only=True)  # probability of slip, 0..1; None: unknown
     latency: float | None = field(kw_only=True)  # ms from the sample to the event; None: replay
-    threshold: float | None = field(default=None, kw_only=True)  # of the probability; None: unknown
-    consecutive: int | None = field(default=None, kw_only=True)  # samples that decide an onset; None: unknown
+    threshold: float | None = field(
+        default=None, kw_only=True
+    )  # probability from which a sample counts as slip; None: unknown
+    consecutive: int | None = field(
+        default=None, kw_only=True
+    )  # samples required for an onset; None: unknown
     model: str = field(default="unknown", kw_only=True)  # identifier of the detector
-    sha256: str | None = field(default=None, kw_only=True)  # of the detector's weights; None: unknown
+    sha256: str | None = field(default=None, kw_only=True)  # SHA-256 of the detector's weights; None: unknown
     degraded: tuple[Fault, ...] = field(default=(), kw_only=True)
     session: str | None = field(default=None, kw_only=True)  # run that raised the event; None: unknown
 
@@ -64,7 +68,7 @@ class Event:
 
     @property
     def identifier(self) -> str:
-        """Identifier of the event, the same in every copy."""
+        """Unique identifier, the same in all copies of the event."""
         return f"{self.epoch}-{self.seq}"
 
     def encode(self) -> bytes:
@@ -97,7 +101,7 @@ class Event:
 
     @classmethod
     def decode(cls, payload: bytes, where: str = "event") -> "Event":
-        """Parse the output of `encode`; unknown fields are ignored.
+        """Parse the output of `encode`; ignore unknown fields.
 
         Raises:
             InputError: naming `where` and the field that is missing or wrong, or if it is larger than 64 KiB.
@@ -172,7 +176,7 @@ def finger_name(finger: int) -> str:
 
 
 def faults(batch: Faults) -> Iterator[tuple[int, Fault, bool]]:
-    """Yield the rows of a batch: time (ns), fault, and True if it begins, False if it ends."""
+    """Yield time (ns), fault, and True for its begin or False for its end, for each row of a batch."""
     rows = (batch.time.tolist(), batch.barometer.tolist(), batch.kind.tolist(), batch.active.tolist())
     for time, barometer, kind, active in zip(*rows, strict=True):
         yield time, Fault(barometer, FaultKind(kind).name.lower()), active

@@ -16,7 +16,7 @@ MESSAGE_MAX = 64 * 1024  # bytes
 
 @dataclass(frozen=True, slots=True)
 class Fields:
-    """A JSON object whose fields are read by name and type; a wrong field raises an InputError.
+    """A JSON object with typed access to its fields; a missing or invalid field raises an InputError.
 
     >>> document = Fields.parse(b'{"seq": 7}', "message")
     >>> document.integer("seq")
@@ -27,8 +27,8 @@ class Fields:
     """
 
     values: Mapping[str, Json]
-    where: str  # message or file, for errors
-    path: str = ""  # of the object within the message
+    where: str  # name of the message or file in errors
+    path: str = ""  # path of the object within the document
 
     @classmethod
     def parse(cls, payload: bytes, where: str, *, largest: int = MESSAGE_MAX) -> "Fields":
@@ -55,7 +55,7 @@ class Fields:
         raise InputError(self.where, f"{self.path}{name} {found}, must be {must_be}".lstrip())
 
     def expect(self, name: str, value: str) -> None:
-        """Require that a field has a value."""
+        """Require that a field has this value."""
         if self.values.get(name) != value:
             self.fail(name, repr(value))
 
@@ -88,11 +88,11 @@ class Fields:
         return value
 
     def nullable(self, read: Callable[[str], T], name: str) -> T | None:
-        """Return a field read by `read`; None for null."""
+        """Return a field through `read`, or None for null."""
         return None if self.values.get(name, 0) is None else read(name)
 
     def optional(self, read: Callable[[str], T], name: str) -> T | None:
-        """Return a field read by `read`; None for null or a missing field."""
+        """Return a field through `read`, or None for null or a missing field."""
         return None if self.values.get(name) is None else read(name)
 
     def object(self, name: str) -> "Fields":

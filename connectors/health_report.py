@@ -12,7 +12,7 @@ _STEPS_MAX: Final = 10  # newest steps of the host clock in a report
 class HealthReports:
     """Health reports of one run.
 
-    Rates are since the previous report; the first report with rows has none, as their start is unknown.
+    A rate covers the time since the previous report. A source has no rate in its first report with rows.
     """
 
     def __init__(self, run: Run) -> None:
@@ -20,7 +20,7 @@ class HealthReports:
         self._time, self._rows = run.start, dict.fromkeys(run.sources, 0)
 
     def next(self) -> dict[str, Json]:
-        """Return the report of the present state.
+        """Return a report of the current state.
 
         A source is ``up``, ``stale`` (up, but without rows since the previous report) or ``down``.
         """
@@ -58,7 +58,7 @@ class HealthReports:
 
 
 def clock_report(clocks: Clocks) -> dict[str, Json]:
-    """Return the newest row of `clocks`, which must have one: offset and drift of the device clock.
+    """Return offset and drift of the device clock from the newest row of `clocks`, which must not be empty.
 
     >>> import numpy as np
     >>> clock_report(Clocks(np.array([5 * s]), np.array([3 * s]), np.array([5e-05]), np.array([0.004])))

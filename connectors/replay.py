@@ -19,12 +19,12 @@ class Replay(Source[Given], Generic[Given]):
     Args:
         recording: Recording to replay.
         kind: Type of the batches.
-        fingers: Fingertips to replay, default: all recorded ones; none for annotations (episodes, truth) that
-            the recording lacks.
-        pace: Recorded seconds per second of the clock, one row per batch; None for full speed, 1000 rows per
-            batch.
-        origin: Recorded time (ns) of the start of the run, default: the first timestamp of this stream.
-            Streams of one recording need the same origin to stay in step.
+        fingers: Fingertips to replay (default: all recorded ones). The recording may lack
+            annotations (episodes, truth).
+        pace: Recorded seconds per second of the clock (default 1), one row per batch; None for full speed,
+            1000 rows per batch.
+        origin: Recorded time (ns) of the start of the run (default: the first timestamp of this stream). Set
+            the same origin for all streams of a recording, to keep them synchronous.
 
     Raises:
         InputError: if the recording has no such stream.
@@ -42,28 +42,28 @@ class Replay(Source[Given], Generic[Given]):
     ) -> None:
         if pace is not None:
             check_above("Replay", "pace", pace, 0)
-        held = recording.fingers(kind)
-        for finger in fingers or held or (() if kind in ANNOTATIONS else (None,)):
-            if finger not in held:
+        recorded = recording.fingers(kind)
+        for finger in fingers or recorded or (() if kind in ANNOTATIONS else (None,)):
+            if finger not in recorded:
                 which = "" if finger is None else f" of finger {finger}"
-                others = f"; its fingers are {', '.join(map(str, held))}" if held else ""
+                others = f"; its fingers are {', '.join(map(str, recorded))}" if recorded else ""
                 raise InputError(recording.name, f"has no {kind.__name__} stream{which}{others}")
-        self._recording, self._kind, self._fingers = recording, kind, fingers or held
+        self._recording, self._kind, self._fingers = recording, kind, fingers or recorded
         self._pace, self._origin = pace, origin
 
     @property
     def kind(self) -> type[Given]:
-        """The type of its batches."""
+        """Type of the batches."""
         return self._kind
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The fingertips that its batches belong to."""
+        """Fingertips of the batches."""
         return self._fingers
 
     @property
     def recording(self) -> str:
-        """Name of the recording; for a path the last part, as the name is published."""
+        """Name of the recording; of a path only the last part, because the name is published."""
         return PurePath(self._recording.name).name
 
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:

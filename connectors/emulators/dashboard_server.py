@@ -1,4 +1,4 @@
-"""The dashboard of a UR controller: one line of request, one line of reply.
+"""Dashboard server of an emulated UR controller: one reply line per request line.
 
 Source: Universal Robots, "Dashboard Server e-Series, port 29999" and "..., CB-Series".
 """
@@ -15,7 +15,7 @@ SERIAL_NUMBER: Final = "20195501234"
 
 
 def answer(box: ControlBox, line: str) -> str:
-    """Execute a line on a control box and return the reply.
+    """Execute a request line on a control box and return the reply.
 
     >>> import numpy as np
     >>> from connectors.emulators.free_arm import FreeArm

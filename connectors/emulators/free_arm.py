@@ -1,4 +1,4 @@
-"""An arm in free space that follows velocity commands."""
+"""Arm without contact that follows velocity commands."""
 
 from math import inf
 
@@ -13,7 +13,7 @@ class FreeArm:
 
     Args:
         pose: Initial pose, (6,) m and rotation vector.
-        acceleration: Limit of the change of velocity (m/s2 and rad/s2, default none).
+        acceleration: Maximum acceleration (m/s2 and rad/s2 together, default unlimited).
 
     >>> arm = FreeArm(np.zeros(6))
     >>> forward = np.array([[0.1, 0, 0, 0, 0, 0.5]])
@@ -30,7 +30,7 @@ class FreeArm:
         self._pending: list[tuple[int, Reals]] = []
 
     def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Return pose (6,) and velocity (6,) at an instant (ns), which never decreases."""
+        """Return pose (6,) and velocity (6,) at an instant (ns); instants must not decrease."""
         while self._pending and self._pending[0][0] <= time:
             instant, target = self._pending.pop(0)
             self._move(instant)
@@ -39,13 +39,13 @@ class FreeArm:
         return self._pose.copy(), self._velocity.copy()
 
     def command(self, commands: Commands) -> None:
-        """Apply velocities from their times on, in order; NaN for no change."""
+        """Apply velocities from their times on, in order; NaN means no change."""
         for time, velocity in zip(commands.time.tolist(), commands.velocity, strict=True):
             if not np.isnan(velocity).any():
                 self._pending.append((time, velocity.copy()))
 
     def _move(self, time: int) -> None:
-        """Move until an instant (ns)."""
+        """Integrate the motion up to an instant (ns)."""
         if self._time is None or time <= self._time:
             self._time = time if self._time is None else self._time
             return

@@ -2,8 +2,7 @@
 
 The three fingers move as one at a constant speed and stop where they meet the object, which they grip with
 the requested force from that instant on. They are self-locking: a larger force grips harder, a smaller one
-changes nothing until they open. All durations are assumed, except the 10 ms after which a request shows in
-the status.
+changes nothing until they open. All durations are assumed, except the 10 ms until the status shows a request.
 """
 
 from collections import deque
@@ -19,7 +18,7 @@ SLOWEST: Final = 7.0  # s from open to closed at speed 0
 FASTEST: Final = 1.4  # s from open to closed at full speed
 RELEASING: Final = 0x0B  # fault: automatic release in progress
 RELEASED: Final = 0x0F  # fault: automatic release completed
-MOTOR_CURRENT: Final = 14  # of a moving motor, 0.1 mA
+MOTOR_CURRENT: Final = 14  # 0.1 mA, while a motor moves
 SCISSOR: Final = 137  # position of the scissor axis in the basic mode
 
 
@@ -43,7 +42,7 @@ class Mechanism:
         scale: Force of the force register's values.
 
     Attributes:
-        contact: May be changed while the fingers are open.
+        contact: Position of contact, as above; change it only while the fingers are open.
         force: Grip force on the object (N).
     """
 
@@ -62,7 +61,7 @@ class Mechanism:
         self._activation, self._mode_change = round(activation * s), round(mode_change * s)
         self._time, self._position = now, 0.0
         self._mode = Mode.BASIC  # current mode of the fingers
-        self._pending = deque[tuple[int, Request]]()  # requests, and when they take effect
+        self._pending = deque[tuple[int, Request]]()  # (time of effect in ns, request)
         self.power_up()
 
     def power_up(self) -> None:
@@ -72,7 +71,7 @@ class Mechanism:
         self._pending.clear()
 
     def request(self, request: Request, now: int) -> None:
-        """Accept a request, which takes effect `SETTLE` later."""
+        """Accept a request; it takes effect after `SETTLE`."""
         self.advance(now)
         self._pending.append((now + round(SETTLE * s), request))
 
@@ -114,7 +113,7 @@ class Mechanism:
                 return
 
     def _start(self, request: Request) -> None:
-        """Start to execute a request."""
+        """Begin to execute a request."""
         previous, self._current = self._current, request
         if not request.active:
             self._phase, self._until, self._fault = Phase.RESET, None, 0
@@ -129,14 +128,14 @@ class Mechanism:
             self._phase, self._until = Phase.CHANGING, self._time + self._mode_change
 
     def _complete(self) -> None:
-        """End the phase."""
+        """End the current phase, then apply the current request."""
         if self._phase is Phase.CHANGING:
             self._mode = self._current.mode
         self._phase, self._until = Phase.READY, None
         self._start(self._current)
 
     def _target(self) -> tuple[int, float] | None:
-        """Return target position and speed (positions per second), or None if the fingers stay."""
+        """Return target position and speed (positions per second); None if the fingers must not move."""
         if self._fault == RELEASING:
             return 0, FULL / SLOWEST
         if self._phase is Phase.ACTIVATING:

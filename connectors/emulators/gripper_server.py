@@ -1,4 +1,4 @@
-"""An emulated Robotiq 3-Finger gripper: registers over Modbus TCP, grip force to a scene."""
+"""Emulated Robotiq 3-Finger gripper: Modbus TCP server that applies the grip force to a scene."""
 
 import asyncio
 from collections.abc import Callable
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pymodbus.constants import ExcCodes
     from pymodbus.server import ModbusTcpServer
 
-CYCLE: Final = 0.010  # s
+CYCLE: Final = 0.010  # s between updates of the mechanism
 READ: Final = 4  # Modbus function: read input registers
 WRITE: Final = 16  # Modbus function: write multiple registers
 MAX_UNIT: Final = 255
@@ -26,17 +26,17 @@ IN_USE: Final = "cannot listen: end the program that uses the port, or give anot
 
 
 class GripperServer:
-    """A gripper that serves clients between `start` and `close`, or as a context manager.
+    """Gripper that serves clients between `start` and `close`, or as a context manager.
 
-    Clients write its request from register 0 on (function 16) and read its status (function 4); other
-    functions and other units are refused. Modbus has no authentication: beyond loopback, any host can move
-    the gripper.
+    Clients write the request from register 0 on (function 16) and read the status (function 4); other
+    functions and other units are refused. Modbus has no authentication: if `host` is not a loopback address,
+    any host can move the gripper.
 
     Args:
         scene: Receiver of the grip force, such as a `SharedScene`.
         host: Address on which to listen (default 127.0.0.1).
         port: Port on which to listen; 0 for any free one (default 502).
-        unit: Modbus unit; 0 answers as any (default 2).
+        unit: Modbus unit (default 2); 0 answers requests to any unit.
         now: Clock of the scene (ns since 1970 UTC).
         contact: Position, 0 to 255, at which the fingers meet an object (default 120); None for no object.
         activation: Duration of an activation (s, default 2).
@@ -44,7 +44,7 @@ class GripperServer:
         scale: Force of the force register's values.
 
     Attributes:
-        mechanism: Fingers and their state.
+        mechanism: Emulated mechanism.
         port: Actual port, once started.
 
     Raises:
@@ -75,7 +75,7 @@ class GripperServer:
         self._running: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Listen, and run the mechanism.
+        """Listen, and start the mechanism.
 
         Raises:
             EndpointError: if the port is in use.
@@ -107,7 +107,7 @@ class GripperServer:
                 await self._running
         if self._server:
             self._server.close()
-            await asyncio.sleep(0)  # until the sockets are closed
+            await asyncio.sleep(0)  # lets the sockets close
         self._server = self._running = None
 
     async def __aenter__(self) -> Self:

@@ -12,12 +12,12 @@ from connectors.takktile.takktile_protocol import ALL, COEFFICIENTS, CONVERT
 from operators.batch import BAROMETERS, Counts, ms
 
 CONVERSION: Final = 3 * ms  # ns; the datasheet's maximum
-EVERY_CELL: Final = 6  # column that addresses all cells of a row
+EVERY_CELL: Final = 6  # column number that addresses all cells of a row
 REGISTERS: Final = 0x13  # bytes in the register file
 
 
 class CellSource(Protocol):
-    """Source of the counts that fingertips convert; `connectors.emulators.shared_scene` has one."""
+    """Source of the barometers' counts, such as `connectors.emulators.shared_scene.SharedScene`."""
 
     def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
         """Return raw counts of pressure and temperature, (6,) each, of a conversion begun at `time` (ns)."""
@@ -25,7 +25,7 @@ class CellSource(Protocol):
 
 
 class Barometer:
-    """One MPL115A2: a register file that is read from a pointer, which writes set.
+    """One MPL115A2: a register file and a pointer; a write sets the pointer, a read starts there.
 
     Args:
         coefficients: The 8 coefficient bytes.
@@ -58,7 +58,7 @@ class Barometer:
         return struct.pack(">HH", pressure << 6, temperature << 6)
 
     def read(self, length: int, now: int) -> bytes:
-        """Read from the pointer on at an instant (ns); until a conversion ends, the old sample."""
+        """Read from the pointer on at an instant (ns); the previous sample until a conversion ends."""
         self._complete(now)
         start, self._pointer = self._pointer, self._pointer + length
         return bytes(self.registers[start : start + length]).ljust(length, b"\0")
@@ -70,9 +70,9 @@ class Barometer:
 
 
 class Fingertip:
-    """The ATtiny of one row and its six barometers, with the example coefficients of the datasheet.
+    """The ATtiny of one row and its six barometers.
 
-    a0 grows by one count from cell to cell, so that cells can be distinguished.
+    The coefficients are the datasheet's example; a0 increases by one count per cell to distinguish the cells.
     """
 
     barometer = Barometer  # class of the cells
@@ -101,5 +101,5 @@ class Fingertip:
 
     @property
     def connected(self) -> list[Barometer]:
-        """Barometers that answer at their common address now."""
+        """Barometers that are connected to the bus."""
         return [barometer for barometer, on in zip(self.cells, self.on, strict=True) if on]

@@ -1,7 +1,7 @@
-"""An emulated I2C bus with TakkTile fingertips, for `TakkTile` in the same process.
+"""Emulated I2C bus with TakkTile fingertips, for `TakkTile` in the same process.
 
-Barometers that are connected at once answer together: each pulls the lines low, so the host reads the logical
-AND of their bytes. Errors carry the numbers that Linux reports.
+Several connected barometers answer at the same time: each pulls the lines low, so the host reads the bitwise
+AND of their bytes. Errors have the errno that Linux reports.
 """
 
 import errno
@@ -18,13 +18,13 @@ from connectors.emulators.i2c_barometer import CONVERSION, CellSource, Fingertip
 from connectors.takktile.takktile_protocol import BAROMETER, ROWS
 from operators.errors import ParameterError
 
-ONE_FINGERTIP: Final = MappingProxyType({0: 0})
-RELEASED: Final = 0xFF  # a byte that is read while no device pulls the lines low
+ONE_FINGERTIP: Final = MappingProxyType({0: 0})  # finger by row
+RELEASED: Final = 0xFF  # byte read while no device pulls the lines low
 VIRTUAL: Final = "virtual I2C bus"
 
 
 class Message(NamedTuple):
-    """One message of a transfer: bytes to an address, or from it."""
+    """One message of a transfer: a write to an address, or a read from it."""
 
     address: int  # 7 bits
     data: bytes = b""  # bytes to write
@@ -32,22 +32,22 @@ class Message(NamedTuple):
 
 
 def os_error(number: int) -> OSError:
-    """Return the error of an errno."""
+    """Return the OSError of an errno."""
     return OSError(number, os.strerror(number))
 
 
 class EmulatedI2cBus:
-    """An I2C bus and its fingertips; pass it to `TakkTile` as its bus.
+    """An I2C bus with fingertips; pass it to `TakkTile` as its bus.
 
     Args:
         source: Source of the counts, such as a `SharedScene`.
         rows: Finger of the source for each row (0 to 7).
         conversion: Duration of a conversion (ns).
-        now: Clock that the source uses (ns).
+        now: Clock of the source (ns).
         path: Name of the bus in messages and recordings.
 
     Attributes:
-        fingertips: By row.
+        fingertips: Fingertips by row.
 
     Raises:
         ParameterError: if a row is not from 0 to 7.
@@ -72,10 +72,10 @@ class EmulatedI2cBus:
         self.path, self._now, self._open = path, now, False
 
     def open(self) -> "EmulatedI2cConnection":
-        """Open the bus, for one program at a time.
+        """Open the bus for one program.
 
         Raises:
-            OSError: if it is open.
+            OSError: if it is already open.
         """
         if self._open:
             raise os_error(errno.EWOULDBLOCK)
@@ -83,11 +83,11 @@ class EmulatedI2cBus:
         return EmulatedI2cConnection(self)
 
     def close(self) -> None:
-        """Let another program open the bus."""
+        """Close the bus, so that another program can open it."""
         self._open = False
 
     def transfer(self, messages: Sequence[Message]) -> list[bytes]:
-        """Send messages in one transfer; return the bytes that each one read (none where it wrote).
+        """Send messages in one transfer; return the bytes read by each, empty for a write.
 
         Raises:
             OSError: if no device acknowledges an address.
@@ -95,10 +95,10 @@ class EmulatedI2cBus:
         return [self.send(message) for message in messages]
 
     def send(self, message: Message) -> bytes:
-        """Send one message; return the bytes that it read."""
-        return self._convey(message) if message.address == BAROMETER else self._switch(message)
+        """Send one message; return the bytes read."""
+        return self._access(message) if message.address == BAROMETER else self._switch(message)
 
-    def _convey(self, message: Message) -> bytes:
+    def _access(self, message: Message) -> bytes:
         """Write to the connected barometers, or read from them."""
         barometers = [each for fingertip in self.fingertips.values() for each in fingertip.connected]
         if not barometers:
@@ -112,16 +112,16 @@ class EmulatedI2cBus:
         return bytes(reduce(int.__and__, octets) for octets in zip(*answers, strict=True))
 
     def _switch(self, message: Message) -> bytes:
-        """Switch barometers through the ATtinys: the address takes effect, data is not acknowledged."""
+        """Connect or disconnect barometers; the ATtinys act on the address and never acknowledge data."""
         on = message.length is None
-        heard = [fingertip.switch(message.address, on=on) for fingertip in self.fingertips.values()]
-        if message.data or not any(heard):
+        acknowledged = [fingertip.switch(message.address, on=on) for fingertip in self.fingertips.values()]
+        if message.data or not any(acknowledged):
             raise os_error(errno.EREMOTEIO)
         return bytes([RELEASED]) * (message.length or 0)
 
 
 class EmulatedI2cConnection:
-    """The open bus, with the methods of `smbus2.SMBus` that `TakkTile` uses."""
+    """An open bus with the methods of `smbus2.SMBus` that `TakkTile` uses."""
 
     funcs = I2cFunc.SMBUS_QUICK
 

@@ -1,7 +1,7 @@
-"""An arm with a height: its depth below the surface becomes the normal force on the fingertip.
+"""Arm with a height, whose depth below the surface becomes the normal force on the fingertip.
 
-The scene has no height, only a normal force: its fingertip follows a flat or curved surface by tilting. So
-the arm presses in proportion to the depth of the TCP below the surface.
+The simulated scene has a normal force instead of a height. The normal force here is proportional to the depth
+of the TCP below the flat or curved surface.
 """
 
 from typing import Final, Protocol
@@ -18,7 +18,7 @@ _Z: Final = 2
 
 
 class PlanarArm(Protocol):
-    """An arm that moves along the surface: a `connectors.emulators.shared_scene.SharedScene`."""
+    """An arm that moves along the surface, such as `connectors.emulators.shared_scene.SharedScene`."""
 
     def motion(self, time: int) -> tuple[Reals, Reals]:
         """Return pose (6,) and velocity (6,) of the TCP at a host time (ns)."""
@@ -30,7 +30,7 @@ class PlanarArm(Protocol):
 
 
 class PressingArm:
-    """Adds a height to an arm that moves along a surface, whose highest point is the origin.
+    """An arm along a surface, extended by a height and a contact force; the origin is the highest point.
 
     Args:
         plane: Arm that moves along the surface.
@@ -54,10 +54,10 @@ class PressingArm:
     ) -> None:
         self._plane, self._stiffness, self._curvatures = plane, stiffness, curvatures
         self._vertical = FreeArm(np.array([0.0, 0.0, height, 0.0, 0.0, 0.0]), acceleration)
-        self._force = self._commanded = 0.0  # N: now, and last commanded
+        self._force = self._commanded = 0.0  # N, current and last commanded force
 
     def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Return pose (6,) and velocity (6,) of the TCP at a host time (ns), and apply the force there."""
+        """Return pose (6,) and velocity (6,) of the TCP at a host time (ns), and command the force there."""
         pose, velocity = self._plane.motion(time)
         height, speed = self._vertical.motion(time)
         pose[_Z], velocity[_Z] = height[_Z], speed[_Z]

@@ -1,8 +1,8 @@
-"""One simulated scene on the host's clock, shared by the emulated devices.
+"""Simulated scene on the host's clock, shared by the emulated devices.
 
-`SimulatedRig` produces samples on its own schedule; this scene answers requests: a barometer converts when
-its host starts a conversion, a controller reads the arm in each of its cycles. All devices share one arm, so
-that the reported and commanded motion drags the fingertip.
+`SimulatedRig` produces samples on its own schedule; this scene responds to requests: a barometer converts
+when its host starts a conversion, a controller reads the arm in each of its cycles. All devices share one
+arm, so the motion that the controller reports is the motion of the fingertip.
 """
 
 from collections.abc import Callable
@@ -18,19 +18,19 @@ from connectors.sim.scene import Scene, commanded_scene
 from operators.batch import Commands, Counts, Reals, Touch, Truth, s
 from operators.errors import ParameterError
 
-LONGEST_STEP: Final = s // 2  # ns that a fingertip is simulated at once after a long silence
+LONGEST_STEP: Final = s // 2  # ns, simulated at a time when the scene has been idle for longer
 
 
 class SharedScene:
-    """A scene that begins when it is built and keeps pace with the host's clock; usable from any thread.
+    """A thread-safe scene that starts when it is created and follows the host's clock.
 
-    The first fingertip in a process takes seconds to build, because the physics is compiled.
+    The first scene in a process takes seconds to create, because the physics is compiled.
 
     Args:
         scene: Scene to simulate (default `commanded_scene()`). `Scene()` presses and strokes until commanded.
         seed: Random seed; the same seed and the same requests give identical output.
         fingers: Fingertips that share one motion, each with its own noise and cells.
-        now: Clock of the host (ns since 1970 UTC), with which emulators stamp.
+        now: Clock of the host (ns since 1970 UTC), also used by the emulators for timestamps.
 
     Raises:
         ParameterError: if there is no fingertip.
@@ -56,8 +56,8 @@ class SharedScene:
             finger: Finger(self.scene, seed, finger, commands=self.commands) for finger in fingers
         }
         self._arm = Arm(self.scene, seed, commands=self.commands)
-        self._step = round(self.scene.parameters.step * s)  # ns between readings that differ
-        self._latest: dict[int, Touch] = {}  # by fingertip, stamped from the origin
+        self._step = round(self.scene.parameters.step * s)  # ns, one physics step
+        self._latest: dict[int, Touch] = {}  # by fingertip, time in ns from the origin
         self._ended: set[int] = set()  # fingertips whose plan has ended
         self._latest_motion = -1  # ns from the origin
         self._pose, self._velocity = np.zeros(6), np.zeros(6)
@@ -69,12 +69,11 @@ class SharedScene:
     def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
         """Return the counts of a conversion that starts at `time` (ns).
 
-        Time never decreases: an instant before the latest request, or less than one physics step after it,
-        gives the latest reading, as does any instant after the end of the plan.
+        The latest reading is returned for an instant before the latest request, less than one physics step
+        after it, or after the end of the plan.
 
         Returns:
-            Raw ADC counts of pressure and of temperature, (6,) each; 0 for cells that the scene declares
-            dead.
+            Raw ADC counts of pressure and of temperature, (6,) each; 0 for dead cells of the scene.
         """
         with self._lock:
             self._simulate(finger, max(0, time - self.origin))
@@ -82,7 +81,7 @@ class SharedScene:
             return latest.counts[0], latest.temperature[0] * latest.valid[0]
 
     def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Return the true motion of the TCP at `time` (ns), which never decreases, as in `touch`.
+        """Return the true motion of the TCP at `time` (ns); the latest motion for an earlier instant.
 
         Returns:
             Pose, (6,) m and rotation vector in rad, and velocity, (6,) m/s and rad/s, in the base frame.
@@ -108,7 +107,7 @@ class SharedScene:
             self.commands.drop_before(self.origin + passed - 2 * self._step)
 
     def advance(self, time: int) -> None:
-        """Simulate all fingertips up to `time` (ns), so that a later request need not wait for it."""
+        """Simulate all fingertips up to `time` (ns), so that the next request is fast."""
         with self._lock:
             for finger in self.fingers:
                 self._simulate(finger, max(0, time - self.origin))

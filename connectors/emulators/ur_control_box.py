@@ -1,4 +1,4 @@
-"""The control box of a UR arm: clock, safety, modes, registers and program, cycle by cycle. No I/O."""
+"""Control box of an emulated UR arm: clock, safety, modes, registers and program, per cycle. No I/O."""
 
 import logging
 import re
@@ -36,7 +36,7 @@ class Arm(Protocol):
 
 @runtime_checkable
 class ForceSensing(Protocol):
-    """An arm that measures the force on its tool: `connectors.emulators.pressing_arm.PressingArm`."""
+    """An arm that measures the force on its tool, such as `connectors.emulators.pressing_arm.PressingArm`."""
 
     @property
     def wrench(self) -> Reals:
@@ -77,8 +77,8 @@ _INTEGER: Final = {"INT32", "UINT32", "UINT64"}
 _WIDTH: Final = {"VECTOR3D": 3, "VECTOR6D": 6}
 
 
-def _unknown(kind: str) -> Value:
-    """Return the value of a variable that is not simulated, such as a current: NaN, or 0 of an integer."""
+def _placeholder(kind: str) -> Value:
+    """Return the value of a variable that is not simulated, such as a current: 0 for integers, else NaN."""
     if kind == "VECTOR6INT32":
         return (0,) * 6
     if kind in _INTEGER:
@@ -87,9 +87,9 @@ def _unknown(kind: str) -> Value:
 
 
 class ControlBox:
-    """A control box that has just been powered up, with its arm ready.
+    """A control box after power-up, with its arm ready.
 
-    Variables that are not simulated are NaN, or 0 where they are integers.
+    Integer variables that are not simulated are 0, all others NaN.
 
     Attributes:
         version: Version of the software.
@@ -115,7 +115,7 @@ class ControlBox:
         self.runtime_state = RuntimeState.STOPPED
         self.drive, self._running = Drive(1 / self.rate), cast("Program | None", None)
         self._stopped = 0  # cycle of the latest protective stop
-        self._values = {name: _unknown(kind) for name, kind in OUTPUTS.items()}
+        self._values = {name: _placeholder(kind) for name, kind in OUTPUTS.items()}
         self._values.update(speed_scaling=1.0, target_speed_fraction=1.0)
 
     @property
@@ -124,7 +124,7 @@ class ControlBox:
         return self.cycles / self.rate
 
     def cycle(self, time: int) -> None:
-        """Run one cycle, which begins at a host time (ns)."""
+        """Run one cycle that begins at a host time (ns)."""
         self.cycles += 1
         pose, velocity = self._arm.motion(time)
         if self.runtime_state == RuntimeState.PLAYING and self._running and not self._running.step():
@@ -133,14 +133,15 @@ class ControlBox:
             self.drive.step(pose, velocity)
         if self.drive.lost and self.safety_mode == SafetyMode.NORMAL:
             self.stop_protectively("the arm does not follow its path")
-        aim = self.drive.velocity
-        if np.abs(aim - self._commanded).max() > VELOCITY_TOLERANCE or aim.any() != self._commanded.any():
-            self._commanded = aim
-            self._arm.command(Commands(np.array([time]), np.array([np.nan]), aim[None]))
+        target = self.drive.velocity
+        change = np.abs(target - self._commanded).max()
+        if change > VELOCITY_TOLERANCE or target.any() != self._commanded.any():
+            self._commanded = target
+            self._arm.command(Commands(np.array([time]), np.array([np.nan]), target[None]))
         self._update(pose, velocity)
 
     def values(self, names: Iterable[str]) -> list[Value]:
-        """Return values of output variables at the latest cycle."""
+        """Return the values of output variables at the latest cycle."""
         return [self._value(name) for name in names]
 
     def write(self, inputs: Mapping[str, Value]) -> None:
@@ -154,10 +155,10 @@ class ControlBox:
         self.registers.command_written |= "input_int_register_0" in inputs
 
     def run_script(self, script: str) -> None:
-        """Run an uploaded program instead of the current one."""
+        """Replace the current program by an uploaded one and run it; ignore other scripts."""
         found = re.match(r"\s*def\s+(\w+)\s*\(", script)
         if found is None or "read_input_integer_reg" not in script:
-            log.warning("ignoring a script that is not emulated: %.60s", script)
+            log.warning("ignoring an unsupported script: %.60s", script)
         elif self.safety_mode != SafetyMode.NORMAL:
             log.warning("program %s cannot run in safety mode %s", found[1], self.safety_mode.name)
         else:
@@ -171,14 +172,14 @@ class ControlBox:
         self.drive.stop(inf)
 
     def play(self) -> bool:
-        """Resume a paused program; return whether there is one that may run."""
+        """Resume a paused program; return False if none is paused or a stop is active."""
         if self.runtime_state != RuntimeState.PAUSED or self.safety_mode != SafetyMode.NORMAL:
             return False
         self.runtime_state = RuntimeState.PLAYING
         return True
 
     def pause(self) -> bool:
-        """Pause the program and stop the arm; return whether a program was running."""
+        """Pause the program and stop the arm; return False if no program is running."""
         if self.runtime_state != RuntimeState.PLAYING:
             return False
         self.runtime_state = RuntimeState.PAUSED

@@ -1,6 +1,6 @@
-"""An emulated UR controller: RTDE, script port and dashboard over real sockets, driving an arm.
+"""Emulated UR controller: RTDE, script port and dashboard on TCP sockets.
 
-Its clients are `connectors.ur.ur_motion.UrMotion`, and ur-rtde's `RTDEReceiveInterface` and
+Supported clients are `connectors.ur.ur_motion.UrMotion`, and ur-rtde's `RTDEReceiveInterface` and
 `RTDEControlInterface`, whose RTDE port is always 30004.
 """
 
@@ -25,7 +25,7 @@ from connectors.ur.rtde import Version
 from operators.batch import s
 from operators.errors import EndpointError, os_error_reason
 
-MAX_LATENESS: Final = 1.0  # s of missed cycles that are made up for; beyond that they are skipped
+MAX_LATENESS: Final = 1.0  # s; if cycles are later than this, they are skipped
 
 log = logging.getLogger("slipflow")
 
@@ -45,11 +45,11 @@ E_SERIES: Final = Version(5, 11, 0, 0)
 class UrController:
     """A controller that serves clients between `start` and `close`, or as a context manager.
 
-    Its cycles run on the host's clock. A cycle that the host delays still shows the arm at the instant when
-    the cycle was due; its packages are late, as if delayed by the network.
+    Cycles run on the host's clock. A cycle that the host delays still reports the arm at the instant when the
+    cycle was due; its packages arrive late, as if delayed by the network.
 
     Args:
-        arm: Arm to drive and report.
+        arm: Arm to control.
         host: Address on which to listen (default 127.0.0.1).
         ports: Ports on which to listen.
         version: Version of the software: 3.x runs at 125 Hz, 5.x (default) at 500 Hz.
@@ -78,7 +78,7 @@ class UrController:
         self._origin = self._cycles = 0  # host time of power-up (ns), and cycles since
 
     async def start(self) -> None:
-        """Listen, and run the cycles.
+        """Listen, and start the cycles.
 
         Raises:
             EndpointError: if a port is in use.
@@ -149,4 +149,4 @@ class UrController:
                 if isinstance(client, RtdeConnection):
                     client.publish()
             if lateness > self._period:
-                await asyncio.sleep(0)  # let clients run while cycles are made up for
+                await asyncio.sleep(0)  # let other tasks run while it catches up

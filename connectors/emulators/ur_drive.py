@@ -1,10 +1,10 @@
-"""Motion of a UR arm: movel, speedl and stopl as TCP velocities, cycle by cycle.
+"""Motion of an emulated UR arm: movel, speedl and stopl as TCP velocities, per cycle.
 
-With D the remaining distance (m, or the remaining angle in rad if that is larger) a line has
+With D the remaining distance (m, or the remaining angle in rad if that is larger), the speed of a line is
 
     speed = min(v, sqrt(a D), D / (4 cycles), previous speed + a * cycle)
 
-so that it converges for any arm that follows, whatever its acceleration.
+so that it converges for every acceleration of the arm.
 """
 
 from math import sqrt
@@ -23,7 +23,7 @@ PROGRESS_TIMEOUT: Final = 1.0  # s
 
 
 class Drive:
-    """Motion tasks as velocities; a new task replaces the current one without a jump in velocity.
+    """Velocity generator of motion tasks; a new task replaces the current one without a step in velocity.
 
     Args:
         period: Duration of a cycle (s).
@@ -32,7 +32,7 @@ class Drive:
     Attributes:
         velocity: Commanded velocity (6,) m/s and rad/s, base frame.
         task: Current task; "none" when it is done.
-        lost: The arm did not follow, and the task was aborted.
+        lost: True if the task was aborted because the arm did not follow.
     """
 
     def __init__(self, period: float, acceleration: float = 1.0) -> None:
@@ -40,16 +40,16 @@ class Drive:
         self.velocity: Reals = np.zeros(6)
         self.task: Task = "none"
         self.lost = False
-        self._target: Reals = np.zeros(6)  # pose of a line, velocity of a speed
+        self._target: Reals = np.zeros(6)  # pose of a line task, else velocity
         self._speed = self._acceleration = 0.0
-        self._nearest, self._stalled = np.inf, 0.0  # smallest distance so far, and s since it shrank
+        self._nearest, self._stalled = np.inf, 0.0  # smallest distance, and s since it decreased
 
     def line(self, pose: Reals, speed: float, acceleration: float) -> None:
         """Move straight to a pose (6,) m and rotation vector, at a speed (m/s) and acceleration (m/s2)."""
         self._begin("line", pose, speed, acceleration)
 
     def speed(self, velocity: Reals, acceleration: float) -> None:
-        """Approach a velocity (6,) m/s and rad/s at an acceleration (m/s2 and rad/s2) and keep it."""
+        """Accelerate (m/s2 and rad/s2) to a velocity (6,) m/s and rad/s and keep it."""
         self._begin("speed", velocity, 0.0, acceleration)
 
     def stop(self, deceleration: float) -> None:
@@ -57,7 +57,7 @@ class Drive:
         self._begin("stop", np.zeros(6), 0.0, deceleration)
 
     def hold(self) -> None:
-        """Stop until the next step, from which the task continues."""
+        """Stop until the next step, which continues the task."""
         self.velocity = np.zeros(6)
 
     def halt(self) -> None:

@@ -1,4 +1,4 @@
-"""The ports of a UR controller: one object per connection."""
+"""Ports of an emulated UR controller: one object per connection."""
 
 import asyncio
 import logging
@@ -29,14 +29,14 @@ MAX_RECIPES: Final = 255  # a recipe number is a uint8
 
 
 class Connection(asyncio.Protocol):
-    """A client of one port.
+    """A client connection on one port.
 
     Args:
         box: The controller.
         connections: Set that contains this connection while it is open.
 
     Attributes:
-        lost: Set when the connection has ended.
+        lost: Event, set when the connection has ended.
     """
 
     def __init__(self, box: ControlBox, connections: "set[Connection]") -> None:
@@ -51,19 +51,19 @@ class Connection(asyncio.Protocol):
         return self._transport
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Add the connection to the open ones."""
+        """Add this connection to the open connections."""
         self._transport = cast("asyncio.Transport", transport)
         self._connections.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Remove the connection from the open ones."""
+        """Remove this connection from the open connections."""
         del exc
         self._connections.discard(self)
         self.lost.set()
 
 
 class RtdeConnection(Connection):
-    """A client of the RTDE port."""
+    """A client connection on the RTDE port."""
 
     def __init__(self, box: ControlBox, connections: set[Connection]) -> None:
         super().__init__(box, connections)
@@ -147,7 +147,7 @@ class RtdeConnection(Connection):
 
 
 class TextConnection(Connection):
-    """A client that sends text."""
+    """A client connection that receives text."""
 
     limit = LINE_LIMIT  # bytes of incomplete text
 
@@ -156,19 +156,21 @@ class TextConnection(Connection):
         self._text = ""
 
     def data_received(self, data: bytes) -> None:
-        """Handle complete text; disconnect a client whose text does not end."""
+        """Handle complete text; disconnect a client that exceeds the limit without a terminator."""
         self._text = self.take(self._text + data.decode("utf-8", "replace"))
         if len(self._text) > self.limit:
-            log.warning("disconnecting a client that sent %d characters without an end", len(self._text))
+            log.warning(
+                "disconnecting a client that sent %d characters without a terminator", len(self._text)
+            )
             self.transport.abort()
 
     def take(self, text: str) -> str:
-        """Handle the complete parts of a text and return the rest."""
+        """Handle the complete parts of a text and return the incomplete rest."""
         raise NotImplementedError
 
 
 class ScriptConnection(TextConnection):
-    """A client that uploads programs, each from a line ``def ...`` to a line ``end``."""
+    """A client connection on the script port; a program ends with a line ``end``."""
 
     limit = SCRIPT_LIMIT
 
@@ -181,7 +183,7 @@ class ScriptConnection(TextConnection):
 
 
 class DashboardConnection(TextConnection):
-    """A client of the dashboard."""
+    """A client connection on the dashboard port."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Send the greeting."""

@@ -1,11 +1,11 @@
-"""The program that ur-rtde uploads to a UR controller: it executes commands from the input registers.
+"""Control program that ur-rtde uploads to a UR controller; it executes commands from the input registers.
 
 The command is a number in input_int_register_0 (0 for none), its parameters are in the other registers. The
-program answers in output_int_register_0: 1 when ready for a command, 2 when a command is done, until the
-client resets the command to 0. A speed is executed at once and lasts until it is stopped.
+program sets output_int_register_0 to 1 when it is ready for a command, and to 2 from the end of a command
+until the client resets the command to 0. A speed command takes effect at once and lasts until it is stopped.
 
-Source: rtde_control.script of ur-rtde 1.6.5, which runs on the controller. Only the commands that a
-collection or a safe stop needs are emulated; others end the program, as an error in a script does.
+Source: rtde_control.script of ur-rtde 1.6.5, which runs on the controller. Only the commands of
+a collection and of a safe stop are emulated; all others end the program, like an error in a script.
 """
 
 import logging
@@ -45,13 +45,13 @@ class Command(IntEnum):
 
 @dataclass
 class Registers:
-    """General purpose registers."""
+    """General-purpose registers."""
 
     input_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
     input_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
     output_int: list[int] = field(default_factory=lambda: [0] * REGISTERS)
     output_double: list[float] = field(default_factory=lambda: [0.0] * REGISTERS)
-    command_written: bool = False  # since the last cycle
+    command_written: bool = False  # True if a command was written since the last cycle
 
 
 class Program:
@@ -69,11 +69,11 @@ class Program:
     ) -> None:
         self._registers, self._drive, self._period = registers, drive, period
         self._stop_protectively = stop_protectively
-        self._waiting = False  # for a synchronous motion to end
-        self._executed = False  # the command in the register
-        self._moving = False  # asynchronously
+        self._waiting = False  # True while a synchronous motion runs
+        self._executed = False  # True once the command in the register was executed
+        self._moving = False  # True while an asynchronous motion runs
         self._operations = self._writes = 0  # counters of asynchronous operations, modulo 128
-        self._silence, self._watchdog = 0.0, np.inf  # s since the last command, and its limit
+        self._silence, self._watchdog = 0.0, np.inf  # s since the last command, and the limit
         self._report(running=False)
         registers.output_int[0] = READY
 

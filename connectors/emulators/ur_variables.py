@@ -1,6 +1,6 @@
 """Names and types of the RTDE variables of a UR controller.
 
-Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide": the variables of controllers since 3.4, and
+Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide": the variables of version 3.4, and
 the later ones that ur-rtde requests.
 """
 

@@ -1,7 +1,7 @@
-"""A virtual lab: one simulated scene, served as a UR controller, a TakkTile bus and a gripper.
+"""Virtual lab: one simulated scene behind an emulated UR controller, a TakkTile bus and a gripper.
 
-The commanded arm drags and presses the fingertip whose counts come back. The gripper presses it, too: the
-latest force applies. The highest point of the surface, its middle, is the origin of the arm's base frame.
+The arm moves and presses the fingertip on the bus. The gripper presses it, too: the latest force applies. The
+highest point of the surface, its middle, is the origin of the arm's base frame.
 """
 
 import asyncio
@@ -19,7 +19,7 @@ from connectors.sim.scene import Scene
 from connectors.ur.rtde import Version
 from operators.batch import s
 
-HEIGHT: Final = 0.02  # m, of the fingertip above the surface at first
+HEIGHT: Final = 0.02  # m, initial height of the fingertip above the surface
 LOOPBACK: Final = "127.0.0.1"
 UR10_CB3: Final = Version(3, 15, 8, 0)  # the arm of the paper; 125 Hz
 LARGEST_LAG: Final = 2 * s  # ns by which an idle scene lags the clock
@@ -27,7 +27,7 @@ LARGEST_LAG: Final = 2 * s  # ns by which an idle scene lags the clock
 
 @dataclass(frozen=True)
 class VirtualLab:
-    """A virtual lab that runs; `bus` goes to `TakkTile`."""
+    """A running virtual lab; pass `bus` to `TakkTile`."""
 
     scene: SharedScene
     bus: EmulatedI2cBus
@@ -60,16 +60,16 @@ async def virtual_lab(
     """Serve a scene while the block runs.
 
     Args:
-        scene: Scene to serve; default `connectors.sim.scene.commanded_scene` on a plane.
-        seed: Random seed; the same seed and the same requests give the same counts.
-        fingers: Fingertips; each is on the bus in the row of its number.
+        scene: Scene to serve; default `connectors.sim.scene.commanded_scene()`, a plane.
+        seed: Random seed; the same seed and the same requests give identical counts.
+        fingers: Fingertips; the row of each on the bus is its number.
         host: Address on which the servers listen (default loopback).
         ports: Ports of the UR controller.
         gripper: Port of the gripper, 0 for any free one; None for no gripper. Needs the extra `gripper`.
 
     Raises:
         EndpointError: if a port is in use.
-        InputError: if a gripper is wanted and pymodbus is not installed.
+        InputError: if a gripper is requested and pymodbus is not installed.
         ParameterError: if a finger is not from 0 to 7.
     """
     shared = await asyncio.to_thread(lambda: SharedScene(scene, seed, fingers=fingers))
@@ -90,7 +90,7 @@ async def virtual_lab(
 
 
 async def _advance(scene: SharedScene) -> None:
-    """Simulate an idle scene now and then, so that the next request need not wait for all of it."""
+    """Advance an idle scene periodically, so that the next request is fast."""
     while True:
         await asyncio.sleep(LARGEST_LAG / s / 2)
         await asyncio.to_thread(scene.advance, scene.now() - LARGEST_LAG)

@@ -1,4 +1,4 @@
-"""Columns of a CSV trace: mapped by the user, or recognised by their usual names."""
+"""Mapping of the columns of a CSV trace, given by the user or recognised by common names."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -43,7 +43,7 @@ _RANGE: Final = re.compile(r"(.*?)(\d+)\.\.(.*?)(\d+)")
 class ColumnMap:
     """Columns with the time, the counts, the arm's velocity or speed, and the labels.
 
-    `completed` recognises unmapped ones by their names; an empty tuple means that the file has none.
+    `completed` recognises unmapped quantities by their column names. An empty tuple: the quantity is absent.
 
     >>> ColumnMap.parse("time=stamp,counts=p0..p5,speed=v", "time=ms,speed=mm/s").columns["counts"]
     ('p0', 'p1', 'p2', 'p3', 'p4', 'p5')
@@ -77,9 +77,10 @@ class ColumnMap:
 
     @classmethod
     def parse(cls, columns: str = "", units: str = "") -> "ColumnMap":
-        """Return the map of texts such as ``time=t,counts=p0..p5,label=`` and ``time=ms``.
+        """Parse texts such as ``time=t,counts=p0..p5,label=`` and ``time=ms``.
 
-        Names are separated by commas; ``p0..p5`` stands for six names, and nothing for no column.
+        Names are separated by commas. ``p0..p5`` is a range of six names; an empty list declares a quantity
+        absent.
 
         Raises:
             ParameterError: as for the class, or if an item has no ``=``.
@@ -91,12 +92,12 @@ class ColumnMap:
         return cls(found, {name: ",".join(items) for name, items in _items("units", units)})
 
     def completed(self, names: Sequence[str], where: str, *, timed: bool = True) -> "ColumnMap":
-        """Return this map, completed by the columns with usual names.
+        """Return this map, completed by columns with common names.
 
         Args:
             names: Column names of a file.
             where: Name of the file's first line in messages.
-            timed: Require a time.
+            timed: Require a time column.
 
         Raises:
             InputError: if a column is missing or occurs twice, there are no counts or no time, or the choice
@@ -109,9 +110,7 @@ class ColumnMap:
                 candidates = [] if redundant else list(_recognised(name, names))
                 if len(candidates) > 1:
                     several = " or ".join(repr(" ".join(each)) for each in candidates)
-                    reason = (
-                        f"could have its {name} in {several}; map it, for example {name}={candidates[0][0]}"
-                    )
+                    reason = f"has several candidates for {name}: {several}; map it, for example {name}={candidates[0][0]}"
                     raise InputError(where, reason)
                 found[name] = candidates[0] if candidates else ()
         for name in (TIME, COUNTS) if timed else (COUNTS,):
@@ -137,7 +136,7 @@ class ColumnMap:
 
 
 def _items(parameter: str, text: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield the names before ``=`` and the lists after it."""
+    """Yield each name before a ``=`` with the list after it."""
     found: dict[str, list[str]] = {}
     name = ""
     for item in text.split(",") if text.strip() else ():
@@ -153,7 +152,7 @@ def _items(parameter: str, text: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def _expanded(text: str) -> list[str]:
-    """Return the columns that ``p0..p5`` stands for.
+    """Expand a range such as ``p0..p5`` into column names.
 
     >>> _expanded("cell 6..cell 4")
     ['cell 6', 'cell 5', 'cell 4']
@@ -172,7 +171,7 @@ def _expanded(text: str) -> list[str]:
 
 
 def _recognised(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield the columns with a usual name of a quantity."""
+    """Yield the columns with a common name of a quantity."""
     by_name = {each.casefold(): each for each in names}
     if name == COUNTS:
         yield from _cells(names)
@@ -188,7 +187,7 @@ def _recognised(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
 
 
 def _cells(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield each six columns that are numbered from 0 or from 1."""
+    """Yield each group of six columns numbered from 0 or from 1."""
     rows: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
         if match := _CELL.fullmatch(name):

@@ -1,4 +1,4 @@
-"""Strict reader of the columns of a CSV file; errors name line and column."""
+"""Strict reader of CSV columns; errors name the line and the column."""
 
 import csv
 import hashlib
@@ -22,7 +22,7 @@ class CsvTable:
 
     Attributes:
         where: Name of the file in messages.
-        names: Names of the columns; a duplicate ends in ``_duplicated_0``.
+        names: Names of the columns; polars renames a duplicate to end in ``_duplicated_0``.
         sha256: Checksum of the file, hex.
     """
 
@@ -70,12 +70,12 @@ class CsvTable:
         return len(self._lines)
 
     def times(self, name: str, unit: str) -> NDArray[np.int64]:
-        """Return a column of times (n,), ns; `unit` is that of the file: s, ms, us or ns.
+        """Return a column of times (n,) in ns; `unit` is the unit in the file: s, ms, us or ns.
 
         Decimal text is converted exactly, then rounded to the nearest ns.
 
         Raises:
-            InputError: on a value that is not a time, or less than the one before.
+            InputError: on a value that is not a time, or is less than the previous one.
         """
         column = self._columns[name]
         if unit == "ns":
@@ -97,7 +97,7 @@ class CsvTable:
         column = self._columns[name]
         values = column.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
         present = (column.is_not_null() & (column != "")).to_numpy()  # "": a quoted empty field
-        self._check(name, np.isfinite(values) | ~present, "a number, or nothing")
+        self._check(name, np.isfinite(values) | ~present, "a number or empty")
         return values
 
     def whole(self, name: str, least: int, greatest: int) -> NDArray[np.float64]:

@@ -15,29 +15,29 @@ SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
 DETECTOR_RATE: Final = 100.0  # Hz
 RATE_TOLERANCE: Final = 0.1  # relative
-MAX_SPEED: Final = 1.0  # m/s, above which no arm touches an object
+MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
 
 _INT16: Final = np.iinfo(np.int16)
 _DEFAULT: Final = ColumnMap()
 
 
 class CsvTrace:
-    """`Recording` of one fingertip, and of the arm if the file has its speed; read completely and checked.
+    """`Recording` of one fingertip, and of the arm if the file has its speed, loaded completely and checked.
 
     Decimal times are converted exactly, then rounded to the nearest ns. Blank lines and other columns are
     ignored. All barometers are valid; temperatures are 0 (unknown) and the arm's pose is NaN. A speed becomes
-    a velocity along x of the base frame. A row without a velocity has no row of motion.
+    a velocity along x of the base frame. A row without a velocity adds no row of motion.
 
     Args:
         path: The file; its first line names the columns.
-        columns: Map of the columns; unmapped ones are recognised by their usual names.
+        columns: Map of the columns; unmapped quantities are recognised by common column names.
         finger: Number of the fingertip.
-        zeroed: Counts are relative to the unloaded fingertip (default: if one is negative, which a raw count
-            cannot be).
-        rate: Rows per second of a file without a time, which then starts at 0, Hz.
+        zeroed: Counts are relative to the unloaded fingertip; default: True if a count is negative.
+        rate: Rows per second (Hz) of a file without a time column; its times start at 0.
 
     Attributes:
-        columns: The map, completed, without absent columns.
+        columns: The completed map, without absent quantities.
+        sha256: Checksum of the file, hex.
         touch: The whole trace, Touch or Zeroed.
         motion: Motion of the arm at the same instants; no rows if the file has none.
         labels: (n,) 1 slip, 0 static, -1 unknown.
@@ -69,28 +69,28 @@ class CsvTrace:
         table = CsvTable(Path(path))
         self.sha256 = table.sha256
         self.columns = columns.completed(table.names, f"{table.where}, line 1", timed=rate is None)
-        held = self.columns.columns
-        if TIME in held:
-            times = table.times(held[TIME][0], self.columns.units[TIME])
+        found = self.columns.columns
+        if TIME in found:
+            times = table.times(found[TIME][0], self.columns.units[TIME])
         else:
             times = np.rint(np.arange(len(table)) * (s / cast("float", rate))).astype(np.int64)
         least = 0 if zeroed is False else _INT16.min
-        counts = [table.whole(name, least, _INT16.max) for name in held[COUNTS]]
+        counts = [table.whole(name, least, _INT16.max) for name in found[COUNTS]]
         values = np.column_stack(counts).astype(np.int16)
         kind = Zeroed if zeroed or (zeroed is None and bool((values < 0).any())) else Touch
         temperature, valid = np.zeros_like(values), np.ones(values.shape, np.bool_)
         self.touch = kind(times, values, temperature, valid, finger=finger)
         velocity: Reals = np.full((len(times), 6), np.nan)
         for name in (VELOCITY, SPEED):
-            if name in held:
-                given = np.column_stack([table.reals(each) for each in held[name]])
+            if name in found:
+                given = np.column_stack([table.reals(each) for each in found[name]])
                 velocity = np.pad(given, ((0, 0), (0, 6 - given.shape[1])))
                 velocity[:, :3] *= self.columns.scale(name)
         moving: Flags = np.all(np.isfinite(velocity), axis=1)
         unknown = np.full((len(times), 6), np.nan)
         self.motion = Motion(times, times, velocity, unknown, finger=EVERY)[moving]
-        if LABEL in held:
-            self.labels = table.whole(held[LABEL][0], UNKNOWN, SLIP).astype(np.int8)
+        if LABEL in found:
+            self.labels = table.whole(found[LABEL][0], UNKNOWN, SLIP).astype(np.int8)
         else:
             self.labels = np.full(len(times), UNKNOWN, np.int8)
 
@@ -106,13 +106,13 @@ class CsvTrace:
 
     @property
     def rate(self) -> float | None:
-        """Rows per second, by the median of their intervals, Hz; None if all have the same time."""
+        """Median rate of the rows (Hz); None if all have the same time."""
         interval = float(np.median(np.diff(self.touch.time))) if len(self.touch) > 1 else 0.0
         return s / interval if interval else None
 
     @property
     def speeds(self) -> Reals:
-        """Speeds of the arm at the rows of motion, (n,) m/s."""
+        """Speed of the arm in each row of motion, (n,) m/s."""
         speeds: Reals = np.linalg.norm(self.motion.velocity[:, :3], axis=1)
         return speeds
 
@@ -123,11 +123,11 @@ class CsvTrace:
         fastest, rate = float(self.speeds.max(initial=0.0)), self.rate
         if fastest > MAX_SPEED:
             lines.append(
-                f"the arm would move at {fastest:.3g} m/s: is its speed in another unit, such as mm/s?"
+                f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit, such as mm/s?"
             )
         if rate is not None and abs(rate / DETECTOR_RATE - 1) > RATE_TOLERANCE:
             expected = f"detectors expect {DETECTOR_RATE:g} Hz"
-            lines.append(f"it has {rate:.4g} Hz, {expected}: is its time in another unit?")
+            lines.append(f"the rate is {rate:.4g} Hz, {expected}: is the time in another unit?")
         return tuple(lines)
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
@@ -148,7 +148,7 @@ class CsvTrace:
 
     def describe(self) -> Description:
         """Return the file's name, sha256 and number of rows, and the map of its columns."""
-        columns: dict[str, Json] = {name: list(held) for name, held in self.columns.columns.items()}
+        columns: dict[str, Json] = {name: list(names) for name, names in self.columns.columns.items()}
         return {
             "trace": Path(self._path).name,
             "sha256": self.sha256,

@@ -223,7 +223,7 @@ def test_what_is_not_emulated_ends_the_program_as_an_error_does(
     cell.box.run_script("movej([0, 0, 0, 0, 0, 0])")
     cell.run(0.1)
     assert cell.value("runtime_state") == RuntimeState.STOPPED
-    assert "a script that is not emulated: movej" in caplog.text
+    assert "an unsupported script: movej" in caplog.text
 
 
 def test_the_watchdog_stops_an_arm_that_nobody_tends(cell: Cell) -> None:

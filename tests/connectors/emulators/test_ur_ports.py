@@ -235,4 +235,4 @@ def test_text_without_an_end_is_not_kept(caplog: pytest.LogCaptureFixture) -> No
         assert not here.controller.connections
 
     virtually(body)
-    assert "without an end" in caplog.text
+    assert "without a terminator" in caplog.text

@@ -83,12 +83,12 @@ def test_seven_numbered_columns_are_no_fingertip() -> None:
 @pytest.mark.parametrize(
     ("names", "complaint"),
     [
-        (("t", "time", *CELLS), "could have its time in 't' or 'time'; map it, for example time=t"),
+        (("t", "time", *CELLS), "has several candidates for time: 't' or 'time'; map it, for example time=t"),
         (
             ("t", *CELLS, *(f"c{i}" for i in range(6))),
-            "could have its counts in 's1 s2 s3 s4 s5 s6' or 'c0 c1",
+            "has several candidates for counts: 's1 s2 s3 s4 s5 s6' or 'c0 c1",
         ),
-        (("t", *CELLS, "label", "slip"), "could have its label in 'label' or 'slip'"),
+        (("t", *CELLS, "label", "slip"), "has several candidates for label: 'label' or 'slip'"),
     ],
 )
 def test_an_ambiguous_column_is_refused(names: tuple[str, ...], complaint: str) -> None:

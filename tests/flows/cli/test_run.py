@@ -44,7 +44,7 @@ def test_a_trace_with_an_unlikely_rate_is_replayed_with_a_warning(tmp_path: Path
     fast.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 1000},1,2,3,4,5,6\n" for k in range(200)))
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", str(fast))
     assert done.returncode == 0, done.stderr
-    assert "fast.csv: it has 1000 Hz, detectors expect 100 Hz" in done.stderr
+    assert "fast.csv: the rate is 1000 Hz, detectors expect 100 Hz" in done.stderr
 
 
 def test_a_paced_replay_prints_the_same_events_as_a_full_speed_one(tmp_path: Path) -> None:

@@ -174,7 +174,7 @@ def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Pat
         "  label    contact",
         "  the arm moves in 10 of 11 rows, above 0.003 m/s, at up to 0.1 m/s",
         "  labels of the file: 5 slip, 6 static",
-        "  warning: it has 50 Hz, detectors expect 100 Hz: is its time in another unit?",
+        "  warning: the rate is 50 Hz, detectors expect 100 Hz: is the time in another unit?",
         f"session trace of {tmp_path / 'out'}, finger 0",
     ]
     assert not (tmp_path / "out").exists()
@@ -186,7 +186,7 @@ def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Wri
     trace_import = TraceImport(path, tmp_path, GUESS)
     assert "moves in 4 of 9 rows, above 0.003 m/s, at up to 40 m/s" in trace_import.report()
     [doubt] = trace_import.summary()["warnings"]
-    assert "at 40 m/s: is its speed in another unit, such as mm/s?" in doubt
+    assert "at up to 40 m/s: is its speed in another unit, such as mm/s?" in doubt
     assert TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s")).summary()["warnings"] == []
     [doubt] = TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s,time=ms")).summary()["warnings"]
     assert "has 1e+05 Hz" in doubt
