@@ -19,8 +19,8 @@ class Replay(Source[Given], Generic[Given]):
     Args:
         recording: Recording to replay.
         kind: Type of the batches.
-        fingers: Fingertips to replay (default: all recorded ones). The recording may lack
-            annotations (episodes, truth).
+        fingers: Fingertips to replay (default: all recorded ones). The recording may lack annotations
+            (episodes, truth).
         pace: Recorded seconds per second of the clock (default 1), one row per batch; None for full speed,
             1000 rows per batch.
         origin: Recorded time (ns) of the start of the run (default: the first timestamp of this stream). Set

@@ -110,7 +110,8 @@ class ColumnMap:
                 candidates = [] if redundant else list(_recognised(name, names))
                 if len(candidates) > 1:
                     several = " or ".join(repr(" ".join(each)) for each in candidates)
-                    reason = f"has several candidates for {name}: {several}; map it, for example {name}={candidates[0][0]}"
+                    example = f"map it, for example {name}={candidates[0][0]}"
+                    reason = f"has several candidates for {name}: {several}; {example}"
                     raise InputError(where, reason)
                 found[name] = candidates[0] if candidates else ()
         for name in (TIME, COUNTS) if timed else (COUNTS,):

@@ -189,7 +189,7 @@ def test_an_implausible_speed_or_rate_gives_a_warning(tmp_path: Path, write: Wri
     assert "at up to 40 m/s: is its speed in another unit, such as mm/s?" in doubt
     assert TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s")).summary()["warnings"] == []
     [doubt] = TraceImport(path, tmp_path, ColumnMap.parse("", "speed=mm/s,time=ms")).summary()["warnings"]
-    assert "has 1e+05 Hz" in doubt
+    assert "the rate is 1e+05 Hz" in doubt
 
 
 def test_a_given_rate_must_match_the_times(tmp_path: Path, write: Write) -> None:
