@@ -14,7 +14,7 @@ from operators.rotation import Real, interpolate_rotation
 
 How = Literal["nearest", "previous", "linear"]
 
-_FAR: Final = 2**62  # ns, more than the distance of any two stamps
+_FAR: Final = 2**62  # ns, exceeds the distance between any two stamps
 _new_sample: Final = fast_constructor(Sample)
 _MATCHED: Final = constant([True])  # (1,)
 _UNMATCHED: Final = constant([False])  # (1,)
@@ -31,19 +31,19 @@ class Align(Join[Zeroed, Motion, Sample]):
     - ``nearest``: the last row up to t or the first one after t, whichever is nearer; the later one in a tie;
     - ``linear``: interpolation between these two; rotations at constant rate.
 
-    Rows further from t than `within` are ignored, as are rows whose velocity is not finite. Touch samples
+    Motion further from t than `within` is ignored, as is motion whose velocity is not finite. Touch samples
     without motion are kept: velocity and pose are NaN and `matched` is False.
 
-    A touch sample is released once motion newer than t has arrived, or without it when the touch stream is
-    `wait` ahead or ends. The result is exact if motion lags touch by at most `wait` (`wait` - `within` for
-    nearest and linear, which look ahead) and touch lags motion by at most `keep`. With ``how="previous"`` and
+    A touch sample is released when motion newer than t has arrived, when the touch stream is `wait` past t,
+    or when it ends. The result is exact if motion lags touch by at most `wait` (`wait` - `within` for nearest
+    and linear, which look ahead) and touch lags motion by at most `keep`. With ``how="previous"`` and
     ``wait=0`` no sample is delayed.
 
     Args:
         within: Largest distance of motion from t, ns.
         how: Selection of the motion.
-        wait: Longest delay of a touch sample by missing motion, ns; at least `within`, except for previous.
-        keep: Time for which motion is kept, ns; `Zero` delays touch while it measures the baseline.
+        wait: Longest time that a touch sample waits for motion, ns; at least `within`, except for previous.
+        keep: Time for which motion is kept, ns; must cover the delay of touch while `Zero` measures.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -77,16 +77,16 @@ class Align(Join[Zeroed, Motion, Sample]):
             self._store(right)
         if left.time.size:
             self._held.append(left)
-        passed = self._late_left.newest - self.wait  # touch up to here need not wait any longer
+        passed = self._late_left.newest - self.wait  # ns, touch up to this time has waited long enough
         rows = self._held.take(max(self._newest, passed + 1))
         samples = Sample.empty() if rows is None else self._match(rows, oldest)
         if right.time.size:
-            # in larger steps: dropping single rows is slow
+            # drop many rows at once: dropping single rows is slow
             self._motion.forget(self._newest - self.keep - self.within, self.keep // 8)
         return samples
 
     def flush(self) -> Sample:
-        """Return the waiting touch samples, matched with the motion so far."""
+        """Return the held touch samples, matched with the motion so far."""
         rows = self._held.take(_FAR)
         return Sample.empty() if rows is None else self._match(rows, -_FAR)
 
@@ -107,7 +107,7 @@ class Align(Join[Zeroed, Motion, Sample]):
             return self._match_one(rows, oldest)
         motion = self._motion.over(rows.time.item(0), rows.time.item(-1))
         time = motion.time
-        after = time.searchsorted(rows.time, "right")  # (n,) the first newer row
+        after = time.searchsorted(rows.time, "right")  # (n,) index of the first newer row
         around = np.concatenate(([-_FAR], time, [_FAR]))
         since, ahead = rows.time - around[after], around[after + 1] - rows.time  # (n,) ns
         if self.how == "previous":
@@ -128,10 +128,10 @@ class Align(Join[Zeroed, Motion, Sample]):
         if self.how == "linear":
             inside = matched & (since > 0)
             source = after[inside] + 1
-            part = since[inside] / (since + ahead)[inside]  # (m,)
+            fraction = since[inside] / (since + ahead)[inside]  # (m,)
             with np.errstate(invalid="ignore"):  # infinite values become NaN
-                linear = _interpolate(list(velocity[inside].T), list(motion.velocity[source].T), part)
-                pose_rows = _interpolate_pose(list(pose[inside].T), list(motion.pose[source].T), part)
+                linear = _interpolate(list(velocity[inside].T), list(motion.velocity[source].T), fraction)
+                pose_rows = _interpolate_pose(list(pose[inside].T), list(motion.pose[source].T), fraction)
             velocity[inside], pose[inside] = np.transpose(linear), np.transpose(pose_rows)
         return _sample(rows, velocity, pose, matched)
 
@@ -140,32 +140,34 @@ class Align(Join[Zeroed, Motion, Sample]):
         before, after = self._motion.around(instant)
         since = instant - before.time.item(0) if before is not None else _FAR
         ahead = after.time.item(0) - instant if after is not None else _FAR
-        motion, off = before, since
+        motion, distance = before, since
         if self.how == "nearest" and ahead <= since:
-            motion, off = after, ahead
+            motion, distance = after, ahead
         elif self.how == "linear" and since:
-            off = max(since, ahead)
-        if motion is None or off > self.within or instant < oldest:
+            distance = max(since, ahead)
+        if motion is None or distance > self.within or instant < oldest:
             return _sample(rows, _NO_MOTION, _NO_MOTION, _UNMATCHED)
         velocity, pose = motion.velocity, motion.pose
         if self.how == "linear" and since and after is not None:
-            part = since / (since + ahead)
+            fraction = since / (since + ahead)
             with np.errstate(invalid="ignore"):
-                linear = _interpolate(velocity[0].tolist(), after.velocity[0].tolist(), part)
-                pose_rows = _interpolate_pose(pose[0].tolist(), after.pose[0].tolist(), part)
+                linear = _interpolate(velocity[0].tolist(), after.velocity[0].tolist(), fraction)
+                pose_rows = _interpolate_pose(pose[0].tolist(), after.pose[0].tolist(), fraction)
             velocity, pose = np.array([linear]), np.array([pose_rows])
         return _sample(rows, velocity, pose, _MATCHED)
 
 
-def _interpolate(first: list[Real], second: list[Real], part: Real) -> list[Real]:
+def _interpolate(first: list[Real], second: list[Real], fraction: Real) -> list[Real]:
     """Interpolate each component linearly."""
-    return [a + part * (b - a) for a, b in zip(first, second, strict=True)]
+    return [a + fraction * (b - a) for a, b in zip(first, second, strict=True)]
 
 
-def _interpolate_pose(first: list[Real], second: list[Real], part: Real) -> list[Real]:
+def _interpolate_pose(first: list[Real], second: list[Real], fraction: Real) -> list[Real]:
     """Interpolate a pose: the position linearly, the rotation at constant rate."""
-    x, y, z = _interpolate(first[:3], second[:3], part)
-    u, v, w = interpolate_rotation((first[3], first[4], first[5]), (second[3], second[4], second[5]), part)
+    x, y, z = _interpolate(first[:3], second[:3], fraction)
+    u, v, w = interpolate_rotation(
+        (first[3], first[4], first[5]), (second[3], second[4], second[5]), fraction
+    )
     return [x, y, z, u, v, w]
 
 

@@ -26,5 +26,5 @@ class BackOff:
         return delay
 
     def reset(self) -> None:
-        """Start again from `first`, after a success."""
+        """Restart at `first`, after a success."""
         self._next = 0.0

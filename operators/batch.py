@@ -39,7 +39,7 @@ class Column:
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
     unit: str
-    names: tuple[str, ...] = ()  # of the codes 0, 1, ...: files store the names; empty: values are no codes
+    names: tuple[str, ...] = ()  # names of the codes 0, 1, ..., which files store; empty: not coded
 
 
 def column(
@@ -91,7 +91,7 @@ class Batch:
         return self
 
     def _check_each(self) -> Self:
-        """Check column by column, and raise the error."""
+        """Check the columns one by one; the error names the invalid one."""
         kind, length = type(self).__name__, len(self.time)
         for name, expected in columns(type(self)).items():
             value: NDArray[Any] = getattr(self, name)
@@ -186,12 +186,12 @@ def concat(kind: type[AnyBatch], batches: Sequence[AnyBatch]) -> AnyBatch:
         return kind.empty()
     if len({batch.finger for batch in full}) > 1:
         raise BatchError(kind.__name__, "finger", "cannot concatenate batches of several fingertips")
-    parts = zip(*map(layout(kind).take, full), strict=True)  # of each column
+    parts = zip(*map(layout(kind).take, full), strict=True)  # arrays of each column
     return kind(*map(np.concatenate, parts), finger=full[0].finger)
 
 
 def constant(values: ArrayLike, dtype: DTypeLike | None = None) -> NDArray[Any]:
-    """Return a read-only array, which many batches may share."""
+    """Return a read-only array that batches can share."""
     array = np.array(values, dtype)
     array.flags.writeable = False
     return array
@@ -258,7 +258,7 @@ class Slips(Batch):
     """Slip events: one row per onset and one per end."""
 
     state: Codes = field(metadata=column(np.int8, unit="1 onset, 0 end"))  # (n,)
-    start: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first of the decisions that led to it
+    start: Times = field(metadata=column(np.int64, unit="ns"))  # (n,) first decision of the onset or end
     probability: Reals = field(metadata=column(np.float64))  # (n,) at `time`
 
 

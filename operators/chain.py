@@ -42,7 +42,7 @@ class Chain(Generic[AnyBatch]):
             self._cut(before)
 
     def around(self, time: int) -> tuple[AnyBatch | None, AnyBatch | None]:
-        """Return the last row up to a time (ns) and the first one after it, or None."""
+        """Return the last row up to a time (ns) and the first one after it; None if there is none."""
         batches, index = self._batches, bisect_right(self._newest, time)
         before = batches[index - 1] if index else None
         after = batches[index] if index < len(batches) else None
@@ -54,7 +54,7 @@ class Chain(Generic[AnyBatch]):
         return (before if before is None or before.time.size == 1 else before[-1:]), after
 
     def over(self, first: int, last: int) -> AnyBatch:
-        """Return the rows from the last one up to `first` (ns) to the first one after `last`, at least."""
+        """Return the batches with the rows from `first` to `last` (ns) and with a neighbour on each side."""
         start, stop = bisect_right(self._newest, first), bisect_right(self._newest, last)
         return concat(self._kind, self._batches[max(start - 1, 0) : stop + 1])
 

@@ -15,13 +15,13 @@ class Debounce(Operator[Scores, Slips]):
     """Convert slip probabilities to slip events: onset and end.
 
     A slip starts after `consecutive` decisions for slip in a row, and ends after `release` decisions against
-    it. NaN is not a decision and interrupts both. A slip that is open at the end of the stream gets no end.
+    it. NaN is not a decision and interrupts either run. A slip that is open when the stream ends gets no end.
 
     Args:
         threshold: Smallest probability that is a decision for slip, above 0, at most 1.
         consecutive: Decisions that start a slip; 2 in the paper's robot tests.
         release: Decisions that end a slip.
-        minimum: Shortest slip, ns, from the first decision of its onset.
+        minimum: Shortest duration of a slip, ns, from the first decision of its onset.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -67,10 +67,10 @@ class Debounce(Operator[Scores, Slips]):
             else:
                 run, length, start = decision, 1, time
             if state == STATIC:
-                turns = decision == SLIP and length >= consecutive
+                changes = decision == SLIP and length >= consecutive
             else:
-                turns = decision == STATIC and length >= release and time >= self._earliest
-            if turns:
+                changes = decision == STATIC and length >= release and time >= self._earliest
+            if changes:
                 state, self._earliest = decision, start + self.minimum
                 rows.append(row)
                 starts.append(start)

@@ -5,11 +5,11 @@ time of the device's own stamp, up to the constant part of the delay, which cann
 Record the raw stream as well: it keeps both stamps.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from operators.batch import EVERY, Clocks, Motion, Times, concat, s
+from operators.batch import EVERY, Clocks, Motion, concat, s
 from operators.envelope import Envelope
 from operators.operator import Operator
 
@@ -19,10 +19,10 @@ class DeviceClock(Operator[Motion, Motion]):
     """Replace arrival times by the host times of the device's own stamps.
 
     The host time of a row follows from the lower envelope of (arrival - device stamp) over the `window`
-    before it: a line with offset and drift (see `operators.envelope`). Time never decreases and is never
-    later than the arrival. During the first seconds of an epoch the error is about the smallest delay so
-    far; after that about 0.1 ms if rows are up to 20 ms late. If the delay increases permanently or the
-    drift changes, the times follow within a `window`.
+    before it: a line with offset and drift (Moon et al. 1999; see `operators.envelope`). Time never decreases
+    and is never later than the arrival. During the first seconds of an epoch the error is about the smallest
+    delay so far; after that about 0.1 ms if rows are up to 20 ms late. If the delay increases permanently or
+    the drift changes, the times follow within a `window`.
 
     A new epoch starts when the device's clock steps back (a controller restart), when device and host
     disagree by more than `jump` on the interval between two rows, and after five windows without rows.
@@ -60,12 +60,12 @@ class DeviceClock(Operator[Motion, Motion]):
             newest = time if newest is None else max(newest, time)
             times.append(newest)
         self._newest = newest
-        return _with_time(batch, np.array(times, np.int64))
+        return replace(batch, time=np.array(times, np.int64))
 
 
 @dataclass
 class WatchClock(Operator[Motion, Clocks]):
-    """Report the relation of the device's clock to the host's periodically and at the end of each epoch.
+    """Report the offset and drift of the device's clock periodically and at the end of each epoch.
 
     Takes the same input and parameters as `DeviceClock` and uses the same envelope. The residual is the mean
     lateness of the rows since the last report.
@@ -94,7 +94,7 @@ class WatchClock(Operator[Motion, Clocks]):
     _since: int = field(default=0, init=False, repr=False)  # ns, device stamp of the first unreported row
     _rows: int = field(default=0, init=False, repr=False)  # unreported
     _late: int = field(default=0, init=False, repr=False)  # ns, their total lateness
-    _placed: int = field(default=0, init=False, repr=False)  # ns, host time of the newest row
+    _mapped: int = field(default=0, init=False, repr=False)  # ns, host time of the newest row
     _reported: int | None = field(default=None, init=False, repr=False)  # ns, time of the newest report
     _finger: int = field(default=EVERY, init=False, repr=False)
 
@@ -110,9 +110,9 @@ class WatchClock(Operator[Motion, Clocks]):
                 reports.append(self._report())
             if not self._rows:
                 self._since = device
-            self._placed = envelope.host_time(device, arrival)
+            self._mapped = envelope.host_time(device, arrival)
             self._rows += 1
-            self._late += arrival - self._placed
+            self._late += arrival - self._mapped
         return concat(Clocks, reports)
 
     def flush(self) -> Clocks:
@@ -121,16 +121,8 @@ class WatchClock(Operator[Motion, Clocks]):
 
     def _report(self) -> Clocks:
         envelope = self._envelope
-        time = self._placed if self._reported is None else max(self._reported, self._placed)
-        offset, residual = self._placed - envelope.device, self._late / self._rows / s
+        time = self._mapped if self._reported is None else max(self._reported, self._mapped)
+        offset, residual = self._mapped - envelope.device, self._late / self._rows / s
         self._reported, self._rows, self._late = time, 0, 0
-        return _clocks(time, offset, envelope.slope, residual, self._finger)
-
-
-def _with_time(motion: Motion, time: Times) -> Motion:
-    return Motion(time, motion.device_time, motion.velocity, motion.pose, finger=motion.finger)
-
-
-def _clocks(time: int, offset: int, drift: float, residual: float, finger: int) -> Clocks:
-    columns = np.array([time]), np.array([offset]), np.array([drift]), np.array([residual])
-    return Clocks(*columns, finger=finger)
+        values = (time, offset, envelope.slope, residual)
+        return Clocks(*(np.array([value]) for value in values), finger=self._finger)

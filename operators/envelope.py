@@ -23,11 +23,11 @@ from operators.checks import check_at_least
 
 BLOCKS: Final = 60  # per window; the least late row of each block is kept
 PAUSE: Final = 5  # windows without rows, after which a new epoch starts
-_SPAN: Final = 5 * s  # least span of rows for a drift
+_SPAN: Final = 5 * s  # minimum span of rows for a drift estimate
 
 
 def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
-    """Return the highest line under at least one row, (n,) each, ordered by x.
+    """Fit the highest line below all rows: x and y are (n,), ordered by x, with n at least 1.
 
     Args:
         x: Device stamps, ns relative to any origin.
@@ -59,8 +59,8 @@ def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
 class Envelope:
     """Running envelope of a stream.
 
-    Time is divided into blocks of 1/60 `window`. The line under the 60 blocks before a block applies to the
-    whole block; rows earlier than the line lower it. At the end of the block the line is fitted again.
+    Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
+    A row below the line lowers it. At the end of the block the line is fitted again.
 
     A new epoch starts when the device's clock steps back, when device and host disagree by more than `jump`
     on the interval between two rows, or after five windows without rows.
@@ -79,9 +79,9 @@ class Envelope:
     slope: float = 0.0  # s/s, of the line
     _origin: int = 0  # ns, device stamp of the epoch's first row
     _began: int = 0  # ns, arrival of the epoch's first row
-    _lowered: float = 0.0  # ns, by which the line was lowered in this block; at most 0
+    _lowered: float = 0.0  # ns, shift of the line in this block; at most 0
     _block: int = 0  # index of the current block
-    _least: tuple[int, int, float] = (0, 0, inf)  # x, y and lateness of its least late row
+    _least: tuple[int, int, float] = (0, 0, inf)  # x, y and lateness of the block's least late row
     _kept: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # x and y, per block
 
     def __post_init__(self) -> None:
@@ -92,8 +92,8 @@ class Envelope:
     def starts_epoch(self, device: int, arrival: int) -> bool:
         """Return whether the next row, with these stamps (ns), starts an epoch."""
         step = device - self.device
-        known = 0 <= step <= PAUSE * self.window and abs(arrival - self.arrival - step) <= self.jump
-        return self.epoch < 0 or not known
+        continuous = 0 <= step <= PAUSE * self.window and abs(arrival - self.arrival - step) <= self.jump
+        return self.epoch < 0 or not continuous
 
     def host_time(self, device: int, arrival: int) -> int:
         """Return the host time (ns) of the next row, no later than its arrival."""

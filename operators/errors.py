@@ -35,7 +35,7 @@ class SlipflowError(Exception):
     """Base of all errors that a user can cause and fix; the message is one line."""
 
     def __reduce__(self) -> tuple[type["SlipflowError"], tuple[object, ...]]:
-        """Rebuild the error from its attributes, in the order of its arguments: errors cross processes."""
+        """Pickle the attributes, in the order of the arguments, so that processes can exchange errors."""
         return type(self), tuple(vars(self).values()) or self.args
 
 

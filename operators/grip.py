@@ -13,7 +13,7 @@ from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
 from operators.operator import Operator
 
-_LONGEST: Final = 50 * ms  # ns, longest interval between two decisions; more is a gap
+_LONGEST: Final = 50 * ms  # ns, longest interval between two decisions; a longer one is a gap
 
 
 @dataclass
@@ -23,7 +23,7 @@ class GripController(Operator[Scores, Commands]):
     The first decision commands `force`, which closes the hand. Decisions within `settle` after it are
     ignored, as the contact itself causes them. A slip is registered after `consecutive` decisions for slip
     in a row; NaN interrupts the run. A command is issued if it differs from the last one by `resolution`, or
-    is a limit.
+    is a force limit.
 
     If the object still slips after `max_force` has been commanded for `give_up_after`, the controller gives
     up: it commands `min_force` once, and nothing more until the operator is reset.
@@ -35,7 +35,7 @@ class GripController(Operator[Scores, Commands]):
         rate: Fastest increase, N/s.
         threshold: Smallest probability that is a decision for slip.
         consecutive: Decisions that register a slip.
-        settle: Time after the first command without decisions, ns.
+        settle: Time after the first command in which decisions are ignored, ns.
         give_up_after: Time of slip at `max_force` before giving up, ns.
         resolution: Smallest change of a command, N.
 
@@ -94,12 +94,12 @@ class GripController(Operator[Scores, Commands]):
         return Commands(batch.time[rows], np.array(forces), velocity, finger=batch.finger)
 
     @abstractmethod
-    def aim(self, time: int, gone: float, probability: float, *, registered: bool) -> float:
+    def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:
         """Return the desired force (N), before limits.
 
         Args:
             time: Time of the decision, ns.
-            gone: Time since the last decision, s; 0 after a gap.
+            elapsed: Time since the last decision, s; 0 after a gap.
             probability: Probability of slip; NaN: unknown.
             registered: Whether a slip is registered.
         """
@@ -113,14 +113,14 @@ class GripController(Operator[Scores, Commands]):
         if self._given_up:
             return math.nan
         since, self._before = time - self._before, time
-        gone = since / s if since <= _LONGEST else 0.0
+        elapsed = since / s if since <= _LONGEST else 0.0
         settled = time - self._begun >= self.settle
         self._run = self._run + 1 if settled and probability >= self.threshold else 0
         registered = self._run >= self.consecutive
         if not settled:
             return math.nan
-        wanted = self.aim(time, gone, probability, registered=registered)
-        self._aim = min(max(wanted, self.min_force), self.max_force, self._aim + self.rate * gone)
+        wanted = self.aim(time, elapsed, probability, registered=registered)
+        self._aim = min(max(wanted, self.min_force), self.max_force, self._aim + self.rate * elapsed)
         if registered and self._commanded == self.max_force:
             self._full += since
             if self._full >= self.give_up_after:
@@ -166,7 +166,7 @@ class StepGrip(GripController):
         check_above("StepGrip", "step", self.step, 0, "N")
         self._wanted = self.force
 
-    def aim(self, time: int, gone: float, probability: float, *, registered: bool) -> float:  # noqa: ARG002
+    def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:  # noqa: ARG002
         """Add a step per registered slip."""
         if registered:
             self._run = 0
@@ -183,9 +183,9 @@ class Grip(GripController):
     above the threshold. The effect of a command is measured `latency` later; until then a closing hand
     itself disturbs the fingertip. So the force is limited to `max_ratio` times the force `latency` ago.
 
-    The force `latency` before a slip decision was too low. `margin` above the latest such force is assumed
-    to hold the object: after `quiet_time` without slip, the force decreases to that value, but not below
-    `min_ratio` of the force at the end of the slip.
+    The force `latency` before a slip decision was too low. A force that exceeds the latest such
+    force by `margin` is assumed to hold the object. After `quiet_time` without slip, the force decreases to
+    that value, but not below `min_ratio` of the force at the end of the slip.
 
     Args:
         gain: Growth rate, 1/s.
@@ -219,7 +219,7 @@ class Grip(GripController):
     _reached: float = field(default=0.0, init=False, repr=False)  # N, at the end of the latest slip
     _since: int = field(default=0, init=False, repr=False)  # ns, latest decision within a slip
     # (ns, N) of each command within `latency`
-    _given: deque[tuple[int, float]] = field(
+    _history: deque[tuple[int, float]] = field(
         default_factory=deque[tuple[int, float]], init=False, repr=False, compare=False
     )
 
@@ -234,29 +234,29 @@ class Grip(GripController):
         check_at_least("Grip", "latency", self.latency, 0, "ns")
         check_at_least("Grip", "quiet_time", self.quiet_time, 0, "ns")
 
-    def aim(self, time: int, gone: float, probability: float, *, registered: bool) -> float:
+    def aim(self, time: int, elapsed: float, probability: float, *, registered: bool) -> float:
         """Grow with the evidence of slip; decrease to the margin afterwards."""
         force, earlier = self._aim, self._earlier(time)
         if registered:
             if not self._lasted:
                 self._first = force
-            certain = 1 - self.threshold
-            evidence = (probability - self.threshold) / certain if certain else 1.0
-            pace = self.gain * evidence * (1 + self._lasted * s / self.doubling_time)  # 1/s
-            self._lasted += gone
+            span = 1 - self.threshold
+            evidence = (probability - self.threshold) / span if span else 1.0
+            growth = self.gain * evidence * (1 + self._lasted * s / self.doubling_time)  # 1/s
+            self._lasted += elapsed
             self._slipped, self._since = earlier, time
-            self._reached = min(force + pace * gone * self._first, max(force, self.max_ratio * earlier))
+            self._reached = min(force + growth * elapsed * self._first, max(force, self.max_ratio * earlier))
             return self._reached
         self._lasted = 0.0
-        enough = max(self._slipped * (1 + self.margin), self._reached * self.min_ratio)
-        if not self._slipped or force <= enough or time - self._since < self.quiet_time:
+        sufficient = max(self._slipped * (1 + self.margin), self._reached * self.min_ratio)
+        if not self._slipped or force <= sufficient or time - self._since < self.quiet_time:
             return force
-        return max(force * (1 - self.release_rate * gone), enough)
+        return max(force * (1 - self.release_rate * elapsed), sufficient)
 
     def _earlier(self, time: int) -> float:
         """Return the force (N) commanded `latency` ago, and store the current one."""
-        given = self._given
-        given.append((time, self._aim))
-        while len(given) > 1 and given[1][0] <= time - self.latency:
-            given.popleft()
-        return given[0][1]
+        history = self._history
+        history.append((time, self._aim))
+        while len(history) > 1 and history[1][0] <= time - self.latency:
+            history.popleft()
+        return history[0][1]

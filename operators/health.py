@@ -13,8 +13,8 @@ from operators.forward_fill import forward_fill
 from operators.operator import Operator
 from operators.tail import Tail
 
-_PAUSE: Final = 25 * ms  # longer pauses of the stream count as this long
-_SPAN: Final = 200 * ms  # of rows that are examined together
+_PAUSE: Final = 25 * ms  # ns, longer pauses of the stream count as this long
+_SPAN: Final = 200 * ms  # ns, span of rows that are examined together
 _QUIET: Final = 1.5  # counts, standard deviation; 0.43 to 0.7 unloaded, 4 to 10 under a static load
 _READINGS: Final = 10  # least number of readings in a quiet second
 
@@ -30,7 +30,7 @@ class FaultKind(IntEnum):
 
 @dataclass
 class Health(Operator[Touch, Faults]):
-    """Report the start and end of each barometer's faults; rows of one time are ordered by cell, then kind.
+    """Report the start and end of each barometer's faults: dead, stuck, saturated or drifting.
 
     - dead: no answer for `dead_after`.
     - stuck: valid counts unchanged for `stuck_after`. Noise changes the counts of a working cell within a few
@@ -39,23 +39,23 @@ class Health(Operator[Touch, Faults]):
       wraps from 0 to 1023, so both ends indicate it. Not detected in zeroed counts.
     - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second. A
       second of event time is quiet if the standard deviation is below 1.5 counts, as in unloaded cells but
-      not in contact. So the stream should start unloaded, drift in contact is not detected, and a perfectly
-      constant load is reported as drift, as is, in zeroed counts, a cell at its floor.
+      not in contact. So the stream should start unloaded, and drift in contact is not detected. A perfectly
+      constant load is reported as drift; so is a cell at its floor in zeroed counts.
 
-    All faults except drift end after `clear_after` without fault. A value above 0 merges the repeated faults
-    of a cell that is pressed to the end of its range again and again.
+    All faults except drift end after `clear_after` without fault. A value above 0 merges the faults of a
+    cell that is repeatedly pressed to the end of its range.
 
     Pauses of the stream count as 25 ms at most. Faults are reported up to 200 ms late, since rows are
-    examined in blocks of that length.
+    examined in blocks of that length. Rows of equal time are ordered by cell, then kind.
 
     Args:
         dead_after: Time without answer, ns.
         stuck_after: Time without change, ns.
         saturated_after: Time at the end of the range, ns.
         clear_after: Time without fault that ends it, ns.
-        floor: Raw count, 1 % of full scale.
-        ceiling: Raw count.
-        drift: Difference of means, counts.
+        floor: Highest saturated raw count at the low end; by default 1 % of full scale.
+        ceiling: Lowest saturated raw count at the high end; by default 99 % of full scale.
+        drift: Largest difference of means without a fault, counts.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -78,8 +78,8 @@ class Health(Operator[Touch, Faults]):
     _time: int | None = field(default=None, init=False, repr=False)  # ns, newest examined row
     _age: int = field(default=0, init=False, repr=False)  # ns, age of the stream without its pauses
     _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid counts
-    _sound: Times = field(init=False, repr=False, compare=False)  # (3, 6) age without fault, by kind
-    _faulty: Times = field(init=False, repr=False, compare=False)  # (3, 6) age at the last fault, by kind
+    _sound: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last sound, by kind
+    _faulty: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last faulty, by kind
     _active: Flags = field(init=False, repr=False, compare=False)  # (6, 4) by cell and kind
     _sums: Times = field(init=False, repr=False, compare=False)  # (3, 6) count, sum and sum of squares
     _first: Reals = field(init=False, repr=False, compare=False)  # (6,) mean of the first quiet second
@@ -138,7 +138,7 @@ class Health(Operator[Touch, Faults]):
         )
 
     def _lasting(self, kind: FaultKind, sound: Flags, age: Times, after: int) -> Flags:
-        """Return where a cell has a fault that lasted `after` and did not end `clear_after` ago; (n, 6)."""
+        """Return True where a cell has been faulty for `after`, now or within `clear_after`; (n, 6)."""
         seen = np.maximum.accumulate(np.where(sound, age, self._sound[kind]), axis=0)
         self._sound[kind] = seen[-1]
         faulty = age - seen >= after  # (n, 6)
@@ -147,10 +147,10 @@ class Health(Operator[Touch, Faults]):
         return faulty | (age - last < self.clear_after)
 
     def _drifting(self, time: Times, counts: Counts, valid: Flags) -> Flags:
-        """Return where the last quiet second of a cell differs from its first one; (n, 6)."""
+        """Return True where the last quiet second of a cell differs from its first; (n, 6)."""
         second = time // s
         before = second[:1] if self._time is None else [self._time // s]
-        begun = np.flatnonzero(np.diff(second, prepend=before))  # (k,) first rows of further seconds
+        begun = np.flatnonzero(np.diff(second, prepend=before))  # (k,) first row of each later second
         bounds = np.concatenate(([0], begun, [len(time)]))
         known = np.where(valid, counts, 0).astype(np.int64)
         sums = np.stack((valid, known, known * known), axis=1).cumsum(axis=0)  # (n, 3, 6)
@@ -161,7 +161,7 @@ class Health(Operator[Touch, Faults]):
         return np.repeat(state, np.diff(bounds), axis=0)
 
     def _compare(self, sums: Times, state: Flags) -> Flags:
-        """Return the current state, and that after each complete second; (k + 1, 6)."""
+        """Return the drift state before and after each of k complete seconds; (k + 1, 6)."""
         readings, total, squares = sums.swapaxes(0, 1)  # (k, 6)
         mean = total / np.maximum(readings, 1)
         quiet = (readings >= _READINGS) & (readings * squares - total**2 < (_QUIET * readings) ** 2)

@@ -48,7 +48,7 @@ class Label(Operator[Sample, Labelled]):
         rotation: Angular speed above which a sample is slip, rad/s; 0.2 in the paper; None: ignore rotation.
         normal: Normal of the contact plane in the fingertip's frame, of any length.
         delay: Lag of the arm's motion, ns.
-        within: Oldest motion to use, ns before ``t + delay``.
+        within: Largest age of the motion at ``t + delay``, ns.
 
     Raises:
         ParameterError: if a parameter is invalid.
@@ -73,7 +73,9 @@ class Label(Operator[Sample, Labelled]):
     _tail: Tail[Labelled] = field(
         default_factory=lambda: Tail(Labelled), init=False, repr=False, compare=False
     )
-    _held: int = field(default=0, init=False, repr=False)  # newest rows of the tail that are held back
+    _held: int = field(
+        default=0, init=False, repr=False
+    )  # number of newest rows of the tail that are held back
 
     def __post_init__(self) -> None:
         if not 0 <= self.speed < self.limit:

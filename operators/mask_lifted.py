@@ -1,6 +1,6 @@
 """Masking of slip labels without contact."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ class MaskLifted(Operator[Labelled, Labelled]):
 
     `Label` uses the arm's speed only. This operator masks slip where the TCP is more than `margin` above the
     contact plane. On a curved surface, that is the plane through its highest point: choose a margin that
-    covers the surface.
+    covers its height.
 
     Args:
         contact_pose: TCP pose at first contact, m and rotation vector; z points into the surface.
@@ -41,22 +41,9 @@ class MaskLifted(Operator[Labelled, Labelled]):
         x, y, z, *rotation = self.contact_pose
         u, v, w = rotate((0.0, 0.0, 1.0), quaternion((rotation[0], rotation[1], rotation[2])))
         pose = batch.pose  # (n, 6)
-        deep = (
-            u * (pose[:, 0] - x) + v * (pose[:, 1] - y) + w * (pose[:, 2] - z)
-        )  # (n,) m, below the contact plane; NaN: unknown
-        lifted = (deep < -self.margin) & (batch.label == SLIP)
+        # (n,) m below the contact plane; NaN: unknown
+        depth = u * (pose[:, 0] - x) + v * (pose[:, 1] - y) + w * (pose[:, 2] - z)
+        lifted = (depth < -self.margin) & (batch.label == SLIP)
         if not lifted.any():
             return batch
-        label = np.where(lifted, np.int8(UNKNOWN), batch.label).astype(np.int8)
-        return Labelled(
-            batch.time,
-            batch.counts,
-            batch.temperature,
-            batch.valid,
-            batch.velocity,
-            batch.pose,
-            batch.matched,
-            batch.speed,
-            label,
-            finger=batch.finger,
-        )
+        return replace(batch, label=np.where(lifted, np.int8(UNKNOWN), batch.label))

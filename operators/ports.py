@@ -117,8 +117,8 @@ class Source(ABC, Generic[Given]):
     def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Connect and yield batches, each of one fingertip, stamped in the clock's time.
 
-        Returning ends the stream. Raising reports a failure: the runner records a gap and calls this again
-        after a back-off.
+        A return ends the stream. An exception is a failure: the runner records a gap and calls this method
+        again after a back-off.
         """
 
     @property
@@ -150,19 +150,19 @@ class Sink(ABC, Generic[Taken]):
 
     @property
     def replay_destination(self) -> str:
-        """Destination in a replay, different if readers could mistake replayed rows for live ones."""
+        """Destination in a replay; it differs if readers could mistake replayed rows for live ones."""
         return self.destination
 
     @abstractmethod
     async def open(self, run: Run) -> None:
-        """Prepare for writing. Raising ends the run before it starts.
+        """Prepare for writing. An exception ends the run before it starts.
 
         A sink that moves hardware must refuse a run that has a `recording`.
         """
 
     @abstractmethod
     async def write(self, batch: Taken) -> None:
-        """Write one batch. Raising means that none of it was written."""
+        """Write one batch. An exception means that no row of it was written."""
 
     async def close(self) -> None:
         """Complete and release the destination."""

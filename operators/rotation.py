@@ -37,13 +37,13 @@ def rotate(vector: tuple[float, float, float], by: Quaternion[Real]) -> Vector[R
     return a + w * u + (y * t - z * v), b + w * v + (z * u - x * t), c + w * t + (x * v - y * u)
 
 
-def interpolate_rotation(first: Vector[Real], second: Vector[Real], part: Real) -> Vector[Real]:
+def interpolate_rotation(first: Vector[Real], second: Vector[Real], fraction: Real) -> Vector[Real]:
     """Interpolate between two rotations along the shortest path.
 
     Args:
-        first: Rotation vector at `part` 0.
-        second: Rotation vector at `part` 1.
-        part: Position on the path, 0 to 1.
+        first: Rotation vector at `fraction` 0.
+        second: Rotation vector at `fraction` 1.
+        fraction: Position on the path, 0 to 1.
 
     Returns:
         Rotation vector of length pi at most; NaN if an input is not finite.
@@ -53,7 +53,7 @@ def interpolate_rotation(first: Vector[Real], second: Vector[Real], part: Real) 
     """
     start = w, x, y, z = quaternion(first)
     a, b, c = _vector(_product((w, -x, -y, -z), quaternion(second)))
-    return _vector(_product(start, quaternion((part * a, part * b, part * c))))
+    return _vector(_product(start, quaternion((fraction * a, fraction * b, fraction * c))))
 
 
 def compose(first: Vector[Real], by: Vector[Real]) -> Vector[Real]:

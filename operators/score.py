@@ -24,8 +24,8 @@ class Score(Operator[Zeroed, Scores]):
     Invalid cells take their last valid counts, or 0 before the first. If more than three cells of the newest
     sample are invalid, the score is NaN.
 
-    Streaming detectors process each sample once. Without numba, which compiles them, they process windows
-    like the other detectors, at several times the CPU time.
+    Streaming detectors process each sample once. If numba, which compiles them, is not installed, they
+    process windows like the other detectors, which takes several times the CPU time.
 
     Args:
         detector: Slip detector.
@@ -57,8 +57,8 @@ class Score(Operator[Zeroed, Scores]):
     def process(self, batch: Zeroed) -> Scores:
         """Return a score for each window whose newest sample is in the batch."""
         counts = forward_fill(batch.counts, batch.valid, self._last)
-        answered = counts is batch.counts
-        if not answered:
+        complete = counts is batch.counts
+        if not complete:
             batch = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
         self._last = counts[-1]
         rows = slice(self._due - 1, None, self.hop)  # to be scored
@@ -66,7 +66,7 @@ class Score(Operator[Zeroed, Scores]):
         self._due += len(probability) * self.hop - len(counts)
         if not len(probability):
             return Scores.empty()
-        if not answered:
+        if not complete:
             missing = BAROMETERS - batch.valid[rows].sum(axis=1)  # (n,)
             probability = np.where(missing > MISSING, np.nan, probability)
         return _new_scores(batch.time[rows], probability, batch.finger)
@@ -94,12 +94,12 @@ class _Streamed:
 
 @dataclass
 class _Windowed:
-    """Scoring window by window; the newest samples of the windows are the rows."""
+    """Scoring window by window."""
 
     detector: Detector
     window: Window
 
-    def score(self, batch: Zeroed, rows: slice) -> Reals:  # noqa: ARG002 - Window selects the rows itself
+    def score(self, batch: Zeroed, rows: slice) -> Reals:  # noqa: ARG002 - `Window` selects the same rows
         windows, score = self.window.process(batch).counts, self.detector.score
         if len(windows) <= _BLOCK:
             return score(windows) if len(windows) else np.empty(0)

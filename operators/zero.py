@@ -25,7 +25,7 @@ class Zero(Operator[Touch, Zeroed]):
 
     Args:
         baseline: Raw counts of each cell, or one value for all cells; None: measure.
-        scans: Samples for the measurement.
+        scans: Number of samples for the measurement.
 
     Raises:
         ParameterError: if the baseline is out of range or `scans` is below 1.
@@ -39,9 +39,8 @@ class Zero(Operator[Touch, Zeroed]):
     baseline: int | tuple[int, ...] | None = None
     scans: int = 100
     _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (1, 6)
-    _known: Flags | None = field(
-        default=None, init=False, repr=False, compare=False
-    )  # (6,) cells with a baseline; None: all
+    # (6,) cells with a baseline; None: all
+    _known: Flags | None = field(default=None, init=False, repr=False, compare=False)
     _held: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

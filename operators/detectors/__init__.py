@@ -1,4 +1,4 @@
-"""Slip detectors: each computes the probability of slip of the newest sample of a window."""
+"""Slip detectors: each computes the probability that the newest sample of a window is slip."""
 
 from collections.abc import Callable
 

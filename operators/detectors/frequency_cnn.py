@@ -12,14 +12,12 @@ BINS: Final = 51  # bins of a spectrum, 0 to 50 Hz
 PIXELS: Final = (5, 4, 3, 0, 1, 2)  # cell of each pixel of the image, row by row
 
 _LENGTH: Final = 100  # samples
-_LARGEST: Final = 700.0  # exp of more overflows
+_LARGEST: Final = 700.0  # exp overflows slightly above it
 _PADDED: Final = np.pad(np.arange(6).reshape(2, 3), 1, constant_values=6)  # (4, 5) pixels, surrounded by 6
 _SAME: Final = np.lib.stride_tricks.sliding_window_view(_PADDED, (3, 3)).reshape(6, 9)
 _VALID: Final = np.lib.stride_tricks.sliding_window_view(_PADDED[1:3, 1:4], (2, 2)).reshape(2, 4)
 _SPECTRUM: Final = np.fft.rfft(np.eye(_LENGTH))  # (100, 51)
-PARTS: Final = np.concatenate(
-    (_SPECTRUM.real, _SPECTRUM.imag), axis=1
-)  # (100, 102) real and imaginary parts of the DFT
+PARTS: Final = np.concatenate((_SPECTRUM.real, _SPECTRUM.imag), axis=1)  # (100, 102) parts of the DFT
 
 
 class FrequencyCnn:
@@ -30,10 +28,10 @@ class FrequencyCnn:
     2x2 convolution to 20 channels without padding leave (1, 2) pixels; dense layers of 40, 20 and 2 units
     follow.
 
-    All layers but the last have batch norm and ReLU; the convolutions apply ReLU first. Batch norm is folded
-    into the next layer after ReLU, else into its own layer. Before folding, the network has the paper's
-    29,782 parameters: 23,000 + 4,020 in the convolutions, 1,640 + 820 + 42 in the dense layers and 260 in
-    batch norm. No other padding gives that number.
+    All layers but the last have batch norm and ReLU; the convolutions apply ReLU first. Batch norm after
+    ReLU is folded into the next layer, batch norm before ReLU into its own. Before folding, the network has
+    the paper's 29,782 parameters: 23,000 + 4,020 in the convolutions, 1,640 + 820 + 42 in the dense layers
+    and 260 in batch norm. No other padding gives that number.
 
     Args:
         weights: ``conv0/kernel`` (rows, columns, in, out), ``conv0/bias``, ``conv1/...``; ``dense0/kernel``
@@ -71,7 +69,7 @@ class FrequencyCnn:
         count = len(windows)
         values = np.zeros((count, BAROMETERS + 1, BINS), np.float32)  # the last pixel is the padding
         values[:, :BAROMETERS] = self._image((windows - self._mean) / self._std)[:, PIXELS]
-        # one matrix product per window: the rounding of a common one depends on the number of windows
+        # one matrix product per window: the rounding of a joint one depends on the number of windows
         for taps, kernel, bias in self._convolutions:
             seen = values[:, taps].reshape(count, len(taps), len(kernel))
             values = np.maximum(seen @ kernel + bias, 0)  # (n, 6, 50), (n, 2, 20)
@@ -87,7 +85,7 @@ class FrequencyCnn:
 
 
 class InterleavedFrequencyCnn(FrequencyCnn):
-    """Detect slip with the same network on the image that the authors' code computes.
+    """Detect slip with the frequency CNN on the image that the authors' code computes.
 
     Their code reshapes a window (100, 6) to (6, 100) instead of transposing it. So a pixel is not the
     spectrum of one barometer: its 100 values are 16 or 17 successive samples of all six barometers,

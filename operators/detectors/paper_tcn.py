@@ -23,12 +23,11 @@ class PaperTcn:
 
     Four residual blocks of two causal convolutions, dilated 1, 2, 4 and 8, and two dense layers, each
     followed by layer norm and SELU. The receptive field of 211 samples is longer than the window, so the
-    zero padding is part of the function. Only the steps that the last step depends on are computed: after a
+    zero padding affects the result. Only the steps that the last step depends on are computed: after a
     block with dilation d, every 2d-th step. So each block halves the number of steps and needs no dilation.
 
     Args:
-        weights: Arrays by name, in the shapes of Keras: ``block0/conv0/kernel`` (taps, in, out),
-        ``.../bias``,
+        weights: Arrays in the shapes of Keras: ``block0/conv0/kernel`` (taps, in, out), ``.../bias``,
             ``block0/ln0/gamma``, ``.../beta``, up to ``out/bias``; ``mean`` and ``std`` of the counts in
             training. `shapes` lists them.
 
@@ -88,7 +87,7 @@ class _Layer:
     """
 
     kernel: Floats  # (inputs, outputs)
-    bias: Floats  # (steps, outputs), as the next two: repeated for speed
+    bias: Floats  # (steps, outputs), like gamma and beta: repeated for speed
     gamma: Floats
     beta: Floats
 

@@ -20,8 +20,8 @@ class Psd:
     is the weighted variance. The powers of the barometers are added. The probability is power / (power +
     threshold).
 
-    The paper's windows of 1 s mix slip and static and separate them hardly better than chance; 0.25 s
-    separate them. The defaults follow from real signals: arm vibration reaches 12 Hz and changes loaded
+    Windows of 1 s, as in the paper, mix slip and static and are hardly better than chance; windows of 0.25 s
+    separate the two. The defaults follow from real signals: arm vibration reaches 12 Hz and changes loaded
     cells by 6 to 15 counts per sample; stick-slip is strongest at 14 to 20 Hz, with 25 to 50 counts.
     Materials with slower stick-slip need a lower `cutoff`; `fitted` finds the threshold for labelled
     windows.
@@ -76,8 +76,8 @@ class Psd:
         slip, static = np.sort(power[labels == SLIP]), np.sort(power[labels == STATIC])
         if not len(slip) or not len(static):
             raise ParameterError("Psd", "labels", sorted(set(labels.tolist())), "both slip and static")
-        passed, missed = static.searchsorted(power) / len(static), slip.searchsorted(power) / len(slip)
-        return replace(self, threshold=float(power[np.argmax(passed - missed)]))
+        specificity, missed = static.searchsorted(power) / len(static), slip.searchsorted(power) / len(slip)
+        return replace(self, threshold=float(power[np.argmax(specificity - missed)]))
 
 
 @cache

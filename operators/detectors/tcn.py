@@ -30,7 +30,7 @@ class Tcn:
     Args:
         weights: ``conv{i}/kernel`` (taps, in, filters) and ``conv{i}/bias``, two per block; ``dense0/...``,
             ``dense1/...``, ``out/...``, kernels (in, out); ``dilations`` (blocks,), ``position_scale`` and
-            ``step_scale`` (1,) in counts. Norms are folded in. `shapes` lists them.
+            ``step_scale`` (1,) in counts. Batch norm is folded in. `shapes` lists them.
 
     Raises:
         InputError: if an array is missing, has a wrong shape, is not finite, or is out of range.
@@ -81,7 +81,7 @@ class Tcn:
 
 
 class GraspTcn(Tcn):
-    """Detect slip with the same network, trained on grasps as well as on strokes."""
+    """Detect slip with the TCN, trained on grasps as well as on strokes."""
 
     name = "tcn_grasp"
 
@@ -133,7 +133,7 @@ def _check(weights: Weights) -> None:
     ):
         raise _error(f"dilations is {dilations.tolist()}, must be whole numbers from 1 to {_MAX_DILATION}")
     if (surplus := f"conv{2 * blocks}/kernel") in weights:
-        raise _error(f"{surplus} is one too many for the {blocks} blocks in dilations")
+        raise _error(f"{surplus} is not expected: dilations has length {blocks}")
     for name in ("position_scale", "step_scale"):
         if not weights[name][0] > 0:
             raise _error(f"{name} is {weights[name][0]}, must be above 0")

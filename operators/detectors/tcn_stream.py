@@ -42,7 +42,7 @@ _SIGNATURES: Final = [
 
 
 def _compiled(signatures: "list[Signature] | None" = None) -> Callable[[Function], Function]:
-    """Return a decorator that compiles to cached machine code without GIL, with vectorised sums."""
+    """Return a decorator that compiles to cached machine code, without the GIL and with vectorised sums."""
     sums = {"reassoc", "contract", "nsz"}
     decorate = njit(signatures, cache=True, nogil=True, error_model="numpy", fastmath=sums)
     return cast("Callable[[Function], Function]", decorate)

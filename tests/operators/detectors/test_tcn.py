@@ -243,7 +243,7 @@ def test_dilations_that_are_no_whole_numbers_in_range_are_refused(dilations: lis
 
 
 def test_a_convolution_that_belongs_to_no_block_is_refused() -> None:
-    with pytest.raises(InputError, match="conv2/kernel is one too many for the 1 blocks"):
+    with pytest.raises(InputError, match="conv2/kernel is not expected: dilations has length 1"):
         Tcn(_weights() | {"dilations": np.array([1])})
     with pytest.raises(InputError, match="must be whole numbers"):
         Tcn(_weights() | {"dilations": np.zeros(0, np.int64)})
