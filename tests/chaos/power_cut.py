@@ -96,7 +96,7 @@ def tails(scale: Scale) -> Promise:
                 disk.image(folder / "cut", lambda: True, partial(end, at=at, tail=tail, random=random))
                 found.look(folder / "cut", before)
         unclosed: Any = writer
-        unclosed._leave()
+        unclosed._release()
     return found.promise(f"the last {size} bytes cut, zero or garbage from every {STEP}th on", OTHERS)
 
 

@@ -138,5 +138,5 @@ def test_without_matplotlib_it_says_what_to_install_before_it_measures(
 
 def test_a_folder_that_cannot_be_created_is_an_error_before_anything_is_measured(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(EndpointError, match=r"file/x/explanations: cannot be made: "):
+    with pytest.raises(EndpointError, match=r"file/x/explanations: cannot be created: "):
         write_scene(tmp_path / "file" / "x", log=pytest.fail)

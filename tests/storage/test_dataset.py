@@ -187,7 +187,7 @@ async def test_a_batch_without_a_table_is_refused_and_not_stored(tmp_path: Path)
     broken = Touch(broken.time, broken.counts.astype(float), broken.temperature, broken.valid, finger=0)
     aside = Motion(*(getattr(new_batch(Motion), name) for name in columns(Motion)), finger=2)
     refused: list[tuple[Any, type[SlipflowError], str]] = [
-        (new_batch(Zeroed), ParameterError, "'Zeroed', must be Touch: a session keeps either raw or zeroed"),
+        (new_batch(Zeroed), ParameterError, "'Zeroed', must be Touch: a session has either raw or zeroed"),
         (new_batch(Sample), ParameterError, "batch is 'Sample', must be one of Touch, .*Labelled"),
         (new_batch(Scores), ParameterError, "batch is 'Scores', must be one of"),
         (aside, ParameterError, "finger of a Motion is 2, must be EVERY"),

@@ -204,7 +204,7 @@ def test_a_given_rate_must_match_the_times(tmp_path: Path, write: Write) -> None
 def test_a_session_is_not_written_twice_and_has_a_name_of_its_own(tmp_path: Path, write: Write) -> None:
     path = write(f"t,{CELLS}", [f"{k},{counts(0)}" for k in range(9)], "...csv")
     assert imported(TraceImport(path, tmp_path / "out", GUESS)).name == "trace"
-    with pytest.raises(EndpointError, match="has a session 'trace' already"):
+    with pytest.raises(EndpointError, match="already has a session 'trace'"):
         asyncio.run(TraceImport(path, tmp_path / "out", GUESS).write())
     with pytest.raises(ParameterError, match=r"session is '\.\./x'"):
         asyncio.run(TraceImport(path, tmp_path / "out", GUESS, session="../x").write())

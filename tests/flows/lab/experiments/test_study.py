@@ -71,5 +71,5 @@ def test_an_unknown_object_rule_or_detector_is_named() -> None:
         Trials(0)
     with pytest.raises(ParameterError, match="rule is 'best', must be one of ours, steps, none"):
         Method("tcn", "best")
-    with pytest.raises(InputError, match="no detector"):
+    with pytest.raises(InputError, match="is not a detector"):
         run_study(lift, [Method("tcm")], NOMINAL, Trials(1), jobs=1)
