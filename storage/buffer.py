@@ -1,4 +1,4 @@
-"""Rows of one table that wait for their part."""
+"""Rows of one table that are not yet written to a part."""
 
 from itertools import pairwise
 
@@ -9,12 +9,12 @@ from storage.journal_segment import NumberedRows
 
 
 class Buffer:
-    """Rows in packed columns: 27 bytes for a slip, and an eighth more at most.
+    """Rows in packed columns: 27 bytes per slip event, and at most an eighth more of spare capacity.
 
     Attributes:
         kind: Type of all batches of this session.
-        start: Number of its first row within the table.
-        rows: How many rows it has.
+        start: Number of the first row within the table.
+        rows: Number of rows.
         first: Earliest event time, ns.
         last: Latest event time, ns.
 
@@ -39,14 +39,14 @@ class Buffer:
         return self.start + self.rows
 
     def add(self, batch: Batch) -> None:
-        """Add the rows of a batch, which has some."""
+        """Add the rows of a batch that is not empty."""
         self.rows, self.first, self.last = self.plus(batch)
         for name, values in self._columns.items():
             values.extend(getattr(batch, name).tobytes())
         self._fingers += np.full(len(batch), batch.finger, np.int16).tobytes()
 
     def plus(self, batch: Batch) -> tuple[int, int, int]:
-        """Return rows, first and last if `batch` were added."""
+        """Return the row count, first and last time if `batch` were added."""
         time = batch.time
         first, last = (time.item(),) * 2 if len(time) == 1 else (time.min().item(), time.max().item())
         if not self.rows:

@@ -31,9 +31,9 @@ class Dataset(Sink[Recordable]):
     (disk full) the same batch may be written again.
 
     Args:
-        path: Folder of the dataset, made if missing.
-        part_span: Event time of a part, ns; default 60 s.
-        part_rows: Most rows of a part.
+        path: Folder of the dataset, created if missing.
+        part_span: Longest event time span of a part, ns; default 60 s.
+        part_rows: Maximum number of rows of a part.
         host: Name of the machine in session.json; default: its host name.
 
     Raises:
@@ -58,7 +58,7 @@ class Dataset(Sink[Recordable]):
         """Resolved folder of the dataset."""
         return str(self._root)
 
-    def moved(self, path: str | Path) -> "Dataset":
+    def with_path(self, path: str | Path) -> "Dataset":
         """Return a sink with the same settings that writes to another folder."""
         span, rows, host = self._part_span, self._part_rows, self._host
         return Dataset(path, part_span=span, part_rows=rows, host=host)
@@ -120,6 +120,6 @@ class Dataset(Sink[Recordable]):
 
 
 def _ignore_failure(task: asyncio.Task[None]) -> None:
-    """Retrieve the exception: `writer.failed` makes the next write repeat the commit."""
+    """Retrieve the exception, so that asyncio does not log it: the next write repeats the commit."""
     if not task.cancelled():
         task.exception()

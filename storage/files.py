@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and read with typed errors."""
+"""Files that are written atomically, and read with typed errors."""
 
 import hashlib
 import json
@@ -25,7 +25,7 @@ _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches
 
 
 def put(path: Path, data: bytes) -> None:
-    """Write a file durably; at any time, even after a power cut, the old or the new file is there, whole.
+    """Write a file atomically and durably: even after a power cut it has its old or its new content.
 
     Raises:
         OSError: the file has its old or its new content.
@@ -36,7 +36,7 @@ def put(path: Path, data: bytes) -> None:
 
 
 def replace(path: Path, data: bytes, *, durable: bool) -> None:
-    """Write a file by renaming a temporary one, so that readers find the old or the new file whole.
+    """Write a file by renaming a temporary one, so that readers find its old or its new content.
 
     Args:
         path: The file.
@@ -49,7 +49,7 @@ def replace(path: Path, data: bytes, *, durable: bool) -> None:
     scratch, what = path.with_name(path.name + SCRATCH), kind(path)
     try:
         steps.reach(f"write {what}")
-        scratch.unlink(missing_ok=True)  # left by a killed process; or a link, which must not be followed
+        scratch.unlink(missing_ok=True)  # left by a killed process, or a link that must not be followed
         with scratch.open("xb") as file:
             file.write(data)
             if durable:
@@ -160,17 +160,17 @@ def read_checked(path: Path) -> dict[str, Any]:
 
 def sync(path: Path) -> None:
     """Make the content of a file, or the names in a folder, durable."""
-    number = os.open(path, os.O_RDONLY)
+    descriptor = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(number)
+        os.fsync(descriptor)
     finally:
-        os.close(number)
+        os.close(descriptor)
 
 
 class DeferredSync:
-    """Files that are in place at once and made durable together later, for data that can be made again.
+    """Files that are written at once and made durable together later, for data that can be reproduced.
 
-    Readers find each file whole. A power cut before `settle` may leave any of them old, new, missing or with
+    Readers find each file complete. A power cut before `settle` may leave any file old, new, missing or with
     any content.
     """
 

@@ -1,4 +1,4 @@
-"""Journal of a session: rows that are not in a part yet, so that a crash loses only the last ones."""
+"""Journal of a session: rows that are not in a part yet, so that a crash loses only the newest ones."""
 
 from collections import Counter
 from collections.abc import Callable, Generator, Iterable
@@ -13,17 +13,17 @@ from storage.files import SCRATCH, make_folder, sync
 from storage.journal_segment import SINGLE_LOG, NumberedRows, OpenSegment, bodies
 from storage.layout import JOURNAL, TABLE_OF, segment_file, segments, single_log
 
-SOON: Final = 5  # waiting rows of a table that trigger an append
-MOST: Final = 10  # rows of a table that may wait: a kill loses them
-PAUSE: Final = 0.05  # s that a row may wait
-SYNC: Final = 1.0  # s between two fsyncs
+APPEND_AT: Final = 5  # waiting rows of a table that trigger an append
+MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
+APPEND_INTERVAL: Final = 0.05  # s; a row waits no longer
+SYNC_INTERVAL: Final = 1.0  # s, between two fsyncs
 
 
 class Journal:
     """Segments of one session and the two threads that write them: one appends, one syncs.
 
-    Appends go on during a slow fsync. Only `add` never waits for the disk. Tables of one file, which are
-    written when the session ends, have a segment of their own until then.
+    Appends continue during a slow fsync. Only `add` never waits for the disk. Single-file tables, which are
+    written when the session ends, have their own segment until then.
 
     Args:
         folder: Folder of the session.
@@ -36,7 +36,7 @@ class Journal:
     def __init__(self, folder: Path, session: str) -> None:
         self._folder, self._session = folder, session
         make_folder(folder / JOURNAL)
-        self._single = OpenSegment(single_log(folder), session, SINGLE_LOG)  # before all others
+        self._single = OpenSegment(single_log(folder), session, SINGLE_LOG)  # created before all others
         self._segment = OpenSegment(folder / segment_file(0), session, 0)
         self._disk = RLock()  # held while frames are appended
         self._syncing = RLock()  # held while the segment is made durable; taken before _disk
@@ -55,17 +55,17 @@ class Journal:
         table = TABLE_OF[type(rows.batch)].name
         with self._more:
             waiting = self._waiting[table] + len(rows.batch)
-            if waiting > MOST or self._failing or self._ended:
+            if waiting > MAX_WAITING or self._failing or self._ended:
                 return False
             self._waiting[table] = waiting
             self._pending.append(rows)
-            if waiting >= SOON:
+            if waiting >= APPEND_AT:
                 self._more.notify()
         return True
 
     @contextmanager
     def held(self) -> Generator[None]:
-        """Hold off other appends and new segments."""
+        """Block other appends and new segments."""
         with self._disk:
             yield
 
@@ -96,11 +96,11 @@ class Journal:
         """Begin the next segment with the rows that are not about to be committed.
 
         Args:
-            kept: Returns those of tables of parts.
-            single: Returns all rows of tables of one file; they are written again only if an fsync failed.
+            kept: Returns those of multi-part tables.
+            single: Returns all rows of single-file tables; they are written again only if an fsync failed.
 
         Raises:
-            OSError: the old segment is still in use.
+            OSError: if it cannot be written; the old segment remains in use.
         """
         number = self._segment.number + 1
         fresh = OpenSegment(self._folder / segment_file(number), self._session, number)
@@ -126,7 +126,7 @@ class Journal:
         """Make the appended rows durable.
 
         Raises:
-            OSError: some may be lost: the journal is `suspect` until the next segment begins.
+            OSError: some rows may be lost; the journal is `suspect` until the next segment begins.
         """
         with self._syncing:
             try:
@@ -187,7 +187,7 @@ class Journal:
     def _continue_single(
         self, waiting: list[NumberedRows], single: Callable[[], Iterable[NumberedRows]]
     ) -> None:
-        """Append the waiting rows of tables of one file; after a failed fsync, write all to a new segment."""
+        """Append the waiting rows of single-file tables; after a failed fsync, write all to a new segment."""
         if self.suspect:
             fresh = OpenSegment(self._single.path, self._session, SINGLE_LOG, bodies(single()))
             self._single.close()
@@ -198,15 +198,15 @@ class Journal:
     def _append_soon(self) -> None:
         while True:
             with self._more:
-                if self._failing or max(self._waiting.values(), default=0) < SOON:
-                    self._more.wait(PAUSE)
+                if self._failing or max(self._waiting.values(), default=0) < APPEND_AT:
+                    self._more.wait(APPEND_INTERVAL)
                 if self._ended:
                     return
             with suppress(OSError):  # the next append reports it
                 self.append()
 
     def _sync_often(self) -> None:
-        while not self._end.wait(SYNC):
+        while not self._end.wait(SYNC_INTERVAL):
             with suppress(OSError):  # the journal is suspect then
                 self.sync()
 
@@ -226,7 +226,7 @@ class Journal:
 
 
 def _single(rows: NumberedRows) -> bool:
-    """Return true if rows belong to a table of one file."""
+    """Return true if rows belong to a single-file table."""
     return not TABLE_OF[type(rows.batch)].parted
 
 
@@ -236,10 +236,10 @@ def delete_journal(folder: Path) -> None:
     Raises:
         OSError: some of it is left.
     """
-    place = folder / JOURNAL
-    for path in [*segments(folder).values(), single_log(folder), *place.glob("*" + SCRATCH)]:
+    journal = folder / JOURNAL
+    for path in [*segments(folder).values(), single_log(folder), *journal.glob("*" + SCRATCH)]:
         steps.reach("delete segment")
         path.unlink(missing_ok=True)
     steps.reach("delete journal")
-    place.rmdir()
+    journal.rmdir()
     sync(folder)

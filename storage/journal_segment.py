@@ -1,4 +1,4 @@
-"""Segment files of a journal: rows as checksummed frames, appended whole or not at all.
+"""Segment files of a journal: rows as checksummed frames, each appended completely or not at all.
 
 .. code-block:: text
 
@@ -14,6 +14,7 @@ or a repeated one.
 """
 
 import json
+import math
 import os
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -33,21 +34,25 @@ from storage import files, steps
 from storage.layout import TABLE_OF
 
 VERSION: Final = 3  # of the bodies; other versions refuse the segment
-SINGLE_LOG: Final = -1  # number of the segment with the rows of tables of one file
+SINGLE_LOG: Final = -1  # number of the segment with the rows of single-file tables
 LIMIT: Final = 64 * files.MiB  # bytes of a body
 WHOLE: Final = 8192 * files.MiB  # bytes of a segment
 
-# Layout of segments and frames: change the digit when it changes. To other versions the segment is then
-# damaged from its first byte, and a recovery keeps it aside.
+# Change the digit when the layout of segments or frames changes. Other versions then report the segment as
+# damaged from its first byte, and a recovery moves it to `damaged`.
 _PREAMBLE: Final = b"SLIPWAL1"
 _MAGIC: Final = b"SLIP"
 _PREFIX: Final = Struct("<4sII")
 _HEAD: Final = Struct("<BhIQ")
-_PLACE: Final = Struct("<QI")
+_POSITION: Final = Struct("<QI")
 _KINDS: Final = tuple(TABLE_OF)  # the code of a frame is the index of its batch type
 _CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
+_ROW_SIZES: Final = {  # bytes
+    kind: sum(each.dtype.itemsize * math.prod(each.shape) for each in columns(kind).values())
+    for kind in _KINDS
+}
 _DESCRIPTION: Final = 255  # code of a frame with JSON
-_SEARCHED: Final = 256 * files.MiB  # bytes hashed in a search for whole frames after damage
+_SEARCHED: Final = 256 * files.MiB  # bytes; most that are hashed to find whole frames after damage
 _MOVE: Final = "; move it away to recover the rest"
 SALT_SIZE: Final = len(_PREAMBLE) + 8  # bytes at the start of a segment
 
@@ -65,7 +70,7 @@ class Damage:
 
     offset: int  # bytes, of the first frame that is not whole
     size: int  # bytes from there to the end
-    more: bool  # whole frames follow: it is not just the cut-off end of a killed recorder
+    more: bool  # whole frames follow; False: only the end is missing, as after a kill of the recorder
 
 
 @dataclass(frozen=True)
@@ -83,10 +88,10 @@ class OpenSegment:
         path: The file; one of the same name is replaced.
         session: Name of the session.
         number: Number of the segment.
-        bodies: Frames to begin with.
+        bodies: Bodies of the first frames after the description.
 
     Raises:
-        OSError: if it cannot be written; the file is missing or whole then.
+        OSError: if it cannot be written; the file is then missing or complete.
     """
 
     def __init__(self, path: Path, session: str, number: int, bodies: Iterable[bytes] = ()) -> None:
@@ -104,13 +109,13 @@ class OpenSegment:
         Raises:
             OSError: nothing was appended.
         """
-        data, place = self._sealed(bodies), self._end
-        left, end = memoryview(data), place + len(data)
+        data, offset = self._sealed(bodies), self._end
+        left, end = memoryview(data), offset + len(data)
         steps.reach("append frames")
         try:
             while left:
-                written = os.pwrite(self._file, left, place)
-                left, place = left[written:], place + written
+                written = os.pwrite(self._file, left, offset)
+                left, offset = left[written:], offset + written
         except OSError:
             with suppress(OSError):  # if this fails, the next frames overwrite the rest
                 os.ftruncate(self._file, self._end)
@@ -136,7 +141,7 @@ class OpenSegment:
         self._file = -1
 
     def _sealed(self, bodies: Iterable[bytes]) -> bytes:
-        """Return the frames of bodies for the end of the file."""
+        """Return the frames of bodies, valid only at the end of the file."""
         parts, end = list[bytes](), self._end
         for body in bodies:
             parts.append(seal(body, self._salt, end))
@@ -152,7 +157,8 @@ def new_salt() -> bytes:
 def describe(session: str, number: int) -> bytes:
     """Return the body of the first frame of a segment."""
     kinds = [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
-    return _note(_DESCRIPTION, {"version": VERSION, "session": session, "segment": number, "kinds": kinds})
+    content = {"version": VERSION, "session": session, "segment": number, "kinds": kinds}
+    return _HEAD.pack(_DESCRIPTION, 0, 0, 0) + json.dumps(content).encode()
 
 
 def bodies(rows: Iterable[NumberedRows]) -> Iterator[bytes]:
@@ -160,7 +166,7 @@ def bodies(rows: Iterable[NumberedRows]) -> Iterator[bytes]:
     runs, newest = list[_Run](), dict[type[Batch], _Run]()
     for first, batch in rows:
         kind, count = type(batch), len(batch.time)
-        most = (LIMIT - _HEAD.size) // _row_size(kind)
+        most = (LIMIT - _HEAD.size) // _ROW_SIZES[kind]
         run = newest.get(kind)
         if run and run.end == first and run.finger == batch.finger and run.end - run.first + count <= most:
             run.batches.append(batch)
@@ -207,7 +213,7 @@ def read_segment(data: bytes, where: str, session: str, number: int) -> Segment:
         number: Number that it must have.
 
     Raises:
-        InputError: if it is whole, but of another version or session.
+        InputError: if its description or a frame is invalid, or it has another version or session.
     """
     salt, offset = data[:SALT_SIZE], SALT_SIZE
     body = _body(data, salt, offset) if salt.startswith(_PREAMBLE) else None
@@ -226,7 +232,7 @@ def read_segment(data: bytes, where: str, session: str, number: int) -> Segment:
 
 
 def _checksum(body: bytes, salt: bytes, offset: int) -> int:
-    return zlib.crc32(body, zlib.crc32(_PLACE.pack(offset, len(body)), zlib.crc32(salt)))
+    return zlib.crc32(body, zlib.crc32(_POSITION.pack(offset, len(body)), zlib.crc32(salt)))
 
 
 def _body(data: bytes, salt: bytes, offset: int) -> bytes | None:
@@ -255,11 +261,11 @@ def _more(data: bytes, salt: bytes, offset: int) -> bool:
 def _rows(body: bytes, kinds: Mapping[int, type[Batch]], where: str) -> NumberedRows:
     code, finger, count, first = _HEAD.unpack_from(body)
     kind = kinds.get(code)
-    if kind is None or len(body) != _HEAD.size + count * _row_size(kind):
+    if kind is None or len(body) != _HEAD.size + count * _ROW_SIZES[kind]:
         raise InputError(where, f"has an invalid frame{_MOVE}")
     values, offset = list[NDArray[Any]](), _HEAD.size
     for column in columns(kind).values():
-        size = int(np.prod(column.shape, dtype=np.int64))
+        size = math.prod(column.shape)
         values.append(
             np.frombuffer(body, column.dtype, count * size, offset).reshape(count, *column.shape).copy()
         )
@@ -269,22 +275,23 @@ def _rows(body: bytes, kinds: Mapping[int, type[Batch]], where: str) -> Numbered
 
 def _described(body: bytes, where: str, session: str, number: int) -> dict[int, type[Batch]]:
     """Return the batch types by their codes."""
-    about = _json(body, where)
-    if body[0] != _DESCRIPTION or not isinstance(about, dict):
+    try:
+        content: object = json.loads(body[_HEAD.size :])
+    except (ValueError, RecursionError) as error:
+        raise InputError(where, f"has invalid JSON{_MOVE}: {error}") from error
+    if body[0] != _DESCRIPTION or not isinstance(content, dict):
         raise InputError(where, f"does not begin with a description{_MOVE}")
-    said = cast("dict[str, Any]", about)
-    if said.get("version") != VERSION:
-        reason = (
-            f"has version {said.get('version')!r}, this slipflow reads version {VERSION}: recover it with"
-        )
-        raise InputError(where, f"{reason} the software named in session.json")
-    if (said.get("session"), said.get("segment")) != (session, number):
-        reason = f"is segment {said.get('segment')!r} of session {said.get('session')!r}; move it back there"
-        raise InputError(where, reason)
+    about = cast("dict[str, Any]", content)
+    if about.get("version") != VERSION:
+        reason = f"has version {about.get('version')!r}, this slipflow reads version {VERSION}"
+        raise InputError(where, f"{reason}: recover it with the software named in session.json")
+    if (about.get("session"), about.get("segment")) != (session, number):
+        reason = f"is segment {about.get('segment')!r} of session {about.get('session')!r}"
+        raise InputError(where, f"{reason}; move it back there")
     known = {kind.__name__: kind for kind in _KINDS}
     kinds = dict[int, type[Batch]]()
     try:
-        for code, each in enumerate(said["kinds"]):
+        for code, each in enumerate(about["kinds"]):
             kind = known.get(each["batch"])
             if kind is None or _layout(kind) != each["columns"]:
                 reason = f"has {each['batch']} rows with unknown columns: recover it"
@@ -296,30 +303,6 @@ def _described(body: bytes, where: str, session: str, number: int) -> dict[int, 
 
 
 def _layout(kind: type[Batch]) -> list[list[Any]]:
-    """Return name, element type with its byte order, shape and names of the codes of each column."""
+    """Return the name, element type with byte order, shape and code names of each column."""
     found = columns(kind).items()
     return [[name, each.dtype.str, [*each.shape], [*each.names]] for name, each in found]
-
-
-def _row_size(kind: type[Batch]) -> int:
-    size = _sizes.get(kind)
-    if size is None:
-        each = columns(kind).values()
-        size = sum(column.dtype.itemsize * int(np.prod(column.shape, dtype=np.int64)) for column in each)
-        _sizes[kind] = size
-    return size
-
-
-_sizes: Final[dict[type[Batch], int]] = {}  # bytes of a row
-
-
-def _note(code: int, content: object) -> bytes:
-    return _HEAD.pack(code, 0, 0, 0) + json.dumps(content).encode()
-
-
-def _json(body: bytes, where: str) -> object:
-    try:
-        found: object = json.loads(body[_HEAD.size :])
-    except (ValueError, RecursionError) as error:
-        raise InputError(where, f"has invalid JSON{_MOVE}: {error}") from error
-    return found

@@ -58,7 +58,7 @@ class Table:
     name: str
     kind: type[Batch]
     omits: frozenset[str] = frozenset()  # columns of the batch that it does not store
-    finger: bool = True  # rows belong to fingertips; False: to all of them
+    finger: bool = True  # each row belongs to a fingertip; False: to all fingertips
     parted: bool = True  # a folder of parts; False: one file, written when the session closes
 
     @property
@@ -115,7 +115,7 @@ def session_folder(root: Path, session: str) -> Path:
 
 
 def session_names(root: Path) -> list[str]:
-    """Return the sessions of a dataset, sorted, including folders without read permission.
+    """Return the names of the sessions of a dataset, sorted; include folders without read permission.
 
     Raises:
         InputError: if the folder of the sessions cannot be read, or is a file.
@@ -124,7 +124,7 @@ def session_names(root: Path) -> list[str]:
 
 
 def headless_names(root: Path) -> list[str]:
-    """Return the session folders that have rows but no session.json, sorted.
+    """Return the names of the session folders that have data but no session.json, sorted.
 
     Raises:
         InputError: if the folder of the sessions cannot be read, or is a file.
@@ -165,7 +165,7 @@ def segments(folder: Path) -> dict[int, Path]:
     """Return the segments of a journal by number, in order; none if there is no journal.
 
     Raises:
-        InputError: if one leads out of the session.
+        InputError: if a link leads out of the session.
     """
     found = (path for path in (folder / JOURNAL).glob("*.wal") if _SEGMENT.fullmatch(path.name))
     return dict(sorted((int(path.stem), inside(folder, path)) for path in found))
@@ -184,7 +184,7 @@ def single_log(folder: Path) -> Path:
     """Return the path of the journal segment with the rows of single-file tables.
 
     Raises:
-        InputError: if it leads out of the session.
+        InputError: if a link leads out of the session.
     """
     return inside(folder, folder / JOURNAL / "single.wal")
 

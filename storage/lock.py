@@ -17,7 +17,7 @@ def lock(folder: Path, *, wait: bool = False) -> int | None:
 
 
 def lock_file(path: Path) -> int | None:
-    """Lock a file, which may be missing or replaced later, through ``<path>.lock``, which remains.
+    """Lock a file through ``<path>.lock``, which is never deleted; the file may be missing or be replaced.
 
     Return a descriptor or None as `lock` does.
 
@@ -28,23 +28,23 @@ def lock_file(path: Path) -> int | None:
 
 
 def locked(folder: Path) -> bool:
-    """Return True if a process holds the lock of a folder, as far as it can be determined."""
+    """Return True if a process holds the lock of a folder; False also if the folder cannot be opened."""
     try:
-        number = lock(folder)
+        descriptor = lock(folder)
     except OSError:
         return False
-    if number is not None:
-        os.close(number)
-    return number is None
+    if descriptor is not None:
+        os.close(descriptor)
+    return descriptor is None
 
 
-def _flock(number: int, *, wait: bool) -> int | None:
+def _flock(descriptor: int, *, wait: bool) -> int | None:
     try:
-        fcntl.flock(number, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
     except BlockingIOError:
-        os.close(number)
+        os.close(descriptor)
         return None
     except OSError:
-        os.close(number)
+        os.close(descriptor)
         raise
-    return number
+    return descriptor

@@ -21,7 +21,7 @@ _FILE: Final = re.compile(
 )
 _FIX: Final = "slipflow recover rewrites the manifest"
 _SHA256: Final = re.compile("[0-9a-f]{64}")
-_TIMES: Final = 2**63  # ns, above all times
+_TIME_LIMIT: Final = 2**63  # ns; every time is below
 _TYPES: Final = {"path": str, "rows": int, "first": int, "last": int, "sha256": str}
 
 
@@ -45,7 +45,7 @@ def write_manifest(folder: Path, parts: Iterable[Part], put: files.Put = files.p
     """Replace a session's manifest.
 
     Raises:
-        OSError: the old or the new manifest is there.
+        OSError: if it cannot be written; the old or the new manifest remains.
     """
     lines = ",\n".join(part.line for part in parts)
     text = f'{{"version": {VERSION}, "parts": [\n{lines}\n], "sha256": "{_digest(lines)}"}}\n'
@@ -89,11 +89,6 @@ def damaged_parts(folder: Path) -> dict[str, Part]:
     return found
 
 
-def _parted(path: str) -> bool:
-    """Return true if a file is one of several of its table, which are never empty."""
-    return "/" in path
-
-
 def _digest(lines: str) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
@@ -103,8 +98,8 @@ def _part(where: str, content: Any) -> Part:  # noqa: ANN401 - any JSON
     if {key: type(value) for key, value in values.items()} != _TYPES:
         raise InputError(where, f"must have {', '.join(_TYPES)}, of the right types; {_FIX}")
     part = Part(**values)
-    times = -_TIMES <= part.first <= part.last < _TIMES
-    empty = not part.rows and not part.first and not part.last and not _parted(part.path)
+    times = -_TIME_LIMIT <= part.first <= part.last < _TIME_LIMIT
+    empty = not part.rows and not part.first and not part.last and "/" not in part.path  # a single-file table
     if (part.rows < 1 and not empty) or not times or not _SHA256.fullmatch(part.sha256):
         raise InputError(where, f"has invalid rows, times or sha256; {_FIX}")
     if not _FILE.fullmatch(part.path):

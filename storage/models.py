@@ -20,7 +20,7 @@ from storage import files
 _SHIPPED: Final = Path(__file__).parent / "trained"
 _DIGEST: Final = "slipflow.sha256"  # of the rest of a .safetensors file, whose format has no checksum
 _UNNAMED: Final = "paper_tcn"  # detector of weights that do not name one, such as .npz
-LIMIT: Final = 256 * files.MiB  # of a file, and of its unpacked content
+LIMIT: Final = 256 * files.MiB  # bytes of a file, and of its unpacked content
 
 
 def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, str]]:
@@ -51,7 +51,7 @@ def load_weights(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, s
 def save_weights(
     path: str | Path, weights: Mapping[str, NDArray[Any]], about: Mapping[str, str] | None = None
 ) -> None:
-    """Write a model as .safetensors, whole or not at all.
+    """Write a model as .safetensors atomically.
 
     Raises:
         ParameterError: if the path does not end in .safetensors.
@@ -109,7 +109,7 @@ def load_detector(name: str | Path) -> Detector:
 
 
 def identify_detector(name: str | Path) -> dict[str, str]:
-    """Return the id of a detector, and the sha256 of its weights if it has any, for events.
+    """Return the id of a detector, and the sha256 of its weights if it has any, as events state them.
 
     >>> identify_detector("psd")
     {'id': 'psd'}
@@ -135,8 +135,8 @@ def load_card(path: Path) -> dict[str, Any]:
     Raises:
         InputError: if it is damaged.
     """
-    place = path.with_suffix(".json")
-    return files.read_checked(place) if place.exists() else {}
+    card = path.with_suffix(".json")
+    return files.read_checked(card) if card.exists() else {}
 
 
 def load_debounce(name: str | Path) -> Debounce | None:

@@ -2,23 +2,20 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-import numpy as np
-import pyarrow as pa
-
-from operators.batch import EVERY, s
+from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Description
 from storage.description import recorders
 from storage.layout import JOURNAL, TABLES, Table, inside, segment_file, segments, single_log
 from storage.manifest import Part
-from storage.parts import flat, inspect_part, read_part
-from storage.schema import schema
+from storage.parts import inspect_part, read_part
+from storage.schema import schema, time_schema, times
 
 
 def part_number(path: str) -> int:
-    """Return the number of a part by its path, 0 for a table of one file.
+    """Return the number of a part by its path, 0 for a single-file table.
 
     >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
     (12, 0)
@@ -30,8 +27,8 @@ def part_number(path: str) -> int:
 def duplicate_reason(folder: Path, table: Table, part: Part, known: Iterable[Part]) -> str:
     """Return the reason why a file duplicates rows of its table, empty if it does not.
 
-    It does if it is a copy of another part, or if a fingertip's rows are not later than those of the parts
-    with lower numbers.
+    A duplicate is a copy of another part, or has rows of a fingertip that are not later than those of the
+    parts with lower numbers.
 
     Args:
         folder: Folder of the session.
@@ -56,7 +53,7 @@ def duplicate_reason(folder: Path, table: Table, part: Part, known: Iterable[Par
 def without_duplicates(
     folder: Path, table: Table, paths: Sequence[str], listed: Mapping[str, Part]
 ) -> list[str]:
-    """Return the files of a table without unlisted duplicates; unreadable files stay."""
+    """Return the files of a table without unlisted duplicates; unreadable files are kept."""
     known, found = [listed[path] for path in paths if path in listed], list[str]()
     for path in paths:
         if path not in listed:
@@ -78,12 +75,12 @@ def missing_parts(paths: Iterable[str]) -> list[str]:
     >>> missing_parts(["touch/part-000000.parquet", "touch/part-000002.parquet", "slips.parquet"])
     ['touch/part-000001.parquet']
     """
-    there, missing = set(paths), list[str]()
+    existing, missing = set(paths), list[str]()
     for table in TABLES:
         if table.parted:
-            numbers = [part_number(path) for path in there if path.startswith(f"{table.name}/")]
+            numbers = [part_number(path) for path in existing if path.startswith(f"{table.name}/")]
             expected = map(table.file, range(max(numbers, default=-1)))
-            missing += [path for path in expected if path not in there]
+            missing += [path for path in expected if path not in existing]
     return missing
 
 
@@ -91,11 +88,11 @@ def missing_segments(folder: Path, about: Description) -> list[str]:
     """Return a line for each segment that is missing from a journal; none if there is no journal."""
     numbers = list(segments(folder))
     if not numbers:
-        waits = (folder / JOURNAL).is_dir() and "end_ns" not in about
-        return [f"{JOURNAL}: has no segment: the newest rows are lost"] if waits else []
+        expected = (folder / JOURNAL).is_dir() and "end_ns" not in about
+        return [f"{JOURNAL}: has no segment: the newest rows are lost"] if expected else []
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
     lost = [segment_file(number) for number in gaps]
-    if not single_log(folder).exists() and "end_ns" not in about:  # it is made before all others
+    if not single_log(folder).exists() and "end_ns" not in about:  # it is created before all others
         lost.append(single_log(folder).relative_to(folder.resolve()).as_posix())
     return [f"{path}: is missing, with its rows" for path in lost]
 
@@ -107,10 +104,10 @@ def missing_rows(about: Description, parts: Iterable[Part]) -> str:
         written = [sinks[name]["rows"] for name in recorders(about)]
     except (AttributeError, LookupError, TypeError):  # reported when the description is checked
         return ""
-    there = sum(part.rows for part in parts)
-    if len(written) != 1 or there >= written[0]:  # several sinks are several datasets
+    found = sum(part.rows for part in parts)
+    if len(written) != 1 or found >= written[0]:  # several sinks are several datasets
         return ""
-    return f"{written[0] - there:,} of the {written[0]:,} recorded rows are in no part"
+    return f"{written[0] - found:,} of the {written[0]:,} recorded rows are in no part"
 
 
 def extent(part: Part) -> str:
@@ -138,15 +135,5 @@ def _overlap(folder: Path, table: Table, before: Part, after: Part, part: Part) 
 
 def _spans(folder: Path, table: Table, part: Part) -> dict[int, tuple[int, int]]:
     """Return the earliest and latest time (ns) by fingertip."""
-    columns: Any = schema(table)
-    held: list[pa.Field[Any]] = [columns.field(name) for name in ("time", "finger")[: 1 + table.finger]]
-    wanted = pa.schema(held)
-    rows = read_part(inside(folder, folder / part.path), wanted, part.sha256)
-    time: Any = flat(rows["time"]).to_numpy(zero_copy_only=False)
-    if not table.finger:
-        return {EVERY: (int(time.min()), int(time.max()))}
-    fingers: Any = flat(rows["finger"]).to_numpy(zero_copy_only=False)
-    return {
-        int(finger): (int(time[fingers == finger].min()), int(time[fingers == finger].max()))
-        for finger in np.unique(fingers)
-    }
+    rows = read_part(inside(folder, folder / part.path), time_schema(table), part.sha256)
+    return {finger: (int(time.min()), int(time.max())) for finger, time in times(table, rows).items()}

@@ -1,4 +1,4 @@
-"""Parquet files of a session: written whole or not at all, verified when read."""
+"""Parquet files of a session: written atomically, verified when read."""
 
 import hashlib
 from pathlib import Path
@@ -17,7 +17,7 @@ def write_part(path: Path, table: pa.Table, put: files.Put = files.put) -> str:
     """Write a table as one Parquet file and return its sha256.
 
     Raises:
-        OSError: the file is missing, or whole.
+        OSError: if it cannot be written; the file is then missing or complete.
     """
     sink = pa.BufferOutputStream()
     cast("Any", pq).write_table(
@@ -48,7 +48,7 @@ def commit_part(
         put: Function that writes the file.
 
     Raises:
-        OSError: the file is missing, or whole.
+        OSError: if it cannot be written; the file is then missing or complete.
         InputError: if a link leads out of the session.
     """
     return described(path, table, write_part(inside(folder, folder / path), table, put))
@@ -77,9 +77,9 @@ def inspect_part(folder: Path, path: str, schema: pa.Schema) -> Part:
     Raises:
         InputError: as `read_part`, or if a link leads out of the session.
     """
-    place = inside(folder, folder / path)
-    sha256 = hash_part(place)
-    return described(path, read_part(place, schema, sha256), sha256)
+    file = inside(folder, folder / path)
+    sha256 = hash_part(file)
+    return described(path, read_part(file, schema, sha256), sha256)
 
 
 def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:
@@ -88,7 +88,7 @@ def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Ta
     Args:
         path: The file.
         schema: Columns that it must have, with their types and units.
-        sha256: Its sha256 in the manifest; None if it is not listed: only the page checksums are verified.
+        sha256: Its sha256 in the manifest; None: not listed, so only the page checksums are verified.
 
     Raises:
         InputError: if the file is missing, damaged or lacks a column.
@@ -98,7 +98,7 @@ def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Ta
         raise InputError(str(path), "is damaged: its sha256 differs from the manifest; restore a copy")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
-        # without Arrow's threads: one that is the last to release `data` aborts a process that is ending
+        # without Arrow's threads: one that releases `data` last aborts a process that is exiting
         _check(path, file.schema_arrow, schema)
         table: pa.Table = file.read(schema.names, use_threads=False)
         table.validate(full=True)
@@ -116,7 +116,7 @@ def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Ta
 
 
 def flat(column: "pa.ChunkedArray[Any]") -> "pa.Array[Any]":
-    """Return the values of a column in one array, those of FixedSizeLists end to end."""
+    """Return the values of a column in one array; FixedSizeLists are flattened."""
     array: Any = column.combine_chunks()
     values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
     return values

@@ -15,9 +15,9 @@ from storage.recovery_result import Recovery
 def recover(folder: str | Path) -> Recovery:
     """Repair a session, so that all its rows are in parts that its manifest lists.
 
-    Whole files that are not listed are added to the manifest, unless they duplicate others. The rows of the
-    journal become parts, table by table, up to the first missing row: a table never has a gap. Missing
-    parts are reported as lost. Unreadable files, duplicates and a damaged manifest are kept in the folder
+    Complete files that are not listed are added to the manifest, unless they duplicate others. The rows of
+    the journal become parts, table by table, up to the first missing row: a table never has a gap. Missing
+    parts are reported as lost. Unreadable files, duplicates and a damaged manifest are moved to the folder
     `damaged`. Finally session.json records the recovery, and the journal is deleted. A session that needs
     no repair is not changed; a recovery that was killed can be run again.
 

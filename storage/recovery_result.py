@@ -10,9 +10,9 @@ class Recovery:
 
     session: str
     rows: Mapping[str, int]  # recovered rows by table
-    adopted: tuple[str, ...]  # files that were whole but not in the manifest
+    adopted: tuple[str, ...]  # complete files that were not in the manifest
     lost: tuple[str, ...]  # a line for each loss that was not known before
-    cut: tuple[str, ...]  # of these, those at the end only, where the recorder was killed
+    cut: tuple[str, ...]  # those of `lost` at the end, where the recorder was killed
     done: tuple[str, ...]  # a line for each other repair
 
     @property

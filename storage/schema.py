@@ -1,6 +1,7 @@
-"""Batches as Arrow tables and back: arrays are FixedSizeLists, codes with names dictionaries of strings.
+"""Conversion of batches to Arrow tables and back.
 
-Units are in the metadata of the fields.
+Arrays become FixedSizeLists, codes with names become dictionaries of strings. Units are in the metadata of
+the fields.
 """
 
 from collections.abc import Sequence
@@ -39,6 +40,11 @@ def finger_schema(table: Table) -> pa.Schema:
     return pa.schema([field for field in _fields(table) if field.name == name])
 
 
+def time_schema(table: Table) -> pa.Schema:
+    """Return the schema of the columns that `times` needs."""
+    return pa.schema([field for field in _fields(table) if field.name in {"time", "finger"}])
+
+
 def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
     """Return the rows of one or more batches of one type, in the order given."""
     values: dict[str, NDArray[Any]] = {
@@ -52,7 +58,7 @@ def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
 
 
 def batch_type(rows: pa.Table) -> type[Batch] | None:
-    """Return the type of the batches of a table, None if its metadata lack it."""
+    """Return the type of the batches of a table, None if its metadata lacks it."""
     return _KINDS.get((rows.schema.metadata or {}).get(b"batch", b"").decode(errors="replace"))
 
 
@@ -62,6 +68,15 @@ def fingers(table: Table, rows: pa.Table) -> frozenset[int]:
         return frozenset({EVERY} if len(rows) else ())
     found: list[int] = np.unique(_values(rows, "finger")).tolist()
     return frozenset(found)
+
+
+def times(table: Table, rows: pa.Table) -> dict[int, NDArray[np.int64]]:
+    """Return the times (n,) ns of the rows by fingertip; the columns of `time_schema` suffice."""
+    time, finger = (
+        _values(rows, "time"),
+        _values(rows, "finger") if table.finger else np.full(len(rows), EVERY),
+    )
+    return {each: time[finger == each] for each in np.unique(finger).tolist()}
 
 
 def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Batch]:
@@ -89,7 +104,7 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
     if len(found) <= 1:
         return {each: kind(*values.values(), finger=each) for each in found}
     finger = _values(rows, "finger")  # (n,)
-    order = finger.argsort(kind="stable")  # rows of a fingertip together, in order
+    order = finger.argsort(kind="stable")  # groups the rows by fingertip, in order
     first = finger[order].searchsorted(sorted(found))  # (fingers,)
     return {
         each: kind(*(value[own] for value in values.values()), finger=each)

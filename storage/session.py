@@ -143,7 +143,7 @@ class Session:
                 yield cast("SomeBatch", batch[start : start + rows])
 
     def frame(self, table: str) -> "pl.DataFrame":
-        """Return one table; unlike polars, verify its files.
+        """Return one table as a polars DataFrame, after verifying its files.
 
         Raises:
             InputError: as `read`, or if there is no such table.
@@ -209,10 +209,10 @@ class Session:
         listed = {path for path in self.listed if path.startswith((f"{table.name}/", f"{table.name}."))}
         if (self.folder / JOURNAL).exists():  # the journal may still have the rows of unlisted files
             return sorted(listed, key=_numbered)
-        there = {path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)}
-        paths = [table.file(number) for number in range(len(there))]
+        existing = {path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)}
+        paths = [table.file(number) for number in range(len(existing))]
         if self.listed:
-            paths = sorted(there | listed, key=_numbered)
+            paths = sorted(existing | listed, key=_numbered)
         if set(paths) <= listed:
             return paths
         from storage.orphan_parts import without_duplicates  # noqa: PLC0415 - imports pyarrow
@@ -236,7 +236,7 @@ def _recover(folder: Path) -> None:
 
 
 def _numbered(path: str) -> tuple[int, str]:
-    """Return a sort key for parts whose numbers may have more digits."""
+    """Return a sort key that orders parts by number; long numbers have more digits."""
     return len(path), path
 
 

@@ -1,4 +1,4 @@
-"""Recovery of one session: whole files that no manifest lists, then the rows of the journal."""
+"""Recovery of one session: complete files that the manifest does not list, then the rows of the journal."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -38,7 +38,7 @@ from storage.parts import commit_part, inspect_part, read_part
 from storage.recovery_result import Recovery
 from storage.schema import batch_type, schema, to_arrow
 
-PART_ROWS: Final = 100_000  # in a part made from the journal
+PART_ROWS: Final = 100_000  # of a part made from the journal
 
 
 class SessionRecovery:
@@ -53,10 +53,10 @@ class SessionRecovery:
         self._lost, self._cut, self._done = list[str](), list[str](), list[str]()  # as in `Recovery`
         self._adopted: list[str] = []
         self._journalled = (folder / JOURNAL).is_dir()
-        before = cast("dict[str, Any]", about.get("recovered", {}))
-        self._known_lost: list[str] = before.get("lost", [])
-        self._known_cut: list[str] = before.get("cut", [])
-        self._doubtful: dict[str, str] = {}  # by table, why its last, unlisted file cannot be read
+        self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
+        self._known_lost: list[str] = self._before.get("lost", [])
+        self._known_cut: list[str] = self._before.get("cut", [])
+        self._doubtful: dict[str, str] = {}  # reason by table whose last file is unlisted and unreadable
         self._with_gaps: set[str] = set()  # tables with an unreadable file that the journal cannot replace
         self._unreadable: set[str] = set()  # files of tables
         self._aside: list[Path] = []  # files to be moved to `damaged`
@@ -70,7 +70,7 @@ class SessionRecovery:
         self._listed_before = dict(self._listed)
         self._parts = {table.name: self._find_parts(table) for table in TABLES}
         self._rows: dict[str, list[Batch]] = {}  # from the journal, by table
-        self._empty = list[Table]()  # tables of one file without rows, whose file is still missing
+        self._empty = list[Table]()  # single-file tables without rows whose file is still missing
         self._read_journal()
         self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
         self._find_missing()
@@ -112,15 +112,15 @@ class SessionRecovery:
         return [self._listed[path] for path in sorted(paths, key=part_number)]
 
     def _find_parts(self, table: Table) -> list[Part]:
-        """Return the listed parts of a table and the unlisted ones that are whole."""
+        """Return the listed parts of a table and the unlisted complete ones."""
         parts = self._listed_of(table)
-        there = {path.relative_to(self._folder).as_posix() for path in self._folder.glob(table.pattern)}
-        for path in sorted(there - {part.path for part in parts}, key=part_number):
+        existing = {path.relative_to(self._folder).as_posix() for path in self._folder.glob(table.pattern)}
+        for path in sorted(existing - {part.path for part in parts}, key=part_number):
             try:
                 part = inspect_part(self._folder, path, schema(table))
                 duplicate = duplicate_reason(self._folder, table, part, parts)
             except InputError as error:
-                self._add_unreadable(table, path, error, last=path == max(there, key=part_number))
+                self._add_unreadable(table, path, error, last=path == max(existing, key=part_number))
                 continue
             if duplicate:
                 self._aside.append(self._folder / path)
@@ -131,7 +131,7 @@ class SessionRecovery:
         return sorted(parts, key=lambda part: part_number(part.path))
 
     def _add_unreadable(self, table: Table, path: str, error: InputError, *, last: bool) -> None:
-        """Note an unreadable, unlisted file; the journal still has the rows of the last of a table."""
+        """Note an unreadable, unlisted file; the journal still has the rows of a table's last file."""
         self._aside.append(self._folder / path)
         self._unreadable.add(path)
         if last and segments(self._folder):
@@ -189,13 +189,13 @@ class SessionRecovery:
             self._empty += [table for table in TABLES if self._is_empty(table)]
 
     def _is_empty(self, table: Table) -> bool:
-        """Return true for a wired table of one file that got no rows."""
+        """Return true for a single-file table that session.json declares and that got no rows."""
         name = table.name
         known = self._parts[name] or name in {*self._rows, *self._doubtful, *self._with_gaps}
         return not table.parted and not known and name in cast("list[str]", self._about.get("tables", []))
 
     def _add_damage(self, path: Path, damage: journal_segment.Damage | None, *, last: bool) -> None:
-        """Note the damage of a segment, the last of its kind or not."""
+        """Note the damage of a segment; `last` if it is the newest segment or the single-file log."""
         if damage:
             reason = "whole frames follow" if damage.more else "the recorder was cut off there"
             self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")
@@ -217,15 +217,12 @@ class SessionRecovery:
 
     def _describe(self, result: Recovery) -> None:
         """Record the recovery in session.json."""
-        before = cast("dict[str, Any]", self._about.get("recovered", {}))
         found = bool(result.rows or result.adopted)
-        if not (found or result.lost) and (before or "end_ns" in self._about):
+        if not (found or result.lost) and (self._before or "end_ns" in self._about):
             return
-        rows, adopted = (
-            (result.rows, list(result.adopted))
-            if found
-            else (before.get("rows", {}), before.get("adopted", []))
-        )
+        rows, adopted = self._before.get("rows", {}), self._before.get("adopted", [])
+        if found:
+            rows, adopted = result.rows, list(result.adopted)
         describe_recovery(
             self._folder,
             self._about,
@@ -240,7 +237,7 @@ class SessionRecovery:
         )
 
     def _zeroed(self) -> bool:
-        """Return true if the touch was recorded zeroed."""
+        """Return true if touch was recorded zeroed."""
         touch = self._parts[TOUCH.name]
         if not touch:
             return False

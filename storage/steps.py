@@ -1,6 +1,6 @@
-"""Steps at which a recording or a recovery can be killed; what is left after each must be readable.
+"""Steps at which tests kill a recording or a recovery; the files must be readable after a kill at any step.
 
-Tests replace `reach`, which is called at the start of each step, to end the process there.
+`reach` is called at the start of each step; tests replace it to end the process there.
 """
 
 from collections.abc import Callable

@@ -31,7 +31,7 @@ from storage.lock import locked
 from storage.manifest import Part, read_manifest
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
-Progress = Callable[[int, int, str], object]  # files done, of how many, session
+Progress = Callable[[int, int, str], object]  # files done, total files, session
 
 GOOD: Final = 0  # exit codes
 LOST: Final = 1
@@ -43,9 +43,9 @@ _ORDER: Final[tuple[Weight, ...]] = ("note", "repairable", "repaired", "lossy", 
 class Finding:
     """Result of a check of a session.
 
-    A note is not a fault. Repairable: a recovery can repair it; repaired: one has; neither lost a row. Lossy:
-    rows known to be missing, because they were dropped, or cut off with the recorder. Lost: recorded rows
-    are missing.
+    Note: not a fault. Repairable: a recovery can repair it without loss. Repaired: a recovery has done so.
+    Lossy: rows are known to be missing, because they were dropped, or not yet written when the recorder was
+    killed. Lost: recorded rows are missing.
     """
 
     session: str
@@ -71,7 +71,7 @@ class Verified:
     rows: int  # in them
     findings: tuple[Finding, ...]
     parts: tuple[Checked, ...] = ()
-    names: tuple[str, ...] = ()  # of all sessions
+    names: tuple[str, ...] = ()  # all sessions
 
     @property
     def code(self) -> int:
@@ -98,7 +98,7 @@ def severity(weight: Weight) -> int:
     return _ORDER.index(weight)
 
 
-def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: None) -> Verified:
+def verify(path: str | Path, progress: Progress = lambda _done, _total, _session: None) -> Verified:
     """Read and check all files of a dataset, or of one session; nothing is changed.
 
     A session that is being recorded is checked up to its last commit.
@@ -130,10 +130,10 @@ def verify(path: str | Path, progress: Progress = lambda _done, _of, _session: N
         if not folders:
             findings.append(Finding("", "lossy", "has no session: none was recorded, or they are missing"))
     checks = [_SessionCheck(folder) for folder in folders]
-    done, of = 0, sum(len(check.listed) for check in checks)
+    done, total = 0, sum(len(check.listed) for check in checks)
     for check in checks:
         for _ in check.run():
-            progress(done := done + 1, of, check.name)
+            progress(done := done + 1, total, check.name)
         findings += check.findings
     read = [check.read for check in checks]
     return Verified(
@@ -298,7 +298,7 @@ class _SessionCheck:
         """Check unlisted files; return all existing files except duplicates."""
         from storage import orphan_parts, parts, schema  # noqa: PLC0415 - they import pyarrow
 
-        there = list[str]()
+        existing = list[str]()
         for table in TABLES:
             found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]
             paths = sorted(found, key=orphan_parts.part_number)
@@ -306,8 +306,8 @@ class _SessionCheck:
             for path in paths:
                 if path not in kept:
                     self._add("repairable", f"{path} has duplicate rows: slipflow recover moves it away")
-            there += kept
-        for path in there:
+            existing += kept
+        for path in existing:
             if path in self.listed:
                 continue
             try:
@@ -316,10 +316,10 @@ class _SessionCheck:
                 self._add("lost", f"{error}; it is not in the manifest")
             else:
                 self._add("repairable", f"{path} is not in the manifest: slipflow recover adds it")
-        return there
+        return existing
 
     def _check_missing(self, paths: list[str]) -> None:
-        """Check for parts and rows of which no file is left, except losses that a recovery has recorded."""
+        """Check for parts and rows that are in no file, except losses that a recovery has recorded."""
         from storage.orphan_parts import missing_parts, missing_rows  # noqa: PLC0415 - imports pyarrow
 
         recovered = cast("dict[str, Any]", self.about.get("recovered", {}))

@@ -35,15 +35,15 @@ class SessionWriter:
     Args:
         root: Folder of the dataset.
         run: The run.
-        part_span: Event time of a part, ns.
-        part_rows: Most rows of a part.
+        part_span: Longest event time span of a part, ns.
+        part_rows: Maximum number of rows of a part.
         host: Name of the machine; default: its host name.
 
     Raises:
         EndpointError: if the dataset cannot be written, or has a session of that name.
         ParameterError: if the name of the session is not a file name.
-        InputError: if dataset.json or the description of a source is invalid, or the folder is not a dataset
-            and not empty.
+        InputError: if dataset.json or the description of a source is invalid, or the folder has other files
+            and is not a dataset.
     """
 
     def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
@@ -56,12 +56,14 @@ class SessionWriter:
             table.name: Buffer(table.kind) for table in self._tables if not table.parted
         }
         self._committing: dict[str, Buffer] | None = None  # buffers of the commit in progress
-        self._rotated = False  # by that commit: the journal has begun its next segment
+        self._rotated = False  # the journal has begun its next segment for that commit
         self.failed = False  # the last commit failed: it must succeed before more rows are added
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
         self._buffering = Lock()  # guards the buffers; never held during disk work
-        self._writing = Lock()  # a commit continues in its thread if the task that awaits it is cancelled
+        self._writing = (
+            Lock()
+        )  # held by a commit, whose thread continues if the task that awaits it is cancelled
         self._journal: Journal | None = None
         self._deferred = None if run.live else files.DeferredSync()
         self._put = self._deferred.put if self._deferred else files.put
@@ -213,13 +215,13 @@ class SessionWriter:
         return not TABLE_OF[self._buffers[table].kind].parted and not self._numbers[table]
 
     def _kept(self, *, parted: bool) -> list[NumberedRows]:
-        """Return the rows that are not being committed, of tables of parts or of single-file tables."""
+        """Return the rows that are not being committed, of multi-part or of single-file tables."""
         with self._buffering:
             kept = [each for each in self._buffers.values() if TABLE_OF[each.kind].parted is parted]
             return [rows for buffer in kept for rows in buffer.numbered()]
 
     def _commit_selected(self) -> None:
-        """Commit in such an order that at each step all rows are in a listed part or in the journal."""
+        """Commit in an order that keeps all rows in a listed part or in the journal at each step."""
         assert self._committing is not None, "begin_commit comes first"
         if self._journal and not self._rotated:
             self._journal.rotate(partial(self._kept, parted=True), partial(self._kept, parted=False))
@@ -239,7 +241,7 @@ class SessionWriter:
         size = self._part_rows if table.parted else some
         if table.parted:
             self._make_folder(self.folder / table.name)
-        for start in range(0, some, size):  # several parts only if one batch is larger
+        for start in range(0, some, size):  # several parts only if one batch exceeds `part_rows`
             path = table.file(self._numbers[table.name] + len(parts))
             parts.append(commit_part(self.folder, path, rows.slice(start, size), put=self._put))
         self._parts += parts
@@ -254,7 +256,7 @@ class SessionWriter:
 
 
 def _release(journal: Journal | None, held: int | None) -> None:
-    """Release a session, also one that was never closed."""
+    """Release a session, even if it was never closed."""
     if journal:
         journal.leave()
     if held is not None:

@@ -1,8 +1,8 @@
 """Samples of a session on a regular time grid, for robot-learning datasets; no value is interpolated.
 
-Each sample goes to its nearest grid point, so it is never used twice; of two samples for one point the nearer
-is kept. A grid point becomes a frame if every fingertip has a sample there and the requested motion data is
-known. A missing frame splits the session: the frames of one `Frames` follow each other without a gap.
+Each sample goes to its nearest grid point, so it is used at most once. Of two samples for one point the
+nearer is kept. A grid point becomes a frame if every fingertip has a sample there and the requested motion
+data is known. A missing frame splits the session: the frames of one `Frames` are consecutive.
 """
 
 from collections.abc import Sequence
@@ -85,7 +85,7 @@ def find_contents(session: Session) -> Contents:
 def to_frames(session: Session, rate: int, wanted: Contents) -> GridSession:
     """Return the frames of a session at `rate` Hz; isolated frames are omitted.
 
-    The grid begins at the mean time of the fingertips' first samples.
+    The grid starts at the mean time of the fingertips' first samples.
 
     Raises:
         InputError: if the session is damaged.

@@ -10,7 +10,7 @@
 
 A session becomes one episode, because it goes from rest to rest and slip depends on earlier samples.
 The motion of the arm is the task of each frame. Missing samples split the session, see
-`storage.exports.grid`. Frames are ``1 / rate`` s apart, counted from the begin of their episode. The columns
+`storage.exports.grid`. Frames are ``1 / rate`` s apart, counted from the start of their episode. The columns
 ``slipflow/session`` and ``slipflow/start_ns`` of the episodes name their recording and its time.
 
 References:

@@ -24,7 +24,7 @@ Statistics = dict[str, list[float]]
 
 
 class DataFiles:
-    """Files of the frames: an episode is one row group; a full file is followed by the next."""
+    """Writer of the files with the frames: one row group per episode; a full file is followed by the next."""
 
     def __init__(self, root: Path, features: Mapping[str, Mapping[str, Any]], max_bytes: int = 0) -> None:
         """Write below `root`; a file is full at `max_bytes` (default 100 MB)."""
@@ -100,7 +100,7 @@ def statistics(values: NDArray[Any]) -> Statistics:
 
 
 def write_tasks(root: Path, tasks: Sequence[str]) -> None:
-    """Write the tasks by number; the metadata makes their text the index in pandas, as LeRobot expects."""
+    """Write the tasks by number; the metadata makes the text the index in pandas, as LeRobot expects."""
     columns = [("task_index", "int64", "int64"), ("task", "unicode", "object")]
     pandas = {
         "index_columns": ["task"],

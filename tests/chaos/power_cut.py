@@ -180,7 +180,7 @@ def _watched(folder: Path, fail: Callable[[Disk], None]) -> Generator[Disk]:
     with (
         disk.watched(),
         patch.object(steps, "reach", reach),
-        patch.object(journal, "SYNC", 3600.0),  # s: only when told
+        patch.object(journal, "SYNC_INTERVAL", 3600.0),  # s: only when told
     ):
         yield disk
 

@@ -58,7 +58,7 @@ def record(root: Path, *, live: bool) -> None:
     """As a sink does; `taken` says how many rows of each stream were."""
     root.mkdir()
     (root / ".taken").write_bytes(b"")
-    journal.SYNC = 0.001  # type: ignore[misc] # s
+    journal.SYNC_INTERVAL = 0.001  # type: ignore[misc] # s
     run = Run("one", "slip", Clock(), 0, live=live)
     writer = SessionWriter(root, run, part_span=100 * ms, part_rows=8)
     with (root / ".taken").open("ab", buffering=0) as taken:

@@ -7,7 +7,7 @@ import pytest
 
 from operators.batch import Batch, Motion, Slips, Touch
 from storage import journal_segment, steps
-from storage.journal import MOST, SOON, Journal
+from storage.journal import APPEND_AT, MAX_WAITING, Journal
 from storage.journal_segment import NumberedRows, read_segment
 from storage.layout import segments, single_log
 from tests.storage.made import new_batch
@@ -51,7 +51,7 @@ def journal(tmp_path: Path, step: Steps) -> Iterator[Journal]:
 
 
 def singles(folder: Path) -> list[tuple[int, int]]:
-    """First row and rows of each frame of a table of one file."""
+    """First row and rows of each frame of a single-file table."""
     segment = read_segment(single_log(folder).read_bytes(), "", "one", journal_segment.SINGLE_LOG)
     return [(rows.first, len(rows.batch)) for rows in segment.rows]
 
@@ -75,51 +75,51 @@ def test_added_rows_are_appended_in_the_background(journal: Journal, step: Steps
 def test_rows_that_wait_are_appended_at_once_when_there_are_some(
     tmp_path: Path, step: Steps, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
+    monkeypatch.setattr("storage.journal.APPEND_INTERVAL", 3600.0)
     journal = Journal(tmp_path, "one")
-    for number in range(SOON):
+    for number in range(APPEND_AT):
         assert journal.add(NumberedRows(number, new_batch(Touch, 1)))
     step.wait()
     with journal.held():
-        assert found(tmp_path) == [("Touch", 0, SOON)]
+        assert found(tmp_path) == [("Touch", 0, APPEND_AT)]
     journal.leave()
 
 
 def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(journal: Journal, step: Steps) -> None:
     step.go_on.clear()
-    took = [journal.add(NumberedRows(number, new_batch(Touch, 1))) for number in range(2 * MOST)]
-    assert took == [True] * MOST + [False] * MOST
-    assert journal.add(NumberedRows(0, new_batch(Motion, MOST)))
-    assert not journal.add(NumberedRows(0, new_batch(Slips, MOST + 1)))
+    took = [journal.add(NumberedRows(number, new_batch(Touch, 1))) for number in range(2 * MAX_WAITING)]
+    assert took == [True] * MAX_WAITING + [False] * MAX_WAITING
+    assert journal.add(NumberedRows(0, new_batch(Motion, MAX_WAITING)))
+    assert not journal.add(NumberedRows(0, new_batch(Slips, MAX_WAITING + 1)))
 
 
 def test_rows_beyond_the_limit_wait_for_earlier_ones(journal: Journal, step: Steps, tmp_path: Path) -> None:
     step.go_on.clear()
-    assert journal.add(NumberedRows(0, new_batch(Touch, MOST)))
+    assert journal.add(NumberedRows(0, new_batch(Touch, MAX_WAITING)))
     step.wait()
-    waiter = threading.Thread(target=journal.append, args=[NumberedRows(MOST, new_batch(Touch, 100))])
+    waiter = threading.Thread(target=journal.append, args=[NumberedRows(MAX_WAITING, new_batch(Touch, 100))])
     waiter.start()
     assert found(tmp_path) == []
     step.go_on.set()
     waiter.join(60)
-    assert found(tmp_path) == [("Touch", 0, MOST), ("Touch", MOST, 100)]
-    assert journal.add(NumberedRows(110, new_batch(Touch, MOST)))
+    assert found(tmp_path) == [("Touch", 0, MAX_WAITING), ("Touch", MAX_WAITING, 100)]
+    assert journal.add(NumberedRows(110, new_batch(Touch, MAX_WAITING)))
 
 
 def test_a_full_disk_refuses_rows_until_there_is_room_and_loses_and_repeats_none(
     journal: Journal, step: Steps, tmp_path: Path
 ) -> None:
     step.failing = True
-    assert journal.add(NumberedRows(0, new_batch(Touch, SOON)))
+    assert journal.add(NumberedRows(0, new_batch(Touch, APPEND_AT)))
     step.wait()
     for _ in range(3):
         with pytest.raises(OSError, match="No space left"):
-            journal.append(NumberedRows(SOON, new_batch(Touch, 1)))
-        assert not journal.add(NumberedRows(SOON, new_batch(Touch, 1)))
+            journal.append(NumberedRows(APPEND_AT, new_batch(Touch, 1)))
+        assert not journal.add(NumberedRows(APPEND_AT, new_batch(Touch, 1)))
     step.failing = False
-    journal.append(NumberedRows(SOON, new_batch(Touch, 2)))
-    assert found(tmp_path) == [("Touch", 0, SOON + 2)]
-    assert journal.add(NumberedRows(SOON + 2, new_batch(Touch, 1)))
+    journal.append(NumberedRows(APPEND_AT, new_batch(Touch, 2)))
+    assert found(tmp_path) == [("Touch", 0, APPEND_AT + 2)]
+    assert journal.add(NumberedRows(APPEND_AT + 2, new_batch(Touch, 1)))
 
 
 def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_may(
@@ -138,7 +138,7 @@ def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_m
 def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("storage.journal.PAUSE", 3600.0)
+    monkeypatch.setattr("storage.journal.APPEND_INTERVAL", 3600.0)
     journal, touch = Journal(tmp_path, "one"), [new_batch(Touch, 1) for _ in range(3)]
     for number in range(3):
         assert journal.add(NumberedRows(number, touch[number]))
@@ -179,7 +179,7 @@ def test_a_slow_fsync_does_not_delay_appends(tmp_path: Path, monkeypatch: pytest
             assert go_on.wait(60)
         fsync(file)
 
-    monkeypatch.setattr("storage.journal.SYNC", 0.001)
+    monkeypatch.setattr("storage.journal.SYNC_INTERVAL", 0.001)
     monkeypatch.setattr(os, "fsync", slow)
     journal = Journal(tmp_path, "one")
     journal.append(NumberedRows(0, new_batch(Touch, 1)))
@@ -200,7 +200,7 @@ def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
         failed.set()
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr("storage.journal.SYNC", 0.001)
+    monkeypatch.setattr("storage.journal.SYNC_INTERVAL", 0.001)
     journal = Journal(tmp_path, "one")
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", fail)

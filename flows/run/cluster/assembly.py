@@ -96,7 +96,7 @@ class StoredResults(CompiledFlow):
 def assemble(flow: Flow, datasets: Mapping[str, str], job: str, results: Path, share: ShareResult) -> None:
     """Write a session into each dataset of a flow from stored results.
 
-    A session appears in a dataset as a whole. If it is there already, nothing changes.
+    A session appears in a dataset as a whole. If it is already in the dataset, nothing changes.
 
     Args:
         flow: Flow that the job runs.
@@ -111,11 +111,11 @@ def assemble(flow: Flow, datasets: Mapping[str, str], job: str, results: Path, s
     """
     assert share.end, "a session with a failed share is not assembled"
     end, attempt, compiled = share.end, uuid4().hex, list[StoredResults]()
-    scratch = {name: Path(place) / JOBS / job / attempt for name, place in datasets.items()}
+    scratch = {name: Path(root) / JOBS / job / attempt for name, root in datasets.items()}
 
     def to_scratch(node: Node) -> Part:
         part: Any = node.part
-        return part.moved(scratch[node.name]) if isinstance(part, Dataset) else part
+        return part.with_path(scratch[node.name]) if isinstance(part, Dataset) else part
 
     def compile_flow(replayed: Flow) -> CompiledFlow:
         compiled.append(StoredResults(replayed, results, end))
@@ -127,15 +127,15 @@ def assemble(flow: Flow, datasets: Mapping[str, str], job: str, results: Path, s
         asyncio.run(runner.execute())
         if compiled[0].slices != end.slices:
             raise InputError(share.folder, "has changed since the job began")
-        for name, place in datasets.items():
-            _commit(session_folder(scratch[name], share.session), Path(place), share.session)
+        for name, root in datasets.items():
+            _commit(session_folder(scratch[name], share.session), Path(root), share.session)
     finally:
         for folder in scratch.values():
             rmtree(folder, ignore_errors=True)
 
 
 def _commit(complete: Path, root: Path, session: str) -> None:
-    """Move a complete session into a dataset, unless it is there already."""
+    """Move a complete session into a dataset, unless the dataset has it already."""
     target = session_folder(root, session)
     try:
         describe_dataset(root)

@@ -4,11 +4,10 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from operators.batch import EVERY, Batch, Times, column, columns
+from operators.batch import Batch, Times, column, columns
 from operators.errors import InputError
 from storage.files import MiB
 from storage.layout import TABLE_OF, inside
@@ -28,31 +27,22 @@ def read_row_times(
     """Return the times of a file's rows by fingertip; empty if they are not of type `kind`.
 
     Raises:
-        InputError: if the file is missing, damaged or not the one in the manifest.
+        InputError: if the file is missing, damaged or differs from the manifest.
     """
-    import pyarrow as pa  # noqa: PLC0415 - slow to import
-
     from storage import parts, schema  # noqa: PLC0415 - import pyarrow
 
     table = TABLE_OF[kind]
-    whole: Any = schema.schema(table)
-    wanted: Any = pa.schema([whole.field(name) for name in ("time", "finger")[: 1 + table.finger]])
-    rows = parts.read_part(inside(folder, folder / path), wanted, sha256)
-    if not issubclass(_stored(folder / path, schema.batch_type(rows), table.kind), kind):
+    rows = parts.read_part(inside(folder, folder / path), schema.time_schema(table), sha256)
+    if not issubclass(_checked_type(folder / path, schema.batch_type(rows), table.kind), kind):
         return {}
-    time: Any = parts.flat(rows["time"]).to_numpy(zero_copy_only=False)
-    fingers: Any = np.full(len(time), EVERY)
-    if table.finger:
-        fingers = parts.flat(rows["finger"]).to_numpy(zero_copy_only=False)
-    found = dict[int, RowTimes]()
-    for finger in np.unique(fingers).tolist():
-        own = time[fingers == finger]
-        found[finger] = RowTimes(own, np.full(len(own), part), np.arange(len(own)), finger=finger)
-    return found
+    return {
+        finger: RowTimes(time, np.full(len(time), part), np.arange(len(time)), finger=finger)
+        for finger, time in schema.times(table, rows).items()
+    }
 
 
 class PartReader:
-    """Reads files and caches the last ones, because units of many fingertips name the same files.
+    """Reader of files with a cache, because units of many fingertips name the same files.
 
     Args:
         limit: Size of the cache, bytes; the newest file is always kept.
@@ -86,11 +76,12 @@ def _read(folder: Path, kind: type[Batch], path: str, sha256: str | None) -> Map
 
     table = TABLE_OF[kind]
     rows = parts.read_part(inside(folder, folder / path), schema.schema(table), sha256)
-    stored = _stored(folder / path, schema.batch_type(rows), table.kind)
+    stored = _checked_type(folder / path, schema.batch_type(rows), table.kind)
     return schema.from_arrow(table, stored, rows)
 
 
-def _stored(path: Path, stored: type[Batch] | None, kind: type[Batch]) -> type[Batch]:
+def _checked_type(path: Path, stored: type[Batch] | None, kind: type[Batch]) -> type[Batch]:
+    """Return the stored type of the rows, which must fit their table."""
     if stored is None or not issubclass(stored, kind):
         raise InputError(str(path), 'its metadata "batch" is missing or does not fit its table')
     return stored
