@@ -69,7 +69,7 @@ def usage(parameter: Any) -> str:  # noqa: ANN401 - click's types vary
 def meaning(parameter: Any) -> str:  # noqa: ANN401 - click's types vary
     """Return a parameter's help text with its default."""
     text, value = " ".join((parameter.help or "").split()), parameter.default
-    known = value not in (None, False, "") and not callable(value) and "default" not in text
+    known = not (value is None or value is False or value == "" or callable(value) or "default" in text)
     return f"{text} Default: `{value}`." if known else text
 
 

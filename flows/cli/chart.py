@@ -13,7 +13,7 @@ from flows.cli.report_output import (
 )
 from flows.cli.terminal import note
 
-# Imports inside functions: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 

@@ -1,4 +1,4 @@
-"""Command that drives an arm through a collection plan and records it."""
+"""The command `slipflow collect`."""
 
 import asyncio
 import json
@@ -21,20 +21,13 @@ if TYPE_CHECKING:
     from flows.lab.collection.collector import CollectionResult, Setup
     from flows.lab.collection.stroke_plan import CollectionPlan
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
-VIRTUAL_MARGIN = 0.03  # m; on a busy host a virtual arm stops late
+VIRTUAL_MARGIN = 0.03  # m; a virtual arm stops late on a busy host
 VIRTUAL_TIMEOUT = 2.0  # s
 VIRTUAL_WATCHDOG = 0.5  # Hz
-DOWN = (
-    0.0,
-    0.0,
-    0.0,
-    3.141592653589793,
-    0.0,
-    0.0,
-)  # pose of a fingertip that touches a virtual lab's surface
+DOWN = (0.0, 0.0, 0.0, 3.141592653589793, 0.0, 0.0)  # pose at which a fingertip touches a virtual surface
 
 
 def collect(
@@ -47,14 +40,12 @@ def collect(
         typer.Option(metavar="HOST", help="Address of the UR controller (default 127.0.0.1 with --virtual)."),
     ] = None,
     bus: Annotated[
-        str, typer.Option(metavar="BUS", help="I2C bus of the fingertips: a number or a path (default 1).")
+        str, typer.Option(metavar="BUS", help="I2C bus of the fingertips: a number or a path.")
     ] = "1",
     rows: Annotated[
-        str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, such as 0,1 (default 0).")
+        str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, such as 0,1.")
     ] = "0",
-    out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Dataset to record into (default recordings).")
-    ] = Path("recordings"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
     depth: Annotated[
         str | None,
         typer.Option(
@@ -70,16 +61,16 @@ def collect(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(help="Random seed of the order of directions and of a virtual lab (default 0).")
+        int, typer.Option(help="Random seed of the order of directions and of a virtual lab.")
     ] = 0,
     virtual: Annotated[
         bool, typer.Option("--virtual", help="Run on a virtual lab instead of a robot.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print the path, its duration and bounds; move nothing.")
+        bool, typer.Option("--dry-run", help="Print the path, its duration and bounds; do not move the arm.")
     ] = False,
     show: Annotated[
-        bool, typer.Option("--print", help="Print the plan file, to copy and edit it; move nothing.")
+        bool, typer.Option("--print", help="Print the plan file, as a template to edit; do not move the arm.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -88,9 +79,9 @@ def collect(
     The result is a labelled dataset with splits. The plan file has surfaces, speeds, depth or force,
     workspace and limits. Unless it gives the pose of the surface, start with the fingertip just touching
     it. Each stroke moves down, rests, slides, rests and moves up. Ctrl-C stops the arm and then commits the
-    recording; SIGUSR1 pauses and resumes. The arm is stopped for good by a stop of its controller, at the
-    limits of the plan, and when a fingertip gives no samples or measures no contact. Needs the ur extra,
-    except with --dry-run.
+    recording; SIGUSR1 pauses and resumes. The collection ends, with the arm stopped, if the controller
+    stops, a limit of the plan is exceeded, or a fingertip gives no samples or measures no contact. Needs the
+    ur extra, except with --dry-run.
 
     Examples:
       slipflow collect tiny --dry-run --robot 10.0.0.2
@@ -119,7 +110,7 @@ def collect(
     if virtual:
         chosen = _on_virtual_lab(chosen)
     with suppress(ValueError):  # not in the main thread
-        signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # before and after the drive it would end the process
+        signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # else it ends the process before and after the strokes
     logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
     if dry_run:
         _print_path(chosen, robot, seed, virtual=virtual, as_json=as_json)
@@ -141,7 +132,7 @@ def _setup(robot: str, bus: str, rows: str, out: Path) -> "Setup":
 
 
 def _on_virtual_lab(plan: "CollectionPlan") -> "CollectionPlan":
-    """Return a plan whose surface is that of a virtual lab, with limits for a busy host."""
+    """Return the plan for the surface of a virtual lab, with limits for a busy host."""
     if len(plan.surfaces) > 1:
         raise typer.BadParameter("--virtual: a virtual lab has one surface, the plan has several")
     limits = replace(
@@ -203,10 +194,10 @@ def _report(result: "CollectionResult", *, as_json: bool) -> None:
     found: dict[str, Any] = describe_result(result)
     typer.echo(json.dumps(found) if as_json else result_text(found))
     if result.interrupted:
-        typer.echo("interrupted; the arm stands where it is", err=True)
+        typer.echo("interrupted; the arm has stopped where it is", err=True)
         raise typer.Exit(130)
     if result.error:
-        typer.echo(f"error: {result.error}; the arm stands where it is", err=True)
+        typer.echo(f"error: {result.error}; the arm has stopped where it is", err=True)
         raise typer.Exit(2)
     if any(each["dropped"] or each["gaps"] for each in found["sessions"]):
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""Registration of commands: help with panels and examples, and errors of usage in one line."""
+"""Registration of commands: help with panels and examples, and usage errors in one line."""
 
 import re
 from collections.abc import Callable
@@ -40,9 +40,9 @@ def command_group(text: str) -> typer.Typer:
 
 
 def register(app: typer.Typer, function: Callable[..., Any], panel: str | None = None) -> None:
-    """Make a function a command of its name.
+    """Register a function as the command of the same name.
 
-    Its docstring is the help; the lines below ``Examples:`` stay as they are.
+    Its docstring is the help; the lines below ``Examples:`` are not wrapped.
     """
     text, _, lines = (getdoc(function) or "").partition("Examples:\n")
     epilog = f"\b\nExamples:\n{lines}"  # \b: no line is wrapped up to the next empty one
@@ -51,7 +51,7 @@ def register(app: typer.Typer, function: Callable[..., Any], panel: str | None =
 
 
 def usage_error(error: typer.TyperException) -> str:
-    """Return one line with the mistake and the help to read, or the whole help if no command was given.
+    """Return one line with the error and the command for help, or the whole help if no command was given.
 
     >>> usage_error(typer.BadParameter("--surface cube: give plane or sphere"))
     'error: --surface cube: give plane or sphere'

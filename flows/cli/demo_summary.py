@@ -23,7 +23,7 @@ def local_broker() -> str | None:
 
 
 def summarize(run: Run, out: Path, broker: str | None) -> dict[str, Any]:
-    """Compare the slips of a demo run, recorded in the dataset `out`, with the simulated truth."""
+    """Compare the slips that a demo run recorded in the dataset `out` with the simulated truth."""
     session = Session.open(out / "sessions" / run.session)
     slips = concat(Slips, list(session.read(Slips, 0)))
     onsets = slips.time[slips.state == SLIP]

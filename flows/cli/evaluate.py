@@ -16,7 +16,7 @@ from flows.cli.report_output import (
 )
 from flows.cli.terminal import note
 
-# Imports inside functions: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 
@@ -24,7 +24,7 @@ def evaluate(
     dataset: Dataset,
     *,
     split: Annotated[
-        str, typer.Option(help="Split to evaluate on: train, validation, test or all (default test).")
+        str, typer.Option(help="Split to evaluate on: train, validation, test or all.")
     ] = "test",
     model: Models = None,
     method: Methods = None,

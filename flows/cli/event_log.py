@@ -34,8 +34,8 @@ Log = Annotated[
     Format,
     typer.Option(
         "--log",
-        help="json: print slips, failures, and the start and end of the run, each as one JSON object per"
-        " line.",
+        help="Format of the log. json: print slips, failures, and the start and end of the run as one JSON"
+        " object per line.",
     ),
 ]
 
@@ -88,7 +88,7 @@ def begin_log(form: Format, stream: TextIO | None = None) -> None:
 
 
 def with_json_console(flow: "Flow") -> "Flow":
-    """Return a copy of a flow whose consoles print JSON; without one, add one for its slips and faults."""
+    """Return a copy of a flow whose consoles print JSON; if it has none, add one for slips and faults."""
     from connectors import Console
     from operators import Faults, Slips
 

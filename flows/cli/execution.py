@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
 
 def separate_result(*, as_json: bool, log: Format) -> AbstractContextManager[object]:
-    """Redirect what sinks print to stderr if stdout is for a JSON result; a JSON log stays on stdout."""
+    """Redirect the output of sinks to stderr if stdout is for a JSON result; a JSON log stays on stdout."""
     return redirect_stdout(sys.stderr) if as_json and log is Format.TEXT else nullcontext()
 
 
 def session_name(flow: "Flow") -> str:
-    """Return the name of a session that begins now."""
+    """Return the name of a session that starts now."""
     from datetime import UTC, datetime
 
     return f"{flow.name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%f}Z"
@@ -52,7 +52,7 @@ async def execute(
         pace: Speed of the replay as a multiple of real time; None: full speed.
 
     Raises:
-        SlipflowError: if the run cannot begin, or a replay fails.
+        SlipflowError: if the run cannot start, or a replay fails.
     """
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
@@ -87,7 +87,7 @@ def report_run(run: "Run", *, replayed: Path | None, seconds: float, log: Format
         typer.echo(replays_as_json([Replayed(str(replayed), summary, error=run.error)], seconds))
     elif as_json:
         typer.echo(json.dumps(summary.as_dict()))
-    elif log is Format.TEXT:  # a JSON log ends with the same facts
+    elif log is Format.TEXT:  # a JSON log ends with the same data
         typer.echo(summary.report())
     if run.error:
         note(f"error: {run.error}")

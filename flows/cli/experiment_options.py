@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from flows.lab.experiments.study import Method, Trials
     from flows.lab.experiments.trial import Conditions
 
-# Imports inside functions: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
-Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object (default 20).")]
+Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object.")]
 Seed = Annotated[
-    int, typer.Option(min=0, help="Seed of the first trial; the others follow (default 900000).")
+    int, typer.Option(min=0, help="Random seed of the first trial; it increases by 1 per trial.")
 ]
 Objects = Annotated[
     list[str] | None,
@@ -25,13 +25,13 @@ Objects = Annotated[
         "--object",
         metavar="NAME",
         help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve or metal_can; repeatable"
-        " (default all).",
+        " (default: all).",
     ),
 ]
 Detectors = Annotated[
     list[str] | None,
     typer.Option(
-        "--method", metavar="NAME", help="Detector, by name or model file; repeatable (default several)."
+        "--method", metavar="NAME", help="Detector, by name or model file; repeatable (default: several)."
     ),
 ]
 Rules = Annotated[
@@ -39,21 +39,17 @@ Rules = Annotated[
     typer.Option(
         "--rule",
         metavar="NAME",
-        help="Grip force rule: ours, steps (the paper's) or none; repeatable (default several).",
+        help="Grip force rule: ours, steps (the paper's) or none; repeatable (default: several).",
     ),
 ]
 Route = Annotated[
-    str, typer.Option("--path", help="Route of commands to the gripper: direct (1ms, default) or mqtt (6ms).")
+    str, typer.Option("--path", help="Route of commands to the gripper: direct (1ms) or mqtt (6ms).")
 ]
-Delay = Annotated[
-    str, typer.Option(metavar="TIME", help="Delay added between a decision and its command (default 0s).")
-]
-Rate = Annotated[float, typer.Option(min=10, max=500, metavar="HZ", help="Samples per second (default 100).")]
+Delay = Annotated[str, typer.Option(metavar="TIME", help="Delay added between a decision and its command.")]
+Rate = Annotated[float, typer.Option(min=10, max=500, metavar="HZ", help="Samples per second.")]
 Locks = Annotated[bool, typer.Option("--locks", help="Gripper cannot loosen (like a Robotiq 3-Finger).")]
-Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default one per core).")]
-Out = Annotated[
-    Path, typer.Option(metavar="DIR", help="Folder for the report and its figure (default experiment).")
-]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default: one per core).")]
+Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report and its figure.")]
 _OUTPUT = ("jobs", "out", "as_json")  # parameters that do not change the results
 
 
@@ -85,7 +81,7 @@ def trials_of(count: int, seed: int, objects: list[str] | None) -> "Trials":
 def methods_of(
     usual: "Sequence[Method]", detectors: list[str] | None, rules: list[str] | None
 ) -> "list[Method]":
-    """Return the named detectors with each rule; without names, the usual methods that follow the rules.
+    """Return each named detector with each rule; without names, the usual methods that have these rules.
 
     Raises:
         ParameterError: on an unknown rule.

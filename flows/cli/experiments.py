@@ -28,7 +28,7 @@ from flows.cli.options import AsJson
 from flows.cli.report_output import prepare_report, write_report
 from flows.cli.terminal import check_output_file, note, progress_bar
 
-# Imports inside functions: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 app = command_group("Run the paper's robot experiments in simulation, closed loop.")
@@ -46,10 +46,10 @@ def tap(
     out: Out = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Hit held objects with a mallet: is the slip registered?
+    """Hit held objects with a mallet and count the registered slips.
 
-    Prints success next to the paper's, how trials failed, and false slips. Writes tap.html, .md, .json and
-    .svg.
+    Prints success next to the paper's, failed trials by ending, and false slips. Writes tap.html, .md, .json
+    and .svg.
 
     Examples:
       slipflow experiment tap --method tcn --object ball --trials 5
@@ -80,20 +80,24 @@ def lift(
     rate: Rate = 100.0,
     locks: Locks = False,
     stress: Annotated[
-        bool, typer.Option("--stress", help="Vary friction, mass, delay, rate and a dead cell instead.")
+        bool,
+        typer.Option(
+            "--stress", help="Vary friction, mass, delay, rate, dead cells and gripper, one at a time."
+        ),
     ] = False,
     ablation: Annotated[
-        bool, typer.Option("--ablation", help="Find the delay and rate at which the lift breaks instead.")
+        bool, typer.Option("--ablation", help="Find the delay and rate at which the lift fails.")
     ] = False,
     jobs: Jobs = None,
     out: Out = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Lift objects gripped too weakly: does more force hold them?
+    """Lift objects that are gripped too weakly and count those that are held.
 
-    Prints success next to the paper's, how trials failed, how far objects slid and the force that held them.
+    Prints success next to the paper's, failed trials by ending, slides and holding forces.
     Writes lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation
-    lift-ablation.html, .md, .json and .svg. --ablation sets path, delay, rate and gripper itself.
+    lift-ablation.html, .md, .json and .svg. --ablation
+    sets path, delay, rate and gripper.
 
     Examples:
       slipflow experiment lift --object ball --trials 5
@@ -106,7 +110,7 @@ def lift(
         raise typer.BadParameter("--stress takes one --method and one --rule")
     conditions = conditions_of(path, delay, rate, locks=locks)
     if ablation and conditions != conditions_of("direct", "0s", 100):
-        raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it sets its own")
+        raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it sets these")
     from flows.lab.experiments.study import DEFAULT, NONE, OURS, STEPS, Method
 
     trials, again = trials_of(count, seed, objects), command_line(context)
@@ -144,20 +148,18 @@ def learn(
             "--out",
             "-o",
             metavar="FILE",
-            help="Model file, .safetensors; its card is the .json next to it (default tcn_grasp).",
+            help="Model file, .safetensors; its card has the same name with .json.",
         ),
     ] = Path("tcn_grasp.safetensors"),
-    grasps: Annotated[
-        int, typer.Option(min=20, help="Number of simulated grasps to train on (default 4000).")
-    ] = 4000,
-    steps: Annotated[int, typer.Option(min=1, help="Number of training steps (default 2600).")] = 2600,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the recordings (default 7000).")] = 7000,
+    grasps: Annotated[int, typer.Option(min=20, help="Number of simulated grasps to train on.")] = 4000,
+    steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 2600,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the recordings.")] = 7000,
     as_json: AsJson = False,
 ) -> None:
     """Train the grasp detector, tcn_grasp.
 
-    Trains on simulated grasps and strokes, labelled by true sliding; none has one of the six objects. Needs
-    the train extra.
+    Trains on simulated grasps and strokes, labelled by true sliding. The six objects of the experiments
+    are not among them. Needs the train extra.
 
     Examples:
       slipflow experiment learn -o mine.safetensors

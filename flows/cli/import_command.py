@@ -58,7 +58,7 @@ def import_(
         ),
     ] = "3mm/s",
     delay: Annotated[
-        str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this much later.")
+        str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
     ] = "0s",
     session: Annotated[
         str | None, typer.Option(metavar="NAME", help="Name of the session (default: the file's name).")

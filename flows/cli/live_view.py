@@ -1,4 +1,4 @@
-"""The live page and the metrics of a running flow: options of the commands that serve them, and wiring."""
+"""Live page and metrics of a running flow: their options, and the sinks that serve them."""
 
 import os
 import sys
@@ -34,8 +34,8 @@ NoBrowser = Annotated[
     bool,
     typer.Option(
         "--no-browser",
-        help="Print the address of the page, but do not open a browser. None is opened either if stdout or"
-        " stderr is not a terminal.",
+        help="Print the address of the page, but do not open a browser (the default if stdout or stderr is"
+        " not a terminal).",
     ),
 ]
 Metrics = Annotated[

@@ -7,7 +7,7 @@ import typer
 
 from flows.cli.terminal import check_output_file
 
-# Imports inside functions: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 

@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 # ruff: noqa: PLC0415
 
 
-def recover(place: DatasetOrSession, *, as_json: AsJson = False) -> None:
+def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
     """Repair recordings after a crash.
 
     Moves rows from the journal of a killed recording into the dataset. Opening such a session with slipflow
     does the same; other readers see the rows only afterwards. Sessions that are complete, or are being
-    recorded, are not changed. Unreadable and duplicate files are kept in a folder `damaged`. Files that are
-    in the manifest are not read; `slipflow verify` reads them.
+    recorded, are not changed. Unreadable and duplicate files are moved to the folder `damaged`. Files in the
+    manifest are not read; `slipflow verify` reads them.
 
     Exits 0 if there was nothing to do, 3 if something was repaired, 1 if a session could not be repaired.
 
@@ -34,12 +34,12 @@ def recover(place: DatasetOrSession, *, as_json: AsJson = False) -> None:
     from storage.layout import SESSION, SESSIONS, headless, headless_names, session_folder, session_names
     from storage.lock import locked
 
-    single = (place / SESSION).exists() or headless(place)
-    folders = [place] if single else [session_folder(place, name) for name in session_names(place)]
-    without_description = [place / SESSIONS / name for name in ([] if single else headless_names(place))]
+    single = (path / SESSION).exists() or headless(path)
+    folders = [path] if single else [session_folder(path, name) for name in session_names(path)]
+    without_description = [path / SESSIONS / name for name in ([] if single else headless_names(path))]
     if not folders and not without_description:
         raise typer.BadParameter(
-            f"{place} is not a session and holds none: give the folder of a dataset or of a session"
+            f"{path} is not a session and has none: give the folder of a dataset or of a session"
         )
     done: list[Recovery] = []
     errors = [f"{folder}: {SESSION} is missing: see slipflow verify" for folder in without_description]

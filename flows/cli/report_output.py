@@ -1,4 +1,4 @@
-"""Output of commands that make a report, and the options they share."""
+"""Output of commands that write a report, and their shared options."""
 
 import json
 from collections.abc import Sequence
@@ -14,11 +14,9 @@ if TYPE_CHECKING:
 
 Dataset = Annotated[Path, typer.Argument(metavar="DATASET", help="Labelled dataset with splits.")]
 Budget = Annotated[
-    float, typer.Option(min=0, help="False alarms per static minute to tune the debounce for (default 2).")
+    float, typer.Option(min=0, help="Tune the debounce for this many false alarms per static minute.")
 ]
-ReportFolder = Annotated[
-    Path, typer.Option(metavar="DIR", help="Folder of the report (default: the command's name).")
-]
+ReportFolder = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report.")]
 
 
 def prepare_report(folder: Path) -> None:
@@ -43,6 +41,6 @@ def write_report(report: "Report", folder: Path, name: str, *, as_json: bool) ->
 
 
 def method_options(models: Sequence[Path], names: Sequence[str]) -> str:
-    """Return the options that choose these methods, for the command in a report."""
+    """Return the command-line options that select these models and methods, for the command in a report."""
     given = [*(f"--model {path.name}" for path in models), *(f"--method {name}" for name in names)]
     return "".join(f" {option}" for option in given)

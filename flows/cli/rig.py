@@ -1,4 +1,4 @@
-"""Command that serves the virtual lab."""
+"""The command `slipflow rig`."""
 
 import asyncio
 import logging
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from connectors.emulators.ur_controller import Ports
     from connectors.sim.scene import Curvature
 
-# What a command needs is imported inside it: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 MAX_PORT = 65535
@@ -26,28 +26,28 @@ def rig(
         str,
         typer.Option(
             metavar="ADDRESS",
-            help="Address on which the servers listen (default 127.0.0.1); all its clients can move the arm.",
+            help="Address on which the servers listen; every client can move the arm.",
         ),
     ] = "127.0.0.1",
     rtde: Annotated[
-        int, typer.Option(min=0, max=MAX_PORT, help="RTDE port (default 30004, the only one for ur-rtde).")
+        int, typer.Option(min=0, max=MAX_PORT, help="RTDE port; ur-rtde supports only 30004.")
     ] = 30004,
     script: Annotated[
-        int, typer.Option(min=0, max=MAX_PORT, help="Script port (default 30003, the only one for ur-rtde).")
+        int, typer.Option(min=0, max=MAX_PORT, help="Script port; ur-rtde supports only 30003.")
     ] = 30003,
     dashboard: Annotated[
         int,
-        typer.Option(min=0, max=MAX_PORT, help="Dashboard port (default 29999, the only one for ur-rtde)."),
+        typer.Option(min=0, max=MAX_PORT, help="Dashboard port; ur-rtde supports only 29999."),
     ] = 29999,
     gripper: Annotated[
         int,
-        typer.Option(min=-1, max=MAX_PORT, help="Modbus port of the gripper (default 5020); -1: no gripper."),
+        typer.Option(min=-1, max=MAX_PORT, help="Modbus port of the gripper; -1: no gripper."),
     ] = GRIPPER,
     surface: Annotated[
         str,
-        typer.Option(metavar="NAME", help="plane, sphere, cylinder_x or cylinder_y (default plane)."),
+        typer.Option(metavar="NAME", help="Surface: plane, sphere, cylinder_x or cylinder_y."),
     ] = "plane",
-    seed: Annotated[int, typer.Option(help="Random seed of the noise (default 0).")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of the noise.")] = 0,
     duration: Annotated[
         str | None,
         typer.Option(

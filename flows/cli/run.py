@@ -32,7 +32,7 @@ def run(
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(min=1, help="Processes that replay recordings (default: one per core)."),
+        typer.Option(min=1, help="Number of processes that replay recordings (default: one per core)."),
     ] = None,
     pace: Annotated[
         float | None,
@@ -125,7 +125,7 @@ def run(
 
 
 def _check_options(*checks: tuple[bool, str]) -> None:
-    """Raise the message of the first check that is false."""
+    """Raise an error with the message of the first check that failed."""
     for passed, message in checks:
         if not passed:
             raise typer.BadParameter(message)

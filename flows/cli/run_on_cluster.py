@@ -51,7 +51,7 @@ def run_on_cluster(
 ) -> None:
     """Replay recordings on a Flink cluster, each to a session of the same name.
 
-    Stops after `limit` ns when following. Exits 1 if a replay failed, 130 if interrupted.
+    With `follow`, stop after `limit` ns. Exits 1 if a replay failed, 130 if interrupted.
     """
     from time import monotonic
 

@@ -18,13 +18,15 @@ def simulate(
     *,
     plan: Annotated[
         str,
-        typer.Option(help="paper: 44 minutes; wide: 30 minutes, 30 materials; tiny: 2 minutes."),
+        typer.Option(help="Plan: paper (44 minutes), wide (30 minutes, 30 materials) or tiny (2 minutes)."),
     ] = "paper",
     seed: Annotated[int, typer.Option(help="Random seed; the same seed gives identical output.")] = 0,
     delay: Annotated[
-        str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this much later.")
+        str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
     ] = "0s",
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes (default: one per core).")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Number of processes (default: one per core).")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a collection plan as a labelled dataset.

@@ -9,7 +9,7 @@ from flows.cli.options import AsJson, Methods, Models
 from flows.cli.report_output import ReportFolder, method_options, prepare_report, write_report
 from flows.cli.terminal import note, progress_bar
 
-# Imports inside functions: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 
@@ -17,19 +17,17 @@ def stress(
     *,
     model: Models = None,
     method: Methods = None,
-    seed: Annotated[
-        int, typer.Option(min=0, help="Random seed of the simulated recordings (default 4000).")
-    ] = 4000,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the simulated recordings.")] = 4000,
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Number of processes (default: one per core).")
     ] = None,
     out: ReportFolder = Path("stress"),
     as_json: AsJson = False,
 ) -> None:
-    """Find the stress at which each detector fails, in minutes.
+    """Find the level of each stress at which each detector fails.
 
-    Simulates every stress from nominal to broken. Writes stress.html, .md, .json and figures. Needs the train
-    extra.
+    Simulates every stress from nominal to broken, which takes minutes. Writes stress.html, .md, .json and
+    figures. Needs the train extra.
 
     Examples:
       slipflow stress --method tcn --method psd --jobs 2

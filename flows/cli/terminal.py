@@ -12,12 +12,12 @@ import typer
 
 
 def note(text: str) -> None:
-    """Print a message on stderr, apart from the result on stdout."""
+    """Print a message on stderr; stdout is for the result."""
     typer.echo(text, err=True)
 
 
 def check_output_file(path: Path) -> None:
-    """Require that a file can be created at `path`: its folder exists, and `path` is not a folder itself.
+    """Require that a file can be created at `path`: its folder exists, and `path` is not a folder.
 
     Raises:
         EndpointError: if it cannot.
@@ -34,7 +34,7 @@ class Progress(Protocol):
     """Callback that updates a progress bar."""
 
     def __call__(self, done: int, total: int, part: str = "") -> None:
-        """Show that `done` of `total` steps are done, and which part is in work."""
+        """Show that `done` of `total` steps are done, and the part in progress."""
         ...
 
 

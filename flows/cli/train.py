@@ -12,7 +12,7 @@ from flows.cli.terminal import check_output_file, note, progress_bar
 if TYPE_CHECKING:
     from flows.learn.training.learning_curve import Check
 
-# Imports inside functions: `slipflow --help` must not wait for numpy.
+# Slow imports are inside functions: `slipflow --help` must be fast.
 # ruff: noqa: PLC0415
 
 
@@ -25,26 +25,24 @@ def train(
             "--out",
             "-o",
             metavar="FILE",
-            help="Model file, .safetensors; its card has the same name with .json (default"
-            " model.safetensors).",
+            help="Model file, .safetensors; its card has the same name with .json.",
         ),
     ] = Path("model.safetensors"),
     method: Annotated[
         str,
         typer.Option(
-            help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn, frequency_cnn_interleaved"
-            " (default tcn)."
+            help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn, frequency_cnn_interleaved."
         ),
     ] = "tcn",
     filters: Annotated[
-        int, typer.Option(min=1, help="Width of the tcn; wider is slower and more accurate (default 16).")
+        int, typer.Option(min=1, help="Filters per layer of the tcn; more are slower and more accurate.")
     ] = 16,
-    steps: Annotated[int, typer.Option(min=1, help="Training steps of the tcn (default 4000).")] = 4000,
-    epochs: Annotated[int, typer.Option(min=1, help="Epochs of the paper's networks (default 20).")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed (default 0).")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Number of training steps of the tcn.")] = 4000,
+    epochs: Annotated[int, typer.Option(min=1, help="Number of epochs of the paper's networks.")] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
     seeds: Annotated[
         int,
-        typer.Option(min=1, help="Number of seeds to train with, from --seed on; keep the best (default 1)."),
+        typer.Option(min=1, help="Train with this many seeds, from --seed on, and keep the best model."),
     ] = 1,
     lag: Annotated[
         str | None,
@@ -55,14 +53,14 @@ def train(
         ),
     ] = None,
     curve: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the learning curve, .svg or .png.")
+        Path | None, typer.Option(metavar="FILE", help="Draw the learning curve to this .svg or .png file.")
     ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Train a slip detector.
 
-    Learns from the train split; the validation split chooses the best check; the test split is only
-    reported. Ctrl-C stops the training without a model. Needs the train extra.
+    Learns from the train split; the validation split selects the best checkpoint; the test split is
+    only reported. Ctrl-C stops the training without a model. Needs the train extra.
 
     Examples:
       slipflow train recordings -o mine.safetensors

@@ -40,15 +40,15 @@ def check_file(path: Path) -> None:
     check_output_file(path)
 
 
-def write(found: Verified, place: Path, path: Path) -> None:
-    """Write the page about a verification of `place`.
+def write(found: Verified, dataset: Path, path: Path) -> None:
+    """Write the page about a verification of a dataset or session.
 
     Raises:
         EndpointError: if it cannot be written.
     """
-    command = shlex.join(["slipflow", "verify", str(place), "--report", str(path)])
+    command = shlex.join(["slipflow", "verify", str(dataset), "--report", str(path)])
     try:
-        path.write_text(report(found, place, command).html(), encoding="utf-8")
+        path.write_text(report(found, dataset, command).html(), encoding="utf-8")
     except OSError as error:
         raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
 
@@ -72,14 +72,14 @@ def size(found: Verified) -> str:
     )
 
 
-def report(found: Verified, place: Path, command: str) -> Report:
-    """Return the report about a verification of `place` by `command`."""
+def report(found: Verified, dataset: Path, command: str) -> Report:
+    """Return the report about a verification of a dataset or session by `command`."""
     text = (
         "Every file was compared with the manifest: SHA-256, page checksums, rows and times. lost: recorded"
         " data is missing or damaged. lossy: rows are known to be missing. repaired and repairable: no row is"
         " lost. note: not a fault."
     )
-    title = f"{place.resolve().name}: {size(found)}: {VERDICTS[found.worst]}"
+    title = f"{dataset.resolve().name}: {size(found)}: {VERDICTS[found.worst]}"
     return Report(title, text, [_sessions(found), _findings(found)], command)
 
 
@@ -107,7 +107,6 @@ def _sessions(found: Verified) -> Section:
     )
     if found.sessions > MAX_SESSIONS:
         text += f" Of {found.sessions:,} sessions the {MAX_SESSIONS} with the most severe findings are drawn."
-
     if reason := lacking():
         text = f"Figures {reason}."
     head = ["session", "files", "rows", "unreadable rows", "span, s", "findings", "worst"]

@@ -17,18 +17,23 @@ if TYPE_CHECKING:
 
 
 def verify(
-    place: DatasetOrSession,
+    path: DatasetOrSession,
     *,
     report: Annotated[
         Path | None,
-        typer.Option("--report", "-o", metavar="FILE.html", help="Also write a page to an existing folder."),
+        typer.Option(
+            "--report",
+            "-o",
+            metavar="FILE.html",
+            help="Also write the result as a page; its folder must exist.",
+        ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read all of a dataset and report what is missing or damaged.
+    """Read every file of a dataset and report missing or damaged data.
 
-    Compares every file with the manifest: SHA-256, page checksums, rows and times. Changes nothing, and may
-    run during a recording, of which it checks the committed part.
+    Compares every file with the manifest: SHA-256, page checksums, rows and times. Changes nothing. During
+    a recording it checks the committed part.
 
     Exits 0 if the data is complete; 3 if something was or can be repaired without loss, or rows are known to
     be missing (for example dropped ones); 1 if recorded data is lost or damaged, even after a recovery. With
@@ -45,20 +50,20 @@ def verify(
     if report is not None:
         page.check_file(report)
     with progress_bar("verifying") as update:
-        found = check(place, update)
+        found = check(path, update)
     if report is not None:
-        page.write(found, place, report)
+        page.write(found, path, report)
         note(f"wrote {report}" + (f"; figures {reason}" if (reason := lacking()) else ""))
-    typer.echo(json.dumps(page.summary(found)) if as_json else _text(place, found))
+    typer.echo(json.dumps(page.summary(found)) if as_json else _text(path, found))
     if found.code:
         raise typer.Exit(found.code)
 
 
-def _text(place: Path, found: "Verified") -> str:
+def _text(path: Path, found: "Verified") -> str:
     from flows.cli.verification_page import VERDICTS, size
 
     width = max((len(each.weight) for each in found.findings), default=0)
     lines = [
         f"{each.weight:{width}}  {each.session}: {each.text}".replace(" : ", " ") for each in found.findings
     ]
-    return "\n".join([*lines, f"{place}: {size(found)}: {VERDICTS[found.worst]}"])
+    return "\n".join([*lines, f"{path}: {size(found)}: {VERDICTS[found.worst]}"])

@@ -20,12 +20,15 @@ def watch(
         str, typer.Argument(metavar="URL", help="Address of the MQTT broker.")
     ] = "mqtt://localhost",
     *,
-    site: Annotated[str, typer.Option(help="Show this site only; + for all.")] = "+",
+    site: Annotated[str, typer.Option(help="Show only this site; +: all sites.")] = "+",
     rig: Annotated[
-        str, typer.Option(help="Show this rig only; + for all live rigs. Replays are shown by name only.")
+        str, typer.Option(help="Show only this rig; +: all live rigs. A replay is shown only if it is named.")
     ] = "+",
     since: Annotated[
-        str, typer.Option(help="now: new events only; start: first all events that the rigs still have.")
+        str,
+        typer.Option(
+            help="Start with new events (now), or with all events that the rigs still have (start)."
+        ),
     ] = "now",
     position: Annotated[
         Path | None,
@@ -51,7 +54,7 @@ def watch(
     from connectors import Consumer
 
     if since not in ("now", "start"):
-        raise typer.BadParameter(f"--since {since}: write now or start")
+        raise typer.BadParameter(f"--since {since}: give now or start")
 
     async def show() -> None:
         async with Consumer(

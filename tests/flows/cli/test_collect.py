@@ -177,7 +177,7 @@ def test_ctrl_c_stops_a_virtual_collection_and_commits(tmp_path: Path) -> None:
     assert "interrupted" in found["error"]
     (session,) = tmp_path.glob("recordings/sessions/*/session.json")
     assert "interrupted" in json.loads(session.read_text())["error"]
-    assert "interrupted; the arm stands where it is" in messages
+    assert "interrupted; the arm has stopped where it is" in messages
 
 
 @pytest.mark.skipif(importlib.util.find_spec("pymodbus") is None, reason="needs the extra `gripper`")
