@@ -26,9 +26,9 @@ _LABELS: Final = {"slip": SLIP, "static": STATIC, "unknown": UNKNOWN}
 
 @dataclass
 class AttachLabels(Operator[Zeroed, Labelled]):
-    """Attach the labels of a file to its rows, in order.
+    """Operator that attaches the labels of a file to its rows, in order.
 
-    Samples keep their motion and speed; touches have NaN instead.
+    Samples keep their motion and speed; both are NaN for touch rows.
     """
 
     labels: tuple[int, ...] = field(repr=False)  # per row: 1 slip, 0 static, -1 unknown

@@ -45,7 +45,7 @@ PLANS: Final[Mapping[str, PaperPlan]] = {
 _SEED_OFFSET: Final = {"tiny": 1_000_000}  # no recording of a small plan occurs in a large one
 _EPOCH: Final = 1_609_459_200 * s  # ns, 2021-01-01
 _SPACING: Final = 60 * s  # ns between the starts of two recordings, which are shorter
-_WHOLE: Final = 3600 * s  # ns, longer than any recording, so that each table of a session is one part
+_PART_SPAN: Final = 3600 * s  # ns, longer than any recording, so that each table of a session is one part
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +182,7 @@ def simulate(
     Raises:
         ParameterError: on an unknown plan, a negative seed, or less than one job.
         EndpointError: if the folder is not empty or cannot be written to.
-        SlipflowError: if a recording cannot be made; nothing is left then.
+        SlipflowError: if a recording cannot be simulated; the folder is deleted then.
     """
     began = perf_counter()
     planned = planned_recordings(plan, seed)
@@ -215,7 +215,7 @@ async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
     streams: tuple[Source[Any], ...] = (rig.touch, rig.motion, rig.episodes, rig.truth)
     finished = _FinishedScene(planned.session, await asyncio.gather(*(_all(each, clock) for each in streams)))
     flow = Flow("simulate")
-    dataset = Dataset(root, part_span=_WHOLE, host="simulated")
+    dataset = Dataset(root, part_span=_PART_SPAN, host="simulated")
     declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
     runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, finished.streams)))
     about = {

@@ -9,7 +9,7 @@ STEP = 10 * ms  # ns; least change of the host clock's offset that counts as a s
 
 
 class LoopClock:
-    """Clock of the running event loop: monotonic, so steps of the host's clock change no stamp.
+    """Clock of the running event loop: monotonic, so steps of the host's clock do not affect time stamps.
 
     A paced replay starts it at the recording's first stamp, possibly faster or slower than real time.
     """

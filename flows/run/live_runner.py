@@ -21,9 +21,9 @@ from operators.operator import LateRowFilter
 from operators.ports import Clock, ClockStep, Gap, Run, Sink, Source, SourceStatus
 
 CLOCK_CHECK = 1.0  # s, between two checks of the host's clock
-YIELD_EVERY = 16  # rows, after which a source that never waits yields to the event loop
-LAGGING = 50 * ms  # ns; a source with an older newest row is catching up, as all do after a stall of the host
-PASSES = 8  # of the event loop, that a source catching up waits for older rows of the others
+YIELD_EVERY = 16  # rows; a source that never waits yields to the event loop after as many
+LAGGING = 50 * ms  # ns; a source whose newest row is older is catching up, as after a stall of the host
+PASSES = 8  # passes of the event loop that a source catching up waits for older rows of the others
 
 
 class LiveRunner:
@@ -32,7 +32,7 @@ class LiveRunner:
     A source that fails is restarted with a back-off, and its gap is recorded. A sink that fails is retried
     with the same batch and never blocks the others. While a lossless sink is slow, the sources wait; other
     sinks drop their oldest batch. A sink that is stuck counts as failing. Rows for which a failing sink has
-    no room are counted as dropped. Steps of the host's clock are recorded; they change no stamp.
+    no room are counted as dropped. Steps of the host's clock are recorded; they do not affect time stamps.
 
     Args:
         flow: Flow to run.
@@ -177,7 +177,7 @@ class LiveRunner:
         """Push batches through the operators into the queues; wait while a queue is full."""
         waiting = None if self._pending else self._enqueue(self.compiled.push(batches))
         if waiting == []:
-            return  # the usual case: nothing waited, so no other source ran in between
+            return  # the usual case: no await, so no other source ran in between
         self._pending += 1
         try:
             async with self._push:

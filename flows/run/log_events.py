@@ -1,4 +1,4 @@
-"""Log events of a run: a line of text for people, and structured data for programs."""
+"""Log events of a run, each with a line of text and structured data."""
 
 import logging
 from dataclasses import asdict

@@ -72,7 +72,7 @@ class Replays:
 
         Args:
             jobs: Number of processes; None: one per core, or one if a sink is exclusive.
-            stopped: Returns whether to stop; sessions are then committed as incomplete.
+            stopped: Returns True to stop; sessions are then committed as incomplete.
             progress: Called with the number of finished recordings and of source rows.
 
         Raises:
@@ -93,10 +93,10 @@ class Replays:
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
-    """Return the sessions and CSV traces in `paths`; a dataset stands for all of its sessions, sorted.
+    """Return the sessions and CSV traces in `paths`; a dataset is replaced by all of its sessions, sorted.
 
     Raises:
-        InputError: if a folder holds no session.
+        InputError: if a dataset has no session.
     """
     found = list[Path]()
     for path in paths:
@@ -105,7 +105,7 @@ def recordings(paths: Iterable[Path]) -> list[Path]:
         elif names := session_names(path):
             found += [session_folder(path, name) for name in names]
         else:
-            raise InputError(str(path), "has no session: name a dataset, a session's folder, or a CSV trace")
+            raise InputError(str(path), "has no session: give a dataset, a session's folder, or a CSV trace")
     return found
 
 

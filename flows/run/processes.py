@@ -1,4 +1,4 @@
-"""Process pool: results in order, a process that dies costs its item only, and workers end with their parent.
+"""Process pool: results are in order, a process that dies loses only its item, workers end with their parent.
 
 Parent and worker share one pipe. The worker receives items one by one, reports progress and sends one result
 per item. It ends when its end of the pipe closes, which also happens when the parent is killed.
@@ -27,9 +27,9 @@ from operators.errors import SlipflowError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Pipe: TypeAlias = "Connection[Any, Any]"
-Watch: TypeAlias = Callable[[int], bool]  # takes the progress of an item, e.g. rows; returns whether to stop
+Watch: TypeAlias = Callable[[int], bool]  # takes the progress of an item, such as rows; returns True to stop
 
-_REPORT_INTERVAL: Final = 0.2  # s, least time between two progress reports of a worker
+_REPORT_INTERVAL: Final = 0.2  # s, shortest time between two progress reports of a worker
 _POLL_INTERVAL: Final = 0.2  # s, between two checks for a request to stop
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numpy's libraries
 _NOT_STARTED: Final = "was not started: interrupted"
@@ -79,7 +79,7 @@ class WorkerPool(Generic[Item, Result]):
         work: Function of a module. It returns soon after its `Watch` returns True, with a partial result.
         items: Items; they and the results are pickled.
         lost: Returns the result of an item whose process died or that was not started, given the reason.
-        stopped: Returns whether to stop: items in progress return early, the rest is lost.
+        stopped: Returns True to stop: items in progress return early, the rest is lost.
         progress: Called with the number of finished items and the sum of their progress.
     """
 
@@ -226,7 +226,9 @@ def _serve(work: Callable[[Any, Watch], Any], pipe: Pipe) -> None:
             reported = monotonic()
             with suppress(OSError):  # the parent died: seen below
                 pipe.send((steps, []))
-        if not stopping and pipe.poll():  # only a request to stop, or the end, can arrive during an item
+        if (
+            not stopping and pipe.poll()
+        ):  # during an item only a request to stop, or the end of the pipe, can arrive
             stopping = True
         return stopping
 

@@ -30,7 +30,7 @@ def replayed(flow: Flow, recording: Recording, *, paced: bool = True) -> Flow:
         paced: Keep the time offsets between the streams, for `LiveRunner`; reads the start of each stream.
 
     Raises:
-        InputError: if the recording holds nothing for one of the sources.
+        InputError: if the recording lacks the stream of a source.
     """
     origin = first_time(recording) if paced else None
     sources = [node.part for node in flow.nodes if isinstance(node.part, Source)]
@@ -76,7 +76,7 @@ class ReplayRunner:
         flow: Flow to run.
         recording: Recorded streams for its sources.
         session: Identifier of the run.
-        rows: Most rows per batch.
+        rows: Maximum number of rows per batch.
         compile_flow: Compiles the flow; the cluster runner replaces it.
 
     Raises:
@@ -171,7 +171,7 @@ class ReplayRunner:
 
 
 def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, Batch]]:
-    """Cut streams at common instants: each slice holds the rows of all streams up to the same time.
+    """Cut streams at common times: each slice has the rows of all streams up to the same time.
 
     A slice ends where the first of the current batches ends, so that at most one batch per stream is kept.
     """

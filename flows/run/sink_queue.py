@@ -12,8 +12,8 @@ from operators.batch import Batch
 from operators.errors import EndpointError
 from operators.ports import Sink, SinkStatus
 
-LAST_ATTEMPTS: Final = 5.0  # s, for which a failing sink is retried after the end of the run
-STUCK: Final = 10.0  # s, for one write while the sources wait; then the sink counts as failing
+LAST_ATTEMPTS: Final = 5.0  # s; a failing sink is retried for this time after the end of the run
+STUCK: Final = 10.0  # s; a sink whose write takes longer while the sources wait counts as failing
 
 
 class SinkQueue:
@@ -125,7 +125,7 @@ class SinkQueue:
         self.status.rows += len(batch)
 
     def _drop(self, batch: Batch) -> None:
-        """Count a batch without room; log it once per failure."""
+        """Count the rows of a dropped batch; log it once per failure."""
         if self.status.error and self.status.dropped == self._dropped_before:
             log_events.sink_drops(self.name)
         self.status.dropped += len(batch)
@@ -137,7 +137,7 @@ class SinkQueue:
         self.status.queued = 0
 
     def _is_stuck(self) -> bool:
-        """Return whether the current write takes too long; it counts as failed until it ends."""
+        """Return True if the current write takes too long; it counts as failed until it ends."""
         stuck = (
             self._write_start is not None and asyncio.get_running_loop().time() - self._write_start >= STUCK
         )

@@ -1,4 +1,4 @@
-"""Path of an arm as steps whose ends and durations are known, or bounded, before it moves. No I/O.
+"""Path of an arm: steps whose end poses and durations are known, or bounded, before it moves. No I/O.
 
 Poses are those of the TCP in the base frame. The fingertip's frame is the TCP's: x right, y up, z into the
 surface that it touches.
@@ -34,17 +34,16 @@ class Line:
         >>> Line((0.5, 0, 0, 0, 0, 0), speed=0.25, acceleration=0.5).seconds((0, 0, 0, 0, 0, 0))
         2.5
         """
-        way = max(
-            math.dist(start[:3], self.pose[:3]), math.hypot(*rotation_difference(start[3:], self.pose[3:]))
-        )
-        if way * self.acceleration < self.speed**2:
-            return 2 * math.sqrt(way / self.acceleration)
-        return way / self.speed + self.speed / self.acceleration
+        rotation = math.hypot(*rotation_difference(start[3:], self.pose[3:]))  # rad
+        distance = max(math.dist(start[:3], self.pose[:3]), rotation)
+        if distance * self.acceleration < self.speed**2:
+            return 2 * math.sqrt(distance / self.acceleration)
+        return distance / self.speed + self.speed / self.acceleration
 
 
 @dataclass(frozen=True, slots=True)
 class Slide:
-    """Move with a velocity for a time, from rest to rest."""
+    """Move at a velocity for a time, from rest to rest."""
 
     velocity: Pose  # m/s and rad/s
     time: float  # s, until it starts to slow down
@@ -90,7 +89,7 @@ class Wait:
 
 @dataclass(frozen=True, slots=True)
 class Tare(Wait):
-    """Standstill in the air, in which the reported force is taken as zero."""
+    """Standstill in the air, during which the force is tared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +106,13 @@ class Trace:
 
     def seconds(self, start: Pose) -> float:
         """Return the duration."""
-        way = sum(math.dist(a, b) for a, b in pairwise((start[:3], *self.points)))
-        return way / self.speed + self.speed / self.acceleration
+        distance = sum(math.dist(a, b) for a, b in pairwise((start[:3], *self.points)))
+        return distance / self.speed + self.speed / self.acceleration
 
 
 @dataclass(frozen=True, slots=True)
 class Touchdown:
-    """Straight move until the surface pushes back with a force, which must happen before the path ends."""
+    """Straight move until a contact force is reached, which must happen before the path ends."""
 
     path: Point  # m, longest displacement
     force: float  # N, along the path
@@ -156,7 +155,7 @@ class Extent:
 
     @classmethod
     def of(cls, steps: Iterable[Step], start: Pose) -> "Extent":
-        """Return the extent of steps from a pose; every step but a trace is straight, so its end suffices."""
+        """Return the extent of steps from a pose; except for traces they are straight, so their ends suffice."""
         seconds, points, pose = 0.0, [start[:3]], start
         for step in steps:
             seconds += step.seconds(pose)

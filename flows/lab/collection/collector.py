@@ -1,4 +1,4 @@
-"""Collection of a plan: each series of strokes is recorded by a flow while the arm makes the strokes."""
+"""Execution of a collection plan: a flow records each series of strokes while the arm makes them."""
 
 import asyncio
 import signal
@@ -42,7 +42,7 @@ from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.ports import Clock, Json, Run
 from storage import Dataset
 
-FIRST_SAMPLE: Final = 10.0  # s, for the first sample of a fingertip
+FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingertip
 _POLL: Final = 0.05  # s
 
 
@@ -67,16 +67,16 @@ class Setup:
 class CollectionResult:
     """Outcome of a collection."""
 
-    runs: list[Run]  # one for each series that was begun
+    runs: list[Run]  # one for each series that was started
     strokes: int
-    error: str  # reason for which the arm was stopped; empty if it was not
+    error: str  # reason why the arm was stopped; empty: it was not
     interrupted: bool
 
 
 async def collect(
     plan: CollectionPlan, setup: Setup, *, seed: int = 0, log: Callable[[str], None] = lambda _: None
 ) -> CollectionResult:
-    """Carry out a plan and record it; SIGUSR1 pauses and resumes, SIGINT and SIGTERM stop the arm first.
+    """Execute a plan and record it; SIGUSR1 pauses and resumes, SIGINT and SIGTERM stop the arm first.
 
     Args:
         plan: Plan of the strokes.
@@ -191,15 +191,15 @@ def declare_collection(
         delay: Delay of the arm's motion relative to the touch, ns; see `Label`.
     """
     flow = Flow("collect")
-    touched, moved = flow.source(touch, "touch"), flow.source(motion, "motion")
-    samples = (touched | Zero()) & (moved | DeviceClock()) | Align(within=20 * ms)
+    touch_node, motion_node = flow.source(touch, "touch"), flow.source(motion, "motion")
+    samples = (touch_node | Zero()) & (motion_node | DeviceClock()) | Align(within=20 * ms)
     label = Label(speed=0.003, rotation=0.2, delay=delay)  # m/s, rad/s; paper
-    touched.to(dataset)
-    moved.to(dataset)
-    (moved | WatchClock()).to(dataset)
+    touch_node.to(dataset)
+    motion_node.to(dataset)
+    (motion_node | WatchClock()).to(dataset)
     (samples | label | MaskLifted(surface)).to(dataset)
     flow.source(episodes, "collection").to(dataset)
-    touched.to(monitor)
+    touch_node.to(monitor)
     return flow
 
 
@@ -216,7 +216,7 @@ class Collector:
         plan: The plan, for its limits and label delay.
         about: Description of the collection, copied to every session.
         log: Called with progress messages.
-        driver: Driver, which can be paused.
+        driver: Driver of the arm.
         runs: One run for each series so far.
         interrupted: True after `interrupt`.
     """
@@ -284,7 +284,7 @@ class Collector:
         driving = asyncio.create_task(self._drive(series, monitor, episodes))
         try:
             await asyncio.wait({running, driving}, return_when=asyncio.FIRST_COMPLETED)
-            if not driving.done():  # nothing is recorded any more
+            if not driving.done():  # recording has ended
                 self.arm.fail("the recording ended")
             await asyncio.wait({driving})
             if error := driving.exception():
@@ -302,17 +302,17 @@ class Collector:
     async def _drive(self, series: StrokeSeries, monitor: ContactMonitor, episodes: EpisodeSource) -> None:
         watching = asyncio.create_task(self._watch(monitor))
         try:
-            await self._first_samples(monitor)
+            await self._wait_for_first_samples(monitor)
             await self.driver.make_strokes(series, episodes.emit, monitor)
         finally:
             watching.cancel()
             await asyncio.gather(watching, return_exceptions=True)
 
-    async def _first_samples(self, monitor: ContactMonitor) -> None:
-        """Wait until every fingertip has been sampled.
+    async def _wait_for_first_samples(self, monitor: ContactMonitor) -> None:
+        """Wait until every fingertip has given a sample.
 
         Raises:
-            EndpointError: if one is not.
+            EndpointError: if one does not.
         """
         end = self.clock.now() + round(FIRST_SAMPLE * s)
         while missing := set(self.touch.fingers) - set(monitor.newest):
@@ -321,7 +321,7 @@ class Collector:
             await self.arm.wait(_POLL)
 
     async def _watch(self, monitor: ContactMonitor) -> None:
-        """Stop the arm when a fingertip is no longer sampled."""
+        """Stop the arm when a fingertip gives no more samples."""
         timeout = self.plan.limits.sensor_timeout
         while True:
             now = self.clock.now()

@@ -1,4 +1,4 @@
-"""Monitor of the fingertips while an arm moves: are they sampled, and does a stroke touch them?"""
+"""Monitor of the fingertips while an arm moves: newest samples, and contact during a stroke."""
 
 from typing import Final
 
@@ -7,7 +7,7 @@ import numpy as np
 from operators.batch import Reals, Touch
 from operators.ports import Run, Sink
 
-LEAST_CHANGE: Final = 2.0  # counts, of a cell's mean: 0.25 kPa
+LEAST_CHANGE: Final = 2.0  # counts (0.25 kPa); a smaller change of a cell's mean is no contact
 
 
 class ContactMonitor(Sink[Touch]):
@@ -30,14 +30,14 @@ class ContactMonitor(Sink[Touch]):
         return "contact monitor"
 
     async def open(self, run: Run) -> None:
-        """Forget everything."""
+        """Reset the newest times, the means and the baseline."""
         del run
         self.newest.clear()
         self._baseline.clear()
         self.restart()
 
     async def write(self, batch: Touch) -> None:
-        """Note the time of the newest valid sample, and add the counts to the means."""
+        """Store the time of the newest valid sample, and add the counts to the means."""
         if batch.valid[-1].any():
             self.newest[batch.finger] = int(batch.time[-1])
         total = np.where(batch.valid, batch.counts, 0).sum(axis=0, dtype=np.float64)  # (6,)
@@ -45,16 +45,16 @@ class ContactMonitor(Sink[Touch]):
         self._counts[batch.finger] = self._counts.get(batch.finger, np.zeros(6)) + batch.valid.sum(axis=0)
 
     def restart(self) -> None:
-        """Start the means again."""
+        """Reset the means."""
         self._sums.clear()
         self._counts.clear()
 
     def set_baseline(self) -> None:
-        """Take the current means as those without contact."""
+        """Store the current means as the baseline without contact."""
         self._baseline = self._means()
 
     def without_contact(self) -> list[int]:
-        """Return the fingertips whose means are those of the baseline, except those without samples."""
+        """Return the fingertips whose means do not differ from the baseline; omit those without samples."""
         unknown = np.full(6, np.nan)
         change = {f: np.abs(mean - self._baseline.get(f, unknown)) for f, mean in self._means().items()}
         return sorted(

@@ -1,4 +1,4 @@
-"""Episodes of a collection as a source."""
+"""Source of the episodes of a collection."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -8,7 +8,7 @@ from operators.ports import Clock, Description, Source
 
 
 class EpisodeSource(Source[Episodes]):
-    """Episodes of one session, each at its end; it describes the session.
+    """Source of the episodes of one session, each at its end.
 
     Args:
         about: Description of the session.
@@ -24,7 +24,7 @@ class EpisodeSource(Source[Episodes]):
         return Episodes
 
     async def batches(self, clock: Clock) -> AsyncIterator[Episodes]:  # noqa: ARG002 - Source's signature
-        """Give each episode once it has ended, until cancelled."""
+        """Yield each episode when it has ended, until cancelled."""
         while True:
             yield await self._episodes.get()
 

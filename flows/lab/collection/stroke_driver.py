@@ -1,4 +1,4 @@
-"""Driver of an arm through the strokes of a series, which notes the time of each."""
+"""Driver of an arm through the strokes of a series; it emits each stroke as an episode."""
 
 import asyncio
 import math
@@ -48,7 +48,7 @@ class StrokeDriver:
     Args:
         arm: The arm.
         clock: Clock of the run.
-        require_contact: Stop the arm when a fingertip does not measure a stroke.
+        require_contact: Stop the arm when a fingertip measures no contact in a stroke.
 
     Attributes:
         strokes: Number of completed strokes.
@@ -87,9 +87,9 @@ class StrokeDriver:
         await self._follow_as_episode(series, None, [series.baseline], emit)
         monitor.set_baseline()
         for stroke in series.strokes:
-            await self._resumed()
+            await self._wait_until_resumed()
             while not await self._make_unless_paused(series, stroke, emit, monitor):
-                await self._resumed()
+                await self._wait_until_resumed()
                 up = raise_pose(_pose(self._arm.state), series.surface.pose, series.clearance)
                 await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
             self.strokes += 1
@@ -123,7 +123,7 @@ class StrokeDriver:
                     contact = Contact(step.shortfall(start, _pose(self._arm.state)), found)
         return contact
 
-    async def _resumed(self) -> None:
+    async def _wait_until_resumed(self) -> None:
         """Wait while paused; raise if the arm has to be stopped meanwhile."""
         while self.paused:
             await self._arm.wait(_POLL)
@@ -169,7 +169,7 @@ class StrokeDriver:
         emit: Emit,
         contact: Contact = Contact(),  # noqa: B008 - immutable
     ) -> None:
-        """Follow steps and emit them as an episode; None stands for the baseline."""
+        """Follow steps and emit them as an episode; `stroke` None: the baseline."""
         start = self._clock.now()
         try:
             await self.follow(steps)
@@ -178,7 +178,7 @@ class StrokeDriver:
 
 
 def _episode(series: StrokeSeries, stroke: Stroke | None, contact: Contact, start: int, end: int) -> Episodes:
-    """Return an episode from `start` to `end` (ns) as a row; None stands for the baseline."""
+    """Return an episode from `start` to `end` (ns) as a row; `stroke` None: the baseline."""
     motion, speed, rotates = "hold", 0.0, False
     if stroke:
         motion, speed, rotates = "rotation" if stroke.rotates else "translation", stroke.speed, stroke.rotates

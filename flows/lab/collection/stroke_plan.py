@@ -2,11 +2,11 @@
 
 As in "Under Pressure" (2021), one fingertip slides over a surface at 0.05, 0.075 and 0.1 m/s in eight
 directions, and rotates at 1 rad/s. Each stroke moves down onto the surface, rests, slides through its middle,
-rests, and moves up again; the way to the next one leads through the air.
+rests, and moves up again; between strokes the fingertip moves through the air.
 
-A stroke is pressed to a depth after first contact, or moves down until a force is measured and keeps the
-depth found there. Over a curved surface it follows the arc at constant orientation: a slope asks for a
-compliant finger.
+A stroke is pressed to a depth after first contact, or moves down until a force is measured and keeps that
+depth. Over a curved surface it follows the arc at constant orientation, so a slope requires a compliant
+finger.
 """
 
 import math
@@ -49,7 +49,7 @@ _DIRECTIONS: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class PlannedSurface:
-    """Surface of a plan, see `Surface`; without a pose it is where the arm stands at the start."""
+    """Surface of a plan, see `Surface`; without a pose it is at the arm's pose at the start."""
 
     shape: Curvature = "plane"
     radius: Length = RADIUS
@@ -174,7 +174,7 @@ class StrokeSeries:
 
     @property
     def steps(self) -> tuple[Step, ...]:
-        """Path from anywhere; it ends in the air."""
+        """Steps of the whole path, from any pose; it ends in the air."""
         return self.begin, self.baseline, *chain.from_iterable(stroke.steps for stroke in self.strokes)
 
 
@@ -226,7 +226,7 @@ class CollectionPlan:
         Each surface, speed and split appears in the same proportion (`TURNS`).
 
         Args:
-            here: Pose of the surface that has none in the plan.
+            here: Pose of a surface without one in the plan.
             seed: Random seed; the same seed gives the same series.
 
         Raises:
@@ -289,7 +289,7 @@ class CollectionPlan:
         slide: Step
         if len(poses) > 1:
             slide = Trace(tuple(pose[:3] for pose in poses), speed, self.path.acceleration)
-        else:  # by its end pose: the controller reaches it, whatever our delays
+        else:  # by its end pose, which the controller reaches regardless of our delays
             slide = Line(poses[0], speed, self.path.acceleration)
         return Stroke(
             direction,

@@ -1,4 +1,4 @@
-"""Geometry of the surfaces over which strokes lead: a plane, a sphere, or a horizontal cylinder. No I/O."""
+"""Geometry of the surfaces for strokes: a plane, a sphere, or a horizontal cylinder. No I/O."""
 
 import math
 from dataclasses import dataclass

@@ -78,7 +78,7 @@ def _hard(found: Ablation) -> Section:
 
 
 def _limits(found: Ablation) -> Section:
-    """Return the delay at which each object should break, and the one at which it does."""
+    """Return the section about the predicted and the measured delay at which each object breaks."""
     trials, methods = found.nominal.trials, found.nominal.methods
     head = ["object", "firm ms", "breaks ms", "predicted ms", "lost ms", "predicted loss ms"]
     tables = [
@@ -120,7 +120,7 @@ def _limit_row(found: Ablation, method: Method, name: str) -> list[Value]:
 
 
 def _budgets(found: Ablation) -> Section:
-    """Return the time that the objects allow, on the table and in the air."""
+    """Return the section about the time that the objects allow, on the table and in the air."""
     times = ("table", "table_measured", "air", "air_measured")
     rows: list[list[Value]] = [
         [
@@ -151,7 +151,7 @@ def _whole(columns: list[str]) -> dict[str, int]:
 
 
 def _finding(found: Ablation, method: Method) -> str:
-    """Return which object breaks first and which is lost first, if there are trials enough."""
+    """Return the sentence about the object that breaks first and the one that is lost first."""
     trials, first = found.nominal.trials, found.first(method)
     at = found.breaks(method, first)
     if math.isinf(at):

@@ -1,7 +1,7 @@
 """Simulated grasps to train on, with random objects and grippers, labelled by true sliding.
 
-A detector trained on strokes only has learnt the motion of the arm, not of the object: it reports slip when
-load is taken up, at harmless blows, and when the gripper closes further. Here each recording has its own
+A detector trained only on strokes has learnt the motion of the arm, not of the object: it reports slip when
+the load increases, at harmless blows, and when the gripper closes further. Here each recording has its own
 object, fingertip and gripper, drawn from wide ranges. None has one of the six objects of the experiments.
 """
 
@@ -34,7 +34,7 @@ _SPLITS: Final = ("train",) * 8 + ("validation", "test")
 
 
 def grasp_recordings(count: int, seed: int) -> Iterator[LabelledRecording]:
-    """Simulate grasps, the same for a seed; of ten, eight train, one validates and one tests."""
+    """Simulate grasps, the same for a seed; 80 % are for training, 10 % for validation and 10 % for the test."""
     for number in range(count):
         name, split = f"grasp-{seed}-{number:04}", _SPLITS[number % len(_SPLITS)]
         yield _recording(_random(number, seed), name, split)
@@ -164,12 +164,12 @@ class _RandomGripper:
     rate: float  # N/s
     lag: float  # s, from sliding to the reaction
     tail: float  # s, of the reaction after the sliding
-    restless: float  # 1/s, changes of force without reason
+    restless: float  # 1/s, rate of random changes of force
     firm: tuple[float, float]  # range of a step of the reaction, relative to the force
     _slides_since: float = math.nan  # s; NaN: not sliding
     _react_until: float = -math.inf  # s
     _next_step: float = 0.0  # s, of the reaction
-    _next_change: float = 1.4  # s, without reason
+    _next_change: float = 1.4  # s, at random
 
     @classmethod
     def draw(cls, random: np.random.Generator, least: float) -> Self:

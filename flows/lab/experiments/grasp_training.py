@@ -27,12 +27,12 @@ GRASPS: Final = 4000  # recordings of up to 5 s
 STROKES: Final = PaperPlan(repeats=3, rotations=2, parameters=Parameters(noise=0.6))  # 44 recordings
 RECIPE: Final = Recipe(filters=24, steps=2600, batch=40, crop=412)
 THRESHOLD: Final = 0.79  # of a slip decision; chosen on other seeds than the reported ones
-LASTS: Final = 6  # samples, shortest slip in training: one of 20 ms ends before it can be detected
+LASTS: Final = 6  # samples, shortest slip in training: a slip of 20 ms ends before it can be detected
 FADES: Final = 6  # samples with unknown label after a lengthened slip
 FLOORED: Final = 2  # floored cells from which a recording counts as hard
-AGAIN: Final = 3  # further repetitions of the hard parts of a recording
+REPEATS: Final = 3  # further repetitions of the hard parts of a recording
 RINGS: Final = 20  # samples after a slip that are not repeated; the rest of the second is
-_SPLIT_CYCLE: Final = 10  # recordings of strokes, of which one validates and one tests
+_SPLIT_CYCLE: Final = 10  # recordings of strokes; of these one is for validation, one for the test
 _SECOND: Final = 100  # samples
 _LOW: Final = -200  # counts; cells floor at 420 to 502 below rest, loaded ones stay higher
 
@@ -82,7 +82,7 @@ def learn(
     from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
 
     trained = train_dense(
-        parts["train"] + hard * AGAIN,
+        parts["train"] + hard * REPEATS,
         parts["validation"],
         recipe,
         progress=lambda done, check: progress(done, recipe.steps, check),
@@ -122,8 +122,8 @@ def _data_card(kinds: dict[str, list[LabelledRecording]], seed: int) -> dict[str
 def lengthened(label: Codes, least: int = LASTS, fades: int = FADES) -> Codes:
     """Lengthen each slip in labels (n,) to `least` samples; `fades` samples after a short one become unknown.
 
-    A blow moves an object within 20 to 40 ms, which ends before the signal differs from that of a harmless
-    one. A network that must call the next sample static learns to be unsure of both.
+    A blow moves an object for 20 to 40 ms, which ends before the signal differs from that of a harmless blow.
+    If the next sample were labelled static, the network would learn ambiguous scores for both.
 
     >>> lengthened(np.array([0, 1, 0, 0, 0, 0], np.int8), least=3, fades=1)
     array([ 0,  1,  1,  1, -1,  0], dtype=int8)

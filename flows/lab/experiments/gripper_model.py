@@ -17,9 +17,9 @@ PATHS: Final = {"direct": 0.001, "mqtt": 0.006}
 class GripperModel:
     """Latency, resolution and speed of a gripper.
 
-    A Robotiq 3-Finger Gripper grips with at least 15 N, ten times what holds the objects of this scene. The
-    model keeps its 255 steps, refresh rate and delay, but for small forces. If it `locks`, it cannot reduce
-    its force without opening, like the Robotiq.
+    A Robotiq 3-Finger Gripper grips with at least 15 N, ten times the force that holds the objects of this
+    scene. The model has its 255 steps, refresh rate and delay, but for small forces. If it `locks`, it
+    cannot reduce its force without opening, like the Robotiq.
 
     Raises:
         ParameterError: on a negative duration, or a period, rate or span that is not above 0.
@@ -29,8 +29,8 @@ class GripperModel:
     path: float = PATHS["direct"]  # s, from the command to the gripper
     refresh: float = PACE  # s, period at which the gripper reads its registers (manual: 200 Hz)
     settle: float = SETTLE  # s, from a request to its effect (manual: until the status shows it)
-    delay: float = 0.0  # s, added
-    rate: float = 10.0  # N/s, of the force; assumed
+    delay: float = 0.0  # s, added to the latency
+    rate: float = 10.0  # N/s, change of the force; assumed
     span: float = 10.0  # N, for the 255 steps of the register; assumed
     locks: bool = False
 
@@ -41,7 +41,7 @@ class GripperModel:
             check_above("GripperModel", name, getattr(self, name), 0)
 
     def effect(self, instant: float) -> float:
-        """Return when the command for a sample taken at `instant` takes effect (s)."""
+        """Return the time (s) at which the command for a sample taken at `instant` takes effect."""
         received = instant + self.sensing + self.path + self.delay
         return math.ceil(received / self.refresh - 1e-9) * self.refresh + self.settle
 

@@ -52,7 +52,7 @@ METHODS: Final = (Method(DEFAULT), Method("tcn", STEPS))
 GOOD: Final = 90.0  # %; a lower success counts as broken
 ENOUGH: Final = 10  # trials of each object; with fewer, one failure is already below 90 %
 FIRM: Final = 2.0  # times the least force, to lift the object into the air
-AIR: Final = 4.0  # s, when the force drops to the weak one; the arm stopped at 3.6 s
+AIR: Final = 4.0  # s; the force drops to the weak one then, 0.4 s after the arm has stopped
 DROP_RATE: Final = 1000.0  # N/s
 FALL: Final = 0.6  # s, simulated after the force drops
 TICK: Final = 0.001  # s
@@ -60,7 +60,7 @@ TICK: Final = 0.001  # s
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """Distance and time that a trial without control leaves; times in s, NaN if the object slid less far."""
+    """Distances and times of a trial without control; times are NaN if the object slid less far."""
 
     reach: float  # m, slide until the object falls out of the gripper
     room: float  # m, slide up to which it counts as held
@@ -87,7 +87,7 @@ class Ablation:
 
     @property
     def ranks(self) -> bool:
-        """True if there are objects and trials enough to name the one that breaks first."""
+        """True if there are enough objects and trials to name the object that breaks first."""
         trials = self.nominal.trials
         return len(trials.objects) > 1 and trials.count >= ENOUGH
 
@@ -104,7 +104,7 @@ class Ablation:
         return crossing(list(self.delays), kept)
 
     def predicted(self, method: Method, name: str, *, lost: bool = False) -> float:
-        """Return the added delay (ms) that uses up the budget of one trial in ten; if `lost`, of the reach.
+        """Return the added delay (ms) that uses up the room of one trial in ten; if `lost`, the reach.
 
         The added delay postpones the instant at which the grip becomes firm. Until then the object slides as
         far as the gripper climbs.
@@ -165,11 +165,11 @@ def ablate(
     jobs: int | None = None,
     progress: Progress = ignore_progress,
 ) -> Ablation:
-    """Lift under each condition, always with the same trials.
+    """Run the lift under each condition, always with the same trials.
 
     Args:
         methods: Detectors and rules.
-        trials: Run under each condition with each method.
+        trials: Trials to run under each condition with each method.
         delays: Added delays (ms); 0 is always included.
         jobs: Number of processes; None: one per core.
         progress: Called with the number of trials done, their total and a label.
@@ -232,7 +232,7 @@ def slide_budget(name: str, seed: int, conditions: Conditions) -> Budget:
 
 
 def climb_time(motion: Lift, distance: float) -> float:
-    """Return how long the gripper takes to climb `distance` (m), in s; infinite if it never does.
+    """Return the time (s) that the gripper takes to climb `distance` (m); infinite if it never does.
 
     >>> round(climb_time(Lift(2.5), 0.02), 3)
     0.45
@@ -244,7 +244,7 @@ def climb_time(motion: Lift, distance: float) -> float:
 
 
 def fall_time(distance: float, share: float) -> float:
-    """Return how long an object takes to slide `distance` (m) in the air, in s; infinite if it is held.
+    """Return the time (s) that an object takes to slide `distance` (m) in the air; infinite if it is held.
 
     `share` is the grip force over the least that holds.
 

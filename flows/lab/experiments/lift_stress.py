@@ -28,7 +28,7 @@ def stress(
     jobs: int | None = None,
     progress: Progress = ignore_progress,
 ) -> Report:
-    """Lift under each condition, which changes one thing in `conditions`; report the success.
+    """Run the lift under each condition, which changes one setting in `conditions`; report the success.
 
     Raises:
         InputError: if there is no such detector.
@@ -53,7 +53,7 @@ def stress(
     }
     return Report(
         f"The lift under stress: {method}",
-        f"{trials}, the same under each condition, which differs from nominal in one thing.",
+        f"{trials}, the same under each condition, which differs from nominal in one setting.",
         [Section(NAME, finding, text, [condition_table(results, method)])],
         command,
         facts,
@@ -61,7 +61,7 @@ def stress(
 
 
 def stress_conditions(nominal: Conditions) -> dict[str, Conditions]:
-    """Return the conditions by name; each differs from nominal in one thing."""
+    """Return the conditions by name; each differs from nominal in one setting."""
     gripper = nominal.gripper
 
     def changed(**values: Any) -> Conditions:  # noqa: ANN401 - fields of several types

@@ -17,10 +17,10 @@ from operators.grip import GripController
 LIFT: Final = Lift(2.5)  # 50 mm at 50 mm/s, assumed; the gripper closes at 1 s
 END: Final = 6.0  # s; the arm stopped 2.3 s before
 WEAK: Final = (0.4, 0.8)  # range of the initial force, relative to the least expected to hold; assumed
-ROOM: Final = 0.02  # m, that a held object may hang lower than it was gripped
-RESTS: Final = 0.0005  # m, that a held object may slide in the last half second
-LATE: Final = 0.5  # s from the first sliding, after which a slip counts as missed
-EARLY: Final = 0.02  # s, that a slip may be registered before the sliding it belongs to
+ROOM: Final = 0.02  # m; a held object hangs at most this much lower than it was gripped
+RESTS: Final = 0.0005  # m; a held object slides at most this far in the last half second
+LATE: Final = 0.5  # s from the first sliding; a slip registered later counts as missed
+EARLY: Final = 0.02  # s; a slip may be registered this long before the sliding it belongs to
 
 LiftEnding: TypeAlias = Literal["held", "missed", "too late", "dropped after catch", "given up", "not lifted"]
 

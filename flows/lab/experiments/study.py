@@ -45,7 +45,7 @@ Progress: TypeAlias = Callable[[int, int, str], object]  # trials done, trials i
 
 
 def ignore_progress(_done: int, _total: int, _label: str) -> None:
-    """Report no progress."""
+    """Do nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,8 +141,8 @@ def run_study(
     Args:
         experiment: Runs one trial; `tap` or `lift`.
         methods: Detectors and rules.
-        conditions: By name.
-        trials: Run under each of the conditions with each method.
+        conditions: Conditions by name.
+        trials: Trials to run under each condition with each method.
         jobs: Number of processes; None: one per core.
         progress: Called with the number of trials done, their total and a label.
 

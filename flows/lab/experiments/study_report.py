@@ -59,7 +59,7 @@ def lift_report(results: Results[LiftOutcome], command: str) -> Report:
 
 
 def condition_table(results: Mapping[str, Results[LiftOutcome]], method: Method, caption: str = "") -> Table:
-    """Return the success of a method under each of several conditions, with what the lifts cost."""
+    """Return the success of a method under each of several conditions, with the costs of its lifts."""
     names = next(iter(results.values())).trials.objects
     costs = ["mean", "lost", "slide mm", "force", "false"]
     rows: list[list[Value]] = []
@@ -121,7 +121,7 @@ def _successes(
     paper: Mapping[str, int],
     experiment: Experiment[Result],
 ) -> Section:
-    """Return the success by object next to the paper's, with the figure of a trial."""
+    """Return the section about success by object next to the paper's, with the figure of a trial."""
     objects = results.trials.objects
     rows: list[list[Value]] = [
         [str(method), *(results.success(method, each) for each in objects), results.mean(method)]
@@ -137,7 +137,7 @@ def _successes(
 
 
 def _failures(results: Results[Result]) -> Section:
-    """Return how the trials that failed ended."""
+    """Return the section about failed trials, by ending."""
     rows: list[list[Value]] = [
         [str(method), title(name), ", ".join(f"{count} {ending}" for ending, count in failed.items())]
         for method in results.methods
@@ -154,7 +154,7 @@ def _failures(results: Results[Result]) -> Section:
 
 
 def _costs(results: Results[LiftOutcome]) -> Section:
-    """Return how far objects slid, and the force that held them."""
+    """Return the section about slides and holding forces."""
 
     def cells(lifts: Sequence[LiftOutcome]) -> list[Value]:
         slides = [each.slide for each in lifts]
@@ -182,7 +182,7 @@ def _costs(results: Results[LiftOutcome]) -> Section:
 
 
 def _false_slips(results: Results[TapOutcome]) -> Section:
-    """Return how often a slip is registered where nothing slips."""
+    """Return the section about slips registered where nothing slips."""
 
     def cells(taps: Sequence[TapOutcome]) -> list[Value]:
         return [

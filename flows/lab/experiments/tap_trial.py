@@ -26,9 +26,9 @@ SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is 
 LEAST_SLIDE: Final = 0.5  # mm; a blow that moves the object less is drawn again
 MOST_SLIDE: Final = 10.0  # mm; a blow that moves the object more is drawn again
 DRAWS: Final = 20  # blows drawn at most
-PROMPT: Final = 0.2  # s from the blow, within which the slip must be registered
-RINGING: Final = 0.3  # s after the object stops, in which slip may still be registered
-QUIET: Final = 1.0  # s before the blow, in which no slip may be registered
+PROMPT: Final = 0.2  # s from the blow; the slip must be registered within this time
+RINGING: Final = 0.3  # s after the object stops; slip may still be registered then
+QUIET: Final = 1.0  # s before the blow; no slip may be registered then
 SOFT: Final = 0.15  # momentum of the soft blow, relative to that of the blow
 _NO_STEP: Final = 1e-12  # N, force step of a constant grip
 _HALF: Final = 0.5
@@ -138,6 +138,6 @@ def _tap_ending(trace: Trace, rule: GripController) -> TapEnding:
 
 
 def _slide(trace: Trace) -> float:
-    """Return how far the blow moved the object along the pad (mm)."""
+    """Return the distance (mm) that the blow moved the object along the pad."""
     before, after = trace.between(BLOW - 0.05, BLOW), trace.between(BLOW, END + 1)
     return 1000 * float(trace.slide[after].max() - trace.slide[before][-1])

@@ -79,7 +79,7 @@ class Trial:
 
     @property
     def expected_force(self) -> float:
-        """Least force under nominal friction and mass (N), which is what a robot would assume."""
+        """Least force under nominal friction and mass (N), as a robot would assume."""
         return self.least_force * self.conditions.friction / self.conditions.mass
 
     def grasp(self, lift: Lift, taps: Sequence[Tap] = ()) -> Grasp:
@@ -124,7 +124,7 @@ class Trace:
         return slice(first, last)
 
     def registered(self, rule: GripController) -> Flags:
-        """Return where a slip is registered: the last `rule.consecutive` scores reach its threshold; (n,)."""
+        """Return the mask (n,) of registered slip: the last `rule.consecutive` scores reach the threshold."""
         slip = (self.probability >= rule.threshold).astype(np.intp)
         count = np.convolve(slip, np.ones(rule.consecutive, np.intp))[: len(slip)]
         registered: Flags = count >= rule.consecutive
@@ -154,11 +154,11 @@ def run_trial(
     The open gripper is sampled at least as often as the detector needs for its first score.
 
     Args:
-        grasp: At its start, with an open gripper.
-        detector: Scores the fingertip.
-        rule: Commands the grip force.
-        conditions: Gripper and sample rate.
-        seconds: Duration.
+        grasp: Grasp at its start, with an open gripper.
+        detector: Detector that scores the fingertip.
+        rule: Controller of the grip force.
+        conditions: Conditions, for the gripper and the sample rate.
+        seconds: Duration, s.
     """
     flow, scored, commanded = Flow("trial"), TestSink(), TestSink()
     waiting = round(conditions.rate * BASELINE)
@@ -166,8 +166,8 @@ def run_trial(
     scores, commands = declare_grip(flow, TestSource(Touch, fingers=(0,)), detector, rule, scans)
     scores.to(scored)
     commands.to(commanded)
-    plan = CompiledFlow(flow)
-    [entry] = plan.entries
+    compiled = CompiledFlow(flow)
+    [entry] = compiled.entries
     actuator = Actuator(conditions.gripper, grasp)
     closed = np.arange(waiting, seconds * conditions.rate) / conditions.rate
     instants = np.concatenate((np.arange(scans) / scans * BASELINE, closed))  # (n,) s
@@ -183,7 +183,7 @@ def run_trial(
         touch = replace(reading, time=touch.time)
         truth.append(held)
         counts[k] = touch.counts[0]
-        for _, batch in plan.push({entry: touch}):
+        for _, batch in compiled.push({entry: touch}):
             if isinstance(batch, Scores):
                 probability[np.searchsorted(stamps, batch.time)] = batch.probability
             elif isinstance(batch, Commands):

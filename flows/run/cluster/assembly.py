@@ -1,6 +1,7 @@
 """Assembly of a session from stored results: a replay that reads results instead of running operators.
 
-Cutting and sinks are the same code as in one process, so the session's files are identical, byte for byte.
+The code that cuts streams and writes sinks is that of a single-process replay, so the session's files are
+byte-identical.
 """
 
 import asyncio

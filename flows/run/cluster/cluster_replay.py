@@ -23,7 +23,7 @@ from storage.layout import SESSION, SESSIONS, session_folder, session_names
 PYTHON: Final = Path(".cluster/bin/python")  # created by deploy/cluster
 _SHARES: Final = 2  # of a session's fingertips, per worker
 _INTERVAL: Final = 1.0  # s, between checks of the job and of growing recordings
-_MISSED: Final = 30  # checks in a row without a response of the job manager, then it is an error
+_MISSED: Final = 30  # consecutive checks without a response of the job manager before it is an error
 
 
 @dataclass
@@ -32,8 +32,8 @@ class Cluster:
 
     Args:
         url: URL of the job manager.
-        python: Python that has pyflink, at the same path on all machines; None: this one, or the one of
-            `deploy/cluster`.
+        python: Python that has pyflink, at the same path on all machines; None: this one if it has, else
+            the one of `deploy/cluster`.
         slices: Slices per work unit.
         workers: Number of workers; None: all task slots.
     """
@@ -80,10 +80,7 @@ class Cluster:
         manager, python = JobManager(self.url), self._python()
         workers = manager.slots() if self.workers is None else self.workers
         if workers < 1:
-            raise EndpointError(
-                self.url,
-                "has no task manager: start one, or try again when it has joined",
-            )
+            raise EndpointError(self.url, "has no task manager: start one, or try again when it has joined")
         shares = _SHARES * workers
         feed = UnitFeed(flow, paths, follow=follow, slices=self.slices, shares=shares)
         feed.find_recordings()
@@ -108,7 +105,7 @@ class Cluster:
         stopped: Callable[[], bool],
         progress: Callable[[int, int], object],
     ) -> dict[str, str]:
-        missed = 0  # responses in a row
+        missed = 0  # consecutive checks without a response
         while True:
             try:
                 state, missed = manager.state(self.job), 0
@@ -167,7 +164,7 @@ class UnitFeed:
         """Find new recordings.
 
         Raises:
-            InputError: if there are none, two have one name, or a dataset has a session of that name.
+            InputError: if there are none, two have the same name, or a dataset has a session of that name.
         """
         datasets = [Path(node.part.destination) for node in self.flow.sinks() if isinstance(node.part, Sink)]
         for folder in [folder for path in self.paths for folder in _sessions(path, follow=self.follow)]:
@@ -179,7 +176,7 @@ class UnitFeed:
                         f"has the same name as {self.splitters[name].folder}: replay only one of them",
                     )
                 continue
-            existing = [place for place in datasets if session_folder(place, name).exists()]
+            existing = [root for root in datasets if session_folder(root, name).exists()]
             if existing and not self.follow:
                 raise InputError(str(existing[0]), f"has a session {name!r} already: use another dataset")
             if not existing:
@@ -191,7 +188,7 @@ class UnitFeed:
                     partition=len(self.splitters),
                 )
         if not self.splitters and not self.follow:
-            raise InputError(", ".join(map(str, self.paths)), "holds no session")
+            raise InputError(", ".join(map(str, self.paths)), "has no session")
 
     def send_units(self, folder: JobFolder) -> None:
         """Send new units to the cluster; add recordings that cannot be read to `failed`.

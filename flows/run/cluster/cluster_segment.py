@@ -71,7 +71,9 @@ def check_flow(flow: Flow) -> None:
             reason = "a cluster writes datasets only: remove this sink, or set the parameter that adds it"
             raise FlowError(flow.name, node.name, reason)
     if not result_nodes(flow):
-        raise FlowError(flow.name, "datasets", "none takes the rows of an operator, so nothing is to be done")
+        raise FlowError(
+            flow.name, "datasets", "none takes the rows of an operator: add a dataset after an operator"
+        )
 
 
 def result_nodes(flow: Flow) -> list[Node]:

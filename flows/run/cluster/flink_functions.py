@@ -1,8 +1,8 @@
 """The two functions that Flink runs; Flink keeps their state.
 
-Flink keeps state by key and assigns keys to workers by hash, so that one worker may get all of eight keys and
-the others none. Therefore each worker has exactly one key, and its state is a map with the states of the
-shares, or sessions, that the worker has.
+Flink keeps state by key and assigns keys to workers by hash: one worker may get all of eight keys and the
+others none. Therefore each worker has exactly one key, whose state is a map of the states of the worker's
+shares or sessions.
 """
 
 import builtins
@@ -20,7 +20,7 @@ from flows.run.cluster.worker import Worker
 
 
 class _JobFunction(KeyedProcessFunction):
-    """Base of both functions: the job's folder, and a map of states."""
+    """Base of both functions, with the job's folder and a map of states."""
 
     _map: ClassVar[str]  # name of the map in Flink
 
@@ -36,7 +36,7 @@ class _JobFunction(KeyedProcessFunction):
 
 
 class ProcessUnits(_JobFunction):
-    """Processes work units; yields a `ShareResult` after the last unit of a share. Both are lines.
+    """Function that processes work units and yields a `ShareResult` after the last unit of a share, as lines.
 
     Args:
         folder: Folder of the job.
@@ -60,7 +60,7 @@ class ProcessUnits(_JobFunction):
 
 
 class WriteSessions(_JobFunction):
-    """Takes the results of `ProcessUnits` and writes a session when all of its shares are done.
+    """Function that takes the results of `ProcessUnits` and writes a session when its shares are done.
 
     Args:
         folder: Folder of the job.
@@ -69,7 +69,7 @@ class WriteSessions(_JobFunction):
     _map = "sessions"
 
     def process_element(self, value: str, ctx: object) -> Iterator[str]:  # noqa: ARG002 - Flink's signature
-        """Note that a share is done; yield the session's name when it is written."""
+        """Store that a share is done; yield the session's name when it is written."""
         result = ShareResult.from_line(value)
         before: frozenset[int] | None = self._states.get(result.key)
         shares = (before or frozenset()) | {result.share}

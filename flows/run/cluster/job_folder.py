@@ -6,7 +6,7 @@
     flow/<name>.py         the flow's file when the job began
     units/<name>.jsonl     work units; a file appears when it is complete
     results/<session>/<generation>/<share>/<unit>.npz
-    done/<session>.json    note that a session is written, or failed
+    done/<session>.json    error of a session; empty if it was written
 """
 
 from collections.abc import Iterable, Mapping
@@ -119,10 +119,10 @@ class JobFolder:
             raise _write_error(self.path, error) from error
 
     def finish(self, share: ShareResult) -> None:
-        """Write a session whose shares are all processed, or note the error of a failed share.
+        """Write a session whose shares are all processed, or store the error of a failed share.
 
         Raises:
-            EndpointError: if a dataset cannot be written to; then nothing is noted.
+            EndpointError: if a dataset cannot be written to; nothing is stored then.
         """
         if self.error(share.session) == "":
             return
@@ -145,7 +145,7 @@ class JobFolder:
         """Return the error of a session; empty: it is written; None: it is not done yet.
 
         Raises:
-            InputError: if the note is damaged.
+            InputError: if its file is damaged.
         """
         path = self.path / "done" / f"{session}.json"
         return str(files.read_json(path)["error"]) if path.exists() else None
@@ -165,7 +165,7 @@ class JobFolder:
 
 @cache
 def _load_once(target: str) -> Declaration:
-    """Load a flow file once per process: loaded again, its operators would be different classes."""
+    """Load a flow file once per process: a second load would create different classes."""
     return load(target)
 
 

@@ -23,7 +23,7 @@ class _IncompleteError(Exception):
 
 @dataclass
 class Splitter:
-    """Splits one recording, which may still grow, into work units.
+    """Splitter of one recording, which may still grow, into work units.
 
     Args:
         flow: Flow to run.
@@ -31,7 +31,7 @@ class Splitter:
         rows: Largest batch of a stream; the writer of the session must use the same value.
         slices: Slices per unit.
         shares: Largest number of shares that the fingertips are split into.
-        partition: Number of the recording; workers get recordings and shares in turn.
+        partition: Number of the recording; recordings and shares are assigned to the workers in turn.
     """
 
     flow: Flow
@@ -75,7 +75,7 @@ class Splitter:
         self._sources = sources
         slices = list(self._cut(recording, flow, closed=closed))
         if closed and not slices:
-            raise InputError(str(self.folder), "holds no rows, so nothing is to be done")
+            raise InputError(str(self.folder), "is empty: it has no rows to replay")
         self.ended = closed
         return self._new_units(session, flow, slices, closed=closed)
 
@@ -131,7 +131,8 @@ class Splitter:
 def split_fingers(flow: Flow, most: int) -> tuple[tuple[int, ...], ...]:
     """Split the fingertips whose rows the flow derives into at most `most` shares; EVERY counts as one.
 
-    Rows that belong to every fingertip are read for each share, so few large shares cost less than many.
+    Rows that belong to every fingertip are read for each share, so few large shares cost less than many
+    small ones.
     """
     fingers = sorted({finger for node in result_nodes(flow) for finger in node.fingers})
     count = min(most, len(fingers))

@@ -1,7 +1,7 @@
-"""Results of work units, stored on the shared storage until their session is complete.
+"""Results of work units, kept on the shared storage until their session is complete.
 
 A result's file name follows from its unit, and its bytes follow from the recording and the flow. A unit that
-is processed again, after a failure or by a worker that was replaced, writes the same bytes to the same file.
+is processed again, after a failure or by another worker, writes the same bytes to the same file.
 """
 
 import os

@@ -1,4 +1,4 @@
-"""Work units: messages that name rows of a recording; the rows themselves are read by the worker.
+"""Work units: messages that name rows of a recording, which the worker reads.
 
 Units and results travel as lines of text: the partition, a tab, and JSON. All machines share the storage that
 holds the named Parquet files.
@@ -38,7 +38,7 @@ class RecordingEnd(NamedTuple):
     """End-of-recording marker."""
 
     slices: int  # total number
-    units: int  # per share
+    units: int  # number per share
     shares: tuple[tuple[int, ...], ...]  # fingertips of each share
 
 

@@ -24,12 +24,12 @@ class _State:
     """State of a share between units."""
 
     next: int = 0  # number of the next unit; -1: none
-    waiting: dict[int, str] = field(default_factory=dict[int, str])  # units that came early, as lines
+    waiting: dict[int, str] = field(default_factory=dict[int, str])  # units that arrived early, as lines
     operators: bytes = b""  # snapshot of the operators; empty before the first unit
 
 
 class Worker:
-    """Processes work units one at a time and stores their results.
+    """Processor of work units, one at a time, that stores their results.
 
     Args:
         flow: Flow that the units belong to.
@@ -52,28 +52,28 @@ class Worker:
         Raises:
             EndpointError: if the result cannot be stored; the old state remains valid.
         """
-        now = _State() if state is None else cast("_State", pickle.loads(state))  # noqa: S301 - our own
+        share = _State() if state is None else cast("_State", pickle.loads(state))  # noqa: S301 - our own
         result = None
-        if now.next >= 0 and unit.number >= now.next:
+        if share.next >= 0 and unit.number >= share.next:
             try:
-                result = self._advance(now, unit)
+                result = self._advance(share, unit)
             except EndpointError:
                 raise
             except SlipflowError as error:
                 result = ShareResult.of(unit, str(error))
             if result:
-                now = _State(next=-1)
-        return pickle.dumps(now, pickle.HIGHEST_PROTOCOL), result
+                share = _State(next=-1)
+        return pickle.dumps(share, pickle.HIGHEST_PROTOCOL), result
 
-    def _advance(self, now: _State, newest: WorkUnit) -> ShareResult | None:
-        """Process `newest` and the waiting units after it, or let it wait."""
-        if newest.number > now.next:
-            now.waiting[newest.number] = newest.to_line()
+    def _advance(self, share: _State, newest: WorkUnit) -> ShareResult | None:
+        """Process `newest` and the waiting units after it, or store it until its turn."""
+        if newest.number > share.next:
+            share.waiting[newest.number] = newest.to_line()
             return None
         flow = segment(self._flow, newest.sources)
         compiled = CompiledFlow(flow, only=newest.fingers)
-        if now.operators:
-            compiled.restore(now.operators)
+        if share.operators:
+            compiled.restore(share.operators)
         entries = {node.name: node for node in flow.sources()}
         due: WorkUnit | None = newest
         while unit := due:
@@ -89,10 +89,10 @@ class Worker:
             write_result(self._results / unit.key / result_file(unit.number), result)
             if unit.end:
                 return ShareResult.of(unit)
-            now.next += 1
-            line = now.waiting.pop(now.next, None)
+            share.next += 1
+            line = share.waiting.pop(share.next, None)
             due = WorkUnit.from_line(line) if line else None
-        now.operators = compiled.snapshot()
+        share.operators = compiled.snapshot()
         return None
 
     def _read(self, unit: WorkUnit, each: Slice, entries: dict[str, Node]) -> list[Batch]:
@@ -105,7 +105,7 @@ class Worker:
 
 
 def _collect(result: UnitResult, number: int, deliveries: list[Delivery], fingers: tuple[int, ...]) -> None:
-    """Add the batches of the share's own fingertips; one share owns what belongs to every fingertip."""
+    """Add the batches of the share's own fingertips; rows of every fingertip (EVERY) belong to one share."""
     for sink, batch in deliveries:
         if batch.finger in fingers:
             result[number, cast("ResultSink", sink.part).operator, batch.finger] = batch
