@@ -155,7 +155,7 @@ class Extent:
 
     @classmethod
     def of(cls, steps: Iterable[Step], start: Pose) -> "Extent":
-        """Return the extent of steps from a pose; except for traces they are straight, so their ends suffice."""
+        """Return the extent of steps from a pose; all but traces are straight, so their ends suffice."""
         seconds, points, pose = 0.0, [start[:3]], start
         for step in steps:
             seconds += step.seconds(pose)

@@ -34,7 +34,7 @@ _SPLITS: Final = ("train",) * 8 + ("validation", "test")
 
 
 def grasp_recordings(count: int, seed: int) -> Iterator[LabelledRecording]:
-    """Simulate grasps, the same for a seed; 80 % are for training, 10 % for validation and 10 % for the test."""
+    """Simulate grasps, the same for a seed; 80 % for training, 10 % for validation, 10 % for the test."""
     for number in range(count):
         name, split = f"grasp-{seed}-{number:04}", _SPLITS[number % len(_SPLITS)]
         yield _recording(_random(number, seed), name, split)
