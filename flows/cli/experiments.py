@@ -92,7 +92,7 @@ def lift(
     out: Out = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Lift objects that are gripped too weakly and count those that are held.
+    """Lift weakly gripped objects and count those that are held.
 
     Prints success next to the paper's, failed trials by ending, slides and holding forces.
     Writes lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation

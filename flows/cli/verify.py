@@ -30,7 +30,7 @@ def verify(
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Read every file of a dataset and report missing or damaged data.
+    """Read all files of a dataset and report losses and damage.
 
     Compares every file with the manifest: SHA-256, page checksums, rows and times. Changes nothing. During
     a recording it checks the committed part.

@@ -7,7 +7,7 @@ import numpy as np
 from operators.batch import Reals, Touch
 from operators.ports import Run, Sink
 
-LEAST_CHANGE: Final = 2.0  # counts (0.25 kPa); a smaller change of a cell's mean is no contact
+LEAST_CHANGE: Final = 2.0  # counts (0.25 kPa); contact changes a cell's mean by at least this much
 
 
 class ContactMonitor(Sink[Touch]):
