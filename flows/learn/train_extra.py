@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from operators.errors import InputError
 
-_MODULES: Final = ("sklearn", "torch", "onnx", "onnxruntime")
+_PACKAGES: Final = {"scikit-learn": "sklearn", "torch": "torch", "onnx": "onnx", "onnxruntime": "onnxruntime"}
 
 
 def require_train_extra(command: str) -> None:
@@ -15,7 +15,7 @@ def require_train_extra(command: str) -> None:
     Raises:
         InputError: if one is missing; it names the command that installs them.
     """
-    if missing := [name for name in _MODULES if find_spec(name) is None]:
+    if missing := [name for name, module in _PACKAGES.items() if find_spec(module) is None]:
         raise InputError(command, f"needs {', '.join(missing)}: in the clone, pip install -e '.[train]'")
 
 

@@ -127,6 +127,6 @@ def test_a_missing_train_extra_is_an_error_with_the_command_that_installs_it(
 
     monkeypatch.setattr(train_extra, "find_spec", missing)
     with pytest.raises(
-        InputError, match=f"{command}: needs sklearn, torch, .*: in the clone, pip install -e"
+        InputError, match=f"{command}: needs scikit-learn, torch, .*: in the clone, pip install -e"
     ):
         require_train_extra(command)
