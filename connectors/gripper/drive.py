@@ -14,12 +14,12 @@ log = logging.getLogger("slipflow")
 
 @dataclass
 class GripTarget:
-    """Target of a gripper; nothing is sent before the fingers are to move.
+    """Target of a gripper; it is not sent before `request.go` is set.
 
     Attributes:
         request: Request that sets the target.
         sent: True if the newest force was sent, over any connection.
-        changed: Set by a new force.
+        changed: Event, set by a new force.
     """
 
     request: Request
@@ -41,8 +41,8 @@ class GripperDrive:
         link: The connection.
         target: Target of the gripper.
         was_ready: True if the gripper was ready when it last answered.
-        counted: Counters; ``sent`` and ``restarts`` are increased.
-        timeout: Longest time until a request is echoed, s.
+        counted: Counters; ``sent`` and ``restarts`` are incremented.
+        timeout: Longest time until the status echoes a request, s.
         activation: Longest time until the gripper is ready, s.
         poll: Time between two status requests, s.
 
@@ -70,9 +70,9 @@ class GripperDrive:
         self.sent: Request | None = None
         self.ready = False
         self._loop = asyncio.get_running_loop()
-        self._due = -inf  # s of the loop, of the next status request
-        self._requested = 0.0  # s of the loop, of the newest request that is echoed
-        self._waiting = self._loop.time()  # s of the loop, start of the wait for readiness
+        self._due = -inf  # loop time (s) of the next status request
+        self._requested = 0.0  # loop time (s) of the newest request whose echo is checked
+        self._waiting = self._loop.time()  # loop time (s), start of the wait for readiness
 
     @property
     def pending(self) -> bool:
@@ -80,7 +80,7 @@ class GripperDrive:
         return self._target.request.go and self._target.request != self.sent
 
     async def reset(self) -> None:
-        """Reset a gripper whose fault needs it.
+        """Reset the gripper if its fault requires it.
 
         Raises:
             EndpointError: if the gripper fails.
@@ -89,17 +89,17 @@ class GripperDrive:
             await self.link.write(Request())
 
     async def step(self) -> None:
-        """Read the status or send the target if due, else wait until one of them is.
+        """Read the status or send the target if due, else wait until one of them is due.
 
         Raises:
-            EndpointError: if the gripper fails; then connect again.
+            EndpointError: if the gripper fails; a new connection is then required.
         """
         now = self._loop.time()
         if now >= self._due:
             self._due = self._loop.time() + await self._check_status()
         elif self.ready and self.pending:
             await self.link.wait_turn()
-            await self._send(self._target.request)  # read after the wait: the newest
+            await self._send(self._target.request)  # read after the wait, so it is the newest
         else:
             self._target.changed.clear()
             try:
@@ -116,12 +116,12 @@ class GripperDrive:
         """
         status, now = await self.link.read_status(), self._loop.time()
         if status.needs_reset:
-            raise EndpointError(self.link.place, status.reason)
+            raise EndpointError(self.link.endpoint, status.reason)
         if status.active and self.sent and status.echo != self.sent.position:
             if now - self._requested > self._timeout:
                 raise EndpointError(
-                    self.link.place,
-                    f"does not take a request within {self._timeout} s: does another program command it?",
+                    self.link.endpoint,
+                    f"does not accept a request within {self._timeout} s: does another program command it?",
                 )
             return 0.0
         self.status = status
@@ -129,13 +129,13 @@ class GripperDrive:
             self.ready = self.was_ready = True
             return self._poll
         if self.was_ready:
-            log.warning("%s has restarted: activating it again", self.link.place)
+            log.warning("%s has restarted: activating it again", self.link.endpoint)
             self._counted["restarts"] += 1
             self.ready = self.was_ready = False
             self.sent, self._waiting = None, now
         if now - self._waiting > self._activation:
             raise EndpointError(
-                self.link.place,
+                self.link.endpoint,
                 f"is not ready within {self._activation} s: does something obstruct its fingers?",
             )
         if not status.active:

@@ -15,8 +15,8 @@ from operators.errors import ParameterError
 class ForceScale:
     """Grip force (N) for each value of the force register, linear between points.
 
-    Robotiq's manual gives the ends, 15 N and 60 N, and says that the relation is not linear, about 0.175 N
-    per count. The default assumes a linear one; replace it by points measured with a force gauge.
+    Robotiq's manual states the ends, 15 N and 60 N, and a nonlinear relation of about 0.175 N per count. The
+    default is linear; replace it by points measured with a force gauge.
 
     Args:
         points: Register value and force (N), both increasing, from register 0 to 255.
@@ -33,25 +33,25 @@ class ForceScale:
 
     def __post_init__(self) -> None:
         registers, forces = [point[0] for point in self.points], [point[1] for point in self.points]
-        whole = registers[:1] == [0] and registers[-1:] == [FULL] and forces[0] > 0 and forces[-1] < inf
-        if not (whole and _rising(registers) and _rising(forces)):
+        complete = registers[:1] == [0] and registers[-1:] == [FULL] and forces[0] > 0 and forces[-1] < inf
+        if not (complete and _rising(registers) and _rising(forces)):
             must_be = f"registers that increase from 0 to {FULL}, and forces that increase from above 0 N"
             raise ParameterError("ForceScale", "points", self.points, must_be)
 
     @property
     def weakest(self) -> float:
-        """Least grip force, N."""
+        """Minimum grip force, N."""
         return self.points[0][1]
 
     @property
     def strongest(self) -> float:
-        """Greatest grip force, N."""
+        """Maximum grip force, N."""
         return self.points[-1][1]
 
     def register(self, force: float) -> int:
         """Return the greatest register value whose force is at most `force` (N), or 0."""
         registers, forces = zip(*self.points, strict=True)
-        return int(np.interp(force, forces, registers) + 1e-6)  # 1e-6: exact for a register's own force
+        return int(np.interp(force, forces, registers) + 1e-6)  # 1e-6: inverts `force` exactly
 
     def force(self, register: int) -> float:
         """Return the force (N) of a register value."""

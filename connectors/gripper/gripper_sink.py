@@ -1,4 +1,4 @@
-"""Robotiq 3-finger gripper as a sink of force commands."""
+"""Sink that sends force commands to a Robotiq 3-finger gripper."""
 
 import asyncio
 import logging
@@ -19,7 +19,7 @@ from operators.ports import Description, Run, Sink
 
 log = logging.getLogger("slipflow")
 
-RETRY: Final = 2.0  # s, longest time between attempts to reach a gripper that failed
+RETRY: Final = 2.0  # s, longest time between attempts to reconnect
 
 
 @dataclass(eq=False)
@@ -28,11 +28,11 @@ class Gripper(Sink[Commands]):
 
     Opening activates an inactive gripper, which moves its fingers, and resets a fault. The fingers move to
     `position` with the first commanded force, or at once if `force` is given, and stop at an object. Closing
-    leaves them as they are. A replay, paced or not, does not start with this sink.
+    leaves them as they are. The sink refuses to start in a replay, paced or not.
 
-    A command is carried out on arrival, whatever its time. A force of NaN and velocities have no effect. A
-    force outside `limits` is clipped. Less force may not loosen the grip: by the manual, stopped fingers move
-    again only for more force or another position.
+    A command is executed on arrival, whatever its timestamp. A force of NaN and velocities have no effect. A
+    force outside `limits` is clipped. A lower force may not loosen the grip: according to the manual, stopped
+    fingers move again only for a higher force or another position.
 
     The status is read every `poll` seconds. A restarted gripper is activated and grips again. A gripper that
     fails (silent, lost, or with a fault) is retried with back-off; meanwhile `write` raises, and the newest
@@ -41,13 +41,13 @@ class Gripper(Sink[Commands]):
     Source: Robotiq, "3-Finger Adaptive Robot Gripper Instruction Manual".
 
     Args:
-        limits: Least and greatest force, N.
-        force: Initial force, N; None: none before the first command.
+        limits: Minimum and maximum force, N.
+        force: Initial force, N; None: the first command sets the force.
         mode: Position of the fingers relative to each other.
         position: Target of the fingers, 0 open to 255 closed.
         speed: Speed of the fingers, 0 to 255.
         scale: Scale of the force register.
-        timeout: Longest wait for the connection, for each answer, and until a request is echoed, s.
+        timeout: Longest wait for the connection, for each answer, and for the echo of a request, s.
         activation: Longest time until the gripper is ready, s.
         poll: Time between two status requests, s.
 
@@ -71,7 +71,7 @@ class Gripper(Sink[Commands]):
     activation: float = 30.0
     poll: float = 0.1
 
-    lossless = False  # only the newest command counts
+    lossless = False  # only the newest command matters
 
     def __post_init__(self) -> None:
         if not self.host:
@@ -97,8 +97,8 @@ class Gripper(Sink[Commands]):
         if self.force is not None:
             request = replace(request, go=True, force=self.scale.register(self.force))
         self._target = GripTarget(request)
-        self._was_ready = False  # when it last answered
-        self._batch: Commands | None = None  # the newest one
+        self._was_ready = False  # the gripper was ready when it last answered
+        self._batch: Commands | None = None  # newest batch
         self._drive: GripperDrive | None = None
         self._failure = ""
         self._serving: asyncio.Task[None] | None = None  # None: not open
@@ -116,9 +116,9 @@ class Gripper(Sink[Commands]):
     def describe(self) -> Description:
         """Return gripper, address, limits, target, newest status and counts.
 
-        Commands with a force are ``taken``; of these some are ``superseded`` by a newer one before they were
-        sent, others ``limited`` (clipped). ``sent`` counts requests, including activations; ``restarts`` and
-        ``failures`` are the gripper's.
+        ``taken`` counts commands with a force; of these, ``superseded`` were replaced before they were sent,
+        and ``limited`` were clipped. ``sent`` counts requests, including activations; ``restarts`` and
+        ``failures`` count those of the gripper.
         """
         status, request = self.status, self._target.request
         return {
@@ -160,11 +160,11 @@ class Gripper(Sink[Commands]):
         """Send the newest force of a batch.
 
         Raises:
-            EndpointError: while the gripper fails; the newest force is sent once it works again.
+            EndpointError: while the gripper fails; the newest force is sent after it recovers.
         """
         if self._serving and self._serving.done():
             self._serving.result()  # raises
-        if batch is not self._batch:  # else the runner retries it
+        if batch is not self._batch:  # the runner retries a failed batch
             self._batch = batch
             self._take(batch)
         if self._failure:

@@ -17,21 +17,21 @@ _REFUSALS = {
     0x01: "unknown function",
     0x02: "unknown registers: is it a 3-finger gripper?",
     0x03: "invalid value",
-    _DEVICE_FAILURE: "it failed",
-    0x06: "it is busy",
-    0x0A: "no route to it",
-    0x0B: "no device with this unit: to which one is it set?",
+    _DEVICE_FAILURE: "device failure",
+    0x06: "device busy",
+    0x0A: "the gateway has no route to the device",
+    0x0B: "no device answers: is this its unit?",
 }
 
 
 class GripperLink:
-    """Connection that is used until the first failure, then replaced.
+    """Connection for use until its first failure; then create another.
 
-    Requests are sent one at a time, each `PACE` after the previous answer. Unlike pymodbus alone, it notices
-    a lost connection at once, never retries, and raises the gripper's refusals.
+    Requests are sent one at a time, each `PACE` after the previous answer. In contrast to pymodbus, a lost
+    connection is detected at once, requests are never retried, and refusals raise an error.
 
     Args:
-        place: Name of the gripper in messages.
+        endpoint: Name of the gripper in messages.
         host: Address.
         port: Port.
         unit: Modbus unit.
@@ -41,20 +41,20 @@ class GripperLink:
         InputError: if pymodbus is not installed.
     """
 
-    def __init__(self, place: str, host: str, port: int, unit: int, timeout: float) -> None:
-        check_pymodbus(place)
+    def __init__(self, endpoint: str, host: str, port: int, unit: int, timeout: float) -> None:
+        check_pymodbus(endpoint)
         from pymodbus.client import AsyncModbusTcpClient  # noqa: PLC0415 - an extra
 
-        self.place, self._unit, self._timeout = place, unit, timeout
+        self.endpoint, self._unit, self._timeout = endpoint, unit, timeout
         self._loop = asyncio.get_running_loop()
         self._lost: asyncio.Future[None] = self._loop.create_future()
-        self._next = 0.0  # s of the loop, earliest next request
-        self._settled = 0.0  # s of the loop, when the status shows the newest request
+        self._next = 0.0  # loop time (s) of the earliest next request
+        self._settled = 0.0  # loop time (s) from which the status shows the newest request
         self._client = AsyncModbusTcpClient(
             host,
             port=port,
             name="gripper",
-            reconnect_delay=0,  # never: the drive connects again
+            reconnect_delay=0,  # never reconnect
             timeout=timeout,
             retries=0,
             trace_connect=self._changed,
@@ -67,14 +67,14 @@ class GripperLink:
             EndpointError: if the gripper cannot be reached.
         """
         if not await self._client.connect():
-            raise EndpointError(self.place, "cannot be reached: is it on, is this its address and port?")
+            raise EndpointError(self.endpoint, "cannot be reached: is it on, is this its address and port?")
 
     async def wait_turn(self) -> None:
-        """Wait until a request may be sent."""
+        """Wait until the next request may be sent."""
         await asyncio.sleep(self._next - self._loop.time())
 
     async def write(self, request: Request) -> None:
-        """Write a request; the status shows it `SETTLE` later at the earliest, and is not read before.
+        """Write a request, and delay the next `read_status` by `SETTLE`, until the status shows it.
 
         Raises:
             EndpointError: if the connection is lost, or the gripper refuses or does not answer.
@@ -97,7 +97,7 @@ class GripperLink:
         try:
             return Status.decode(octets(answer.registers))
         except RobotiqError as error:
-            raise EndpointError(self.place, f"sends {error}: is it a 3-finger gripper?") from None
+            raise EndpointError(self.endpoint, f"sends {error}: is it a 3-finger gripper?") from None
 
     def close(self) -> None:
         """Close the connection."""
@@ -106,22 +106,22 @@ class GripperLink:
             self._lost.cancel()
 
     async def _exchange(self, request: "Callable[[], Awaitable[ModbusPDU]]") -> "ModbusPDU":
-        """Send a request at its turn, and wait for the answer."""
+        """Wait for the turn, send a request and return the answer."""
         from pymodbus import ModbusException  # noqa: PLC0415 - an extra
 
         await self.wait_turn()
         if self._lost.done():  # pymodbus would reconnect silently
-            raise EndpointError(self.place, "the connection is lost")
+            raise EndpointError(self.endpoint, "the connection is lost")
         answering = asyncio.ensure_future(request())
         either: list[asyncio.Future[Any]] = [answering, self._lost]
         try:
             await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
             if not answering.done():
-                raise EndpointError(self.place, "the connection is lost")
+                raise EndpointError(self.endpoint, "the connection is lost")
             answer = answering.result()
         except ModbusException:
             raise EndpointError(
-                self.place, f"does not answer within {self._timeout} s: is {self._unit} its unit?"
+                self.endpoint, f"does not answer within {self._timeout} s: is {self._unit} its unit?"
             ) from None
         finally:
             answering.cancel()
@@ -129,7 +129,7 @@ class GripperLink:
         if answer.isError():
             code = getattr(answer, "exception_code", _DEVICE_FAILURE)
             reason = _REFUSALS.get(code, f"Modbus exception {code}")
-            raise EndpointError(self.place, f"refuses: {reason}")
+            raise EndpointError(self.endpoint, f"refuses: {reason}")
         return answer
 
     def _changed(self, connected: bool) -> None:  # noqa: FBT001 - as pymodbus calls it
@@ -138,10 +138,10 @@ class GripperLink:
 
 
 def check_pymodbus(owner: str) -> None:
-    """Check that pymodbus is installed, and silence its log, which repeats our errors.
+    """Check that pymodbus is installed, and silence its log, which duplicates the errors raised here.
 
     Raises:
-        InputError: if it is not.
+        InputError: if it is not installed.
     """
     if find_spec("pymodbus") is None:
         raise InputError(owner, "needs pymodbus: in the clone, pip install -e '.[gripper]'")

@@ -26,12 +26,12 @@ from typing import Final, Self
 from operators.errors import SlipflowError
 
 PORT: Final = 502
-UNIT: Final = 2  # in the manual's examples
+UNIT: Final = 2  # unit in the manual's examples
 REQUEST: Final = 3  # registers
 STATUS: Final = 8  # registers
-FULL: Final = 255  # the largest position, speed and force
+FULL: Final = 255  # maximum position, speed and force
 PACE: Final = 0.005  # s between requests: the gripper reads its registers at 200 Hz
-SETTLE: Final = 0.010  # s until a request shows in the status
+SETTLE: Final = 0.010  # s until the status shows a request
 
 FAULTS: Final[Mapping[int, str]] = MappingProxyType(
     {
@@ -48,11 +48,11 @@ FAULTS: Final[Mapping[int, str]] = MappingProxyType(
 )
 
 _BYTES: Final = Struct("6B")
-_RELEASING: Final = 0x0B  # the first fault that needs a reset
+_RELEASING: Final = 0x0B  # lowest code of the faults that need a reset
 
 
 class RobotiqError(SlipflowError):
-    """Bytes that are no request or status of a gripper."""
+    """Bytes that are not a valid request or status."""
 
 
 class Mode(IntEnum):
@@ -199,24 +199,24 @@ class Status:
     def encode(self) -> bytes:
         """Return the 16 bytes of its registers."""
         gripper = self.active | self.mode << 1 | self.go << 3 | self.phase << 4 | self.fingers << 6
-        axes = sum(axis << 2 * place for place, axis in enumerate(self.axes))
+        axes = sum(axis << 2 * index for index, axis in enumerate(self.axes))
         (a, b, c), (current_a, current_b, current_c) = self.positions, self.currents
         head = [gripper, axes, self.fault, self.echo]
         return bytes([*head, a, current_a, 0, b, current_b, 0, c, current_c, 0, self.scissor, 0, 0])
 
     @property
     def ready(self) -> bool:
-        """True if it is activated, in its mode, and can move."""
+        """True if the gripper is activated, has changed to its mode, and can move."""
         return self.active and self.phase is Phase.READY
 
     @property
     def object_detected(self) -> bool:
-        """True if fingers stopped before the requested position: they hold an object."""
+        """True if fingers stopped before the requested position, because they hold an object."""
         return self.ready and self.go and self.fingers in {Fingers.SOME_STOPPED, Fingers.ALL_STOPPED}
 
     @property
     def needs_reset(self) -> bool:
-        """True if its fault lasts until it is reset."""
+        """True if the fault lasts until a reset."""
         return self.fault >= _RELEASING
 
     @property
@@ -230,7 +230,7 @@ class Status:
 
 
 def registers(data: bytes) -> list[int]:
-    """Return an even number of bytes as registers.
+    """Return the 16-bit registers of an even number of bytes.
 
     >>> registers(bytes.fromhex("09 00 00 ff"))
     [2304, 255]
@@ -239,5 +239,5 @@ def registers(data: bytes) -> list[int]:
 
 
 def octets(values: Sequence[int]) -> bytes:
-    """Return registers as bytes."""
+    """Return the bytes of 16-bit registers."""
     return b"".join(value.to_bytes(2, "big") for value in values)

@@ -82,7 +82,7 @@ class Broker:
         return os.environ.get(USER), password
 
     def tls(self) -> ssl.SSLContext:
-        """Return the TLS settings with the trusted certificate authorities.
+        """Return the TLS context with the trusted certificate authorities.
 
         Raises:
             InputError: if the file of certificate authorities cannot be read.

@@ -27,11 +27,11 @@ T = TypeVar("T")
 
 TIMEOUT = 3.0  # s, for each response of the broker
 KEEPALIVE = 5  # s
-WILL_DELAY = 2  # s; a client that reconnects within it does not trigger its will
-SESSION_EXPIRY = 10  # s; the broker publishes the will at the latest then
+WILL_DELAY = 2  # s; the will is not published if the client reconnects within this time
+SESSION_EXPIRY = 10  # s; the broker publishes the will after this time at the latest
 PACKET_MAX = 128 * 1024  # bytes
 NOT_AUTHORIZED = 0x87  # MQTT 5.0, section 2.4
-INCOMING_MAX = 1000  # unread messages; then the oldest are dropped
+INCOMING_MAX = 1000  # unread messages; beyond it, the oldest are dropped
 
 _CLOSED = "the broker closed the connection"
 _UNREACHABLE = "check the address and the network"
@@ -43,7 +43,7 @@ _HINTS = {  # by text of the system error
     "No route to host": _UNREACHABLE,
     "Network is unreachable": _UNREACHABLE,
 }
-_paho_log = logging.getLogger("slipflow.paho")  # repeats our errors
+_paho_log = logging.getLogger("slipflow.paho")  # duplicates the errors raised here
 _paho_log.setLevel(logging.CRITICAL)
 
 
@@ -51,7 +51,7 @@ class NewestQueue(asyncio.Queue[aiomqtt.Message]):
     """A queue that drops its oldest message when it is full, and counts the dropped ones."""
 
     dropped = 0
-    on_news: Callable[[], object] = staticmethod(lambda: None)  # called for each message
+    on_message: Callable[[], object] = staticmethod(lambda: None)  # called for each message
 
     def put_nowait(self, item: aiomqtt.Message) -> None:
         """Add a message; drop the oldest if the queue is full."""
@@ -59,21 +59,21 @@ class NewestQueue(asyncio.Queue[aiomqtt.Message]):
             self.get_nowait()
             self.dropped += 1
         super().put_nowait(item)
-        self.on_news()
+        self.on_message()
 
 
 class Link(aiomqtt.Client):
-    """A connection that is used once: after it is lost, create another.
+    """A connection for one use: after it is lost, create another.
 
-    In addition to aiomqtt it raises errors for messages that the broker refuses, notices a lost connection
-    while it waits for a response, and leaves no callback on a closed socket or event loop.
+    In addition to aiomqtt, it reports messages that the broker refuses, detects a lost connection while it
+    waits for a response, and leaves no callback on a closed socket or event loop.
     """
 
     def __init__(self, broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> None:
         """Prepare to connect as client `identifier`, whose session the broker resumes.
 
         Raises:
-            InputError: if the file with the password or the trusted authorities cannot be read.
+            InputError: if the file with the password or the certificate authorities cannot be read.
         """
         session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         session.SessionExpiryInterval = SESSION_EXPIRY
@@ -102,10 +102,10 @@ class Link(aiomqtt.Client):
         self._client.connect_timeout = TIMEOUT
         self._url = str(broker)
         self._answers: dict[int, asyncio.Future[ReasonCode]] = {}  # PUBACKs, by packet identifier
-        self._deadline = 0.0  # s, of the loop's clock, for connecting
+        self._deadline = 0.0  # loop time (s), limit for connecting
         self._changed = asyncio.Event()  # a message arrived, or the connection was lost
         if isinstance(self._queue, NewestQueue):
-            self._queue.on_news = self._changed.set
+            self._queue.on_message = self._changed.set
 
     @property
     def alive(self) -> bool:
@@ -129,7 +129,7 @@ class Link(aiomqtt.Client):
             await asyncio.shield(entering)
         except asyncio.CancelledError:
             with suppress(aiomqtt.MqttError, ValueError):
-                await entering  # its thread cannot be stopped and may still call back
+                await entering  # its thread cannot be stopped and may still run callbacks
             self.abort()
             raise
         except (aiomqtt.MqttError, ValueError) as error:
@@ -138,11 +138,11 @@ class Link(aiomqtt.Client):
         self.on_lost(self._changed.set)
 
     def on_lost(self, call: Callable[[], object]) -> None:
-        """Call `call` when the connection is lost."""
+        """Register `call`, to be called when the connection is lost."""
         self._disconnected.add_done_callback(lambda _: call())
 
     async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
-        """Publish a message; with `qos` 1 the broker has it when this returns.
+        """Publish a message; with `qos` 1, wait until the broker has received it.
 
         Raises:
             EndpointError: if the connection is lost, or the broker refuses the message.
@@ -155,10 +155,10 @@ class Link(aiomqtt.Client):
         """Publish messages in order, then wait for all acknowledgements.
 
         Returns:
-            For each message the reason why the broker refused it; empty if it accepted it.
+            The reason for the refusal of each message; empty if the broker accepted it.
 
         Raises:
-            EndpointError: if the connection is lost; the broker may have any of the messages.
+            EndpointError: if the connection is lost; the broker may have received any of the messages.
         """
         answers = [self._publish(message) for message in messages]
         try:
@@ -190,7 +190,7 @@ class Link(aiomqtt.Client):
                 raise EndpointError(self._url, f"refuses to subscribe to {topic}: {_refusal(answer)}")
 
     async def receive(self) -> tuple[str, bytes]:
-        """Return topic and payload of the next message; cancellation loses none.
+        """Return topic and payload of the next message; cancellation loses no message.
 
         Raises:
             EndpointError: if the connection is lost and all messages received before were returned.
@@ -205,13 +205,13 @@ class Link(aiomqtt.Client):
         return message.topic.value, message.payload
 
     async def disconnect(self) -> None:
-        """Disconnect: the broker discards the will."""
+        """Disconnect, so that the broker discards the will."""
         with suppress(aiomqtt.MqttError):
             await self.__aexit__(None, None, None)
         self.abort()
 
     def abort(self) -> None:
-        """Close the socket without DISCONNECT: the broker publishes the will."""
+        """Close the socket without DISCONNECT, so that the broker publishes the will."""
         while isinstance(sock := self._client.socket(), socket.socket):
             with suppress(OSError):
                 sock.shutdown(socket.SHUT_RDWR)
@@ -229,10 +229,10 @@ class Link(aiomqtt.Client):
             return f"; if it uses {'no TLS, write mqtt:// and its port' if tls else 'TLS, write mqtts://'}"
         return next((f"; {hint}" for part, hint in _HINTS.items() if part in text), "")
 
-    async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - as the base has it
+    async def _wait_for(self, fut: Awaitable[T], timeout: float | None) -> T:  # noqa: ASYNC109 - signature of the base class
         try:
             limit = self.timeout if timeout is None else timeout
-            if fut is self._connected:  # the rest of the time for connecting
+            if fut is self._connected:  # use the time left for connecting
                 limit = max(0.0, self._deadline - asyncio.get_running_loop().time())
             async with asyncio.timeout(limit):
                 return await fut  # not asyncio.wait_for: before Python 3.12 that may lose a cancellation
@@ -272,7 +272,7 @@ class Link(aiomqtt.Client):
         for future in (self._connected, self._disconnected):
             if future.done() and not future.cancelled():
                 future.exception()  # mark as retrieved, else asyncio logs it
-        for answer in self._answers.values():  # none will arrive
+        for answer in self._answers.values():  # no PUBACK will arrive
             if not answer.done():
                 answer.set_exception(aiomqtt.MqttCodeError(reason_code))
         self._answers.clear()
@@ -286,7 +286,7 @@ class Link(aiomqtt.Client):
 
 
 class _Socket(ssl.SSLSocket):
-    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - as the base has it
+    def do_handshake(self, block: bool = False) -> None:  # noqa: FBT001, FBT002 - signature of the base class
         self.settimeout(TIMEOUT)
         try:
             super().do_handshake(block)
@@ -320,7 +320,7 @@ async def connect(broker: Broker, identifier: str, will: tuple[str, bytes] | Non
 
     Raises:
         EndpointError: if the broker is unreachable, does not respond or refuses the client.
-        InputError: if the file with the password or the trusted authorities cannot be read.
+        InputError: if the file with the password or the certificate authorities cannot be read.
     """
     link = Link(broker, identifier, will)
     await link.connect()

@@ -38,10 +38,10 @@ class Consumer(AsyncIterator[Event]):
     late, after newer ones. Events that the rig no longer keeps are reported as lost. Malformed messages and
     lost connections are reported too; the consumer reconnects.
 
-    With `position_file` it resumes where it stopped. The position is saved when the loop asks for the next
-    event, so after a crash the event in progress is delivered again: deduplicate on `Event.identifier`. One
-    consumer at a time can use a file. A new rig starts with its next event (``since="now"``), or with the
-    oldest that it keeps (``since="start"``).
+    With `position_file` it resumes at the saved position. The position is saved when the loop requests the
+    next event, so after a crash the event in progress is delivered again: deduplicate on `Event.identifier`.
+    One consumer at a time can use a file. The events of a new rig start with its next one (``since="now"``),
+    or with the oldest that it keeps (``since="start"``).
 
         async with Consumer("mqtt://localhost", site="lab", position_file="events.position") as events:
             async for event in events:
@@ -61,7 +61,7 @@ class Consumer(AsyncIterator[Event]):
         since: Literal["now", "start"] = "now",
         report: Callable[[str], object] = log.warning,
     ) -> None:
-        """Prepare a connection to the broker at `url`, see `connectors.mqtt.broker.Broker`."""
+        """Prepare a connection to the broker at `url`, see `connectors.mqtt.broker.Broker`; `report` logs."""
         self._broker = Broker.parse(url, "Consumer")
         self._topic = rig_topic("Consumer", site, rig, wildcard="+")
         check_choice("Consumer", "since", since, ("now", "start"))
@@ -70,26 +70,24 @@ class Consumer(AsyncIterator[Event]):
         self._position_file = Path(position_file) if position_file else None
         self._position = Position(everything=self._everything)
         self._lock: int | None = None  # descriptor
-        self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for answers
+        self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._dropped = 0
-        self._requested: dict[
-            tuple[RigId, str], tuple[int, float]
-        ] = {}  # first number, time (s) of last progress
+        # first number and time (s) of the latest progress, by rig and epoch
+        self._requested: dict[tuple[RigId, str], tuple[int, float]] = {}
         self._check_gaps = asyncio.Event()
         self._requesting: asyncio.Task[None] | None = None
         self._saving: asyncio.Task[None] | None = None
         self._unsaved: bytes | None = None
-        self._changed = False  # the position, since it was saved
+        self._changed = False  # the position changed since it was saved
 
     async def __aenter__(self) -> Self:
         """Load the position and connect.
 
         Raises:
             EndpointError: if the broker is unreachable or refuses the connection, or the position file cannot
-                be
-                read or written or is in use.
-            InputError: if the position file is something else, or a file with credentials cannot be read.
+                be read or written or is in use.
+            InputError: if the file is not a position file, or a file with credentials cannot be read.
         """
         try:
             if path := self._position_file:
@@ -105,7 +103,7 @@ class Consumer(AsyncIterator[Event]):
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Disconnect; an event still in progress is delivered again next time."""
+        """Disconnect; the next run delivers an event in progress again."""
         if self._requesting:
             self._requesting.cancel()
             await asyncio.wait([self._requesting])
@@ -129,10 +127,8 @@ class Consumer(AsyncIterator[Event]):
                 await self._disconnect()
                 continue
             if link.dropped > self._dropped:
-                self._report(
-                    f"{self._broker}: {link.dropped - self._dropped} messages dropped: too slow a reader"
-                )
-                self._dropped = link.dropped
+                dropped, self._dropped = link.dropped - self._dropped, link.dropped
+                self._report(f"{self._broker}: {dropped} messages dropped: the consumer is too slow")
             if not self._with_replays and is_replay(topic.split("/")[3]):
                 continue
             try:
@@ -146,7 +142,7 @@ class Consumer(AsyncIterator[Event]):
             self._mark_done()
 
     def _process(self, topic: str, payload: bytes) -> Event | None:
-        """Process a message; return its event if that is new."""
+        """Process a message; return its event if the event is new."""
         _, _, site, rig, *rest = topic.split("/")
         fields, reply = Fields.parse(payload, topic), ["replay", self._reply_name]
         if rest == ["head"]:
@@ -166,7 +162,7 @@ class Consumer(AsyncIterator[Event]):
 
     def _settle(self, rig: RigId, answer: GapAnswer) -> None:
         first, _ = self._requested.get((rig, answer.epoch), (0, 0.0))
-        if first != answer.first:  # the answer to an earlier request
+        if first != answer.first:  # an answer to an earlier request
             return
         self._report_lost(self._position.settle(rig, answer))
         if (rig, answer.epoch, first) not in {gap[:3] for gap in self._position.gaps()}:
@@ -178,7 +174,7 @@ class Consumer(AsyncIterator[Event]):
         self._check_gaps.set()
 
     async def _keep_requesting(self) -> None:
-        """Request missed events from each rig, and repeat the request until it answers."""
+        """Request missed events from each rig, and repeat each request until the rig answers."""
         loop = asyncio.get_running_loop()
         while True:
             self._check_gaps.clear()
@@ -216,7 +212,7 @@ class Consumer(AsyncIterator[Event]):
         from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
         link = await connect(self._broker, f"slipflow-{self._reply_name}")
-        try:  # heads come last, so that an event in flight is not taken for a gap
+        try:  # heads last, so that an event in flight does not look like a gap
             await link.listen(
                 f"{self._topic}/+/event", f"{self._topic}/replay/{self._reply_name}", f"{self._topic}/head"
             )
@@ -238,7 +234,7 @@ class Consumer(AsyncIterator[Event]):
         self._lock = None
 
     def _mark_done(self) -> None:
-        """Start saving the position: the last event was processed."""
+        """Mark the latest event as processed, and start saving the position."""
         if not (self._position_file and self._changed):
             return
         self._changed, self._unsaved = False, self._position.encode()

@@ -1,4 +1,4 @@
-"""Replay of missed events on request: the request, the closing answer, and the rig's side of the exchange."""
+"""Replay of missed events on request: request, closing answer, and the queue of replies of a rig."""
 
 import logging
 from collections import deque
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("slipflow")
 
 TOPIC_MAX = 256  # characters
-PENDING_MAX = 32  # requests; a client without an answer asks again
-ANSWER_MAX = 500  # events of one answer, fewer than a client's queue holds
+PENDING_MAX = 32  # requests; a client without an answer repeats its request
+ANSWER_MAX = 500  # events per answer, below the capacity of a client's queue
 SLICE = 16  # events sent at a time
 
 
@@ -45,7 +45,7 @@ class GapRequest:
 
     @classmethod
     def decode(cls, payload: bytes, topic: str) -> "GapRequest":
-        """Parse a request to the rig at `topic`, which replies only below its own ``replay`` topic.
+        """Parse a request to the rig at `topic`; `reply_to` must be below the ``replay`` topic of the rig.
 
         Raises:
             InputError: naming the field that is missing or wrong.
@@ -62,7 +62,7 @@ class GapRequest:
 
 @dataclass(frozen=True, slots=True)
 class GapAnswer:
-    """End of an answer: events `first` to `last` were sent, except those `missing`, no longer kept.
+    """Closing answer: events `first` to `last` were sent, except `missing`, which are no longer kept.
 
     `last` may be less than requested; the client requests the rest again.
 
@@ -99,10 +99,10 @@ class GapAnswer:
 
 
 class GapReplies:
-    """Pending requests of one rig, answered in turn in slices, so that a long answer delays no other."""
+    """Pending requests to one rig, answered in turn and in slices, so that a long answer delays no other."""
 
     def __init__(self, outbox: "Outbox", topic: str) -> None:
-        """Answer from `outbox` for the rig at `topic`."""
+        """Prepare to answer for the rig at `topic` from `outbox`."""
         self._outbox, self._topic = outbox, topic
         self._pending = deque[_Reply]()
         self._malformed_logged = False
@@ -112,7 +112,7 @@ class GapReplies:
         return bool(self._pending)
 
     def request(self, payload: bytes) -> None:
-        """Queue a request; ignore a malformed one, and log the first of these."""
+        """Queue a request; ignore malformed ones, and log the first of them."""
         try:
             request = GapRequest.decode(payload, self._topic)
         except InputError as error:
@@ -125,7 +125,7 @@ class GapReplies:
             self._pending.append(_Reply(request))
 
     def clear(self) -> None:
-        """Drop all requests, after the connection was lost: the clients ask again."""
+        """Drop all requests after a lost connection; the clients repeat them."""
         self._pending.clear()
 
     async def next(self) -> list[Message]:
@@ -137,7 +137,7 @@ class GapReplies:
         try:
             found, last = await self._outbox.between(request.epoch, reply.first, request.last, limit)
         except EndpointError:
-            return []  # unreadable now, which does not make the events lost: the client asks again
+            return []  # unreadable now, but not lost: the client repeats its request
         for entry in found:
             reply.found.add(entry.seq)
         reply.first, reply.sent = last + 1, reply.sent + len(found)

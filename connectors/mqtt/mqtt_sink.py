@@ -1,4 +1,4 @@
-"""Publication of slip events and the state of the rig over MQTT 5."""
+"""Sink that publishes slip events and the state of the rig over MQTT 5."""
 
 import asyncio
 import logging
@@ -40,13 +40,13 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
 
     - ``<finger>/event``: one CloudEvent per onset and end, see `connectors.events.Event`
     - ``<finger>/state``: slipping or not
-    - ``head``: number of the newest event, in the present epoch and in earlier ones
+    - ``head``: number of the newest event, in the current epoch and in earlier ones
     - ``status``: online or offline, also the last will
     - ``info``: flow, sources, detector; ``health``: state of sources, sinks, outbox and clocks every 5 s
 
-    An event that is sent again has the same id. While the disk is full or fails, events are sent from memory,
-    in an epoch of their own, and stored once the disk works; they may be lost if the process is killed
-    before. Faults mark later events as degraded and appear in ``health``.
+    An event that is sent again has the same id. While the disk is full or fails, events are sent from memory
+    in a separate epoch, and stored once the disk works; they may be lost if the process is killed before.
+    Faults mark later events as degraded and appear in ``health``.
 
     A replay publishes as another rig, ``<rig>-replay``, with its own outbox, so that consumers of the live
     rig do not receive old events. A live rig cannot have such a name.
@@ -59,8 +59,8 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     site: str = "lab"
     rig: str = "rig"  # unique within the site
     model: Mapping[str, str] = field(default_factory=dict[str, str])  # id and sha256 of the detector
-    threshold: float | None = None  # of the probability, reported in events
-    consecutive: int | None = None  # samples that decide an onset, reported in events
+    threshold: float | None = None  # probability from which a sample counts as slip, reported in events
+    consecutive: int | None = None  # samples required for an onset, reported in events
     outbox: str | Path | None = None  # None: one file per site and rig in $XDG_STATE_HOME/slipflow
     connect_required: bool = True  # False: start without the broker; events wait in the outbox
 
@@ -68,8 +68,8 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._broker = Broker.parse(self.url)
         self._destination = f"{self._broker}/{rig_topic('Mqtt', self.site, self.rig)}"
         self._model, self._sha256 = self.model.get("id", "unknown"), self.model.get("sha256")
-        named = self._model and self._model.isprintable() and not set(self.model) - {"id", "sha256"}
-        if not named or (self._sha256 is not None and not re.fullmatch("[0-9a-f]{64}", self._sha256)):
+        valid = self._model and self._model.isprintable() and not set(self.model) - {"id", "sha256"}
+        if not valid or (self._sha256 is not None and not re.fullmatch("[0-9a-f]{64}", self._sha256)):
             must_be = "a mapping with a printable id and a sha256 of 64 digits 0-9 a-f"
             raise ParameterError("Mqtt", "model", dict(self.model), must_be)
         if self.threshold is not None:
@@ -101,10 +101,10 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._faults: dict[str, set[Fault]] = {}  # by finger
         self._health = HealthReports(run)
         self._clock: dict[str, Json] | None = None  # newest state of the device clock
-        self._published: dict[str, int] = {}  # newest event id in the published state, by finger
+        self._published: dict[str, int] = {}  # id of the newest event in the published state, by finger
         self._outbox = Outbox(self._outbox_path(), keep=KEEP, keep_for=KEEP_FOR)
         await self._outbox.open()
-        # The same in each run, so that a new connection cancels an old will; replays have their own.
+        # the same in each live run, so that a new connection cancels the previous will
         identifier = f"slipflow/{self.site}/{self._name}"
         self._sender = Sender(self._broker, self._topic, self._outbox, self._documents)
         online = self._status("online", run.clock.now())
@@ -118,7 +118,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         self._reporting = asyncio.create_task(self._keep_reporting())
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
-        """Store the events of a batch in the outbox, from which they are sent at once.
+        """Store the events of a batch in the outbox, which sends them at once.
 
         Raises:
             EndpointError: if neither the disk nor memory can store them.
@@ -176,10 +176,10 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
             )
 
     def _documents(self, sent: Iterable[Entry]) -> Iterator[Message]:
-        """Yield the retained documents after events were sent: state of their fingertips, and head."""
+        """Yield the retained documents that sent events change: state of each fingertip, and head."""
         newest = {entry.finger: entry for entry in sent}
         for finger, entry in newest.items():
-            if entry.id > self._published.get(finger, 0):  # not an old one sent late
+            if entry.id > self._published.get(finger, 0):  # skips an old event that was sent late
                 self._published[finger] = entry.id
                 yield self._state(Event.decode(entry.payload))
         yield self._head()

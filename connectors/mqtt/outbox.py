@@ -28,11 +28,11 @@ T = TypeVar("T")
 log = logging.getLogger("slipflow")
 
 WRITE_TIMEOUT = 1.0  # s; then events are sent from memory
-EVENTS_PER_TIMEOUT = 1000  # a larger batch gets the timeout once more for each of these
+EVENTS_PER_TIMEOUT = 1000  # the timeout is extended once per this number of events
 SYNC_TIMEOUT = 10.0  # s
 CACHED = 256  # newest events, kept in memory to save reading them back
 MEMORY_MAX = 10_000  # events in memory while the file cannot be written
-NOTE_EVERY = 0.2  # s; acknowledgements are written together
+ACKNOWLEDGE_EVERY = 0.2  # s between writes of acknowledgements
 PRUNE_EVERY = 10.0  # s
 EPOCHS_ANNOUNCED = 12  # newest epochs in the head document
 
@@ -40,35 +40,35 @@ EPOCHS_ANNOUNCED = 12  # newest epochs in the head document
 class Outbox:
     """Numbered events of one rig in a file that is kept between runs and used by one process at a time.
 
-    An epoch is a series of numbers; it continues from run to run. Events in the file survive the process.
-    They are sent without waiting for fsync, which runs in another thread: waiting would not save them from a
-    power cut. Where a power cut may have lost numbers, because the system has rebooted since, a new epoch
-    starts, so no number is used twice.
+    An epoch is a series of numbers that continues from run to run. Events in the file survive a crash of the
+    process. They are sent without waiting for fsync, which runs in another thread: waiting would not protect
+    them from a power cut. If the system has rebooted, a power cut may have lost numbers; then a new epoch
+    starts, so that no number is used twice.
 
-    While the file cannot be written, events are numbered in memory, in an epoch of their own for the same
-    reason, and written as soon as it can; if the process is killed before, they may be lost.
+    While the file cannot be written, events are numbered in memory, for the same reason in a new epoch, and
+    written as soon as possible; if the process is killed before, they may be lost.
     """
 
     def __init__(self, path: Path, *, keep: int, keep_for: float) -> None:
         """Prepare to use `path`, which keeps `keep` sent events for `keep_for` s, and all unsent ones."""
         self.path, self._keep, self._keep_for = path, keep, keep_for
-        self.on_news: Callable[[], object] = lambda: None  # called when there is an event to send
+        self.on_pending: Callable[[], object] = lambda: None  # called when there is an event to send
         self.waiting = 0  # unsent events
-        self.error = ""  # the reason why the file cannot be written; empty if it can
+        self.error = ""  # reason why the file cannot be written; empty if it can
         self._thread = ThreadPoolExecutor(1, "slipflow-outbox")
         self._syncer = ThreadPoolExecutor(1, "slipflow-outbox-sync")
         self._boot = boot_id()
         self._lock: int | None = None
         self._file: OutboxFile | None = None
-        self._opened = False  # the file, at least once
-        self._epochs: list[Epoch] = []  # oldest first; the last is the present one
+        self._opened = False  # the file has been opened at least once
+        self._epochs: list[Epoch] = []  # oldest first; the last is the current one
         self._memory = deque[Entry]()  # the newest events
         self._durable = self._written = self._last = 0  # newest ids: durable, in the file, used
         self._read = 0  # newest id returned by `next`
         self._doubtful = list[int]()  # ids to delete from the file if they are in it
         self._acknowledged = RangeSet()  # ids
-        self._unnoted = RangeSet()  # those not yet noted in the file
-        self._untidy, self._unsynced = asyncio.Event(), asyncio.Event()
+        self._unsaved = RangeSet()  # acknowledged ids not yet marked in the file
+        self._maintenance_due, self._unsynced = asyncio.Event(), asyncio.Event()
         self._appending = asyncio.Lock()
         self._tasks = set[asyncio.Task[None]]()
 
@@ -96,33 +96,33 @@ class Outbox:
             self._durable = self._last = self._written
             self.waiting, self._opened = self._file.waiting, True
             await self._continue_epoch(self._file)
-        self._start(self._keep_tidy())
+        self._start(self._keep_maintained())
         self._start(self._keep_synced())
 
     @property
     def epoch(self) -> str:
-        """The present epoch."""
+        """Name of the current epoch."""
         return self._epochs[-1].name
 
     def heads(self) -> list[tuple[str, int]]:
-        """Return the newest epochs, the present one last, each with its newest acknowledged number."""
+        """Return the newest epochs, the current one last, each with its newest acknowledged number."""
         return [(epoch.name, epoch.sent) for epoch in self._epochs[-EPOCHS_ANNOUNCED:]]
 
     async def append(self, drafts: Sequence[Event]) -> None:
-        """Store events under new numbers; their own epoch and number are ignored.
+        """Store events under new numbers; the epoch and number of the drafts are ignored.
 
         Raises:
-            EndpointError: if the file cannot be written and memory is full; then none is stored.
+            EndpointError: if the file cannot be written and memory is full; then no event is stored.
         """
         if drafts:
             await asyncio.shield(self._start(self._append(drafts)))  # all or none
 
     async def next(self, limit: int) -> list[Entry]:
-        """Return the next unsent entries, each once until `rewind`; [] if there are none."""
+        """Return the next unsent entries, each once unless `rewind` is called; [] if there are none."""
         found = list[Entry]()
         if self._file and not self.error and not (self._memory and self._read >= self._memory[0].id - 1):
             try:
-                await self._note()
+                await self._save_acknowledged()
                 found = await self._do(self._file.waiting_after, self._read, limit)
             except EndpointError as error:
                 self._fail(error)  # continue from memory
@@ -134,7 +134,7 @@ class Outbox:
         return found
 
     def rewind(self, before: int = 1) -> None:
-        """Let `next` start again with the first unacknowledged entry from id `before` on."""
+        """Restart `next` at the first unacknowledged entry whose id is at least `before`."""
         self._read = min(self._read, before - 1)
 
     async def between(self, epoch: str, first: int, last: int, limit: int) -> tuple[list[Entry], int]:
@@ -143,13 +143,13 @@ class Outbox:
         Raises:
             EndpointError: if the file cannot be read.
         """
-        *before, present = self._epochs
-        known = next((each for each in (*before, present) if each.name == epoch), None)
+        *earlier, current = self._epochs
+        known = next((each for each in (*earlier, current) if each.name == epoch), None)
         if self.error and (known is None or known.base + first <= self._written):
             raise EndpointError(str(self.path), self.error)
         if known is None:
             return [], last
-        last, found = min(last, known.last) if known is present else last, list[Entry]()
+        last, found = min(last, known.last) if known is current else last, list[Entry]()
         if self._file and known.base + first <= self._written:
             found = await self._do(self._file.between, replace(known), first, min(last, known.last), limit)
         ids = range(max(self._written, known.base + first - 1) + 1, known.base + min(last, known.last) + 1)
@@ -162,10 +162,10 @@ class Outbox:
         for entry in entries:
             if entry.id not in self._acknowledged:
                 self._acknowledged.add(entry.id)
-                self._unnoted.add(entry.id)
+                self._unsaved.add(entry.id)
                 self.waiting -= 1
             epochs[entry.epoch].sent = max(epochs[entry.epoch].sent, entry.seq)
-        self._untidy.set()
+        self._maintenance_due.set()
 
     async def close(self) -> None:
         """Write the acknowledgements and close the file."""
@@ -174,7 +174,7 @@ class Outbox:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         with suppress(SlipflowError, TimeoutError):
             async with asyncio.timeout(WRITE_TIMEOUT):
-                await (self._recover() if self.error else self._note())
+                await (self._recover() if self.error else self._save_acknowledged())
                 await self._mark_complete()
         if lost := sum(entry.id > self._written for entry in self._memory):
             log.error("%s: %s; %d events are lost", self.path, self.error, lost)
@@ -185,7 +185,7 @@ class Outbox:
         self._syncer.shutdown(wait=False)
 
     async def _continue_epoch(self, file: OutboxFile) -> None:
-        """Continue the newest epoch unless it may have lost numbers, and mark that it may from now on."""
+        """Continue the newest epoch unless numbers may be lost, else begin one; mark it as in use."""
         if file.renewed or not self._epochs or self._epochs[-1].boot not in ("", self._boot):
             self._begin_epoch()
         self._epochs[-1].boot = self._boot
@@ -195,7 +195,7 @@ class Outbox:
             self._fail(error)
 
     async def _mark_complete(self) -> None:
-        """Make everything durable, and mark that the epoch has lost no number."""
+        """Make everything durable, and mark the epoch as complete."""
         if self._file and not self.error:
             self._epochs[-1].boot = ""
             await self._do(self._file.mark, self._snapshot())
@@ -224,7 +224,7 @@ class Outbox:
             self._take(self._number(drafts), self._epochs[-1])
 
     def _number(self, drafts: Sequence[Event]) -> list[Entry]:
-        """Return the drafts numbered in the present epoch, which counts them once they are taken."""
+        """Return the drafts with numbers of the current epoch; `_take` then advances the epoch."""
         epoch, now, entries = self._epochs[-1], int(time.time()), list[Entry]()
         for seq, draft in enumerate(drafts, epoch.last + 1):
             payload = replace(draft, epoch=epoch.name, seq=seq).encode()
@@ -237,7 +237,7 @@ class Outbox:
         self._memory += entries
         self.waiting += len(entries)
         self._trim()
-        self.on_news()
+        self.on_pending()
 
     def _trim(self) -> None:
         while len(self._memory) > CACHED and self._memory[0].id <= self._durable:
@@ -295,18 +295,18 @@ class Outbox:
         self.error = ""
         self._unsynced.set()
         self.rewind()  # to the entries of the file, which could not be read meanwhile
-        self.on_news()
+        self.on_pending()
 
-    async def _keep_tidy(self) -> None:
-        """Write acknowledgements in batches, prune old entries, and checkpoint the log when idle."""
+    async def _keep_maintained(self) -> None:
+        """Write acknowledgements in batches, delete expired entries, and checkpoint the log when idle."""
         pruned = 0.0
         while True:
-            await self._untidy.wait()
+            await self._maintenance_due.wait()
             last = self._last
-            await asyncio.sleep(NOTE_EVERY)
-            self._untidy.clear()
-            with suppress(EndpointError):  # tried again with the next acknowledgement
-                await self._note()
+            await asyncio.sleep(ACKNOWLEDGE_EVERY)
+            self._maintenance_due.clear()
+            with suppress(EndpointError):  # retried with the next acknowledgement
+                await self._save_acknowledged()
                 if self._file and not self.error and time.monotonic() - pruned > PRUNE_EVERY:
                     pruned = time.monotonic()
                     await self._do(self._file.prune, self._keep, time.time() - self._keep_for)
@@ -314,7 +314,7 @@ class Outbox:
                     await self._do(self._file.checkpoint)
 
     async def _keep_synced(self) -> None:
-        """Make what was written durable, continuously."""
+        """Sync the file after each write."""
         while True:
             await self._unsynced.wait()
             self._unsynced.clear()
@@ -335,13 +335,13 @@ class Outbox:
                     self._durable = max(self._durable, written)
                     self._trim()
 
-    async def _note(self) -> None:
-        if self._file and not self.error and len(self._unnoted):
-            noted, self._unnoted = self._unnoted, RangeSet()
+    async def _save_acknowledged(self) -> None:
+        if self._file and not self.error and len(self._unsaved):
+            saved, self._unsaved = self._unsaved, RangeSet()
             try:
-                await self._do(self._file.acknowledge, list(noted), self._snapshot())
+                await self._do(self._file.acknowledge, list(saved), self._snapshot())
             except BaseException:
-                self._unnoted = RangeSet([*noted, *self._unnoted])
+                self._unsaved = RangeSet([*saved, *self._unsaved])
                 raise
 
     def _reopen(self) -> OutboxFile:
@@ -376,7 +376,7 @@ class Outbox:
 
 
 def boot_id() -> str:
-    """Return the identifier of this boot of the system; a random one if the system has none.
+    """Return the identifier of the system's current boot; a random one if the system has none.
 
     >>> boot_id() == boot_id()
     True

@@ -5,6 +5,7 @@ intact rows are copied to a new one. Written rows survive a crash of the process
 are synced.
 """
 
+import errno
 import logging
 import os
 import sqlite3
@@ -21,9 +22,9 @@ from operators.errors import InputError, os_error_reason
 log = logging.getLogger("slipflow")
 
 FORMAT = 1
-EPOCHS_KEPT = 12  # newest epochs, kept even without events
-PRUNE_MAX = 1000  # rows at a time, so that live events wait little
-LOG_PAGES = 10_000  # of the write-ahead log, before a write has to wait for a checkpoint
+EPOCHS_KEPT = 12  # newest epochs, kept even if they have no events
+PRUNE_MAX = 1000  # rows per call, so that live events are not delayed
+LOG_PAGES = 10_000  # pages of the write-ahead log before a write has to wait for a checkpoint
 _LOG_HEADER, _FRAME_HEADER = 32, 24  # bytes, https://www.sqlite.org/fileformat2.html section 4
 _TABLES = f"""
 BEGIN;
@@ -49,7 +50,7 @@ _REMEDIES = {
 class Entry:
     """An event in the outbox."""
 
-    id: int  # unique over all epochs, in order of time
+    id: int  # unique over all epochs, in chronological order
     epoch: str
     seq: int
     finger: str
@@ -69,8 +70,8 @@ class Epoch:
     name: str
     base: int
     last: int = 0  # newest number
-    sent: int = 0  # newest number that the broker has
-    boot: str = ""  # boot in which numbers may have been lost by a power cut; empty: none
+    sent: int = 0  # newest acknowledged number
+    boot: str = ""  # boot in which the epoch was in use; empty: closed, no number is lost
 
     def row(self) -> tuple[object, ...]:
         """Return the values of the row and their checksum."""
@@ -78,8 +79,8 @@ class Epoch:
         return *values, crc32(repr(values).encode())
 
 
-class Damaged(Exception):  # noqa: N818 - it never leaves this module
-    """The file does not contain what was written."""
+class Damaged(Exception):  # noqa: N818 - `Outbox` converts it
+    """Damage of the file: its content is not what was written."""
 
 
 class OutboxFile:
@@ -95,7 +96,7 @@ class OutboxFile:
         self.epochs: list[Epoch] = []  # as found, oldest first
         self.renewed = False  # True: numbers may be missing, so start a new epoch
         self._log: int | None = None  # descriptor of the write-ahead log
-        self._syncing = Lock()  # held while it is used or closed
+        self._syncing = Lock()  # held while the descriptor is used or closed
         try:
             self._open()
         except Damaged as damage:
@@ -107,7 +108,7 @@ class OutboxFile:
     def append(
         self, entries: Iterable[tuple[Entry, bool]], epochs: Sequence[Epoch], forget: Iterable[int] = ()
     ) -> None:
-        """Write entries, each with a flag that it is unsent; first delete the ids in `forget`."""
+        """Write entries, each with True if it is unsent; first delete the ids in `forget`."""
         with self._transaction():
             self._db.executemany("DELETE FROM events WHERE id = ?", ((entry,) for entry in forget))
             rows = ((*entry.row(), int(waits)) for entry, waits in entries)
@@ -122,7 +123,7 @@ class OutboxFile:
             self._write_epochs(epochs)
 
     def mark(self, epochs: Sequence[Epoch]) -> None:
-        """Write the state of the epochs, and make it and everything before durable."""
+        """Write the state of the epochs, and make it and all earlier writes durable."""
         self._db.execute("PRAGMA synchronous = FULL")
         try:
             self.append((), epochs)
@@ -130,7 +131,7 @@ class OutboxFile:
             self._db.execute("PRAGMA synchronous = NORMAL")
 
     def sync(self) -> None:
-        """Make what was written durable; call it in another thread than the rest."""
+        """Make all writes durable; unlike the other methods, call it in a second thread."""
         with self._syncing:
             if self._log is None:
                 self._log = os.open(f"{self.path}-wal", os.O_RDONLY | os.O_CLOEXEC)
@@ -209,15 +210,13 @@ class OutboxFile:
         self._db.execute("PRAGMA synchronous = NORMAL")  # events do not wait for the disk, see `sync`
         self._db.execute(f"PRAGMA wal_autocheckpoint = {LOG_PAGES}")
         [(version,)] = self._db.execute("PRAGMA user_version")
-        [(things,)] = self._db.execute("SELECT count(*) FROM sqlite_schema")
-        if version != FORMAT and (version or things):
+        [(objects,)] = self._db.execute("SELECT count(*) FROM sqlite_schema")
+        if version != FORMAT and (version or objects):
             found = f"has outbox format {version}" if version else "is not an outbox"
             raise InputError(str(self.path), f"{found}: name another file, or move it away")
         self._db.execute("PRAGMA journal_mode = WAL")
-        self._db.execute(
-            "PRAGMA journal_size_limit = 0"
-        )  # the log has no frames left from before a checkpoint
-        if not things:
+        self._db.execute("PRAGMA journal_size_limit = 0")  # a checkpoint leaves no old frames in the log
+        if not objects:
             self._db.executescript(_TABLES)
 
     def _check(self, log_size: int) -> None:
@@ -236,7 +235,7 @@ class OutboxFile:
             if waits not in (0, 1) or entry.epoch not in epochs:
                 raise Damaged("a row has a wrong checksum")
             epoch = epochs[entry.epoch]
-            epoch.last = max(epoch.last, entry.seq)  # the row of the epoch may be one write behind
+            epoch.last = max(epoch.last, entry.seq)  # the epoch's row may be one write older
         self.epochs = list(epochs.values())
 
     def _set_aside(self, damage: str) -> None:
@@ -245,7 +244,7 @@ class OutboxFile:
         for part in ("", "-wal", "-shm"):
             with suppress(FileNotFoundError):
                 Path(f"{self.path}{part}").rename(f"{aside}{part}")
-        rows, epochs = _salvage(aside)
+        rows, epochs = _read_intact(aside)
         self._open()
         for entry, waits in rows:
             epoch = epochs.setdefault(entry.epoch, Epoch(entry.epoch, entry.id - entry.seq))
@@ -258,16 +257,14 @@ class OutboxFile:
 
 
 def is_full(error: BaseException | None) -> bool:
-    """Return True if the disk is full, which may change."""
+    """Return True if the disk is full."""
     if isinstance(error, sqlite3.Error):
         return _code(error) == sqlite3.SQLITE_FULL
-    import errno  # noqa: PLC0415 - for this alone
-
     return isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT)
 
 
 def reason_of(error: Exception) -> str:
-    """Describe what is wrong with the file, with a remedy if one is known."""
+    """Return the reason of an error, with a remedy if one is known."""
     if isinstance(error, sqlite3.Error):
         return f"{error}{_REMEDIES.get(_code(error), '')}"
     return os_error_reason(error) if isinstance(error, OSError) else str(error)
@@ -275,13 +272,13 @@ def reason_of(error: Exception) -> str:
 
 def _size(path: str) -> int:
     try:
-        return os.stat(path).st_size  # noqa: PTH116 - of a file that may be missing
+        return os.stat(path).st_size  # noqa: PTH116 - the path is a string
     except FileNotFoundError:
         return 0
 
 
 def _code(error: sqlite3.Error) -> int:
-    # an undecodable text has no code
+    # errors of undecodable text have no code
     code: int = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT)
     return code & 0xFF
 
@@ -312,7 +309,7 @@ def _epochs(db: sqlite3.Connection) -> list[Epoch]:
     return found
 
 
-def _salvage(path: Path) -> tuple[list[tuple[Entry, bool]], dict[str, Epoch]]:
+def _read_intact(path: Path) -> tuple[list[tuple[Entry, bool]], dict[str, Epoch]]:
     """Read the intact rows of a damaged file from both ends; unknown flags count as unsent."""
     found, epochs = dict[int, tuple[Entry, bool]](), dict[str, Epoch]()
     with suppress(sqlite3.Error):

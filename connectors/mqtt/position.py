@@ -1,6 +1,6 @@
-"""Position of a consumer: the slip events it has received and those it still misses, in memory or in a file.
+"""Position of a consumer: received and missed slip events, in memory or in a file.
 
-Only `lock_position`, `load` and `save` do I/O; nothing here talks to a broker.
+Only `lock_position`, `load` and `save` do I/O.
 """
 
 from collections.abc import Iterator
@@ -21,9 +21,9 @@ RigId: TypeAlias = tuple[str, str]  # site and rig
 
 FORMAT = 1
 FILE_MAX = 16 * 2**20  # bytes
-RIGS_MAX = 1000  # then the rig added first is forgotten
+RIGS_MAX = 1000  # beyond it, the rig that was added first is dropped
 EPOCHS_MAX = 16  # per rig
-GAPS_MAX = 1000  # per epoch; then the first gap is given up
+GAPS_MAX = 1000  # per epoch; beyond it, the first gap is given up
 
 
 @dataclass
@@ -40,8 +40,8 @@ class _Epoch:
 class Position:
     """Numbers of the received events, by rig and epoch.
 
-    A new rig starts with its next event; with `everything`, with its first. Methods that return texts report
-    events that are lost.
+    A new rig starts with its next event; with `everything`, with its first. Methods that return a list of
+    texts report lost events.
 
     >>> position = Position()
     >>> position.announce(("lab", "ur10"), {"ab": 4})
@@ -53,7 +53,7 @@ class Position:
     """
 
     def __init__(self, *, everything: bool = False) -> None:
-        """Start empty; with `everything`, events older than the first contact with a rig count as missed."""
+        """Start empty; with `everything`, events before the first contact with a rig count as missed."""
         self._everything = everything
         self._rigs: dict[RigId, dict[str, _Epoch]] = {}
 
@@ -71,7 +71,7 @@ class Position:
         return True
 
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
-        """Note the newest number of each epoch that a rig keeps; report the gaps of other epochs as lost."""
+        """Set the newest number of each epoch that a rig keeps; report the gaps of other epochs as lost."""
         epochs, lost = self._rigs.get(rig), list[str]()
         if epochs is None:
             epochs = self._add(rig)
@@ -88,7 +88,7 @@ class Position:
         return lost
 
     def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
-        """Mark the events that an answer lists as missing as received, and report them as lost."""
+        """Close the gaps that an answer lists as missing, and report their events as lost."""
         epoch = self._rigs.get(rig, {}).get(answer.epoch)
         if epoch is None:
             return []
@@ -223,9 +223,5 @@ def save(path: Path, payload: bytes) -> None:
 
 
 def _lost(rig: RigId, epoch: str, first: int, last: int, why: str) -> str:
-    which = (
-        f"event {first} of epoch {epoch} is"
-        if first == last
-        else f"events {first} to {last} of epoch {epoch} are"
-    )
-    return f"{'/'.join(rig)}: {which} lost: {why}"
+    which, verb = (f"event {first}", "is") if first == last else (f"events {first} to {last}", "are")
+    return f"{'/'.join(rig)}: {which} of epoch {epoch} {verb} lost: {why}"

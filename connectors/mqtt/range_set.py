@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 
 
 class RangeSet:
-    """A set of integers whose memory grows with its gaps, not with its size.
+    """A set of integers whose memory use depends on the number of gaps, not of elements.
 
     >>> seen = RangeSet([(1, 3)])
     >>> seen.add(5, 6)
@@ -17,7 +17,7 @@ class RangeSet:
     """
 
     def __init__(self, ranges: Iterable[tuple[int, int]] = ()) -> None:
-        self._firsts: list[int] = []  # of ranges that neither overlap nor touch, in order
+        self._firsts: list[int] = []  # sorted; the ranges neither overlap nor touch
         self._lasts: list[int] = []
         for first, last in ranges:
             self.add(first, last)

@@ -9,8 +9,8 @@ from urllib.parse import quote
 from operators.errors import ParameterError
 from operators.ports import Run
 
-SUFFIX: Final = "-replay"  # of the name of every replay and of no live rig
-_NAME_MAX: Final = 200  # characters; file names end at 255 bytes
+SUFFIX: Final = "-replay"  # suffix of the rig name in replays; live rigs may not use it
+_NAME_MAX: Final = 200  # characters; file names are limited to 255 bytes
 
 
 def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -> str:
@@ -29,7 +29,7 @@ def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -
 
 
 def replay_name(rig: str) -> str:
-    """Return the name of a rig in replays, which keeps old events apart from live ones.
+    """Return the name of a rig in replays, which separates old events from live ones.
 
     >>> replay_name("ur10"), replay_name("ur10-replay")
     ('ur10-replay', 'ur10-replay')

@@ -1,4 +1,4 @@
-"""Sender of a rig: publishes its outbox and its retained documents while a broker is connected."""
+"""Sender of a rig: task that publishes its outbox and its retained documents."""
 
 import asyncio
 import logging
@@ -31,7 +31,7 @@ class _Refused:
     message: Message
     entry: Entry | None  # the event in the message; None: a retained document
     retry: BackOff
-    due: float = 0.0  # s, of the loop's clock, of the next attempt
+    due: float = 0.0  # loop time (s) of the next attempt
 
     def postpone(self) -> None:
         """Schedule the next attempt."""
@@ -41,8 +41,8 @@ class _Refused:
 class Sender:
     """A task that publishes events, the retained documents they change, and answers to gap requests, in turn.
 
-    After each connection it repeats the retained documents, which the broker may have lost, and starts again
-    at the oldest unacknowledged event. A topic that the broker refuses delays no other.
+    After each connection it repeats the retained documents, which the broker may have lost, and restarts at
+    the oldest unacknowledged event. A topic that the broker refuses does not delay other topics.
     """
 
     def __init__(
@@ -56,14 +56,14 @@ class Sender:
         self._broker, self._topic, self._outbox, self._documents = broker, topic, outbox, documents
         self._replies = GapReplies(outbox, topic)
         self._retained: dict[str, Message] = {}  # by topic
-        self._changed: dict[str, Message] = {}  # those not yet at the broker
+        self._changed: dict[str, Message] = {}  # retained documents to publish, by topic
         self._refused: dict[str, _Refused] = {}  # by topic
         self._logged = set[str]()  # topics whose refusal was logged
         self._link: Link | None = None
         self._wake, self._idle = asyncio.Event(), asyncio.Event()
         self._sending: asyncio.Task[None] | None = None
         self._reading: asyncio.Task[None] | None = None
-        outbox.on_news = self._resume
+        outbox.on_pending = self._resume
 
     @property
     def refused(self) -> list[str]:
@@ -88,14 +88,14 @@ class Sender:
             except BaseException:
                 await self._disconnect()
                 raise
-        else:  # report what no retry can fix
+        else:  # raise the errors that a retry cannot fix
             self._broker.login()
             if self._broker.scheme == "mqtts":
                 self._broker.tls()
         self._sending = asyncio.create_task(self._keep_sending())
 
     def retain(self, message: Message) -> None:
-        """Publish a retained document now and after each connection, until a newer one for its topic."""
+        """Publish a retained document now and after each connection, until a newer one replaces it."""
         self._retained[message.topic] = self._changed[message.topic] = message
         self._resume()
 
@@ -127,7 +127,7 @@ class Sender:
                 retry.reset()
                 while True:
                     await self._send_next()
-            except Exception as error:  # noqa: BLE001 - slip events go on whatever fails
+            except Exception as error:  # noqa: BLE001 - sending continues after any error
                 if not failed:
                     log.warning("%s, reconnecting; events are kept in %s", error, self._outbox.path)
                 failed = True
@@ -138,7 +138,7 @@ class Sender:
 
         self._link = link = await connect(self._broker, self._identifier, self._will)
         link.on_lost(self._wake.set)
-        self._refused.clear()  # the rights may have changed
+        self._refused.clear()  # access rights may have changed
         self._replies.clear()
         self._outbox.rewind()
         self._changed = dict(self._retained)
@@ -171,7 +171,7 @@ class Sender:
         await self._retry_refused()
         replies = [] if entries else await self._replies.next()
         if replies:
-            await self._connection().send_all(replies)  # a refused client requests again
+            await self._connection().send_all(replies)  # if refused, the client repeats its request
         if not entries and not replies and not self._replies:
             self._idle.set()
             with suppress(TimeoutError):
@@ -233,7 +233,7 @@ class Sender:
             self._logged.discard(topic)
             log.warning("%s: accepts %s again", self._broker, topic)
             if refused.entry:
-                self._outbox.rewind(refused.entry.id)  # later events of this topic wait too
+                self._outbox.rewind(refused.entry.id)  # later events of this topic are pending, too
                 self._acknowledge([refused.entry])
             self._wake.set()
 

@@ -1,4 +1,4 @@
-"""Access to an I2C bus: the interface that scanning needs, and Linux's buses through smbus2."""
+"""I2C bus: the interface that `Scanner` uses, and its implementation for Linux with smbus2."""
 
 import fcntl
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ from smbus2 import SMBus
 
 
 class I2cConnection(Protocol):
-    """An open bus: the methods of `smbus2.SMBus` that scanning uses. They raise OSError as Linux does."""
+    """An open bus: the methods of `smbus2.SMBus` that `Scanner` uses. They raise OSError."""
 
     @property
     def funcs(self) -> int:
@@ -52,7 +52,7 @@ class I2cBus(Protocol):
         """Open the bus for one program.
 
         Raises:
-            OSError: if it does not exist, may not be opened or is in use.
+            OSError: if the bus does not exist, cannot be accessed or is in use.
         """
         ...
 
@@ -67,7 +67,7 @@ class LinuxI2cBus:
         """Open the bus and lock it against other programs that scan it.
 
         Raises:
-            OSError: if it does not exist, may not be opened or is locked.
+            OSError: if the bus does not exist, cannot be accessed or is locked.
         """
         bus = SMBus()
         try:

@@ -1,4 +1,4 @@
-"""Thread that scans TakkTile fingertips on schedule, and passes the scans to an event loop."""
+"""Thread that scans TakkTile fingertips on schedule and passes the scans to an event loop."""
 
 import asyncio
 import logging
@@ -19,9 +19,9 @@ from operators.errors import EndpointError
 
 log = logging.getLogger("slipflow")
 
-LOST_AFTER: Final = 250 * ms  # without a sample; at least three scans
-TIMEOUT: Final = 3.0  # s, for a scan, and for the thread to end
-BACKLOG: Final = 1000  # scans that wait for the event loop
+LOST_AFTER: Final = 250 * ms  # ns without a sample, at least three scans
+TIMEOUT: Final = 3.0  # s, for a scan and for the end of the thread
+BACKLOG: Final = 1000  # maximum of scans that wait for the event loop
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Schedule:
         bus: The bus.
         rows: Rows of the fingertips.
         conversion: Waiting time for a conversion, ns.
-        period: Time from scan to scan, ns.
-        counted: Receives the numbers of scans: made, of these silent (no cell answered) and late (began more
-            than a tenth of the period after they were due), and missed.
-        coefficients: Receives the coefficients of each cell, as in `Scanner`.
+        period: Time between two scans, ns.
+        counted: Counters, incremented by the thread: scans made, of these silent (no cell answered) and late
+            (by more than a tenth of the period), and missed.
+        coefficients: Coefficients of each cell, filled by the thread as in `Scanner`.
     """
 
     bus: I2cBus
@@ -47,7 +47,7 @@ class Schedule:
 
 
 class ScanThread:
-    """Thread that scans until the sensor is lost or `end` is called; for a task of the running event loop.
+    """Thread that scans until the sensor is lost or `end` is called; the running event loop reads the scans.
 
     Args:
         schedule: Schedule of the scans.
@@ -70,10 +70,10 @@ class ScanThread:
         return self._thread.is_alive()
 
     async def scans(self) -> AsyncGenerator[Scan]:
-        """Yield the scans as they are made.
+        """Yield the scans.
 
         Raises:
-            EndpointError: if the sensor is lost, or a scan takes too long because the bus hangs.
+            EndpointError: if the sensor is lost or the bus hangs.
         """
         timeout = TIMEOUT + self._schedule.period / s
         while True:
@@ -98,7 +98,7 @@ class ScanThread:
         try:
             async with asyncio.timeout(0 if self._blocked else TIMEOUT):
                 await self._ended.wait()
-            self._thread.join()  # setting the event was its last action
+            self._thread.join()  # the thread ends right after it sets the event
         except TimeoutError:
             log.warning("%s: abandoned a blocked thread", self._path)
 
@@ -138,10 +138,10 @@ class ScanThread:
                     sampled, answered = monotonic_ns(), True
                 else:
                     counted["silent"] += 1
-                    gone = scan.error is not None and scan.error.errno == ENODEV  # retrying is useless
-                    if monotonic_ns() - sampled > max(LOST_AFTER, 3 * period) or gone:
+                    unplugged = scan.error is not None and scan.error.errno == ENODEV
+                    if monotonic_ns() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
                         raise scan.error or OSError(EREMOTEIO, strerror(EREMOTEIO))
-                if answered:  # a sensor that is silent from the start is still lost
+                if answered:  # a sensor without any sample so far is still lost
                     self._scans.append(scan)
                     self._set(self._changed)
             else:
@@ -157,9 +157,9 @@ class ScanThread:
 
 
 def next_scan(due: int, now: int, period: int) -> tuple[int, int]:
-    """Return when the next scan is due after one that was due at `due`, and the number of missed ones.
+    """Return when the scan after `due` is due, and the number of missed scans between them.
 
-    A scan that can still begin within its own period is late, but not missed.
+    A scan that can still begin within its own period is late, not missed.
 
     >>> next_scan(100, 105, 10), next_scan(100, 119, 10), next_scan(100, 137, 10)
     ((110, 0), (110, 0), (130, 2))

@@ -1,4 +1,4 @@
-"""Scanner of TakkTile fingertips on an I2C bus; it blocks during transfers, so it needs its own thread."""
+"""Scanner of TakkTile fingertips on an I2C bus; transfers block, so run it in its own thread."""
 
 import errno
 from collections.abc import Callable, Sequence
@@ -24,27 +24,27 @@ from connectors.takktile.takktile_protocol import (
 from operators.batch import BAROMETERS, Counts, Flags, s
 
 _NOT_ACKNOWLEDGED: Final = (errno.EREMOTEIO, errno.ENXIO)  # adapters differ
-_NO_ANSWER: Final = "no fingertip answers: is the power on, are the rows right?"
+_NO_ANSWER: Final = "no fingertip answers: check the power and the rows"
 _REASONS: Final = {
-    errno.ENOENT: "there is no such bus: is I2C enabled?",
-    errno.EACCES: "may not be opened: does the user belong to the group i2c?",
-    errno.EWOULDBLOCK: "is used by another program: end that first",
-    errno.EBUSY: "a kernel driver owns the address of the barometers: unload it",
+    errno.ENOENT: "the bus does not exist: is I2C enabled?",
+    errno.EACCES: "permission denied: is the user in the group i2c?",
+    errno.EWOULDBLOCK: "is in use: end the other program",
+    errno.EBUSY: "a kernel driver uses the address of the barometers: unload it",
     errno.EREMOTEIO: _NO_ANSWER,
     errno.ENXIO: _NO_ANSWER,
-    errno.ETIMEDOUT: "time-out: a device holds the bus; switch the fingertips off and on",
-    errno.ENODEV: "the adapter is gone: is it plugged in?",
+    errno.ETIMEDOUT: "timeout: a device blocks the bus; switch the fingertips off and on",
+    errno.ENODEV: "the adapter is missing: is it plugged in?",
 }
 
 
 class Scan(NamedTuple):
-    """Samples of all cells of all fingertips, converted at one instant."""
+    """Samples of all cells of all fingertips, converted at the same time."""
 
     time: int  # ns, start of the conversion
-    counts: Counts  # (fingertips, 6) raw, as received, else 0
-    temperature: Counts  # (fingertips, 6) raw, as received, else 0
-    valid: Flags  # (fingertips, 6) False: no answer, or an implausible one
-    error: OSError | None = None  # ended the scan early: nothing of it is valid
+    counts: Counts  # (fingertips, 6) raw; 0 if the cell did not answer
+    temperature: Counts  # (fingertips, 6) raw; 0 if the cell did not answer
+    valid: Flags  # (fingertips, 6) False: no answer, or an implausible reading
+    error: OSError | None = None  # error that aborted the scan; then no sample is valid
 
     @classmethod
     def blank(cls, time: int, fingertips: int, error: OSError | None = None) -> "Scan":
@@ -54,23 +54,23 @@ class Scan(NamedTuple):
 
 
 def i2c_reason(error: OSError) -> str:
-    """Return the reason of a bus error, with its likely cause."""
+    """Return the reason of a bus error, with its likely cause or remedy."""
     text = _REASONS.get(error.errno or 0) or error.strerror or str(error)
     return f"{text} (errno {error.errno})"
 
 
 class Scanner:
-    """Fingertips on a bus that is open for this scanner alone; opening it disconnects all cells.
+    """Scanner of the fingertips on a bus, which it opens exclusively; all cells are then disconnected.
 
-    A cell is read only while all others are known to be disconnected: connected cells answer together, and
-    the sum looks like data. After every error all cells are disconnected.
+    A cell is read only while all others are confirmed to be disconnected: connected cells answer at the same
+    time, and the result looks like data. After every error all cells are disconnected.
 
     Args:
-        bus: The bus, which is opened here.
+        bus: The bus, not yet open.
         rows: Rows of the fingertips, 0 to 7.
         conversion: Waiting time for a conversion, ns.
         now: Clock of the samples, ns.
-        coefficients: Receives the coefficients of each cell (6) of each fingertip; None: no answer yet.
+        coefficients: List of the 6 cells' coefficients for each fingertip, filled here; None: not read yet.
 
     Raises:
         OSError: if the bus cannot be used, or no fingertip answers.
@@ -105,7 +105,7 @@ class Scanner:
             self._bus.close()
 
     def scan(self) -> Scan:
-        """Convert all cells at once, then read them one by one; takes longer than a conversion."""
+        """Convert all cells at the same time, then read them one by one; blocks for at least a conversion."""
         scan = Scan.blank(self._now(), len(self._rows))
         try:
             scan = scan._replace(time=self._convert())
@@ -129,7 +129,7 @@ class Scanner:
         return scan
 
     def _convert(self) -> int:
-        """Start a conversion of all cells and wait for its end; return its start (ns)."""
+        """Convert all cells and wait for the end of the conversion; return its start (ns)."""
         self._connect(ALL)
         before = self._now()
         self._bus.write_i2c_block_data(BAROMETER, CONVERT, [1])
@@ -140,7 +140,7 @@ class Scanner:
         return (before + after) // 2
 
     def _read_missing_coefficients(self, valid: Flags) -> None:
-        """Read the coefficients of one cell that answers now and did not when the bus was opened."""
+        """Read the coefficients of one cell that answers now and did not answer before."""
         for fingertip, cells in enumerate(self._coefficients):
             for cell, known in enumerate(cells):
                 if known is None and valid[fingertip, cell]:
@@ -170,7 +170,7 @@ class Scanner:
             return None
 
     def _disconnect_all(self) -> None:
-        """Disconnect all cells, and check it.
+        """Disconnect all cells, and check that none answers.
 
         Raises:
             OSError: if no fingertip acknowledges, or a barometer still answers.
@@ -182,7 +182,7 @@ class Scanner:
             if error.errno not in _NOT_ACKNOWLEDGED:
                 raise
         else:
-            raise OSError(errno.EADDRINUSE, "a barometer answers though all are disconnected")
+            raise OSError(errno.EADDRINUSE, "a barometer answers although all are disconnected")
 
     def _connect(self, address: int) -> None:
         """Connect the cells of an address."""
@@ -197,7 +197,7 @@ class Scanner:
                 return
         try:
             self._bus.write_byte(address, 0)
-        except OSError as error:  # the address has had its effect; the byte is never acknowledged
+        except OSError as error:  # the address took effect; the byte is never acknowledged
             if error.errno != errno.EREMOTEIO:
                 raise
 

@@ -1,7 +1,7 @@
 """I2C protocol of TakkTile fingertips: addresses, readings and their compensation. No I/O.
 
-A fingertip is six MPL115A2 barometers, all at address 0x60, behind an ATtiny with one address per cell: a
-write to it connects that barometer to the bus, a read disconnects it.
+A fingertip has six MPL115A2 barometers, all at address 0x60, and an ATtiny with one address per cell: a write
+to that address connects the barometer to the bus, a read disconnects it.
 
 Sources: TakkTile's boards and firmware, Freescale's MPL115A2 datasheet, the Linux driver.
 
@@ -29,13 +29,13 @@ COEFFICIENTS: Final = 0x04  # register: 8 bytes
 CONVERT: Final = 0x12  # register: writing to it starts a conversion
 
 RANGE: Final = 1024  # counts, of the 10-bit converter
-HIGHEST: Final = 850  # counts at 65 kPa, 3,600 m up, of a cell that reads 560 at sea level
+HIGHEST: Final = 850  # counts at 65 kPa, an altitude of 3,600 m, of a cell that reads 560 at sea level
 COLDEST: Final = 875  # counts, below -40 degC
 HOTTEST: Final = 40  # counts, above 105 degC
 
 
 def cell_address(row: int, cell: int) -> int:
-    """Return the ATtiny's address for a cell; `cell` 6 stands for all of them.
+    """Return the ATtiny's address for a cell; `cell` 6 addresses all six.
 
     >>> [hex(cell_address(row, cell)) for row, cell in ((0, 0), (0, 5), (1, 0), (7, 5))]
     ['0x0', '0x5', '0x8', '0x3d']
@@ -69,7 +69,7 @@ class Reading(NamedTuple):
 
 
 class Coefficients(NamedTuple):
-    """Calibration of a barometer, set by its maker."""
+    """Calibration of a barometer by its manufacturer."""
 
     a0: float  # counts
     b1: float
@@ -78,7 +78,7 @@ class Coefficients(NamedTuple):
 
     @classmethod
     def decode(cls, data: bytes) -> "Coefficients | None":
-        """Return the coefficients in the 8 bytes of their register; None if no barometer has sent them.
+        """Return the coefficients in the 8 bytes of their register; None if no barometer answered.
 
         >>> Coefficients.decode(bytes.fromhex("3ECE B3F9 C517 33C8"))
         Coefficients(a0=2009.75, b1=-2.3758544921875, b2=-0.92047119140625, c12=0.0007901191711425781)
@@ -112,16 +112,16 @@ def compensate(counts: Counts, temperature: Counts, coefficients: list[Coefficie
 
 @dataclass
 class OverloadDetector:
-    """Detector of counts of one cell that have wrapped (modulo 1024) past the end of its converter.
+    """Detector of counts of one cell that have wrapped around (modulo 1024) because of overload.
 
-    Above about 148 kPa the count would be negative. It is sent as a count near 1023, which stands for less
-    pressure than people live in; at higher pressure it is recognised by a jump of half the range.
+    Above about 148 kPa the count would be negative. It wraps to a count near 1023, which corresponds to a
+    pressure below that at 3,600 m; at higher pressure it is recognised by a jump of half the range.
     """
 
-    _last: int | None = None  # counts, negative while wrapped
+    _last: int | None = None  # counts; negative while wrapped
 
     def valid(self, count: int | None) -> bool:
-        """Take the next count, or None for a missing one; return whether it is valid.
+        """Return True if the next count of the cell is valid; None stands for a missing count.
 
         >>> cell = OverloadDetector()
         >>> [cell.valid(count) for count in (400, 30, 1010, 800, 1020, 25, None, 400)]

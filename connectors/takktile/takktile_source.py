@@ -1,4 +1,4 @@
-"""TakkTile fingertips on an I2C bus as a live source."""
+"""Live source of TakkTile fingertips on an I2C bus."""
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator
@@ -18,19 +18,19 @@ from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Json, Source
 
 RETRY: Final = 0.25  # s, between attempts to find a lost sensor
-SHORTEST: Final = ms // 10  # ns, of a conversion; a shorter time was not meant in ns
+SHORTEST: Final = ms // 10  # ns, least conversion time; a smaller number is not in ns
 ADAPTERS: Final = Path("/sys/class/i2c-dev")
 
 
 class TakkTile(Source[Touch]):
     """Fingertips of six barometers each, scanned together in a separate thread.
 
-    All barometers convert at once; a sample's time is the start of the conversion. A cell is valid if it
-    answers with a plausible reading; invalid cells have the received counts, or 0. A late scan does not shift
-    the following ones, and a missed scan is not repeated.
+    All barometers convert at the same time; a sample's time is the start of the conversion. A cell is valid
+    if it answers with a plausible reading; invalid cells have the received counts, or 0. A late scan does not
+    delay later scans, and a missed scan is not repeated.
 
     If no cell answers for 0.25 s, the sensor is lost. The source then fails once, so that the runner records
-    the gap, and looks for the sensor every 0.25 s. The bus is locked against other programs that scan it.
+    the gap, and retries every 0.25 s. The bus is locked against other programs that scan it.
 
     Args:
         bus: Number of the I2C bus (1 for /dev/i2c-1), its path, or a bus object such as a virtual lab's.
@@ -42,7 +42,7 @@ class TakkTile(Source[Touch]):
 
     Attributes:
         path: Path of the bus.
-        coefficients: Coefficients of the six cells, by finger; None for a cell that has not answered yet.
+        coefficients: Coefficients of the six cells, by finger; None if a cell has not answered yet.
 
     Raises:
         ParameterError: on an invalid value.
@@ -83,12 +83,12 @@ class TakkTile(Source[Touch]):
         counted = {"made": 0, "silent": 0, "late": 0, "missed": 0}
         cells = [self.coefficients[finger] for finger in fingers]
         self._schedule = Schedule(bus, rows, conversion, round(s / rate), counted, cells)
-        self._thread: ScanThread | None = None  # the newest
-        self._reported: Clock | None = None  # of the run in which the loss of the sensor was reported
+        self._thread: ScanThread | None = None  # newest thread
+        self._reported: Clock | None = None  # clock of the run in which the loss of the sensor was reported
 
     @property
     def kind(self) -> type[Touch]:
-        """Type of its batches: raw counts."""
+        """Type of the batches: raw counts."""
         return Touch
 
     @property
@@ -100,7 +100,7 @@ class TakkTile(Source[Touch]):
         """Yield one sample of each fingertip per scan.
 
         Raises:
-            EndpointError: if the sensor is lost or missing; once in a run until it has worked again.
+            EndpointError: if the sensor is lost or missing; raised once until the sensor works again.
         """
         while True:
             try:
@@ -135,12 +135,12 @@ class TakkTile(Source[Touch]):
             await thread.end()
 
     def pressure(self, touch: Touch) -> Reals:
-        """Return the absolute pressure (kPa) at the cells, (n, 6), of a fingertip's raw counts.
+        """Return the absolute pressure (kPa) at the cells, (n, 6), from a fingertip's raw counts.
 
-        It is NaN for an invalid sample, and for a cell whose coefficients have not been read yet.
+        It is NaN for invalid samples and for cells whose coefficients have not been read yet.
 
         Raises:
-            ParameterError: if the counts are zeroed, or of another finger.
+            ParameterError: if the counts are zeroed, or the finger is not one of this source.
         """
         if isinstance(touch, Zeroed):
             raise ParameterError("TakkTile", "touch", type(touch).__name__, "raw counts, a Touch")
@@ -151,8 +151,8 @@ class TakkTile(Source[Touch]):
     def describe(self) -> Description:
         """Return sensor, bus and schedule; ``coefficients`` and ``scans`` are updated live.
 
-        ``scans`` counts since the source was created: made, of these silent (no cell answered) and late (by
-        more than a tenth of the period), and missed.
+        ``scans`` counts the scans since the source was created: made, of these silent (no cell answered) and
+        late (by more than a tenth of the period), and missed.
         """
         schedule = self._schedule
         return {
@@ -169,7 +169,7 @@ class TakkTile(Source[Touch]):
 
 
 def _adapter(path: str) -> dict[str, Json]:
-    """Return the name and the configured speed of an adapter, from Linux."""
+    """Return the name of an adapter and its configured bus speed, as reported by Linux."""
     folder = ADAPTERS / Path(path).name
     about: dict[str, Json] = {"adapter": None, "bus_hz": None}
     try:

@@ -1,4 +1,4 @@
-"""Search for a surface: distance that an arm has moved towards it, and the force that pushes back. No I/O."""
+"""Search for a surface with an arm: distance moved towards it and contact force. No I/O."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -9,12 +9,12 @@ from connectors.ur.path_follower import Point
 from connectors.ur.ur_state import ArmState
 from operators.checks import check_above
 
-AVERAGED: Final = 4  # states, over which the force is averaged: 32 ms at 125 Hz
-OVERRUN: Final = 0.001  # m, allowed beyond the longest distance for coming to rest
+AVERAGED: Final = 4  # states per mean force: 32 ms at 125 Hz
+OVERRUN: Final = 0.001  # m, braking distance allowed beyond the longest distance
 
 
 def mean_force(states: Sequence[ArmState]) -> Point | None:
-    """Return the mean reported force (N), which is not 0 in the air; None if the controller reports none.
+    """Return the mean reported force (N); None if the controller reports none.
 
     >>> mean_force([ArmState((0,) * 6, (0,) * 6, (1, 2, 3)), ArmState((0,) * 6, (0,) * 6, (3, 2, 1))])
     (2.0, 2.0, 2.0)
@@ -27,10 +27,10 @@ class ContactSearch:
     """Contact detection from the states of an arm that moves in a straight line.
 
     Args:
-        start: State in which the arm starts.
+        start: State at the start.
         path: Longest displacement, m.
         force: Force against the direction of motion that counts as contact, N.
-        offset: Force reported in the air, N.
+        offset: Force reported without contact, N.
 
     Attributes:
         longest: Longest distance, m.
@@ -66,17 +66,17 @@ class ContactSearch:
         return len(self._newest) == AVERAGED and self.mean >= self._force
 
     def update(self, state: ArmState) -> bool:
-        """Take a state; return whether the arm has to come to rest: contact, or the end of the path."""
+        """Add a state; return True if the arm must come to rest: contact, or the end of the path."""
         self._newest.append(self.force(state))
         return self.found or self._distance(state) >= self.longest
 
     def force(self, state: ArmState) -> float:
-        """Return the force (N) against the direction of motion, without the offset."""
+        """Return the force (N) against the direction of motion, minus the offset."""
         axes = zip(self.direction, state.force, self._offset, strict=True)
         return -sum(part * (force - offset) for part, force, offset in axes)
 
     def overrun(self, state: ArmState) -> str:
-        """Return why the arm must be stopped: it moved past the end of the path; empty if it did not."""
+        """Return why the arm must be stopped if it moved past the end of the path, else an empty text."""
         over = self._distance(state) - self.longest
         if over <= OVERRUN:
             return ""

@@ -1,4 +1,4 @@
-"""Handle on the process that commands a UR arm."""
+"""Client of the process that commands a UR arm."""
 
 import asyncio
 from collections.abc import Callable
@@ -11,23 +11,23 @@ from typing import Final
 from connectors.ur.control_process import Command, End, KeepAlive, Reply, serve
 
 START_TIMEOUT: Final = 30.0  # s; the process imports ur-rtde and uploads a program
-HUNG: Final = 2.0  # s without a reply from the process
-_KEEP_ALIVE: Final = 0.1  # s, from message to message
+HUNG: Final = 2.0  # s without a reply, after which the process counts as hung
+_KEEP_ALIVE: Final = 0.1  # s between keep-alive messages
 
 
 class ControlClient:
-    """A process that is started, sent commands, checked for signs of life, and ended.
+    """Client that starts, commands, monitors and ends the process.
 
     Args:
         host: Address of the controller.
-        watchdog: Lowest rate of writes that the controller accepts, Hz.
+        watchdog: Minimum rate of writes that the controller requires, Hz.
         changed: Called when the process is ready.
         failed: Called with a reason when the process fails, dies or hangs.
 
     Attributes:
         process: The process; None before `start` and after `close`.
         ready: True once the controller accepts commands.
-        ended: Set once the process can receive no more commands.
+        ended: Event, set once the process can receive no more commands.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class ControlClient:
         self._host, self._watchdog, self._changed, self._failed = host, watchdog, changed, failed
         self._pipe: Connection | None = None
         self._closing = False
-        self._replied = 0.0  # s of the loop, time of the newest reply
+        self._replied = 0.0  # loop time (s) of the newest reply
 
     def start(self) -> None:
         """Start the process."""
@@ -54,13 +54,13 @@ class ControlClient:
         loop.add_reader(self._pipe.fileno(), self._read_replies)
 
     def send(self, command: Command) -> None:
-        """Send a command, if the process is there."""
+        """Send a command; without a process it has no effect."""
         if self._pipe:
-            with suppress(OSError):  # the process is gone, which `_read_replies` notices
+            with suppress(OSError):  # the process has died; `_read_replies` reports it
                 self._pipe.send(command)
 
     async def keep_alive(self) -> None:
-        """Send signs of life to the process, and check those from it, until it ends."""
+        """Send keep-alive messages to the process, and check its replies, until it ends."""
         loop = asyncio.get_running_loop()
         while not self.ended.is_set():
             self.send(KeepAlive())
@@ -69,7 +69,7 @@ class ControlClient:
             await asyncio.sleep(_KEEP_ALIVE)
 
     async def close(self) -> None:
-        """End the process; kill it if it does not end by itself."""
+        """End the process; kill it if it does not end in time."""
         if not (process := self.process):
             return
         self._closing = True

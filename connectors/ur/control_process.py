@@ -1,12 +1,11 @@
 """Process that commands a UR arm through ur-rtde's RTDEControlInterface, which can crash.
 
-It stops the arm when it has received no command for `SILENCE`. If the process itself dies, the controller
-misses the watchdog kicks, ends the control script and so stops the arm.
+The process stops the arm if it receives no command for `SILENCE`. If the process itself dies, the
+controller's watchdog ends the control script, which stops the arm.
 
 A velocity and a kick are written to the same register, which the controller reads once per cycle: if two
-writes fall into one cycle, the first is lost. So this process never kicks while the arm moves by velocities.
-Instead it repeats the velocity, including 0, until `Release`: every command counts as a kick, and no command
-stays lost.
+writes fall into one cycle, the first is lost. So this process never kicks during velocity control. Instead it
+repeats the velocity, including 0, until `Release`: each write counts as a kick, and replaces a lost one.
 
 A controller accepts one such client at a time. ur-rtde supports RTDE port 30004 only.
 """
@@ -23,14 +22,14 @@ from typing import Final, Literal, NamedTuple, Protocol, TypeAlias, cast
 
 from operators.errors import EndpointError, InputError
 
-SILENCE: Final = 0.5  # s without a command after which the arm is stopped; longer for a slow watchdog
+SILENCE: Final = 0.5  # s without a command until the arm is stopped; longer for a slow watchdog
 REPEAT: Final = 0.05  # s, longest time between two writes to the controller
-WATCHDOG: Final = 5.0  # Hz, lowest rate of writes that the controller accepts
+WATCHDOG: Final = 5.0  # Hz, minimum rate of writes that the controller requires
 STOP_DECELERATION: Final = 2.0  # m/s2 and rad/s2
 _POLL: Final = 0.01  # s
-_HEARTBEAT: Final = 0.1  # s, from reply to reply
+_HEARTBEAT: Final = 0.1  # s between replies
 
-Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or 1/s
+Pose: TypeAlias = tuple[float, float, float, float, float, float]  # m and rotation vector in rad, or per s
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,12 +56,12 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class Release:
-    """Command to end velocity control, because the arm stands still."""
+    """Command to end velocity control once the arm stands still."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeepAlive:
-    """Command without effect: the commanding process is alive."""
+    """Command without effect; it shows that the commanding process is alive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +82,7 @@ class Reply(NamedTuple):
 
 
 class Control(Protocol):
-    """Used part of ur-rtde's RTDEControlInterface."""
+    """The methods of ur-rtde's RTDEControlInterface that are used here."""
 
     def moveL(self, pose: list[float], speed: float, acceleration: float, asynchronous: bool, /) -> bool: ...  # noqa: D102, N802, FBT001
     def speedL(self, velocity: list[float], acceleration: float, time: float, /) -> bool: ...  # noqa: D102, N802
@@ -99,7 +98,7 @@ def check_ur_rtde() -> None:
     """Check that ur-rtde is installed.
 
     Raises:
-        InputError: if it is not.
+        InputError: if it is not installed.
     """
     if find_spec("rtde_control") is None:
         install = "in the clone, pip install -e '.[ur]' (x86-64 Linux, Python 3.11 or 3.12)"
@@ -125,8 +124,8 @@ def connect(host: str) -> Control:
 def serve(
     pipe: Connection, host: str, watchdog: float = WATCHDOG, connect: Callable[[str], Control] = connect
 ) -> None:
-    """Carry out commands from a pipe until `End`, an error, or silence; the target of the process."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # on Ctrl-C the commanding process ends this one
+    """Execute commands from a pipe until `End`, an error or silence; main function of the process."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the commanding process ends this one
     try:
         control = connect(host)
     except (EndpointError, InputError) as error:
@@ -137,7 +136,7 @@ def serve(
         control.setWatchdog(watchdog)
         pipe.send(Reply("ready"))
         commander.run(pipe, watchdog)
-    except (EOFError, OSError):  # the commanding process is gone
+    except (EOFError, OSError):  # the commanding process has died
         pass
     except RuntimeError as error:
         pipe.send(Reply("failed", str(error)))
@@ -148,7 +147,7 @@ def serve(
 
 
 class _Commander:
-    """Sender of commands to the controller; it waits for none of them to finish."""
+    """Sender of commands to the controller; it does not wait until they are done."""
 
     def __init__(self, control: Control) -> None:
         self._control = control
@@ -156,7 +155,7 @@ class _Commander:
         self._velocity = _STANDSTILL  # newest command in velocity mode
 
     def run(self, pipe: Connection, watchdog: float) -> None:
-        """Carry out commands until `End`; write to the controller at least three times per watchdog period.
+        """Execute commands until `End`; write to the controller at least three times per watchdog period.
 
         Raises:
             RuntimeError: if the controller rejects a command, or no command arrives.
@@ -178,15 +177,15 @@ class _Commander:
                 written = now
                 if not self._repeat():
                     raise RuntimeError(
-                        "the controller ended our program: stopped there, or by its watchdog, which stops the"
-                        f" arm when it receives nothing for {1 / watchdog:g} s (watchdog {watchdog:g} Hz)"
+                        "the controller ended the control program: it was stopped there, or by the watchdog"
+                        f" after {1 / watchdog:g} s without a message (watchdog {watchdog:g} Hz)"
                     )
             if now - replied > _HEARTBEAT:
                 replied = now
                 pipe.send(Reply("alive"))
 
     def stop(self) -> None:
-        """Start to come to rest."""
+        """Begin to bring the arm to rest."""
         if self._mode == "line":
             self._control.stopL(STOP_DECELERATION, True)  # noqa: FBT003 - positional in ur-rtde
             self._mode = "rest"

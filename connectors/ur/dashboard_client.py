@@ -1,4 +1,4 @@
-"""Requests to the dashboard server of a UR controller, which stops an arm independently of its program."""
+"""Client of the dashboard server of a UR controller, which stops an arm independently of its program."""
 
 import asyncio
 from typing import Final
@@ -10,14 +10,14 @@ PORT: Final = 29999
 
 
 async def request(host: str, command: str, *, port: int = PORT, timeout: float = 1.0) -> str:  # noqa: ASYNC109 - reported in the error
-    """Send a command such as ``stop`` and return the answer, all within `timeout` (s).
+    """Send a command such as ``stop`` and return the answer; `timeout` (s) covers the whole exchange.
 
     Source: Universal Robots, "Dashboard Server".
 
     Raises:
         EndpointError: if the dashboard does not answer.
     """
-    place = f"dashboard://{host}:{port}"
+    endpoint = f"dashboard://{host}:{port}"
     try:
         async with asyncio.timeout(timeout):
             reader, writer = await asyncio.open_connection(host, port)
@@ -28,9 +28,9 @@ async def request(host: str, command: str, *, port: int = PORT, timeout: float =
             finally:
                 writer.close()
     except TimeoutError as error:
-        raise EndpointError(place, NO_ANSWER.format(timeout)) from error
+        raise EndpointError(endpoint, NO_ANSWER.format(timeout)) from error
     except OSError as error:
-        raise EndpointError(place, os_error_reason(error)) from error
+        raise EndpointError(endpoint, os_error_reason(error)) from error
     if not answer:
-        raise EndpointError(place, f"closed the connection without an answer to {command!r}")
+        raise EndpointError(endpoint, f"closed the connection without an answer to {command!r}")
     return answer.decode("utf-8", "replace").strip()

@@ -1,12 +1,12 @@
-"""Velocity commands that lead an arm along a line of points at constant speed, round its bends. No I/O.
+"""Velocity commands that move an arm along a polyline at constant speed. No I/O.
 
-With w the distance (m) travelled, p the arm's position, P(w) the line, T its direction and D the delay from
-reading the arm's state to the effect of a command::
+With w the distance (m) travelled, p the arm's position, P(w) the polyline, T its direction and D the delay
+from reading the arm's state to the effect of a command::
 
     v = T(w + s D) s + g (P(w) - p)       s = min(speed, sqrt(2 a (W - w - s' D)))
 
-where W is the length of the line and s' the previous s: the arm is led back onto the line, and comes to rest
-at its end.
+where W is the length of the polyline and s' the previous s: the arm is steered back onto the polyline, and
+comes to rest at its end.
 """
 
 from bisect import bisect_right
@@ -19,20 +19,20 @@ from operators.errors import ParameterError
 
 Point: TypeAlias = tuple[float, float, float]  # m
 
-DELAY: Final = 0.04  # s, including half the time for which a command is held
+DELAY: Final = 0.04  # s, including half the time between commands
 GAIN: Final = 8.0  # 1/s
 
 
 class PathFollower:
-    """A line of points, and the distance that an arm has travelled along it.
+    """A polyline, and the distance that an arm has travelled along it.
 
     Args:
-        points: From the arm's position to the end of the line, m.
-        speed: Speed along the line, m/s.
+        points: Corners of the polyline, from the arm's position to the end, m.
+        speed: Speed along the polyline, m/s.
         acceleration: Deceleration towards the end, m/s2.
 
     Attributes:
-        travelled: Distance travelled along the line, m.
+        travelled: Distance travelled along the polyline, m.
 
     Raises:
         ParameterError: if all points are equal.
@@ -44,18 +44,16 @@ class PathFollower:
 
     def __init__(self, points: Sequence[Point], speed: float, acceleration: float) -> None:
         self._points = [points[0]] + [b for a, b in pairwise(points) if a != b]
-        self._distances = [
-            0.0,
-            *accumulate(dist(a, b) for a, b in pairwise(self._points)),
-        ]  # m, to each point
+        lengths = (dist(a, b) for a, b in pairwise(self._points))
+        self._distances = [0.0, *accumulate(lengths)]  # m, to each point
         if len(self._points) == 1:
             raise ParameterError("PathFollower", "points", len(points), "two or more that differ")
         self._speed, self._acceleration = speed, acceleration
-        self._previous = 0.0  # m/s, along the line
+        self._previous = 0.0  # m/s, along the polyline
         self.travelled = 0.0
 
     def velocity(self, position: Point) -> Point | None:
-        """Return the velocity (m/s) for an arm at a position (m); None: come to rest."""
+        """Return the velocity (m/s) for an arm at a position (m); None if it must come to rest."""
         self._advance(position)
         left = self._distances[-1] - self.travelled
         braking = sqrt(2 * self._acceleration * max(0.0, left - self._previous * DELAY))  # m/s
@@ -71,12 +69,12 @@ class PathFollower:
         return x, y, z
 
     def deviation(self, position: Point) -> float:
-        """Return the distance (m) of a position from the line; past the end, from its end."""
+        """Return the distance (m) of a position from the polyline or, past its end, from its end point."""
         self._advance(position)
         return dist(position, self._point(self.travelled))
 
     def _advance(self, position: Point) -> None:
-        """Advance to the point of the line that is nearest to the position; never go back."""
+        """Advance to the point of the polyline nearest to the position, never backwards."""
         while True:
             a, b = self._segment(self.travelled)
             begin = self._distances[self._index(self.travelled)]
@@ -88,7 +86,7 @@ class PathFollower:
             self.travelled = max(self.travelled, begin + length)
 
     def _index(self, distance: float) -> int:
-        """Return the number of the segment at a distance along the line."""
+        """Return the index of the segment at a distance along the polyline."""
         return min(bisect_right(self._distances, distance), len(self._distances) - 1) - 1
 
     def _segment(self, distance: float) -> tuple[Point, Point]:

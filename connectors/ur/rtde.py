@@ -1,8 +1,8 @@
 """Packages and recipes of UR's Real-Time Data Exchange (RTDE), version 2, as bytes. No I/O.
 
 A connection carries packages: uint16 size (including these three bytes), uint8 kind, payload; all numbers are
-big-endian. A client requests a *recipe* of outputs by name, receives their types, and then their values at a
-rate. It may also request recipes of inputs, and send values for those.
+big-endian. A client requests a *recipe* of outputs by name, receives their types, and then their values at
+the requested rate. It may also request recipes of inputs, and send their values.
 
 Source: Universal Robots, "Real-Time Data Exchange (RTDE) Guide".
 """
@@ -16,11 +16,11 @@ from typing import Final, NamedTuple, Self, TypeAlias
 
 from operators.errors import SlipflowError
 
-Value: TypeAlias = float | tuple[float, ...]  # for type checkers, integers and flags are floats
+Value: TypeAlias = float | tuple[float, ...]  # includes integers and flags
 
 PORT: Final = 30004
 PROTOCOL: Final = 2  # version
-LARGEST: Final = 8192  # bytes of a package; all variables of a controller together take half of it
+LARGEST: Final = 8192  # bytes of a package, twice the size of all variables of a controller
 FORMATS: Final[Mapping[str, str]] = MappingProxyType(
     {
         "BOOL": "?",
@@ -42,16 +42,16 @@ _RATE: Final = Struct(">d")
 
 
 class RtdeError(SlipflowError):
-    """A peer violated the protocol, or refused a request."""
+    """Violation of the protocol, or refusal of a request, by a peer."""
 
 
 class Kind(IntEnum):
-    """Kind of a package; a request and its answer have the same kind."""
+    """Kind of a package, the same for a request and its answer."""
 
     PROTOCOL = ord("V")  # uint16 version -> bool
     CONTROLLER = ord("v")  # -> uint32 major, minor, bugfix, build
     TEXT = ord("M")  # from the controller: uint8 length, message, uint8 length, source, uint8 level
-    DATA = ord("U")  # both ways: uint8 number of the recipe, packed values
+    DATA = ord("U")  # in both directions: uint8 number of the recipe, packed values
     OUTPUTS = ord("O")  # double rate, names -> uint8 number of the recipe, types
     INPUTS = ord("I")  # names -> uint8 number of the recipe, types
     START = ord("S")  # -> bool
@@ -59,7 +59,7 @@ class Kind(IntEnum):
 
 
 class Package(NamedTuple):
-    """Package without its header."""
+    """A package without its header."""
 
     kind: int
     payload: bytes
@@ -75,13 +75,13 @@ def pack(kind: int, payload: bytes = b"") -> bytes:
 
 
 class Packages:
-    """Splitter of a byte stream into packages, however the stream is cut."""
+    """Splitter of a byte stream, received in chunks of any size, into packages."""
 
     def __init__(self, largest: int = LARGEST) -> None:
         self._largest, self._rest = largest, b""
 
     def feed(self, data: bytes) -> Iterator[Package]:
-        """Yield the packages that `data` completes; exhaust the iterator.
+        """Yield the packages that `data` completes; the caller must exhaust the iterator.
 
         Raises:
             RtdeError: on an invalid size, after which no package boundary can be found.
@@ -101,7 +101,7 @@ class Packages:
 
 
 def names(payload: bytes) -> tuple[str, ...]:
-    """Return names or types that are separated by commas; a trailing comma is allowed.
+    """Parse names or types separated by commas; a trailing comma is allowed.
 
     >>> names(b"timestamp,actual_q,")
     ('timestamp', 'actual_q')
@@ -140,7 +140,7 @@ class Recipe:
         """Return the recipe that a controller's answer grants.
 
         Raises:
-            RtdeError: if it grants none, naming the refused fields.
+            RtdeError: if the controller refuses, naming the refused fields.
         """
         number, types = payload[:1], names(payload[1:])
         pairs = zip(names_asked, types, strict=False)
@@ -154,16 +154,16 @@ class Recipe:
 
     @property
     def size(self) -> int:
-        """Size of a payload, bytes."""
+        """Size of the payload in bytes."""
         return self._struct.size
 
     @property
     def answer(self) -> bytes:
-        """Payload of the answer that grants it."""
+        """Payload of the answer that grants the recipe."""
         return bytes([self.number]) + ",".join(self.types).encode()
 
     def pack(self, values: Sequence[Value]) -> bytes:
-        """Return the payload that carries values.
+        """Pack values into a payload.
 
         Raises:
             RtdeError: if a value has another type or is out of range.
@@ -177,10 +177,10 @@ class Recipe:
             raise RtdeError(f"{self.names} cannot be {tuple(values)}: {reason}") from reason
 
     def unpack(self, payload: bytes) -> tuple[Value, ...]:
-        """Return the values of a payload.
+        """Unpack the values of a payload.
 
         Raises:
-            RtdeError: if it has another recipe number or size.
+            RtdeError: if the payload has another recipe number or size.
         """
         self.check(payload)
         flat, begin, values = self._struct.unpack(payload), 1, list[Value]()
@@ -193,7 +193,7 @@ class Recipe:
         """Check that a payload belongs to this recipe.
 
         Raises:
-            RtdeError: if it has another recipe number or size.
+            RtdeError: if the payload has another recipe number or size.
         """
         if payload[:1] != bytes([self.number]) or len(payload) != self.size:
             found = f"{len(payload)} bytes for recipe {payload[:1].hex() or 'none'}"
@@ -210,7 +210,7 @@ class Version(NamedTuple):
 
     @classmethod
     def read(cls, payload: bytes) -> Self:
-        """Return the version in a controller's answer.
+        """Parse the version in a controller's answer.
 
         Raises:
             RtdeError: if the answer has another size.
@@ -229,12 +229,12 @@ class Version(NamedTuple):
 
 
 def ask_outputs(rate: float, outputs: Sequence[str]) -> bytes:
-    """Return the payload that requests outputs at a rate (Hz)."""
+    """Return the payload of a request for outputs at a rate (Hz)."""
     return _RATE.pack(rate) + ",".join(outputs).encode()
 
 
 def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
-    """Return the rate (Hz) and the names in a client's request for outputs.
+    """Parse a client's request for outputs into rate (Hz) and names.
 
     Raises:
         RtdeError: if the payload is too short.
@@ -245,7 +245,7 @@ def outputs_asked(payload: bytes) -> tuple[float, tuple[str, ...]]:
 
 
 def text(payload: bytes) -> str:
-    r"""Return the message of a text package and its source.
+    r"""Return the message and the source of a text package.
 
     >>> text(b"\5hello\4RTDE\1")
     'hello (RTDE)'

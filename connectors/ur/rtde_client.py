@@ -1,4 +1,4 @@
-"""RTDE client: subscribes to a controller's outputs and timestamps each package as it arrives."""
+"""RTDE client that subscribes to a controller's outputs and timestamps each package on arrival."""
 
 import asyncio
 import logging
@@ -17,11 +17,11 @@ T = TypeVar("T")
 
 BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
 
-NO_ANSWER: Final = "does not answer for {} s: is this its address, and is it on?"
-_NO_DATA: Final = "sends nothing for {} s: does it run, and is the cable in?"
+NO_ANSWER: Final = "does not answer within {} s: check its address and its power"
+_NO_DATA: Final = "sent nothing for {} s: check that it runs and is connected"
 _REFUSED: Final = (
-    "refuses the connection: is this its address, is it on, is RTDE enabled there"
-    " (e-Series: Settings, Security, Services)?"
+    "refuses the connection: check its address, and that RTDE is enabled"
+    " (e-Series: Settings, Security, Services)"
 )
 
 log = logging.getLogger("slipflow")
@@ -38,17 +38,17 @@ class RtdeClient(asyncio.Protocol):
         port: RTDE port.
         outputs: RTDE types of the requested variables, by name.
         rate: Packages per second, Hz.
-        timeout: Longest wait for the connection and from package to package, s.
+        timeout: Longest wait for the connection and between packages, s.
 
     Attributes:
-        place: Address in error messages.
+        endpoint: Address in error messages.
         controller: Software version; None before the controller has sent it.
     """
 
     def __init__(
         self, clock: Clock, host: str, port: int, outputs: Mapping[str, str], *, rate: float, timeout: float
     ) -> None:
-        self.place = f"rtde://{host}:{port}"
+        self.endpoint = f"rtde://{host}:{port}"
         self.controller: Version | None = None
         self._address, self._clock, self._timeout = (host, port), clock, timeout
         self._outputs, self._rate = outputs, rate
@@ -101,14 +101,14 @@ class RtdeClient(asyncio.Protocol):
                 self._take(kind, payload, arrival)
         except RtdeError as error:
             unknown = self.controller is None
-            self._fail(RtdeError(f"it does not speak RTDE: {error}") if unknown else error)
+            self._fail(RtdeError(f"is not an RTDE server: {error}") if unknown else error)
         if self._received:
             self._changed.set()
         if len(self._received) >= BACKLOG and self._transport:
             self._transport.pause_reading()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Note the error; packages received before it can still be read."""
+        """Store the error; earlier packages can still be received."""
         self._fail(exc or ConnectionError("the controller closed the connection"))
         self._closed.set()
 
@@ -117,7 +117,7 @@ class RtdeClient(asyncio.Protocol):
         if kind == Kind.TEXT:
             log.warning("controller: %s", text(payload))
         elif kind != self._expected:
-            raise RtdeError(f"a package {chr(kind)!r} where {chr(self._expected)!r} was due")
+            raise RtdeError(f"received package {chr(kind)!r}, expected {chr(self._expected)!r}")
         elif kind == Kind.DATA:
             self._recipe.check(payload)
             self._received.append((arrival, payload))
@@ -129,7 +129,7 @@ class RtdeClient(asyncio.Protocol):
         match self._expected:
             case Kind.PROTOCOL:
                 if payload != b"\1":
-                    reason = f"the controller does not speak version {PROTOCOL} of RTDE: update its software"
+                    reason = f"the controller does not support RTDE version {PROTOCOL}: update its software"
                     raise RtdeError(reason)
                 self._request(Kind.CONTROLLER)
             case Kind.CONTROLLER:
@@ -141,7 +141,7 @@ class RtdeClient(asyncio.Protocol):
                 self._request(Kind.START)
             case _:
                 if payload != b"\1":
-                    raise RtdeError("the controller refused to start to send")
+                    raise RtdeError("the controller refused to start sending")
                 self._expected = Kind.DATA
 
     def _check_types(self, types: tuple[str, ...]) -> None:
@@ -181,10 +181,10 @@ class RtdeClient(asyncio.Protocol):
             async with asyncio.timeout(self._timeout):
                 return await awaited
         except TimeoutError as error:
-            raise EndpointError(self.place, late.format(self._timeout)) from error
+            raise EndpointError(self.endpoint, late.format(self._timeout)) from error
         except ConnectionRefusedError as error:
-            raise EndpointError(self.place, _REFUSED) from error
+            raise EndpointError(self.endpoint, _REFUSED) from error
         except OSError as error:
-            raise EndpointError(self.place, os_error_reason(error)) from error
+            raise EndpointError(self.endpoint, os_error_reason(error)) from error
         except RtdeError as error:
-            raise EndpointError(self.place, str(error)) from error
+            raise EndpointError(self.endpoint, str(error)) from error

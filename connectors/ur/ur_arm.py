@@ -1,9 +1,10 @@
-"""UR arm that executes one move at a time; every state that its controller sends is checked.
+"""UR arm that executes one move at a time and checks every state that its controller sends.
 
-Commands go to a separate process (`control_process`). The arm is stopped by a stop of the controller, a
-violated bound, a move that takes too long, a process that dies or hangs, and by its caller. There are three
-independent stops: the command to the process; `stop` over the dashboard, if the arm does not stand soon or
-the process is gone; and the controller's watchdog, which ends the control script when the process is silent.
+Commands go to a separate process (`control_process`). The arm is stopped if the controller stops, a bound is
+violated, a move takes too long, the process dies or hangs, or the caller requests it. There are three
+independent stops: the command to the process; `stop` over the dashboard, if the arm does not come to rest in
+time or the process has died; and the controller's watchdog, which ends the control script when the process is
+silent.
 """
 
 import asyncio
@@ -27,24 +28,24 @@ log = logging.getLogger("slipflow")
 
 STOP_TIMEOUT: Final = 1.0  # s, for the arm to come to rest
 PATH_TOLERANCE: Final = 0.005  # m
-_STEERING: Final = 0.02  # s, from command to command along a line of points
+_STEERING: Final = 0.02  # s between commands along a polyline
 _REST: Final[Pose] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class UrArm:
-    """Arm that can be moved between `open` and `close`, or inside an async with block; afterwards it stands.
+    """Arm that can be moved between `open` and `close`, or as an async context manager; `close` stops it.
 
     Args:
         host: Address of the controller.
         bounds: Workspace and force limit.
         clock: Clock of the run.
-        watchdog: Lowest rate of writes that the controller accepts before it stops the arm, Hz.
-        path_tolerance: Distance from a line of points at which the arm is stopped, m.
+        watchdog: Minimum rate of writes that the controller requires, else it stops the arm, Hz.
+        path_tolerance: Deviation from a polyline at which the arm is stopped, m.
 
     Attributes:
         state: Newest state.
-        fault: Reason for which the arm was stopped; empty if it was not.
-        control: The process that commands it.
+        fault: Reason why the arm was stopped; empty if it was not.
+        control: Client of the process that commands the arm.
     """
 
     def __init__(
@@ -59,27 +60,27 @@ class UrArm:
         self.host, self.bounds, self.fault = host, bounds, ""
         self.state = ArmState(_REST, _REST)
         self.control = ControlClient(host, watchdog, self._notify, self.fail)
-        self._place, self._path_tolerance = f"ur://{host}", path_tolerance
+        self._endpoint, self._path_tolerance = f"ur://{host}", path_tolerance
         self._reader = ArmStateReader(clock, host)
-        self._state_known = True  # the controller still sends the state
-        self._changed, self._dashboard_asked = asyncio.Event(), False
-        self._force_offset: Point = (0.0, 0.0, 0.0)  # N, reported in the air
-        self._guard: Callable[[ArmState], str] | None = None  # check of the current move: why to stop
-        self._moved = 0.0  # s of the loop, time at which the arm last moved
+        self._state_known = True  # the controller sends the state
+        self._changed, self._dashboard_used = asyncio.Event(), False
+        self._force_offset: Point = (0.0, 0.0, 0.0)  # N, reported without contact
+        self._guard: Callable[[ArmState], str] | None = None  # returns why to stop the current move
+        self._moved = 0.0  # loop time (s) at which the arm last moved
         self._tasks = set[asyncio.Task[None]]()
 
     async def open(self) -> None:
         """Connect to the controller, and start the process that commands the arm.
 
         Raises:
-            EndpointError: if the controller sends no state, or the arm may not move or cannot be commanded.
+            EndpointError: if the controller sends no state, or the arm must not move or cannot be commanded.
         """
         try:
             self.state = await self._reader.open()
             self.fault = self.fault or self.bounds.violation(self.state)
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
-                log.warning("%s: the controller reports no force: the limit is not checked", self._place)
+                log.warning("%s: the controller reports no force: the limit is not checked", self._endpoint)
             self._spawn(self._read_states())
             self.control.start()
             self._spawn(self.control.keep_alive())
@@ -89,7 +90,7 @@ class UrArm:
             raise
 
     async def line(self, pose: Pose, speed: float, acceleration: float, seconds: float) -> None:
-        """Move in a straight line to a pose and stop there; planned to take `seconds`.
+        """Move in a straight line to a pose and stop there; `seconds` is the planned duration.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -98,13 +99,15 @@ class UrArm:
         self._moved = asyncio.get_running_loop().time()
         try:
             self.control.send(MoveTo(pose, speed, acceleration))
-            await self._until(lambda: self._at(pose, speed, acceleration), 2 * seconds + 2, "to get there")
+            await self._until(
+                lambda: self._at(pose, speed, acceleration), 2 * seconds + 2, "to reach the target"
+            )
         except asyncio.CancelledError:
             self.control.send(Stop())
             raise
 
     async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
-        """Move with a velocity (m/s, rad/s) for a time, then come to rest.
+        """Move with a velocity (m/s, rad/s) for a time (s), then come to rest.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -115,7 +118,7 @@ class UrArm:
             await self.wait(seconds)
 
     async def trace(self, points: Sequence[Point], speed: float, acceleration: float, seconds: float) -> None:
-        """Move along a line of points at constant speed and orientation; planned to take `seconds`.
+        """Move along a polyline at constant speed and orientation; `seconds` is the planned duration.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -128,18 +131,18 @@ class UrArm:
         end = loop.time() + 2 * seconds + 2
 
         def deviates(state: ArmState) -> str:
-            off = follower.deviation((state.pose[0], state.pose[1], state.pose[2]))
-            return f"it is {1000 * off:.1f} mm off its path" if off > self._path_tolerance else ""
+            error = follower.deviation((state.pose[0], state.pose[1], state.pose[2]))
+            return f"it is {1000 * error:.1f} mm off its path" if error > self._path_tolerance else ""
 
         async with self._velocity_control(speed, acceleration, deviates):
             while (velocity := follower.velocity(self._position)) is not None:
                 if loop.time() > end:
-                    self.fail(f"takes more than {2 * seconds + 2:.1f} s to get there")
+                    self.fail(f"takes more than {2 * seconds + 2:.1f} s to reach the target")
                 self.control.send(Move((*velocity, 0.0, 0.0, 0.0), acceleration))
                 await self.wait(_STEERING)
 
     async def tare(self, seconds: float) -> None:
-        """Stand still in the air, and take the mean force reported meanwhile as the zero of `touch`.
+        """Stand still without contact, and set the zero of `touch` to the mean reported force.
 
         Raises:
             EndpointError: if the arm had to be stopped, or its controller reports no force.
@@ -158,15 +161,15 @@ class UrArm:
             self._force_offset = offset
 
     async def touch(self, path: Point, force: float, speed: float, acceleration: float) -> float:
-        """Move in a straight line until the surface pushes back with a force (N), or the path (m) ends.
+        """Move along a straight path (m) until the contact force reaches `force` (N).
 
-        The force is relative to that of the last `tare`.
+        Forces are relative to the last `tare`.
 
         Returns:
             The force (N) at rest.
 
         Raises:
-            EndpointError: if the arm had to be stopped, as at the end of a path without contact.
+            EndpointError: if the arm had to be stopped, for example at the end of a path without contact.
         """
         self._check()
         search = ContactSearch(self.state, path, force, self._force_offset)
@@ -177,12 +180,12 @@ class UrArm:
             await self._until(lambda: search.update(self.state), longest, "to find the surface")
         if not search.found:
             distance, found = 1000 * search.longest, search.mean
-            self.fail(f"no contact of {force:g} N within {distance:.1f} mm: {found:.1f} N there")
+            self.fail(f"no contact of {force:g} N within {distance:.1f} mm: {found:.1f} N at the end")
             self._check()
         return search.force(self.state)
 
     async def wait(self, seconds: float) -> None:
-        """Wait, while the arm continues as it is.
+        """Wait while the arm continues its motion.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -192,23 +195,23 @@ class UrArm:
                 await self._until(lambda: False, inf, "")
 
     def fail(self, reason: str) -> None:
-        """Stop the arm for good; the current and every later move raises with this reason."""
+        """Stop the arm permanently; the current move and all later ones raise this reason."""
         if self.fault:
             return
         self.fault = reason
         self.control.send(Stop())
-        log.error("%s is stopped: %s", self._place, reason)
+        log.error("%s is stopped: %s", self._endpoint, reason)
         self._changed.set()
         if self.control.process:
             self._spawn(self.stop())
 
     async def stop(self) -> None:
-        """Come to rest by every available stop; return when the arm stands or nothing more can be done."""
+        """Stop the arm by all available stops; return when it stands or all stops were tried."""
         self.control.send(Stop())
         if self.control.ended.is_set() or not await self._stands():
             await self._stop_by_dashboard()
             if not await self._stands():
-                log.error("%s may still move: press its emergency stop", self._place)
+                log.error("%s may still move: press its emergency stop", self._endpoint)
                 return
         self.control.send(Release())
 
@@ -237,7 +240,7 @@ class UrArm:
         return x, y, z
 
     def _check_target(self, pose: tuple[float, ...]) -> None:
-        """Stop the arm if a target is outside its bounds, and raise if it is stopped."""
+        """Stop the arm if a target is outside its bounds, and raise if the arm was stopped."""
         if reason := self.bounds.violation(ArmState(pose, _REST)):
             self.fail(f"target outside the bounds: {reason}")
         self._check()
@@ -246,9 +249,9 @@ class UrArm:
     async def _velocity_control(
         self, speed: float, acceleration: float, guard: Callable[[ArmState], str] | None = None
     ) -> AsyncGenerator[None]:
-        """Open a block that moves by velocities (at most `speed`, m/s or rad/s) and ends at rest.
+        """Run a block that commands velocities (at most `speed`, m/s or rad/s), then bring the arm to rest.
 
-        A guard checks every state until then, and returns why the arm must be stopped.
+        Until then, `guard` checks every state, and returns why the arm must be stopped, or an empty text.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -288,10 +291,10 @@ class UrArm:
 
     def _check(self) -> None:
         if self.fault:
-            raise EndpointError(self._place, self.fault)
+            raise EndpointError(self._endpoint, self.fault)
 
     async def _until(self, done: Callable[[], bool], seconds: float, purpose: str) -> None:
-        """Wait for a condition, which is checked at every state; stop the arm if it takes too long.
+        """Wait for a condition, checked at every state; stop the arm if it takes too long.
 
         Raises:
             EndpointError: if the arm had to be stopped.
@@ -310,7 +313,7 @@ class UrArm:
                 self.fail(f"takes more than {seconds:.1f} s {purpose}")
 
     def _at(self, pose: Pose, speed: float, acceleration: float) -> bool:
-        """Return whether the arm stands at a pose; repeat the command if it stands elsewhere."""
+        """Return True if the arm stands at a pose; repeat the command if it stands elsewhere."""
         now = asyncio.get_running_loop().time()
         if self.state.stands_at(pose):
             return True
@@ -322,7 +325,7 @@ class UrArm:
         return False
 
     async def _stands(self) -> bool:
-        """Return whether the arm is seen to stand within `STOP_TIMEOUT`."""
+        """Return True if the arm is observed at rest within `STOP_TIMEOUT`."""
         try:
             async with asyncio.timeout(STOP_TIMEOUT):
                 while True:
@@ -334,11 +337,11 @@ class UrArm:
             return False
 
     async def _stop_by_dashboard(self) -> None:
-        if self._dashboard_asked:
+        if self._dashboard_used:
             return
-        self._dashboard_asked = True
+        self._dashboard_used = True
         try:
             answer = await dashboard_client.request(self.host, "stop")
-            log.warning("%s: sent stop over the dashboard, which answers: %s", self._place, answer)
+            log.warning("%s: sent stop over the dashboard; answer: %s", self._endpoint, answer)
         except EndpointError as error:
-            log.error("%s: cannot be stopped over the dashboard: %s", self._place, error.reason)  # noqa: TRY400
+            log.error("%s: cannot be stopped over the dashboard: %s", self._endpoint, error.reason)  # noqa: TRY400

@@ -1,4 +1,4 @@
-"""Motion of a UR arm as a source, over RTDE: each of the controller's packages once, in order."""
+"""Source of the motion of a UR arm over RTDE."""
 
 import logging
 from collections.abc import AsyncIterator
@@ -30,9 +30,9 @@ log = logging.getLogger("slipflow")
 class UrMotion(Source[Motion]):
     """Pose and velocity of a UR arm's tool centre point (TCP) in the base frame.
 
-    `time` is the arrival of a package, `device_time` the controller's own timestamp, ns since its start; both
-    are raw. Packages that arrive together, for example after a stall, share one arrival time. `DeviceClock`
-    converts the controller's time into host time and removes the network jitter::
+    `time` is the arrival of a package, `device_time` the controller's timestamp (ns since its start); both
+    are unfiltered. Packages that arrive together, for example after a stall, share one arrival time.
+    `DeviceClock` converts the controller's time into host time and removes the network jitter::
 
         motion = flow.source(UrMotion("10.0.0.2"))
         motion.to(dataset)  # as received
@@ -51,7 +51,7 @@ class UrMotion(Source[Motion]):
     host: str
     rate: float = 125.0  # Hz; at most 125 on a CB3 controller, 500 on an e-Series
     port: int = PORT
-    timeout: float = 1.0  # s, for the connection, and from package to package
+    timeout: float = 1.0  # s, for the connection and between packages
     _about: dict[str, Json] = field(default_factory=dict[str, Json], init=False, repr=False)
     _stamps: "PackageStamps" = field(init=False, repr=False)
 
@@ -70,11 +70,11 @@ class UrMotion(Source[Motion]):
 
     @property
     def kind(self) -> type[Motion]:
-        """Type of its batches."""
+        """Type of the batches."""
         return Motion
 
     async def batches(self, clock: Clock) -> AsyncIterator[Motion]:
-        """Yield the packages of one connection; those already received form one batch.
+        """Yield the packages of one connection, each once and in order; unread packages form one batch.
 
         Raises:
             EndpointError: if the connection fails.
@@ -88,13 +88,13 @@ class UrMotion(Source[Motion]):
                 arrivals, packages = await client.receive()
                 if stamps.first:
                     self._check_controller(client)
-                motion = _decode(client.place, arrivals, packages)
+                motion = _decode(client.endpoint, arrivals, packages)
                 new = stamps.new(motion.device_time)
-                self._count(client.place)
+                self._count(client.endpoint)
                 if new.any():
                     yield motion[new]
                 if stamps.back:
-                    raise EndpointError(client.place, "its clock went back: the controller restarted")
+                    raise EndpointError(client.endpoint, "its clock went back: the controller restarted")
         finally:
             await client.close()
 
@@ -103,48 +103,48 @@ class UrMotion(Source[Motion]):
         return self._about
 
     def _check_controller(self, client: RtdeClient) -> None:
-        """Check the software version of a new connection, and note it."""
+        """Check the controller's software version, and add it to the description."""
         assert client.controller
         if client.controller.major <= CB3 and not _divides(self.rate, CB3_RATE):
             limit = f"sends {CB3_RATE} Hz at most, or {CB3_RATE} Hz divided by an integer"
             reason = f"a controller of version {client.controller} {limit}, not {self.rate}"
-            raise EndpointError(client.place, reason)
+            raise EndpointError(client.endpoint, reason)
         self._about["controller"] = str(client.controller)
         self._about["connections"] = cast("int", self._about["connections"]) + 1
 
-    def _count(self, place: str) -> None:
+    def _count(self, endpoint: str) -> None:
         """Copy the counts into the description; log the first missing packages of a connection."""
         stamps = self._stamps
         if stamps.missed != self._about.get("missed", 0) and not stamps.logged:
             stamps.logged = True
-            log.warning("%s: packages are missing before %.3f s", place, stamps.newest / s)
+            log.warning("%s: packages are missing before %.3f s", endpoint, stamps.newest / s)
         self._about.update(restarts=stamps.restarts, missed=stamps.missed, repeated=stamps.repeated)
 
 
-def _decode(place: str, arrivals: Times, packages: bytes) -> Motion:
+def _decode(endpoint: str, arrivals: Times, packages: bytes) -> Motion:
     rows = np.frombuffer(packages, _ROW)
     stamps = rows["timestamp"].astype(np.float64)  # (n,) s
     if not ((stamps >= 0) & (stamps < _MAX_UPTIME)).all():
-        raise EndpointError(place, f"sends the stamps {stamps.tolist()} s, must be 0 to {_MAX_UPTIME:g} s")
+        raise EndpointError(endpoint, f"sent timestamps {stamps.tolist()} s, must be 0 to {_MAX_UPTIME:g} s")
     device_time = np.rint(stamps * s).astype(np.int64)
     return Motion(arrivals, device_time, rows["speed"].astype(np.float64), rows["pose"].astype(np.float64))
 
 
 def _divides(rate: float, highest: float) -> bool:
-    """Return whether packages at `rate` (Hz) come evenly: `highest` is an integer multiple of it."""
+    """Return True if `highest` is an integer multiple of `rate` (Hz), so that packages are periodic."""
     return isclose(highest / rate, round(highest / rate), abs_tol=1e-9)
 
 
 @dataclass
 class PackageStamps:
-    """Controller timestamps, from which repeated and missing packages are found."""
+    """Detector of repeated and missing packages from the controller's timestamps."""
 
     rate: float  # Hz
-    newest: int = 0  # ns
+    newest: int = 0  # ns, newest timestamp
     missed: int = 0
     repeated: int = 0
     restarts: int = 0
-    back: bool = False  # the clock of this connection went back
+    back: bool = False  # the controller's clock went back during this connection
     logged: bool = False  # missing packages of this connection were logged
     first: bool = True  # no package of this connection was received yet
 
@@ -153,7 +153,7 @@ class PackageStamps:
         self.first, self.back, self.logged = True, False, False
 
     def new(self, stamps: Times) -> Flags:
-        """Return which packages (n,), n >= 1, are new; none are from the point where the clock went back."""
+        """Mark the new packages, (n,), n >= 1; none from the point where the clock went back."""
         period = round(s / self.rate)
         first = stamps.item(0)
         if self.first:

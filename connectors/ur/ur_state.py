@@ -21,7 +21,7 @@ OUTPUTS: Final = {
     "robot_mode": "INT32",
     "safety_mode": "INT32",
 }
-RATE: Final = 125.0  # Hz, which every controller has
+RATE: Final = 125.0  # Hz; every controller supports it
 RUNNING: Final = 7  # robot mode; RTDE guide
 SAFETY: Final = {  # RTDE guide
     1: "",
@@ -35,7 +35,7 @@ SAFETY: Final = {  # RTDE guide
     9: "fault",
 }
 STANDSTILL: Final = 1e-3  # m/s, rad/s; slower counts as standing
-POSITION_TOLERANCE: Final = 5e-4  # m; a UR arm repeats to 1e-4
+POSITION_TOLERANCE: Final = 5e-4  # m; a UR arm has a repeatability of 1e-4
 ROTATION_TOLERANCE: Final = 5e-3  # rad
 
 _ROW: Final = np.dtype(
@@ -66,7 +66,7 @@ class ArmState(NamedTuple):
         return max(map(abs, self.velocity)) < STANDSTILL
 
     def stands_at(self, pose: tuple[float, ...]) -> bool:
-        """Return whether the arm stands still at a pose (6,)."""
+        """Return True if the arm stands still at a pose (6,)."""
         turn = hypot(
             *rotation_difference((self.pose[3], self.pose[4], self.pose[5]), (pose[3], pose[4], pose[5]))
         )
@@ -96,7 +96,7 @@ class Bounds:
         check_above("Bounds", "force", self.force, 0, "N")
 
     def violation(self, state: ArmState) -> str:
-        """Return why an arm in this state must be stopped; empty if it need not be."""
+        """Return why an arm in this state must be stopped, or an empty text."""
         if state.safety_mode != 1 and (reason := SAFETY.get(state.safety_mode, "unknown safety mode")):
             return reason
         if state.robot_mode != RUNNING:
@@ -104,7 +104,7 @@ class Bounds:
         for axis, low, at, high in zip("xyz", self.low, state.pose, self.high, strict=False):
             if not low <= at <= high:
                 return f"at {axis} {at:.4f} m it is outside its workspace"
-        if (push := hypot(*state.force)) > self.force:  # an unknown force, NaN, is not
+        if (push := hypot(*state.force)) > self.force:  # False for an unknown force, NaN
             return f"a force of {push:.1f} N, more than {self.force:g} N"
         return ""
 
@@ -116,14 +116,14 @@ class ArmStateReader:
         clock: Clock of the run.
         host: Address of the controller.
         port: RTDE port.
-        timeout: Longest wait for the connection, and from package to package, s.
+        timeout: Longest wait for the connection and between packages, s.
     """
 
     def __init__(self, clock: Clock, host: str, port: int = PORT, timeout: float = 1.0) -> None:
         self._client = RtdeClient(clock, host, port, OUTPUTS, rate=RATE, timeout=timeout)
 
     async def open(self) -> ArmState:
-        """Connect, and return the first state.
+        """Connect, and return the newest state.
 
         Raises:
             EndpointError: if the controller sends no state.
@@ -132,7 +132,7 @@ class ArmStateReader:
         return (await self.read())[-1]
 
     async def read(self) -> list[ArmState]:
-        """Return the states received since the last call; wait for one if there is none.
+        """Return the states received since the last call; wait if there are none.
 
         Raises:
             EndpointError: if the controller sends no state.

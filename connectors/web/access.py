@@ -33,7 +33,7 @@ def http_url(host: str, port: int) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Return True if only this machine can reach a server that listens on `host`.
+    """Return True if a server that listens on `host` is reachable from this machine only.
 
     >>> is_loopback("127.0.0.1"), is_loopback("::1"), is_loopback("localhost"), is_loopback("0.0.0.0")
     (True, True, True, False)
@@ -49,17 +49,17 @@ def local_host(host: str) -> str:
     >>> local_host("0.0.0.0"), local_host("::"), local_host("10.0.0.2")
     ('127.0.0.1', '::1', '10.0.0.2')
     """
-    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - nothing listens here
+    return {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104 - does not listen
 
 
 @dataclass(frozen=True)
 class Access:
-    """Requirements for a request.
+    """Access rules for requests.
 
-    The Host header must be an IP address, localhost or the name of this machine. This stops DNS rebinding: a
-    foreign page whose host name resolves to this machine sends that name, and could otherwise read the page.
+    The Host header must be an IP address, localhost or the name of this machine. This prevents DNS rebinding:
+    otherwise a foreign page whose host name resolves to this machine could read the page.
 
-    With a token, a request needs the cookie that is set after the token was sent once, as ``/?token=...``.
+    With a token, a request needs the cookie that is set when the token is sent once, as ``/?token=...``.
     The cookie stays valid after a restart, so that open pages reconnect.
     """
 
@@ -68,9 +68,9 @@ class Access:
 
     @classmethod
     def of(cls, host: str, token: str | None) -> Self:
-        """Return the access to a page on `host`; without `token`, use the token of the environment.
+        """Return the access rules of a page on `host`; None stands for the token of the environment.
 
-        It is read from SLIPFLOW_PAGE_TOKEN, or from the file named by SLIPFLOW_PAGE_TOKEN_FILE.
+        That is read from SLIPFLOW_PAGE_TOKEN, or from the file named by SLIPFLOW_PAGE_TOKEN_FILE.
 
         Raises:
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
@@ -91,7 +91,7 @@ class Access:
 
     @property
     def cookie(self) -> str:
-        """The expected value of the cookie."""
+        """Expected value of the cookie."""
         return hmac.new((self.token or "").encode(), b"slipflow page", sha256).hexdigest()
 
     def is_own_host(self, host: str) -> bool:

@@ -1,4 +1,4 @@
-"""Curves of a page: plotted values, thinning to pixels, and JSON."""
+"""Curves of a page: plotted values, reduction to pixel columns, and JSON."""
 
 from typing import Any, Final, TypeVar
 
@@ -9,7 +9,7 @@ from operators.batch import SLIP, Motion, Reals, Scores, Times, Touch, ms
 from operators.ports import Json
 
 Real = TypeVar("Real", bound=np.floating[Any])
-GAP: Final = 250 * ms  # ns; a longer pause is drawn as a gap, as the page does for live rows
+GAP: Final = 250 * ms  # ns; a longer pause is drawn as a gap, as in rows.js
 
 
 def plotted_values(batch: Touch | Motion | Scores) -> Reals:
@@ -54,9 +54,9 @@ def event_json(
 def thin_curve(
     time: Times, values: NDArray[Real], begin: int, end: int, columns: int
 ) -> tuple[Times, NDArray[Real]]:
-    """Reduce rows to the minimum and maximum of each pixel column, which draw the same picture.
+    """Reduce rows to the minimum and maximum of each pixel column, without visible change.
 
-    A row of NaN marks each pause of more than 250 ms, so that no line crosses it.
+    A row of NaN is inserted in each pause of more than 250 ms, so that no line crosses it.
 
     >>> time, values = thin_curve(np.arange(8), np.array([0.0, 1, 9, 1, 0, 0, -5, 0]), 0, 7, 2)
     >>> time.tolist(), values.tolist()
@@ -64,13 +64,13 @@ def thin_curve(
 
     Args:
         time: (n,) ns, increasing, from `begin` to `end`.
-        values: (n, ...); each column is reduced separately, and NaN remains only without other values.
+        values: (n, ...); each component is reduced separately; NaN remains only if all values are NaN.
         begin: Left edge of the picture, ns.
         end: Right edge of the picture, ns.
         columns: Width of the picture, pixels.
 
     Returns:
-        At most two rows per pixel column and as many of NaN; all rows if they are fewer.
+        At most two rows per pixel column, or all rows if they are fewer, plus the rows of NaN.
     """
     thinned = len(time) > 2 * columns
     if thinned:

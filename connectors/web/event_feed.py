@@ -1,4 +1,4 @@
-"""Server-sent events: one stream of messages for each open page.
+"""Server-sent events: a stream of messages to each open page.
 
 Source: https://html.spec.whatwg.org/multipage/server-sent-events.html.
 """
@@ -18,10 +18,10 @@ from operators.ports import Json
 
 PAGES_MAX: Final = 32
 QUEUE_MAX: Final = 1 << 20  # bytes per page
-STALL_TIMEOUT: Final = 10.0  # s, until a browser that reads nothing is disconnected
+STALL_TIMEOUT: Final = 10.0  # s without reading, after which a browser is disconnected
 RETRY: Final = 1000  # ms, until a disconnected browser reconnects
-CLOSE_TIMEOUT: Final = 0.5  # s, to send what is queued on close
-_SOCKET_BUFFER: Final = 1 << 16  # bytes in the kernel per page, which cannot be dropped any more
+CLOSE_TIMEOUT: Final = 0.5  # s, to send the queued messages on close
+_SOCKET_BUFFER: Final = 1 << 16  # bytes per page in the kernel, where messages cannot be dropped
 
 
 def message(name: str, document: Json) -> bytes:
@@ -34,19 +34,19 @@ def message(name: str, document: Json) -> bytes:
 
 
 class PageQueue:
-    """Messages for one page; drops the oldest if the browser is too slow."""
+    """Queue of messages for one page; drops the oldest if the browser is too slow."""
 
     def __init__(self, limit: int = QUEUE_MAX) -> None:
-        """Hold at most `limit` bytes; a longer message is dropped."""
-        self.lost = 0  # messages
-        self.size = 0  # bytes
+        """Create a queue of at most `limit` bytes; a longer message is dropped."""
+        self.lost = 0  # dropped messages
+        self.size = 0  # queued bytes
         self._limit = limit
         self._messages: deque[bytes] = deque()
         self._changed = asyncio.Event()
         self._ended = False
 
     def put(self, message: bytes) -> None:
-        """Add a message; drop the oldest ones if there is no room."""
+        """Add a message; drop the oldest ones beyond the limit."""
         self._messages.append(message)
         self.size += len(message)
         while self.size > self._limit:
@@ -73,16 +73,16 @@ class PageQueue:
 
 
 class EventFeed:
-    """Sends the same messages to every page, each at its own pace.
+    """Broadcast of messages to all pages, with a queue for each.
 
-    A slow page loses its oldest messages and receives their number; a page that reads nothing for 10 s is
-    disconnected. So each page needs at most 2 MiB.
+    A slow page loses its oldest messages and receives the number of lost ones; a page that reads nothing for
+    10 s is disconnected. Each page needs at most 2 MiB.
     """
 
     def __init__(
         self, hello: Callable[[], Awaitable[bytes]], *, stall_timeout: float = STALL_TIMEOUT
     ) -> None:
-        """Start each stream with `hello`, the state that later messages extend."""
+        """Create a feed whose streams start with `hello`, the state that later messages extend."""
         self._hello, self._stall_timeout = hello, stall_timeout
         self._pages: dict[PageQueue, web.Request] = {}
         self._closed, self._empty = False, asyncio.Event()
@@ -104,7 +104,7 @@ class EventFeed:
                 page.put(text)
 
     async def close(self) -> None:
-        """End the streams after their queued messages; disconnect pages that take longer than 0.5 s."""
+        """End the streams after their queued messages; disconnect pages that need more than 0.5 s."""
         self._closed = True
         if not self._pages:
             return
@@ -155,7 +155,7 @@ class EventFeed:
 
 
 def _abort(request: web.Request) -> None:
-    """Close a connection at once and discard what the kernel holds for it."""
+    """Close a connection at once and discard its data in the kernel."""
     if connection := request.get_extra_info("socket"):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     if request.transport:

@@ -1,4 +1,4 @@
-"""Live page of a running flow in a browser."""
+"""Sink that serves a live page of a running flow."""
 
 import asyncio
 from collections.abc import Callable
@@ -15,19 +15,19 @@ from operators.ports import Json, Run, Sink
 if TYPE_CHECKING:
     from aiohttp import web
 
-FRAME_EVERY: Final = 0.025  # s, at least
-GATHER: Final = 0.002  # s, so that rows caused by one sample share a frame
+FRAME_EVERY: Final = 0.025  # s, shortest time between frames
+GATHER: Final = 0.002  # s before a frame, so that it contains all rows derived from one sample
 REPORT_EVERY: Final = 1.0  # s
 _RECORDERS_POLL: Final = 0.02  # s
 _RECORDERS_POLLS: Final = 50
-_EVENTS_REPEATED: Final = 20  # in each report, for pages that lost frames
+_EVENTS_REPEATED: Final = 20  # newest events in each report, for pages that lost frames
 
 
 class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     """Live page in the browser: pressure maps, slip probability, TCP speed, slip events with latency, health.
 
-    Connect each stream that it should show: touch (best zeroed), motion, scores, slips, faults. The health
-    covers all sources and sinks of the run. Frames are server-sent events, at most 40 per second, see
+    Connect each stream to show: touch (preferably zeroed), motion, scores, slips, faults. The health covers
+    all sources and sinks of the run. Frames are server-sent events, at most 40 per second, see
     `connectors.web.page_frames`. The page may drop rows and never slows the run.
 
     Only this machine can reach the page unless `host` is set, which requires a token. The connection is not
@@ -62,7 +62,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._host, self._port, self._token = host, port, token
         self.threshold, self._opened = threshold, opened
         self._sending: asyncio.TimerHandle | None = None
-        self._sent = 0.0  # s of the loop's clock, time of the newest frame
+        self._sent = 0.0  # loop time (s) of the newest frame
 
     @property
     def destination(self) -> str:
@@ -106,7 +106,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         if self._sending is None and len(self._feed):
             now = self._loop.time()
             self._sending = self._loop.call_at(max(now + GATHER, self._sent + FRAME_EVERY), self._send)
-        if not self._run.live:  # a replay at full speed never yields otherwise
+        if not self._run.live:  # otherwise a replay at full speed never yields
             await asyncio.sleep(0)
 
     async def close(self) -> None:
@@ -129,7 +129,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._feed.send("frame", self._frames.next())
 
     async def _hello(self) -> bytes:
-        """Return the first messages of a page: the run with all kept rows, and a report."""
+        """Return the first messages to a page: the run with all kept rows, and a report."""
         run = self._run
         about: dict[str, Json] = {
             "version": version("slipflow"),
@@ -151,7 +151,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         return {**self._health, "errors": errors, "recorders": recorders}
 
     async def _wait_for_recorders(self) -> None:
-        """Wait up to 1 s until the recorders, which close at the same time, have written their queues."""
+        """Wait up to 1 s until the recorders, which close concurrently, have written their queues."""
         recorders = [sink for sink in self._run.sinks.values() if sink.records]
         for _ in range(_RECORDERS_POLLS if recorders and len(self._feed) else 0):
             before = [sink.rows for sink in recorders]

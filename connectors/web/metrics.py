@@ -1,4 +1,4 @@
-"""Metrics of a run for Prometheus."""
+"""Sink that serves metrics of a run to Prometheus."""
 
 import asyncio
 from collections.abc import Callable
@@ -18,10 +18,11 @@ PATH: Final = "/metrics"
 class Metrics(Sink[Slips | Faults | Clocks]):
     """Prometheus metrics at ``/metrics`` (text format 0.0.4) while a run lasts.
 
-    Sources and sinks are those of the run. Connect slips for counts and latency, faults for the health of
-    barometers, and clocks for the offset of the device clock. It may drop rows and never slows the run.
+    The metrics cover all sources and sinks of the run. Connect slips for counts and latency, faults for the
+    health of barometers, and clocks for the offset of the device clock. The sink may drop rows and never
+    slows the run.
 
-    Only this machine can read the metrics unless `host` is set; then everyone who reaches the port can read
+    Only this machine can read the metrics unless `host` is set; then anyone who can reach the port can read
     names, counts and times, but no error texts.
 
     Args:
@@ -56,7 +57,7 @@ class Metrics(Sink[Slips | Faults | Clocks]):
         return self._server.url + PATH
 
     async def open(self, run: Run) -> None:
-        """Start serving.
+        """Start serving the metrics.
 
         Raises:
             EndpointError: if the server cannot listen on its address.
@@ -74,11 +75,11 @@ class Metrics(Sink[Slips | Faults | Clocks]):
     async def write(self, batch: Slips | Faults | Clocks) -> None:
         """Add the rows of a batch to the metrics."""
         self._metrics.add(batch)
-        if not self._run.live:  # a replay at full speed never yields otherwise
+        if not self._run.live:  # otherwise a replay at full speed never yields
             await asyncio.sleep(0)
 
     async def close(self) -> None:
-        """Stop serving, which shows Prometheus that the run is over."""
+        """Stop serving, so that Prometheus marks the run as down."""
         await self._server.close()
 
     async def _respond(self, request: "web.Request") -> "web.Response":  # noqa: ARG002 - aiohttp's signature

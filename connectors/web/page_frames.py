@@ -1,11 +1,10 @@
-"""Frames of the live page: new rows since the last frame, and all kept rows for a page that connects later.
+"""Frames of the live page: rows since the last frame, or all kept rows for a newly connected page.
 
 A frame is a JSON object. Times are ms since the start of the run; fingertips have the names used in events:
 
 - ``now``: time of the run's clock when the frame was made
-- ``touch``: by fingertip, ``t`` (n,), ``v`` (n, 6) counts, null for invalid cells, and ``zeroed``;
-  ``scores``: by
-  fingertip, ``t`` and ``v`` (n,) probability; ``speed``: ``t`` and ``v`` (n,) mm/s
+- ``touch``: by fingertip, ``t`` (n,), ``v`` (n, 6) counts, null for invalid cells, and ``zeroed``
+- ``scores``: by fingertip, ``t`` and ``v`` (n,) probability; ``speed``: ``t`` and ``v`` (n,) mm/s
 - ``events``: numbered onsets and ends of slip; ``latency``: ms from the deciding sample to its arrival here,
   null in a replay at full speed
 - ``slipping``: fingertips that slip now; ``faults``: kind of fault, by fingertip and barometer
@@ -25,20 +24,20 @@ from operators.ports import Json, Run
 from operators.tail import Tail
 
 EVENTS_KEPT: Final = 100
-FINGERS_MAX: Final = 32  # further ones are not shown
-KEPT: Final = 30 * s  # ns, of each stream
-STEP: Final = 5 * ms  # ns, of which one row is kept
+FINGERS_MAX: Final = 32  # further fingertips are not shown
+KEPT: Final = 30 * s  # ns of each stream
+STEP: Final = 5 * ms  # ns; one row is kept per step
 
 
 class Track(Generic[AnyBatch]):
-    """The last 30 s of a stream, thinned to the first row of each 5 ms: at most 6,000 rows.
+    """The last 30 s of a stream, reduced to the first row of each 5 ms: at most 6,000 rows.
 
-    Rows older than their predecessors are dropped.
+    Out-of-order rows are dropped.
     """
 
     def __init__(self, kind: type[AnyBatch]) -> None:
         self._tail = Tail(kind)
-        self._step = int(np.iinfo(np.int64).min)  # of the newest row
+        self._step = int(np.iinfo(np.int64).min)  # index of the newest row's step
         self._new = 0  # rows not yet returned by `take`
 
     def add(self, batch: AnyBatch) -> None:
@@ -56,7 +55,7 @@ class Track(Generic[AnyBatch]):
 
     @property
     def rows(self) -> AnyBatch:
-        """All kept rows, as views that later rows do not change."""
+        """All kept rows, as views that remain unchanged."""
         return self._tail.rows
 
     def take(self) -> AnyBatch | None:
@@ -67,7 +66,7 @@ class Track(Generic[AnyBatch]):
         return self._tail.rows[-count:]
 
     def _first_of_steps(self, time: Times) -> Flags:
-        """Mark the rows that are the first of a later step than all rows before; (n,)."""
+        """Mark the rows (n,) that are the first of their step and not out of order."""
         steps: Times = time // STEP
         before: Times = np.maximum.accumulate(np.append(np.int64(self._step), steps[:-1]))
         return steps > before
@@ -75,7 +74,7 @@ class Track(Generic[AnyBatch]):
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of some streams, as views that another thread can encode."""
+    """Rows of streams, as views that another thread can encode."""
 
     touch: Mapping[int, Touch]  # by finger
     scores: Mapping[int, Scores]  # by finger
@@ -99,7 +98,7 @@ class Rows:
 
 
 class Frames:
-    """Collects the rows and events of a run in bounded memory."""
+    """Collector of the rows and events of a run, with bounded memory."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
@@ -110,7 +109,7 @@ class Frames:
         self._slipping: set[str] = set()
         self._faults: dict[str, dict[str, Json]] = {}
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
-        self._numbered = self._sent = 0  # events
+        self._numbered = self._sent = 0  # number of events added and sent
 
     def add(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
         """Add a batch; zeroed touch of a fingertip replaces its raw touch."""
@@ -153,7 +152,7 @@ class Frames:
         return Rows(touch, {finger: track.rows for finger, track in self._scores.items()}, self._motion.rows)
 
     def state(self) -> dict[str, Json]:
-        """Return the present time, slipping fingertips and faults."""
+        """Return the current time, slipping fingertips and faults."""
         return {
             "now": (self._run.clock.now() - self._run.start) / ms,
             "slipping": [*sorted(self._slipping)],

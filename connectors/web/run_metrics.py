@@ -20,7 +20,7 @@ Column: TypeAlias = tuple[Family, str, str, Callable[[Status], float]]  # kind, 
 _SOURCE: Final[tuple[Column[SourceStatus], ...]] = (
     (GaugeMetricFamily, "up", "1 if the source is up, 0 if it has failed", lambda source: source.up),
     (CounterMetricFamily, "rows", "Rows received", lambda source: source.rows),
-    (CounterMetricFamily, "late_rows", "Rows that came after newer ones", lambda source: source.late),
+    (CounterMetricFamily, "late_rows", "Rows that arrived after newer ones", lambda source: source.late),
     (CounterMetricFamily, "failures", "Failures, each followed by a restart", lambda source: source.failures),
     (CounterMetricFamily, "gaps", "Times without rows after a failure", lambda source: len(source.gaps)),
     (
@@ -40,15 +40,17 @@ _SINK: Final[tuple[Column[SinkStatus], ...]] = (
 
 
 class RunMetrics(Collector):
-    """The metrics of one run in SI units, as counters where possible, so that Prometheus derives rates.
+    """Metrics of one run in SI units, as counters where possible, so that Prometheus can derive rates.
 
-    The runner's counts are read on each scrape; slips, faults and clocks are collected as they arrive. Error
-    texts are left out, because readers of the metrics may not be entitled to them.
+    The runner's counts are read on each scrape; slips, faults and clocks are collected on arrival. Error
+    texts are omitted, because they may be confidential.
     """
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self._faults: dict[tuple[str, str, str], bool] = {}  # True while active; finger, barometer, kind
+        self._faults: dict[
+            tuple[str, str, str], bool
+        ] = {}  # True while active, by finger, barometer and kind
         self._clock: tuple[float, float, float] | None = None  # offset s, drift s/s, residual s
         self._registry = CollectorRegistry()
         self._events = Counter(
@@ -87,11 +89,11 @@ class RunMetrics(Collector):
                 self._latency.labels(finger).observe(latency / s)
 
     def collect(self) -> Iterator[Metric]:
-        """Yield the present metrics; the registry calls it on each scrape."""
+        """Yield the current metrics; called by the registry on each scrape."""
         run = self._run
         about = {"session": run.session, "flow": run.flow, "live": str(run.live).lower()}
         about["recording"] = run.recording or ""  # empty: live rows
-        yield InfoMetricFamily("slipflow_run", "The present run", about)
+        yield InfoMetricFamily("slipflow_run", "The current run", about)
         yield GaugeMetricFamily("slipflow_run_start_time_seconds", "Start, since 1970 UTC", run.start / s)
         yield from _families("source", _SOURCE, run.sources)
         lag = GaugeMetricFamily("slipflow_source_lag_seconds", "Age of the newest row", labels=["source"])

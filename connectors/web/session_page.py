@@ -1,4 +1,4 @@
-"""Page of a recorded session: its curves in memory and their server."""
+"""Page of a recorded session: sink that keeps the curves in memory, and their server."""
 
 import asyncio
 from collections.abc import Callable
@@ -17,7 +17,7 @@ from operators.batch import Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Json, Run, Sink
 
-VALID_FOR: Final = 1 * s  # ns, for which a row stands for later instants
+VALID_FOR: Final = 1 * s  # ns, maximum age of a row in `values_at`
 ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
 EVENTS_MAX: Final = 20_000
 _TIME_MAX: Final = 1e12  # ms
@@ -29,7 +29,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
 
     Args:
         threshold: Probability from which a sample counts as slip, marked on the page.
-        about: Further text for the page.
+        about: Additional text for the page.
         flow: Name of the flow that recorded the session.
         dataset: Name of the dataset that contains the session.
     """
@@ -44,8 +44,8 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
     ) -> None:
         self.threshold, self.about = threshold, about
         self._origin: dict[str, Json] = {"flow": flow, "dataset": dataset}
-        self.start = self.end = 0  # ns, of the first and the last row
-        # by stream and fingertip: as they arrive, and joined in `close`
+        self.start = self.end = 0  # ns, start of the run and newest row
+        # by stream and fingertip: batches, and the curves joined in `close`
         self._arriving: dict[tuple[str, str], list[tuple[Times, NDArray[np.float32]]]] = {}
         self._curves: dict[tuple[str, str], tuple[Times, NDArray[np.float32]]] = {}
         self._events: list[tuple[str, tuple[int, int, float]]] = []  # fingertip; time, state, probability
@@ -53,7 +53,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
 
     @property
     def destination(self) -> str:
-        """The memory of this process."""
+        """Constant name of the memory of this process."""
         return "memory"
 
     async def open(self, run: Run) -> None:
@@ -85,8 +85,8 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             raise InputError(self._session, f"is too long for a page, which shows at most {most}")
 
     async def close(self) -> None:
-        """Sort the events and join the curves; rows older than their predecessors are dropped."""
-        self._events.sort(key=lambda event: event[1][0])  # fingertips arrived one after the other
+        """Sort the events and join the curves; out-of-order rows are dropped."""
+        self._events.sort(key=lambda event: event[1][0])  # fingertips are written one after the other
         for key, parts in self._arriving.items():
             time = np.concatenate([each for each, _ in parts])  # (n,) ns
             values = np.concatenate([each for _, each in parts])  # (n, ...)
@@ -96,7 +96,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         self._arriving.clear()
 
     def contents(self) -> dict[str, Json]:
-        """Return the document that the page loads first; times are ms since `start`."""
+        """Return the first document of the page; times are in ms since `start`."""
         fingers = sorted({finger for stream, finger in self._curves if stream == "touch"})
         return {
             "session": self._session,
@@ -117,7 +117,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
     def window(self, begin: float, end: float, columns: int) -> dict[str, Json]:
         """Return the curves from `begin` to `end` (ms since `start`) as the streams of a frame.
 
-        They are thinned to the minimum and maximum of each of `columns` pixel columns.
+        Curves are reduced to the minimum and maximum of each of `columns` pixel columns.
         """
         first, last = (self.start + round(each * ms) for each in (begin, end))
 
@@ -128,7 +128,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         return self._streams(cut)
 
     def values_at(self, instant: float) -> dict[str, Json]:
-        """Return the newest row of each stream at an instant (ms since `start`), none if older than 1 s."""
+        """Return the newest row, at most 1 s old, of each stream at an instant (ms since `start`)."""
         at = self.start + round(instant * ms)
 
         def newest(time: Times, values: NDArray[np.float32]) -> dict[str, Json]:
@@ -151,7 +151,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         return {**document, "speed": speed}
 
     def _deepest(self) -> float | None:
-        """Return the minimum of all cells, which scales the pressure maps."""
+        """Return the minimum of all cells, for the scale of the pressure maps; None without touch."""
         touches = [values for (stream, _), (_, values) in self._curves.items() if stream == "touch"]
         least = min(
             (float(np.fmin.reduce(values, axis=None)) for values in touches if len(values)), default=nan
@@ -189,7 +189,7 @@ class SessionPage:
         return self._server.login_url
 
     async def open(self) -> None:
-        """Start serving.
+        """Start serving the page.
 
         Raises:
             EndpointError: if the server cannot listen on its address.
@@ -212,7 +212,7 @@ class SessionPage:
         if not (
             -_TIME_MAX <= begin <= end <= _TIME_MAX and abs(at) <= _TIME_MAX and 0 < columns <= _COLUMNS_MAX
         ):
-            return _bad_request()  # NaN as well
+            return _bad_request()  # also for NaN
         curves = self._curves
         return await _json(lambda: {**curves.window(begin, end, columns), "at": curves.values_at(at)})
 
@@ -223,6 +223,6 @@ def _bad_request() -> web.Response:
 
 
 async def _json(document: Callable[[], dict[str, Json]]) -> web.Response:
-    """Respond with a document that takes some ms to build, in a thread."""
+    """Build a document in a thread, as it takes some ms, and respond with it."""
     body = await asyncio.to_thread(lambda: encode(document()))
     return web.Response(body=body, content_type="application/json")

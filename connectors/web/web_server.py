@@ -26,15 +26,15 @@ _HEADERS: Final = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 _TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
-_LOCKED: Final = "/locked.html"  # asks for the token
-_WRONG: Final = b'<p id="wrong" hidden>'  # in that page, shown after a wrong token
+_LOCKED: Final = "/locked.html"  # page that asks for the token
+_WRONG: Final = b'<p id="wrong" hidden>'  # element of that page, shown after a wrong token
 _PUBLIC: Final = frozenset({"/page.css", "/icon.svg"})  # used by that page
 
 
 class WebServer:
-    """A read-only HTTP server for GET requests that `Access` admits."""
+    """HTTP server for GET requests that `Access` admits."""
 
-    def __init__(  # noqa: D417 - `name` and `access` explain themselves
+    def __init__(
         self,
         host: str,
         port: int,
@@ -44,11 +44,13 @@ class WebServer:
         any_port: bool = False,
         files: Path | None = None,
     ) -> None:
-        """Prepare to serve `name`, as errors call it.
+        """Prepare to serve.
 
         Args:
             host: Address to listen on.
             port: Port to listen on; 0 for any free port.
+            access: Access rules.
+            name: Name of the service in messages.
             any_port: Use any free port if `port` is in use.
             files: Folder of static files, with a page that asks for the token.
         """
@@ -90,9 +92,11 @@ class WebServer:
         except OSError as error:
             await self.close()
             number = error.errno or 0
-            reason = os.strerror(number) if number > 0 else error.strerror or error  # < 0: of name resolution
+            reason = (
+                os.strerror(number) if number > 0 else error.strerror or error
+            )  # negative: name resolution
             remedy = _REMEDIES.get(number, "choose an address of this machine")
-            text = f"cannot serve {self._name} there: {reason}; {remedy}"
+            text = f"cannot serve {self._name}: {reason}; {remedy}"
             raise EndpointError(http_url(self._host, self._port), text) from None
 
     async def close(self) -> None:
@@ -128,7 +132,7 @@ class WebServer:
         return web.Response()
 
     def _refuse(self, request: web.Request) -> web.Response:
-        """Ask for the token: with a page for browsers, with a line of text for programs."""
+        """Request the token: from browsers with a page, from programs with a line of text."""
         if self._locked is None or "text/html" not in request.headers.get("Accept", ""):
             text = f"Access to {self._name} needs its token: append /?token=... to the address.\n"
             return web.Response(status=401, text=text)
@@ -138,7 +142,7 @@ class WebServer:
 
 
 def page_server(host: str, port: int | None, token: str | None) -> WebServer:
-    """Return a server of the page's files; without `port` it uses 8765, or any free port if that is in use.
+    """Return a server of the page's files; the default of `port` is 8765, or any free port if in use.
 
     Raises:
         ParameterError: if the token is malformed, or missing although other machines can reach `host`.
@@ -155,7 +159,7 @@ async def _set_headers(request: web.Request, response: web.StreamResponse) -> No
 
 
 def _read_files(folder: Path) -> dict[str, tuple[bytes, str]]:
-    """Read the files of a folder: content and type, by path of the URL."""
+    """Read the files of a folder: content and type, by URL path."""
     found = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
     return {
         f"/{name if name != 'index.html' else ''}": (path.read_bytes(), _TYPES.get(path.suffix, "text/plain"))

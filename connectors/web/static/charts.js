@@ -1,4 +1,4 @@
-// Three charts over one time axis: counts of each barometer, slip probability, TCP speed.
+// Three charts with one time axis: counts of each barometer, slip probability, TCP speed.
 
 /* global uPlot */
 
@@ -11,9 +11,9 @@ export const HUES = ["--left", "--middle", "--right", "--right", "--middle", "--
 
 class Chart {
   constructor(id, series, range, extra = () => {}) {
-    this.named = id === "counts"; // labels its slip bands
+    this.labelled = id === "counts"; // true: label the slip bands
     this.host = document.getElementById(id);
-    this.carries = this.host.classList.contains("last"); // shows the time axis of all charts
+    this.hasAxis = this.host.classList.contains("last"); // true: show the time axis of all charts
     this.series = series;
     this.range = range;
     this.extra = extra;
@@ -23,9 +23,9 @@ class Chart {
     new ResizeObserver(() => this.#resize()).observe(this.host);
   }
 
-  // Show the time axis in this chart, or not.
+  // Show or hide the time axis in this chart.
   set last(last) {
-    this.carries = last;
+    this.hasAxis = last;
     this.host.classList.toggle("last", last); // changes the size, which triggers a redraw
   }
 
@@ -57,7 +57,7 @@ class Chart {
           y: { range: (_, low, high) => this.range(low, high) },
         },
         axes: [
-          { ...axis, size: () => (this.carries ? 24 : 5), gap: 4, splits: () => this.#times(), values: (_, at) => at.map((t) => (this.carries ? this.#label(t) : "")) },
+          { ...axis, size: () => (this.hasAxis ? 24 : 5), gap: 4, splits: () => this.#times(), values: (_, at) => at.map((t) => (this.hasAxis ? this.#label(t) : "")) },
           { ...axis, size: LEFT, gap: 6, space: 24 },
         ],
         series: [
@@ -86,14 +86,14 @@ class Chart {
     return times;
   }
 
-  // Seconds before the end; for a whole session, since its start.
+  // Label of a time: seconds before the end, or since the start of a whole session.
   #label(t) {
     if (this.view.whole) return t === this.view.begin ? "0 s" : String(Math.round((t - this.view.begin) / 1000));
     const seconds = Math.round((t - this.view.end) / 1000);
     return seconds === 0 ? "0 s" : `−${-seconds}`;
   }
 
-  // Slip bands behind the curves.
+  // Draw the slip bands under the curves.
   #bands(plot) {
     const { ctx, bbox } = plot, { begin, end, at, slips } = this.view;
     ctx.save();
@@ -106,7 +106,7 @@ class Chart {
       if (from >= begin) {
         ctx.fillStyle = colour("--slip");
         ctx.fillRect(left, bbox.top, devicePixelRatio, bbox.height);
-        if (this.named && right - left > 30 * devicePixelRatio) {
+        if (this.labelled && right - left > 30 * devicePixelRatio) {
           ctx.textAlign = "left";
           ctx.textBaseline = "alphabetic";
           ctx.font = `${11 * devicePixelRatio}px ${getComputedStyle(document.body).fontFamily}`;
@@ -114,7 +114,7 @@ class Chart {
         }
       }
     }
-    if (at < end) { // the chosen time
+    if (at < end) { // the selected time
       ctx.fillStyle = colour("--soft");
       ctx.fillRect(plot.valToPos(at, "x", true), bbox.top, devicePixelRatio, bbox.height);
     }
@@ -122,8 +122,8 @@ class Chart {
   }
 }
 
-// A range that follows the data in steps and shrinks only below half.
-export function settling(least) {
+// Return the range function of an axis; the range grows in steps and shrinks only below half.
+export function steppedRange(least) {
   let top = least, bottom = 0;
   return (low, high) => {
     const wanted = Math.max(least, nice((high ?? 0) * 1.08));
@@ -134,6 +134,7 @@ export function settling(least) {
   };
 }
 
+// Return the smallest round number that is at least a value.
 export function nice(value) {
   const ten = 10 ** Math.floor(Math.log10(Math.max(value, 1e-9)));
   return [1, 1.5, 2, 3, 4, 5, 6, 8, 10].find((each) => each * ten >= value - 1e-9) * ten;
@@ -143,15 +144,15 @@ export class Charts {
   constructor() {
     this.threshold = null;
     this.raw = false;
-    const pressure = settling(60);
+    const pressure = steppedRange(60);
     const cells = HUES.map((hue, cell) => ({ hue, dash: cell > 2 ? [2, 3] : undefined }));
     this.counts = new Chart("counts", cells, (low, high) => (this.raw ? [0, 1023] : pressure(low, high)));
     this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => this.#drawThreshold(plot));
-    this.motion = new Chart("motion", [{ hue: "--probability" }], settling(10));
+    this.motion = new Chart("motion", [{ hue: "--probability" }], steppedRange(10));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
   }
 
-  // Show the TCP speed if there is motion; else the chart above has the time axis.
+  // Show the TCP speed if there is motion; otherwise the chart above shows the time axis.
   set hasMotion(shown) {
     const figure = this.motion.host.closest("figure");
     if (figure.hidden !== shown) return;
@@ -174,7 +175,7 @@ export class Charts {
     for (const chart of [this.counts, this.scores, this.motion]) chart.rebuild();
   }
 
-  // Threshold as a dashed line.
+  // Draw the threshold as a dashed line.
   #drawThreshold(plot) {
     if (this.threshold === null) return;
     const { ctx, bbox } = plot, y = plot.valToPos(this.threshold, "y", true);

@@ -2,8 +2,8 @@
 
 import { element, write } from "./pad.js";
 
-const LIVE_MAX = 100; // events
-const LISTED_MAX = 1000; // events of a recording
+const LIVE_MAX = 100; // events kept of a run
+const LISTED_MAX = 1000; // events listed of a recording
 const number = new Intl.NumberFormat("en");
 
 export class Events {
@@ -21,19 +21,19 @@ export class Events {
     this.none.hidden = false;
   }
 
-  // Add events, some of which may be known; return the new ones.
+  // Add the events that are new, and return them.
   add(events, most = LIVE_MAX) {
     const known = new Set(this.all.map((event) => event.id));
-    const fresh = (events ?? []).filter((event) => !known.has(event.id));
-    if (!fresh.length) return fresh;
-    this.all.push(...fresh);
+    const added = (events ?? []).filter((event) => !known.has(event.id));
+    if (!added.length) return added;
+    this.all.push(...added);
     this.all.sort((a, b) => a.id - b.id);
     if (this.all.length > most) this.all.splice(0, this.all.length - most);
     this.changed = true;
-    return fresh;
+    return added;
   }
 
-  // Return the spans [from, to] in which a fingertip slipped; an open one ends at `end`.
+  // Return the spans [from, to] in which a fingertip slipped; the last one may end at `end`.
   spans(finger, end) {
     const spans = [];
     let open = null;
@@ -46,12 +46,12 @@ export class Events {
     return spans;
   }
 
-  // True if there is an event of a fingertip up to a time.
+  // Return true if a fingertip has an event up to a time.
   any(finger, end) {
     return this.all.some((event) => event.t <= end && (event.finger === finger || event.finger === "every"));
   }
 
-  // Rebuild the table if events were added: newest first, or in order with `go`, called on a click on a time.
+  // Rebuild the table if events were added: newest first, or in order if `go` handles clicks on a time.
   show(when, go = null) {
     if (!this.changed) return;
     this.changed = false;

@@ -3,7 +3,7 @@
 import { Health } from "./lists.js";
 import { title, write } from "./pad.js";
 
-const SILENCE = 4000; // ms without a message until the connection counts as lost; a report arrives every second
+const SILENCE = 4000; // ms without a message until the connection counts as lost; reports arrive every second
 const RETRY = 1000; // ms between attempts
 const $ = (id) => document.getElementById(id);
 
@@ -17,7 +17,7 @@ export function live(view) {
 
   view.scene = () => paused ?? { streams: view.streams, figures: view.streams, end: view.newest };
   pause.addEventListener("click", () => {
-    paused = paused ? null : still(view);
+    paused = paused ? null : snapshot(view);
     pause.setAttribute("aria-pressed", String(paused !== null));
     write(pause, paused ? "Resume" : "Pause");
     showLink();
@@ -73,8 +73,8 @@ export function live(view) {
     view.take(document_);
     view.slipping = new Set(document_.slipping);
     view.faults = document_.faults;
-    const fresh = view.events.add(document_.events);
-    if (announced) for (const each of fresh) announce(`${each.onset ? "slip onset" : "slip end"}: ${title(each.finger).toLowerCase()}`);
+    const added = view.events.add(document_.events);
+    if (announced) for (const each of added) announce(`${each.onset ? "slip onset" : "slip end"}: ${title(each.finger).toLowerCase()}`);
     view.events.show(when);
     view.dirty();
   }
@@ -115,25 +115,25 @@ export function live(view) {
     const dead = performance.now() - heard > SILENCE || source.readyState !== EventSource.OPEN;
     if (!dead) return;
     if (!ended || performance.now() - heard > SILENCE) link("lost");
-    if (source.readyState === EventSource.CLOSED) askForToken();
+    if (source.readyState === EventSource.CLOSED) reloadIfRefused();
     if (source.readyState === EventSource.CLOSED || performance.now() - heard > SILENCE) open();
   }, RETRY);
   open();
 }
 
-// If the server restarted with another token, reload the page, which then asks for it.
-async function askForToken() {
+// Reload the page if the server requires another token after a restart; it then asks for the token.
+async function reloadIfRefused() {
   const answer = await fetch("about.json", { cache: "no-store" }).catch(() => null);
   if (answer?.status === 401) location.reload();
 }
 
-// Copy of the streams as they are now.
-function still({ streams, newest }) {
+// Return a copy of the current streams.
+function snapshot({ streams, newest }) {
   const copy = streams.copy();
   return { streams: copy, figures: copy, end: newest };
 }
 
-// Announce text to screen readers, at most every 3 s.
+// Return a function that announces text to screen readers, at most every 3 s.
 function announcer(pause = 3000) {
   const queued = [];
   let due = 0, timer = null;

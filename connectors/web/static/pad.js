@@ -1,9 +1,9 @@
-// Pressure map of each fingertip in the layout of the sensor; a click selects the fingertip for the curves.
+// Pressure map of each fingertip in the layout of the sensor; a click selects the fingertip of the curves.
 
 import { HUES } from "./charts.js";
 
 const LAYOUT = [[5, 4, 3], [0, 1, 2]]; // sensor frame: x right, y up
-const READABLE = 100; // ms between updates of the figures, so that they can be read
+const READABLE = 100; // ms between updates of the numbers, to keep them readable
 
 export class Pads {
   constructor(host, chosen) {
@@ -13,7 +13,7 @@ export class Pads {
     host.addEventListener("change", ({ target }) => chosen(target.value));
   }
 
-  // Rebuild the maps if the fingertips changed; `selected` is checked.
+  // Rebuild the maps if the set of fingertips changed; check the radio button of `selected`.
   update(fingers, selected) {
     if (fingers.length === this.pads.size && fingers.every((finger) => this.pads.has(finger))) return;
     this.pads.clear();
@@ -21,13 +21,13 @@ export class Pads {
     this.host.classList.toggle("many", fingers.length > 1);
   }
 
-  // Show 6 values (null: invalid), their shares of the colour ramp, the faults of cells, and the slip state.
+  // Show 6 values (null: invalid), faults and the slip state; `share` maps a value to the colour ramp, 0 to 1.
   show(finger, values, share, faults, state) {
     const pad = this.pads.get(finger);
     if (!pad) return;
     pad.box.classList.toggle("slips", state === "slip");
     write(pad.now, state === "unknown" ? "–" : state);
-    if (!pad.due) return; // update figures and shades together
+    if (!pad.due) return; // update numbers and colours together
     pad.cells.forEach((cell, k) => {
       const value = values?.[k] ?? null, silent = values !== null && value === null;
       const part = value === null ? 0 : Math.min(Math.max(share(value), 0), 1);
@@ -39,7 +39,7 @@ export class Pads {
     });
   }
 
-  // Return true, and allow updates, if the last figures were shown long enough.
+  // Return true, and allow updates, if the last numbers were shown long enough.
   tick(now) {
     const due = now - this.written >= READABLE;
     if (due) {

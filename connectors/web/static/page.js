@@ -10,7 +10,7 @@ import { Streams } from "./rows.js";
 const $ = (id) => document.getElementById(id);
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
-// State and drawing shared by both modes.
+// State and drawing of both modes.
 class View {
   constructor() {
     this.charts = new Charts();
@@ -57,7 +57,7 @@ class View {
     write($("scores-unit"), value === null ? "" : `dashed: threshold, ${value}`);
   }
 
-  // Time (ms) of the newest sample of the chosen fingertip, else of the arm.
+  // Time (ms) of the newest sample of the selected fingertip, else of the arm.
   get newest() {
     return this.streams.touch.get(this.finger)?.newest ?? this.streams.speed.newest;
   }
@@ -66,7 +66,7 @@ class View {
     return this.slipping.has(finger) || this.slipping.has("every");
   }
 
-  // True if a score or an event shows whether a fingertip slips, in a recording up to the chosen time.
+  // Return true if the slip state is known from a score or an event, in a recording up to the selected time.
   knows(finger, { figures, end, at = end, span }) {
     const score = figures.scoring(finger)?.at(at ?? -Infinity)?.[0] ?? null;
     return score !== null || this.slips(finger) || this.events.any(finger, span ? end : Infinity);
@@ -93,9 +93,9 @@ class View {
     this.later = setTimeout(() => this.dirty(), wait);
   }
 
-  // Overridden by both modes. Returns the drawn `streams`, their `end` (ms), and the streams of the `figures`, which
-  // are not thinned. Optional: `at`, the time of the figures, else `end`; `span`, [begin, end] of the curves, else the
-  // window before `end`; `whole`, true if that is the whole session.
+  // Return the `streams` of the curves, their `end` (ms), and the full streams of the numbers, `figures`. Optional:
+  // `at`, time of the numbers (default `end`); `span`, [begin, end] of the curves (default the window before `end`);
+  // `whole`, true if that is the whole session. Both modes override it.
   scene() {
     return { streams: this.streams, figures: this.streams, end: this.newest };
   }
@@ -114,7 +114,7 @@ class View {
       write($("unit"), raw ? "Raw counts, which fall with pressure." : "Counts below the unloaded reading.");
     }
     const readable = this.pads.tick(now);
-    if (!readable) this.redraw(100); // to write the last figures
+    if (!readable) this.redraw(100); // to write the last numbers
     for (const finger of streams.touch.keys()) {
       const values = figures.touch.get(finger)?.at(at) ?? null, zeroed = streams.zeroed.get(finger);
       const deep = zeroed ? Math.max(0, ...(values ?? [])) : 0;
@@ -153,7 +153,7 @@ class View {
     }
   }
 
-  // Set the title of the tab: state, fingertip, flow or session, slipflow.
+  // Set the title of the tab: state, fingertip, flow or session, and slipflow.
   setTitle(...parts) {
     const text = [...parts, this.name, "slipflow"].filter(Boolean).join(" · ");
     if (document.title !== text) document.title = text;

@@ -1,4 +1,4 @@
-// Recorded session: a slider chooses a time; the page draws the window before it, or the whole session.
+// Recorded session: a slider selects a time; the page draws the window before it, or the whole session.
 
 import { write } from "./pad.js";
 import { Streams } from "./rows.js";
@@ -6,7 +6,7 @@ import { Streams } from "./rows.js";
 const $ = (id) => document.getElementById(id);
 const STRIDES = { PageUp: 10000, PageDown: -10000 }; // ms, by key
 const STEP = 100; // ms, of the arrow keys; ten times that with Shift
-const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabindex]"; // elements that use the space key
+const TAKES_SPACE = "button, select, textarea, a, input:not([type=range]), [tabindex]"; // these use Space
 
 export function recorded(view, about) {
   const slider = $("instant"), play = $("play"), canvas = $("overview");
@@ -23,7 +23,7 @@ export function recorded(view, about) {
   $("notice").hidden = !about.about;
   write($("notice"), about.about);
   view.threshold = about.threshold;
-  view.deepest = about.zeroed && about.deepest < -100 ? nearest(-about.deepest) : 100;
+  view.deepest = about.zeroed && about.deepest < -100 ? roundUp(-about.deepest) : 100;
   view.events.add(about.events, Infinity);
   const slips = about.events.filter((event) => event.onset).length;
   write($("events-count"), slips ? `${slips.toLocaleString("en")} ${slips === 1 ? "slip" : "slips"}` : "");
@@ -33,9 +33,9 @@ export function recorded(view, about) {
   const begun = new Date(about.start);
   const clock = (t) => new Date(begun.getTime() + t).toISOString().slice(11, 22);
   const instant = () => Number(slider.value);
-  let figures = new Streams(); // at the requested time; the curves are thinned to pixels
+  let figures = new Streams(); // rows at the selected time; the curves are reduced to pixel columns
   view.scene = () => ({ streams: view.streams, figures, at: Infinity, end: instant(), span: span(), whole: view.window === Infinity });
-  // Time span of the curves: the window before the chosen time, or the whole session.
+  // Return the time span of the curves: the window before the selected time, or the whole session.
   const span = () => (view.window === Infinity ? [0, about.length] : [instant() - view.window, instant()]);
   view.onchange = () => refresh();
   view.events.show((t) => elapsed(t), (t) => go(t + 1000));
@@ -45,7 +45,7 @@ export function recorded(view, about) {
     write($("instant-text"), `${elapsed(t)} · ${clock(t)} UTC`);
     view.slipping = slipping(about.events, t);
     showTime(t);
-    write($("axis"), view.window === Infinity ? "seconds since the start of the session" : "seconds before the chosen time");
+    write($("axis"), view.window === Infinity ? "seconds since the start of the session" : "seconds before the selected time");
     view.dirty();
     again = loading;
     if (loading) return;
@@ -117,7 +117,7 @@ export function recorded(view, about) {
     go(instant() + stride);
   });
 
-  // Overview of the whole session above the slider: pressure and slips.
+  // Draw the overview of the whole session above the slider: pressure and slips.
   async function draw() {
     const style = getComputedStyle(document.documentElement), ratio = devicePixelRatio;
     const width = canvas.clientWidth, height = canvas.clientHeight, edge = 8; // px, half the thumb of the slider
@@ -147,13 +147,14 @@ export function recorded(view, about) {
   });
 }
 
-// Load the curves between two times, thinned to pixel columns, and the figures at a time.
+// Load the curves between two times, reduced to pixel columns, and the rows at a time.
 async function load(begin, end, at, columns) {
   const answer = await fetch(`window?${new URLSearchParams({ begin, end, at, columns })}`);
   if (!answer.ok) throw new Error(await answer.text());
   return answer.json();
 }
 
+// Return the fingertips that slip at a time.
 function slipping(events, t) {
   const now = new Set();
   for (const event of events) {
@@ -164,10 +165,11 @@ function slipping(events, t) {
   return now;
 }
 
+// Return the time 1 s after the first onset.
 const first = (events) => (events.find((event) => event.onset)?.t ?? 0) + 1000;
 
 // Round up to a multiple of 100 counts.
-const nearest = (value) => Math.ceil(value / 100) * 100;
+const roundUp = (value) => Math.ceil(value / 100) * 100;
 
 // Format a time since the start of the session as m:ss.t.
 function elapsed(t) {

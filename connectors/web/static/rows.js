@@ -1,4 +1,4 @@
-// Streams of a run. `Rows`: times (ms since the start of the run) and the plotted values of each column.
+// Streams of a run. `Rows` has times (ms since the start of the run) and the plotted values of each column.
 
 const KEPT = 31000; // ms
 const PAUSE = 250; // ms; a longer pause is drawn as a gap
@@ -13,7 +13,7 @@ export class Rows {
     return this.t.length ? this.t[this.t.length - 1] : null;
   }
 
-  // Append the rows of a frame; skip known ones.
+  // Append the rows of a frame; skip rows that are not newer.
   push({ t, v }, sign = 1) {
     let last = this.newest ?? -Infinity;
     for (let row = 0; row < t.length; row++) {
@@ -25,14 +25,14 @@ export class Rows {
     this.#trim(last - KEPT);
   }
 
-  // Replace all rows by those of a recording, which marks its gaps itself.
+  // Replace all rows by those of a recording, which include its gaps.
   replace(rows, sign = 1) {
     this.t = [];
     for (const column of this.columns) column.length = 0;
     for (let row = 0; row < rows.t.length; row++) this.#append(rows.t[row], rows.v[row], sign);
   }
 
-  // Return [t, ...columns] between two times, with one row beyond each, so that lines reach the edges.
+  // Return [t, ...columns] between two times, plus one row on each side, so that lines reach the edges.
   between(begin, end) {
     const from = Math.max(0, lowest(this.t, begin) - 1);
     const to = lowest(this.t, end) + 1;
@@ -62,7 +62,7 @@ export class Rows {
   }
 
   #trim(before) {
-    if (!this.t.length || this.t[0] > before - KEPT / 2) return; // not each time, as it moves all rows
+    if (!this.t.length || this.t[0] > before - KEPT / 2) return; // not on each call, because it moves all rows
     const old = lowest(this.t, before);
     this.t.splice(0, old);
     for (const column of this.columns) column.splice(0, old);
@@ -81,7 +81,7 @@ export class Streams {
   // Add the streams of a frame; `put` is "push" or "replace".
   take({ touch, scores, speed }, put = "push") {
     for (const [finger, rows] of Object.entries(touch ?? {})) {
-      if (this.zeroed.get(finger) !== rows.zeroed) this.touch.delete(finger); // it was raw until now
+      if (this.zeroed.get(finger) !== rows.zeroed) this.touch.delete(finger); // changed between raw and zeroed
       this.zeroed.set(finger, rows.zeroed);
       if (!this.touch.has(finger)) this.touch.set(finger, new Rows(6));
       this.touch.get(finger)[put](rows, rows.zeroed ? -1 : 1);

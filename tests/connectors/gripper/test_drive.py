@@ -82,7 +82,7 @@ async def test_the_status_is_updated_once_the_request_is_echoed(monkeypatch: pyt
             await asyncio.sleep(0.4)
             assert gripper.status is before
             await asyncio.sleep(0.2)
-            with pytest.raises(EndpointError, match=r"does not take a request within 0.5 s"):
+            with pytest.raises(EndpointError, match=r"does not accept a request within 0.5 s"):
                 await gripper.write(commands(nan))
         await asyncio.sleep(5)
         assert gripper.status

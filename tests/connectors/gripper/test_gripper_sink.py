@@ -145,7 +145,7 @@ async def test_a_retried_batch_is_counted_once() -> None:
         await asyncio.sleep(0.2)
         batch = commands(20.0, 99.0)
         for _ in range(3):
-            with pytest.raises(EndpointError, match="refuses: it failed"):
+            with pytest.raises(EndpointError, match="refuses: device failure"):
                 await gripper.write(batch)
         at.server.refusing = False
         await asyncio.sleep(4)

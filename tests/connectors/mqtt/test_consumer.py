@@ -200,7 +200,7 @@ async def test_events_that_are_no_longer_kept_are_reported_as_lost(broker: TestB
         await sink.write(slips(*[1, 0] * 5))
         await until(lambda: not inside(sink, "_outbox").waiting)
         outbox = inside(sink, "_outbox")
-        await vars(Outbox)["_note"](outbox)
+        await vars(Outbox)["_save_acknowledged"](outbox)
         inside(outbox, "_file").prune(4, 0)
         async with Consumer(broker.url, since="start", report=reports.append) as events:
             assert await take(events, 4) == [7, 8, 9, 10]
@@ -268,7 +268,7 @@ async def test_dropped_messages_are_reported_and_their_events_fetched(
             await until(lambda: links[1].dropped > 20)
             assert sorted(await take(events, 40)) == list(range(1, 41))
     assert reports
-    assert all(report.endswith("messages dropped: too slow a reader") for report in reports)
+    assert all(report.endswith("messages dropped: the consumer is too slow") for report in reports)
 
 
 CONSUME = """

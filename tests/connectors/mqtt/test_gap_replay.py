@@ -154,7 +154,7 @@ def test_events_no_longer_kept_are_listed_as_missing(tmp_path: Path) -> None:
     async def body(given: GapReplies, outbox: Outbox) -> None:
         outbox.acknowledge(await outbox.next(500))
         outbox.acknowledge(await outbox.next(500))
-        await vars(Outbox)["_note"](outbox)
+        await vars(Outbox)["_save_acknowledged"](outbox)
         inside(outbox, "_file").prune(40, 0)
         inside(outbox, "_file", "_db").execute("DELETE FROM events WHERE id IN (570, 571)")
         inside(outbox, "_memory").clear()

@@ -112,7 +112,7 @@ async def test_a_range_is_returned_with_the_last_number_covered(tmp_path: Path) 
 
 
 async def test_old_events_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
+    monkeypatch.setattr(outbox, "ACKNOWLEDGE_EVERY", 0.0)
     async with opened(tmp_path / "o.sqlite", keep=10) as box:
         await box.append([DRAFT] * 50)
         await box.append([DRAFT] * 5)
@@ -455,7 +455,7 @@ async def test_events_written_during_a_failure_are_kept_with_earlier_ones(
 async def test_the_write_ahead_log_is_checkpointed_when_idle(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(outbox, "NOTE_EVERY", 0.0)
+    monkeypatch.setattr(outbox, "ACKNOWLEDGE_EVERY", 0.0)
     emptied, checkpoint = threading.Event(), OutboxFile.checkpoint
 
     def noted(file: OutboxFile) -> None:

@@ -202,9 +202,7 @@ def test_an_unplugged_sensor_invalidates_the_scan(rig: Rig) -> None:
         scan = scanner.scan()
         assert not scan.valid.any()
         assert scan.error is not None
-        assert (
-            i2c_reason(scan.error) == "no fingertip answers: is the power on, are the rows right? (errno 121)"
-        )
+        assert i2c_reason(scan.error) == "no fingertip answers: check the power and the rows (errno 121)"
         rig.bus.plug()
         rig.sound(scanner.scan())
 
@@ -287,7 +285,7 @@ def test_a_bus_is_locked(rig: Rig) -> None:
     with closing(rig.open()):
         with pytest.raises(BlockingIOError) as raised:
             rig.open()
-        assert i2c_reason(raised.value) == "is used by another program: end that first (errno 11)"
+        assert i2c_reason(raised.value) == "is in use: end the other program (errno 11)"
     rig.open().close()
 
 
@@ -306,9 +304,9 @@ def test_reasons_name_the_likely_cause(rig: Rig) -> None:
     rig.bus.busy.add(CELL)
     with pytest.raises(OSError, match=os.strerror(16)) as raised:
         rig.open()
-    assert i2c_reason(raised.value).startswith("a kernel driver owns")
+    assert i2c_reason(raised.value).startswith("a kernel driver uses")
     rig.bus.remove(19)
     with pytest.raises(FileNotFoundError) as missing:
         rig.open()
-    assert i2c_reason(missing.value) == "there is no such bus: is I2C enabled? (errno 2)"
+    assert i2c_reason(missing.value) == "the bus does not exist: is I2C enabled? (errno 2)"
     assert i2c_reason(OSError(5, "Input/output error")) == "Input/output error (errno 5)"

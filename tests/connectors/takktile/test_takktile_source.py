@@ -26,7 +26,7 @@ from tests.connectors.emulators.faulty_i2c import Defect, FaultyI2cBus
 from tests.connectors.emulators.i2c_device import served
 
 PATH = "/dev/i2c-1"
-SILENT = f"{PATH}: no fingertip answers: is the power on, are the rows right? (errno 121)"
+SILENT = f"{PATH}: no fingertip answers: check the power and the rows (errno 121)"
 
 
 class Skin:

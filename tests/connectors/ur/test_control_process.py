@@ -188,7 +188,7 @@ def test_an_ended_program_is_reported_with_possible_causes(pipe: tuple[Connectio
 
     replies = served(pipe, Ended())
     assert replies[-1].kind == "failed"
-    assert "receives nothing for 0.2 s (watchdog 5 Hz)" in replies[-1].text
+    assert "after 0.2 s without a message (watchdog 5 Hz)" in replies[-1].text
 
 
 def test_a_line_is_stopped_and_a_velocity_ended_before_a_line(pipe: tuple[Connection, Connection]) -> None:

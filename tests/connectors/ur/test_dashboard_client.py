@@ -20,7 +20,7 @@ def test_a_command_is_answered() -> None:
 
 
 @pytest.mark.parametrize(
-    ("silent", "why"), [(True, r"does not answer for 0\.05 s"), (False, "closed the connection")]
+    ("silent", "why"), [(True, r"does not answer within 0\.05 s"), (False, "closed the connection")]
 )
 def test_a_silent_dashboard_is_an_error_after_the_timeout(silent: bool, why: str) -> None:  # noqa: FBT001
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

@@ -91,7 +91,7 @@ def test_repeated_packages_are_dropped_and_counted() -> None:
     taken, reason, source = against(controller(0.008, 0.016, 0.016, 0.016, 0.024))
     assert [batch.device_time.tolist() for batch in taken] == [[8 * ms, 16 * ms, 24 * ms]]
     assert source.describe()["repeated"] == 2
-    assert reason == "sends nothing for 1.0 s: does it run, and is the cable in?"
+    assert reason == "sent nothing for 1.0 s: check that it runs and is connected"
 
 
 def test_rows_before_the_clock_went_back_are_kept() -> None:
@@ -123,7 +123,7 @@ def test_invalid_bytes_end_the_connection_after_the_packages_before_them() -> No
     assert [len(batch) for batch in taken] == [2]
     assert reason == "a package of 0 bytes, must be 3 to 8192"
     taken, reason, _ = against(lambda _: b"HTTP/1.1 400 Bad Request\r\n\r\n")
-    assert (taken, reason) == ([], "it does not speak RTDE: a package of 18516 bytes, must be 3 to 8192")
+    assert (taken, reason) == ([], "is not an RTDE server: a package of 18516 bytes, must be 3 to 8192")
 
 
 def test_a_cb3_controller_that_grants_500_hz_is_refused() -> None:
@@ -142,7 +142,7 @@ def test_a_closed_port_is_an_error() -> None:
 
         taken, error = run_virtually(main())
     assert not taken
-    assert "refuses the connection: is this its address" in error.reason
+    assert "refuses the connection: check its address" in error.reason
 
 
 class TestTransport(asyncio.Transport):
@@ -228,16 +228,16 @@ def test_any_cut_of_a_connection_gives_the_same_data(cuts: list[int]) -> None:
 @pytest.mark.parametrize(
     ("answers", "wrong", "reason"),
     [
-        (0, pack(Kind.PROTOCOL, b"\0"), "does not speak version 2"),
-        (0, pack(Kind.CONTROLLER, VERSION.payload), "'v' where 'V'"),
-        (0, pack(Kind.DATA, DATA[0]), "'U' where 'V'"),
+        (0, pack(Kind.PROTOCOL, b"\0"), "does not support RTDE version 2"),
+        (0, pack(Kind.CONTROLLER, VERSION.payload), "'v', expected 'V'"),
+        (0, pack(Kind.DATA, DATA[0]), "'U', expected 'V'"),
         (1, pack(Kind.CONTROLLER, b"\1"), "version has 1 bytes"),
         (2, pack(Kind.OUTPUTS, b"\0DOUBLE,NOT_FOUND"), "actual_TCP_pose NOT_FOUND"),
         (3, pack(Kind.START, b"\0"), "refused to start"),
-        (3, pack(Kind.DATA, DATA[0]), "'U' where 'S'"),
+        (3, pack(Kind.DATA, DATA[0]), "'U', expected 'S'"),
         (4, pack(Kind.DATA, DATA[0][:-1]), "data of 104 bytes"),
         (4, pack(Kind.DATA, b"\1" + DATA[0][1:]), "recipe 01, not 105 for 07"),
-        (4, pack(Kind.PAUSE, b"\1"), "'P' where 'U'"),
+        (4, pack(Kind.PAUSE, b"\1"), "'P', expected 'U'"),
         (4, b"HTTP/1.1 400 Bad Request", "package of 18516 bytes"),
     ],
 )

@@ -178,7 +178,7 @@ def test_it_is_stopped_without_contact() -> None:
     async def main() -> str:
         async with lab(DOWN, Leaning()) as here:
             await here.arm.tare(0.1)
-            with pytest.raises(EndpointError, match=r"no contact of 2 N within 2\.5 mm: 0\.\d N there"):
+            with pytest.raises(EndpointError, match=r"no contact of 2 N within 2\.5 mm: 0\.\d N at the end"):
                 await here.arm.touch((0.0, 0.0, -0.0025), 2.0, 0.002, 0.5)
             await here.arm.stop()
             assert here.arm.state.still
@@ -283,11 +283,11 @@ def test_a_missing_state_stops_it() -> None:
     async def main() -> str:
         async with lab() as here:
             asyncio.get_running_loop().call_later(0.3, here.controller.stall)
-            with pytest.raises(EndpointError, match="its state is unknown: sends nothing"):
+            with pytest.raises(EndpointError, match="its state is unknown: sent nothing"):
                 await away(here.arm)
             return here.arm.fault
 
-    assert "sends nothing" in asyncio.run(main())
+    assert "sent nothing" in asyncio.run(main())
 
 
 def test_a_cancelled_move_stops_the_arm() -> None:

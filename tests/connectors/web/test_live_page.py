@@ -161,7 +161,7 @@ def test_a_busy_default_port_is_replaced_but_a_given_one_is_an_error(run: Run) -
         await second.open(run)
         assert len(set(told)) == 2
         port = int(told[0].rpartition(":")[2])
-        with pytest.raises(EndpointError, match=f"http://127.0.0.1:{port}: cannot serve the page there"):
+        with pytest.raises(EndpointError, match=f"http://127.0.0.1:{port}: cannot serve the page"):
             await Page(port).open(run)
         await first.close()
         await second.close()
