@@ -40,12 +40,12 @@ class Buffer:
 
     def add(self, batch: Batch) -> None:
         """Add the rows of a batch that is not empty."""
-        self.rows, self.first, self.last = self.plus(batch)
+        self.rows, self.first, self.last = self.extent_with(batch)
         for name, values in self._columns.items():
             values.extend(getattr(batch, name).tobytes())
         self._fingers += np.full(len(batch), batch.finger, np.int16).tobytes()
 
-    def plus(self, batch: Batch) -> tuple[int, int, int]:
+    def extent_with(self, batch: Batch) -> tuple[int, int, int]:
         """Return the row count, first and last time if `batch` were added."""
         time = batch.time
         first, last = (time.item(),) * 2 if len(time) == 1 else (time.min().item(), time.max().item())

@@ -71,6 +71,10 @@ class Table:
         """Glob pattern of its files."""
         return f"{self.name}/part-*.parquet" if self.parted else self.file(0)
 
+    def has(self, path: str) -> bool:
+        """Return true if a path within the folder of the session belongs to the table."""
+        return path.startswith((f"{self.name}/", f"{self.name}."))
+
     def file(self, number: int) -> str:
         """Return the path of a file within the folder of the session.
 
@@ -123,16 +127,16 @@ def session_names(root: Path) -> list[str]:
     return sorted(path.name for path in _session_folders(root) if may_exist(path / SESSION))
 
 
-def headless_names(root: Path) -> list[str]:
+def names_without_description(root: Path) -> list[str]:
     """Return the names of the session folders that have data but no session.json, sorted.
 
     Raises:
         InputError: if the folder of the sessions cannot be read, or is a file.
     """
-    return sorted(path.name for path in _session_folders(root) if headless(path))
+    return sorted(path.name for path in _session_folders(root) if lacks_description(path))
 
 
-def headless(folder: Path) -> bool:
+def lacks_description(folder: Path) -> bool:
     """Return true if a folder has the files of a session, but no session.json."""
     patterns = (MANIFEST, "journal/*.wal", *(table.pattern for table in TABLES))
     return not may_exist(folder / SESSION) and any(any(folder.glob(each)) for each in patterns)

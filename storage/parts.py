@@ -51,10 +51,10 @@ def commit_part(
         OSError: if it cannot be written; the file is then missing or complete.
         InputError: if a link leads out of the session.
     """
-    return described(path, table, write_part(inside(folder, folder / path), table, put))
+    return manifest_entry(path, table, write_part(inside(folder, folder / path), table, put))
 
 
-def described(path: str, table: pa.Table, sha256: str) -> Part:
+def manifest_entry(path: str, table: pa.Table, sha256: str) -> Part:
     """Return the manifest entry of a file with these rows."""
     if not len(table):
         return Part(path, 0, 0, 0, sha256)
@@ -79,7 +79,7 @@ def inspect_part(folder: Path, path: str, schema: pa.Schema) -> Part:
     """
     file = inside(folder, folder / path)
     sha256 = hash_part(file)
-    return described(path, read_part(file, schema, sha256), sha256)
+    return manifest_entry(path, read_part(file, schema, sha256), sha256)
 
 
 def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:

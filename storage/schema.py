@@ -72,10 +72,8 @@ def fingers(table: Table, rows: pa.Table) -> frozenset[int]:
 
 def times(table: Table, rows: pa.Table) -> dict[int, NDArray[np.int64]]:
     """Return the times (n,) ns of the rows by fingertip; the columns of `time_schema` suffice."""
-    time, finger = (
-        _values(rows, "time"),
-        _values(rows, "finger") if table.finger else np.full(len(rows), EVERY),
-    )
+    time = _values(rows, "time")
+    finger = _values(rows, "finger") if table.finger else np.full(len(rows), EVERY)
     return {each: time[finger == each] for each in np.unique(finger).tolist()}
 
 

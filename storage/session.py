@@ -206,7 +206,7 @@ class Session:
 
     def _paths(self, table: Table) -> list[str]:
         """Return the files of a table, including missing ones that are listed."""
-        listed = {path for path in self.listed if path.startswith((f"{table.name}/", f"{table.name}."))}
+        listed = {path for path in self.listed if table.has(path)}
         if (self.folder / JOURNAL).exists():  # the journal may still have the rows of unlisted files
             return sorted(listed, key=_numbered)
         existing = {path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)}

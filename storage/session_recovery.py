@@ -108,8 +108,7 @@ class SessionRecovery:
         return [part for each in self._parts.values() for part in each]
 
     def _listed_of(self, table: Table) -> list[Part]:
-        paths = (path for path in self._listed if path.startswith((f"{table.name}/", f"{table.name}.")))
-        return [self._listed[path] for path in sorted(paths, key=part_number)]
+        return [self._listed[path] for path in sorted(filter(table.has, self._listed), key=part_number)]
 
     def _find_parts(self, table: Table) -> list[Part]:
         """Return the listed parts of a table and the unlisted complete ones."""

@@ -19,10 +19,10 @@ from storage.layout import (
     SESSIONS,
     TABLES,
     Table,
-    headless,
-    headless_names,
     inside,
+    lacks_description,
     may_exist,
+    names_without_description,
     segments,
     session_names,
     single_log,
@@ -112,7 +112,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
     """
     root = Path(path)
     findings = list[Finding]()
-    if may_exist(root / SESSION) or headless(root):
+    if may_exist(root / SESSION) or lacks_description(root):
         folders = [root]
     else:
         if not root.is_dir():
@@ -122,7 +122,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
             read_dataset(root)
         except InputError as error:
             findings.append(Finding("", "lost", str(error)))
-        names = sorted([*session_names(root), *headless_names(root)])
+        names = sorted([*session_names(root), *names_without_description(root)])
         folders = [inside(root, root / SESSIONS / name) for name in names]
         if findings and not folders:
             reason = f"is not a session (no {SESSION}) and not a dataset (no {DATASET})"
@@ -200,7 +200,7 @@ class _SessionCheck:
         if self.recording:
             self._add("note", "is being recorded: checked up to its last commit")
             return
-        if headless(self.folder):
+        if lacks_description(self.folder):
             self._add("lost", f"its {SESSION} is missing; its readable rows are counted")
             return
         try:
@@ -274,7 +274,7 @@ class _SessionCheck:
 
         table = _table(path)
         rows = parts.read_part(inside(self.folder, self.folder / path), schema.schema(table), part.sha256)
-        if parts.described(path, rows, part.sha256) != part:
+        if parts.manifest_entry(path, rows, part.sha256) != part:
             raise InputError(str(self.folder / path), "has other rows or times than in the manifest")
         if table is SAMPLES:
             for finger, batch in schema.from_arrow(table, table.kind, rows).items():
@@ -335,4 +335,4 @@ class _SessionCheck:
 
 def _table(path: str) -> Table:
     """Return the table of a file."""
-    return next(table for table in TABLES if path.startswith((f"{table.name}/", f"{table.name}.")))
+    return next(table for table in TABLES if table.has(path))

@@ -120,7 +120,7 @@ class SessionWriter:
             return True
         if not rows or not table.parted or buffer is None or not buffer.rows:
             return False
-        rows, first, last = buffer.plus(batch)
+        rows, first, last = buffer.extent_with(batch)
         return rows > self._part_rows or last - first >= self._part_span
 
     def add(self, batch: Batch) -> bool:

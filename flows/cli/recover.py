@@ -31,12 +31,21 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
     """
     from operators.errors import SlipflowError
     from storage import recover as repair
-    from storage.layout import SESSION, SESSIONS, headless, headless_names, session_folder, session_names
+    from storage.layout import (
+        SESSION,
+        SESSIONS,
+        lacks_description,
+        names_without_description,
+        session_folder,
+        session_names,
+    )
     from storage.lock import locked
 
-    single = (path / SESSION).exists() or headless(path)
+    single = (path / SESSION).exists() or lacks_description(path)
     folders = [path] if single else [session_folder(path, name) for name in session_names(path)]
-    without_description = [path / SESSIONS / name for name in ([] if single else headless_names(path))]
+    without_description = [
+        path / SESSIONS / name for name in ([] if single else names_without_description(path))
+    ]
     if not folders and not without_description:
         raise typer.BadParameter(
             f"{path} is not a session and has none: give the folder of a dataset or of a session"

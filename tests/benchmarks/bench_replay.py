@@ -42,7 +42,7 @@ from storage import Dataset, Session, load_debounce, load_detector
 from storage.description import describe_dataset, describe_session
 from storage.layout import TOUCH, session_folder
 from storage.manifest import Part, write_manifest
-from storage.parts import described, write_part
+from storage.parts import manifest_entry, write_part
 from storage.schema import to_arrow
 from tests.benchmarks.machine import commit, machine
 
@@ -202,7 +202,7 @@ def tiled(paths: Sequence[Path], out: Path, hours: int) -> Path:
         first = number % tiles * BLOCK
         time_ = start + (number * BLOCK + np.arange(BLOCK)) * (s // RATE)
         rows = to_arrow(TOUCH, [replace(touch[first : first + BLOCK], time=time_)])
-        parts.append(described(TOUCH.file(number), rows, write_part(folder / TOUCH.file(number), rows)))
+        parts.append(manifest_entry(TOUCH.file(number), rows, write_part(folder / TOUCH.file(number), rows)))
     write_manifest(folder, parts)
     return folder
 

@@ -7,7 +7,7 @@ import pytest
 
 from operators.batch import columns
 from operators.errors import InputError, ParameterError
-from storage.layout import TABLE_OF, TABLES, headless_names, inside, session_folder, session_names
+from storage.layout import TABLE_OF, TABLES, inside, names_without_description, session_folder, session_names
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_session_that_may_not_be_looked_into_is_not_passed_over(hidden: Path) -> None:
     assert session_names(hidden) == ["one"]
-    assert headless_names(hidden) == []
+    assert names_without_description(hidden) == []
 
 
 def test_sessions_that_may_not_be_looked_for_are_an_error(
@@ -88,7 +88,7 @@ def test_sessions_that_may_not_be_looked_for_are_an_error(
 
     monkeypatch.setattr(os, "listdir", listdir)
     monkeypatch.setattr(os, "scandir", listdir)
-    for names in (session_names, headless_names):
+    for names in (session_names, names_without_description):
         with pytest.raises(InputError, match="sessions: cannot be read: Permission denied; grant this user"):
             names(tmp_path)
 

@@ -33,7 +33,8 @@ def ablation_report(found: Ablation, command: str) -> Report:
         "trials": trials.count,
         "seed": trials.seed,
         "breaks_first": {
-            str(method): found.first(method) if found.ranks else None for method in found.nominal.methods
+            str(method): found.first_to_break(method) if found.ranks else None
+            for method in found.nominal.methods
         },
     }
     return Report("Limits of the lift", text, sections, command, facts)
@@ -86,7 +87,7 @@ def _limits(found: Ablation) -> Section:
         for method in methods
     ]
     errors = [
-        abs(found.breaks(method, name) - found.predicted(method, name))
+        abs(found.breaking_delay(method, name) - found.predicted_delay(method, name))
         for method in methods
         for name in trials.objects
     ]
@@ -112,10 +113,10 @@ def _limit_row(found: Ablation, method: Method, name: str) -> list[Value]:
     return [
         title(name),
         1000 * median([outcome.firm for outcome in found.nominal.of(method, name)]),
-        found.breaks(method, name),
-        found.predicted(method, name),
-        found.loses(method, name),
-        found.predicted(method, name, lost=True),
+        found.breaking_delay(method, name),
+        found.predicted_delay(method, name),
+        found.loss_delay(method, name),
+        found.predicted_delay(method, name, lost=True),
     ]
 
 
@@ -152,8 +153,8 @@ def _whole(columns: list[str]) -> dict[str, int]:
 
 def _finding(found: Ablation, method: Method) -> str:
     """Return the sentence about the object that breaks first and the one that is lost first."""
-    trials, first = found.nominal.trials, found.first(method)
-    at = found.breaks(method, first)
+    trials, first = found.nominal.trials, found.first_to_break(method)
+    at = found.breaking_delay(method, first)
     if math.isinf(at):
         return f"{method}: nothing breaks up to +{max(found.delays)} ms in {trials}"
     if trials.count < ENOUGH:
@@ -161,9 +162,9 @@ def _finding(found: Ablation, method: Method) -> str:
     if not found.ranks:
         return f"{method}: the {title(first)} breaks at +{at:.0f} ms in {trials.count} trials"
     finding = f"{method}: the {title(first)} breaks first, at +{at:.0f} ms in {trials}"
-    soonest = min(found.loses(method, name) for name in trials.objects)
+    soonest = min(found.loss_delay(method, name) for name in trials.objects)
     if math.isfinite(soonest):
-        lost = [f"the {title(name)}" for name in trials.objects if found.loses(method, name) == soonest]
+        lost = [f"the {title(name)}" for name in trials.objects if found.loss_delay(method, name) == soonest]
         finding += f", lost first: {' and '.join(lost)}, at +{soonest:.0f} ms"
     return finding
 
@@ -208,7 +209,7 @@ def _plot_object(found: Ablation, method: Method, name: str, above: Axes, below:
         for results in found.delays.values()
     ]
     below.plot(delays, slides, **style)
-    limit = found.predicted(method, name)
+    limit = found.predicted_delay(method, name)
     if math.isfinite(limit):
         above.plot(limit, 106, marker="v", color=COLOURS[name], markersize=6, linestyle="none", clip_on=False)
 

@@ -91,11 +91,11 @@ class Ablation:
         trials = self.nominal.trials
         return len(trials.objects) > 1 and trials.count >= ENOUGH
 
-    def breaks(self, method: Method, name: str) -> float:
+    def breaking_delay(self, method: Method, name: str) -> float:
         """Return the added delay (ms) at which success falls below 90 %, interpolated."""
         return crossing(list(self.delays), [each.success(method, name) for each in self.delays.values()])
 
-    def loses(self, method: Method, name: str) -> float:
+    def loss_delay(self, method: Method, name: str) -> float:
         """Return the added delay (ms) at which more than 10 % of the objects fall out of the gripper."""
         kept = [
             100 - 100 * float(np.mean([outcome.lost for outcome in results.of(method, name)]))
@@ -103,7 +103,7 @@ class Ablation:
         ]
         return crossing(list(self.delays), kept)
 
-    def predicted(self, method: Method, name: str, *, lost: bool = False) -> float:
+    def predicted_delay(self, method: Method, name: str, *, lost: bool = False) -> float:
         """Return the added delay (ms) that uses up the room of one trial in ten; if `lost`, the reach.
 
         The added delay postpones the instant at which the grip becomes firm. Until then the object slides as
@@ -113,9 +113,9 @@ class Ablation:
         spare = sorted(_spare(budget, outcome, lost=lost) for budget, outcome in trials)
         return spare[len(spare) // 10]
 
-    def first(self, method: Method) -> str:
+    def first_to_break(self, method: Method) -> str:
         """Return the object that breaks first."""
-        return min(self.nominal.trials.objects, key=lambda name: self.breaks(method, name))
+        return min(self.nominal.trials.objects, key=lambda name: self.breaking_delay(method, name))
 
 
 def _spare(budget: Budget, outcome: LiftOutcome, *, lost: bool) -> float:

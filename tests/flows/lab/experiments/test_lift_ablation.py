@@ -49,31 +49,33 @@ def test_an_object_breaks_when_the_gripper_climbs_its_room_before_a_firm_grip(
     make_ablation: Make,
 ) -> None:
     found = make_ablation(firm=0.15)
-    assert found.predicted(NONE, "ball") == pytest.approx(300, abs=1)  # 20 mm after 450 ms
-    assert found.predicted(NONE, "ball", lost=True) == pytest.approx(380, abs=1)  # 24 mm after 530 ms
+    assert found.predicted_delay(NONE, "ball") == pytest.approx(300, abs=1)  # 20 mm after 450 ms
+    assert found.predicted_delay(NONE, "ball", lost=True) == pytest.approx(380, abs=1)  # 24 mm after 530 ms
 
 
 def test_compliance_of_the_fingers_reduces_the_room(make_ablation: Make) -> None:
     found = make_ablation(firm=0.15, give=2.0)
-    assert found.predicted(NONE, "ball") == pytest.approx(260, abs=1)  # 18 mm after 410 ms
-    assert found.predicted(NONE, "ball", lost=True) == pytest.approx(380, abs=1)
+    assert found.predicted_delay(NONE, "ball") == pytest.approx(260, abs=1)  # 18 mm after 410 ms
+    assert found.predicted_delay(NONE, "ball", lost=True) == pytest.approx(380, abs=1)
 
 
 def test_a_trial_that_fails_without_delay_tolerates_none_and_one_that_needs_no_control_any(
     make_ablation: Make,
 ) -> None:
     failed = make_ablation(firm=0.15, ending="too late", lost=True)
-    assert failed.predicted(NONE, "ball") == failed.predicted(NONE, "ball", lost=True) == 0
-    assert make_ablation(firm=0.0).predicted(NONE, "ball") == math.inf
-    assert make_ablation(firm=math.nan).predicted(NONE, "ball") == math.inf
+    assert failed.predicted_delay(NONE, "ball") == failed.predicted_delay(NONE, "ball", lost=True) == 0
+    assert make_ablation(firm=0.0).predicted_delay(NONE, "ball") == math.inf
+    assert make_ablation(firm=math.nan).predicted_delay(NONE, "ball") == math.inf
 
 
 def test_measured_limits_are_interpolated(make_ablation: Make) -> None:
     found = make_ablation(firm=0.15, late="not lifted")
-    assert found.breaks(NONE, "ball") == pytest.approx(10)  # from 100 % to 0 within 100 ms
-    assert found.loses(NONE, "ball") == math.inf
-    assert make_ablation(firm=0.15, late="too late", late_lost=True).loses(NONE, "ball") == pytest.approx(10)
-    assert found.first(NONE) == "ball"
+    assert found.breaking_delay(NONE, "ball") == pytest.approx(10)  # from 100 % to 0 within 100 ms
+    assert found.loss_delay(NONE, "ball") == math.inf
+    assert make_ablation(firm=0.15, late="too late", late_lost=True).loss_delay(
+        NONE, "ball"
+    ) == pytest.approx(10)
+    assert found.first_to_break(NONE) == "ball"
 
 
 def test_every_condition_is_tried_with_the_same_trials() -> None:
