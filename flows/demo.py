@@ -18,7 +18,7 @@ def demo(
     *,
     connect_required: bool = True,
 ) -> Flow:
-    """Record a simulated fingertip and arm into `out`, detect slip, and publish it as `rig` to `broker`.
+    """Record a simulated fingertip and arm into `out`, detect slip, and publish the events to `broker`.
 
     Args:
         out: Folder of the dataset.

@@ -15,7 +15,7 @@ from operators.errors import InputError, ParameterError
 from operators.grip import GripController
 from storage import load_debounce, load_detector
 
-WEAKEST: Final = ForceScale().weakest  # N, least force of a Robotiq 3-finger gripper
+WEAKEST: Final = ForceScale().weakest  # N, minimum force of a Robotiq 3-finger gripper
 SIMULATED_SETTLE: Final = 300 * ms  # ns; simulated fingers close at once
 REAL_SETTLE: Final = 2 * s  # ns; real fingers close in 1.4 s
 
@@ -29,16 +29,15 @@ def lift(  # noqa: PLR0917 - flow parameters are passed by name
     gripper: str | None = None,
     seed: int = 0,
 ) -> Flow:
-    """Grip an object, detect slip, and raise the force until it stops.
+    """Grip an object, detect slip, and raise the force until the slip stops.
 
-    Without hardware, a simulated object is lifted after 3 s. With hardware, the arm is moved by another
-    program; a Robotiq 3-finger gripper has a least force of 15 N. The hand must be open during the first
-    second.
+    Without hardware, a simulated object is lifted after 3 s. With hardware, another program moves the arm. A
+    Robotiq 3-finger gripper has a minimum force of 15 N. The hand must be open during the first second.
 
     Args:
         detector: Built-in detector or weights file.
         thing: Simulated object.
-        force: Initial force; 0: half the force that holds the simulated object, or the gripper's least force.
+        force: Initial force; 0: half the force that holds the simulated object, or the gripper's minimum.
         max_force: Upper limit of the force.
         bus: I2C bus of the fingertip.
         gripper: Address of the gripper.

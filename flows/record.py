@@ -6,7 +6,7 @@ from flows.graph.quantity import Duration, Speed
 from operators import Align, Label, Zero, Zeroed, ms
 from storage import Dataset
 
-ARM_LATENCY = 70 * ms  # simulated arm velocity arrives this much after the touch
+ARM_LATENCY = 70 * ms  # ns, lag of the simulated arm velocity behind the touch
 
 
 def record(
@@ -26,10 +26,10 @@ def record(
 
 
 def declare_recording(flow: Flow, rig: SimulatedRig, label: Label, dataset: Dataset) -> Stream[Zeroed]:
-    """Declare the recording of a rig: its streams, and the samples labelled from them.
+    """Declare the recording of a rig's streams and of its labelled samples.
 
     Returns:
-        The zeroed touch.
+        Stream of zeroed touch.
     """
     touch = flow.source(rig.touch)
     motion = flow.source(rig.motion)

@@ -1,4 +1,4 @@
-"""New samples and slips from recordings, after a change of labels or detector."""
+"""Relabelling: new samples and slips from recordings, after a change of labels or detector."""
 
 from connectors import SimulatedRig
 from flows.graph import Flow

@@ -25,11 +25,11 @@ def prepare_report(folder: Path) -> None:
     Raises:
         EndpointError: if the folder cannot be created.
     """
-    from flows.report.figures import lacking  # noqa: PLC0415 - imports numpy
+    from flows.report.figures import missing_matplotlib  # noqa: PLC0415 - imports numpy
     from flows.report.report_page import make_output_folder  # noqa: PLC0415
 
     make_output_folder(folder)
-    if reason := lacking():
+    if reason := missing_matplotlib():
         note(f"the report will have no figures, which {reason}")
 
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from flows.cli.terminal import check_output_file
 from flows.cli.verification_figure import MAX_SESSIONS, by_session, session_lanes
-from flows.report.figures import lacking
+from flows.report.figures import missing_matplotlib
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, counted
 from operators.batch import s
@@ -107,7 +107,7 @@ def _sessions(found: Verified) -> Section:
     )
     if found.sessions > MAX_SESSIONS:
         text += f" Of {found.sessions:,} sessions the {MAX_SESSIONS} with the most severe findings are drawn."
-    if reason := lacking():
+    if reason := missing_matplotlib():
         text = f"Figures {reason}."
     head = ["session", "files", "rows", "unreadable rows", "span, s", "findings", "worst"]
     draw = partial(session_lanes, found) if any(each.part.rows for each in found.parts) else None

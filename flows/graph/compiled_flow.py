@@ -59,11 +59,11 @@ class _Stage:
         return self.checked(out)
 
     def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
-        """Replace the operator by one with another state."""
+        """Replace the operator by a restored one."""
         self.operator, self._push = operator, operator.push
 
     def checked(self, out: Batch) -> Batch | None:
-        """Return the output, or None if it is empty; raise if type or fingertip are not as declared."""
+        """Return the output, or None if it is empty; check its type and fingertip."""
         if type(out) is not self.gives and not isinstance(out, self.gives):
             raise TypeError(f"returned {type(out).__name__}, but declares {self.gives.__name__}")
         if not out.time.size:
@@ -91,7 +91,7 @@ class CompiledFlow:
 
     Args:
         flow: Declaration to compile.
-        only: Fingertips to compile for, besides the streams that belong to all; None: all fingertips.
+        only: Fingertips to compile for, with the streams that belong to all fingertips; None: all fingertips.
 
     Attributes:
         entries: Source nodes with their fingertips.
@@ -134,7 +134,7 @@ class CompiledFlow:
         """Run the operators on batches that arrived together, and return the batches for the sinks, in order.
 
         Args:
-            batches: By source and fingertip; more than one only if all are slices of one time span.
+            batches: Batches by source and fingertip; several must be slices of one time span.
 
         Raises:
             BatchError: if a source yields a fingertip that it does not declare.
@@ -197,7 +197,7 @@ class CompiledFlow:
         return pickle.dumps(states, pickle.HIGHEST_PROTOCOL)
 
     def restore(self, snapshot: bytes) -> None:
-        """Resume from a snapshot of the same flow; it is a pickle, so restore only your own."""
+        """Restore the state from a snapshot of the same flow; it is a pickle, so load only trusted ones."""
         for stage, state in zip(self._operator_stages, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
             stage.resume(pickle.loads(state))  # noqa: S301 - the same
 

@@ -69,7 +69,7 @@ def streams(nodes: Sequence[Node]) -> list[str]:
 
 
 def _names(nodes: Sequence[Node]) -> dict[Node, str]:
-    """Return the names of the streams worth naming: all but those that feed exactly one operator."""
+    """Return the names of all streams except those that feed exactly one operator."""
     fed, names = consumers(nodes), dict[Node, str]()
     for node in nodes:
         takers = fed[node]

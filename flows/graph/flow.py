@@ -19,7 +19,7 @@ Out = TypeVar("Out", bound=Batch)
 
 
 class Flow:
-    """A graph of sources, operators and sinks.
+    """Graph of sources, operators and sinks.
 
     >>> from flows.graph.testing import TestSink, TestSource
     >>> from operators import Debounce, Scores
@@ -103,7 +103,7 @@ class Stream(Generic[B]):
 
 @dataclass(frozen=True, eq=False)
 class Pair(Generic[B, C]):
-    """Two streams to be joined."""
+    """Pair of streams to join."""
 
     left: Stream[B]
     right: Stream[C]

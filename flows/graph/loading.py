@@ -27,7 +27,7 @@ SHIPPED = Path(__file__).parents[1]  # folder of the ready-made flows
 
 @dataclass(frozen=True)
 class Declaration:
-    """Flow that a file declares, not built yet."""
+    """Flow that a file declares, before it is built."""
 
     name: str
     file: Path

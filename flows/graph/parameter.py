@@ -48,7 +48,7 @@ class Parameter:
             return None
         for choice in choices:
             if (unit := _unit(choice)) is not None:
-                return _measured(owner, self.name, text, unit)
+                return _parse_measured(owner, self.name, text, unit)
             if choice is bool and text.lower() in _BOOLEANS:
                 return _BOOLEANS[text.lower()]
             if choice in (str, Path) and not text and self.default != "":
@@ -68,10 +68,10 @@ class Parameter:
     @property
     def takes(self) -> str:
         """Description of the accepted text."""
-        return " or ".join(map(_named, self._choices()))
+        return " or ".join(map(_description, self._choices()))
 
     def __str__(self) -> str:
-        """Return the setting that sets the default."""
+        """Return the setting with its default and the accepted text."""
         default = self.default
         if self.unit and isinstance(default, int | float) and isfinite(default):
             default = format_quantity(default, self.unit)
@@ -87,10 +87,9 @@ class Parameter:
     def _choices(self) -> tuple[Any, ...]:
         union = get_origin(self.type) in (Union, types.UnionType)
         choices = get_args(self.type) if union else (self.type,)
-        bare = (
-            get_origin(choices[0]) is Annotated and _unit(choices[0]) is None
-        )  # no unit: the annotation has another meaning
-        return (get_args(choices[0])[0], *choices[1:]) if bare else choices
+        # an annotation without a unit has another meaning
+        other = get_origin(choices[0]) is Annotated and _unit(choices[0]) is None
+        return (get_args(choices[0])[0], *choices[1:]) if other else choices
 
 
 def _unit(choice: Any) -> str | None:  # noqa: ANN401 - annotations are any type
@@ -99,7 +98,7 @@ def _unit(choice: Any) -> str | None:  # noqa: ANN401 - annotations are any type
     return next((each for each in named if isinstance(each, str) and each in KINDS), None)
 
 
-def _named(choice: Any) -> str:  # noqa: ANN401 - the same
+def _description(choice: Any) -> str:  # noqa: ANN401 - the same
     if (unit := _unit(choice)) is not None:
         return f"{KINDS[unit].name} with its unit: {KINDS[unit].examples}"
     if choice is type(None):
@@ -107,16 +106,14 @@ def _named(choice: Any) -> str:  # noqa: ANN401 - the same
     return _NAMES.get(choice, getattr(choice, "__name__", str(choice)))
 
 
-def _measured(owner: str, name: str, text: str, unit: str) -> float:
-    if unit != "ns" and isfinite(
-        bare := _number(text)
-    ):  # a bare 70 would mean 70 ns, which is never intended
+def _parse_measured(owner: str, name: str, text: str, unit: str) -> float:
+    if unit != "ns" and isfinite(bare := _number(text)):  # times need a unit: 70 ns is never intended
         return bare
     return parse_quantity(owner, name, text, unit, signed=True)
 
 
 def _number(text: str) -> float:
-    """Return a number without a unit; infinity if the text is none."""
+    """Parse a number without a unit; return infinity if the text is not a number."""
     try:
         return float(text)
     except ValueError:

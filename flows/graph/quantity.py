@@ -92,7 +92,7 @@ def format_quantity(value: float, unit: str) -> str:
     from fractions import Fraction  # noqa: PLC0415 - `slipflow --help` must not wait for it
 
     exact, found = Fraction(str(value)), list[str]()
-    for name, share in KINDS[unit].units.items():
-        if abs(exact) >= Fraction(share):
-            found.append(f"{float(exact / Fraction(share)):.15g}{name}")
+    for name, factor in KINDS[unit].units.items():
+        if abs(exact) >= Fraction(factor):
+            found.append(f"{float(exact / Fraction(factor)):.15g}{name}")
     return min(reversed(found), key=len, default=f"{value:g}{unit}")

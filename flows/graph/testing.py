@@ -15,8 +15,8 @@ B = TypeVar("B", bound=Batch)
 class TestSource(Source[B], Generic[B]):
     """Source of given batches, each at its own time.
 
-    An exception among the batches is raised at its position, as by a failing device; the batches after it
-    follow when the runner reconnects.
+    An exception among the batches is raised at its position, like the failure of a device. The batches after
+    it follow when the runner reconnects.
 
     Args:
         kind: Type of the batches.
@@ -73,8 +73,8 @@ class TestSink(Sink[Batch]):
         destination: Declared destination; unique by default.
         lossless: Whether the runner must not drop batches when the sink is slow.
         capacity: Batches in the queue.
-        failures: Exceptions for the first writes; None for a write that works.
-        before_write: Awaited before each write.
+        failures: Exceptions that the first writes raise; None: the write succeeds.
+        before_write: Function that is awaited before each write.
     """
 
     __test__ = False

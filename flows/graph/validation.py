@@ -70,7 +70,7 @@ def _unconnected(flow: Flow) -> Iterator[FlowError]:
             yield FlowError(
                 flow.name,
                 f"{node.name} -> ?",
-                f"its stream of {kind} is unconnected: give it a sink with .to(...)",
+                f"its stream of {kind} is unconnected: connect it to a sink with .to(...)",
             )
 
 
@@ -128,7 +128,7 @@ def _wrong_types(flow: Flow) -> Iterator[FlowError]:
 
 
 def _missing(given: type[Batch], wanted: tuple[type[Batch], ...]) -> str:
-    """Suggest the operators that lead from one type to another, if a part of the usual chain does."""
+    """Suggest the operators of the usual chain that convert one type to another, if there are any."""
     starts = [i for i, operator in enumerate(_CHAIN) if issubclass(given, input_types(operator))]
     ends = [i for i, operator in enumerate(_CHAIN) if issubclass(output_type(operator), wanted)]
     names = [operator.__name__ for operator in _CHAIN[starts[-1] : ends[0] + 1]] if starts and ends else []

@@ -49,18 +49,18 @@ STYLE: Final[Any] = {
 }
 
 
-def lacking() -> str:
-    """Return the reason why no figure can be drawn and the fix; empty if they can be drawn."""
+def missing_matplotlib() -> str:
+    """Return why figures cannot be drawn, with the remedy; empty if matplotlib is installed."""
     return "" if find_spec("matplotlib") else "need matplotlib: in the clone, pip install -e '.[report]'"
 
 
 def require() -> None:
-    """Require that figures can be drawn.
+    """Check that matplotlib is installed.
 
     Raises:
         InputError: if matplotlib is not installed.
     """
-    if reason := lacking():
+    if reason := missing_matplotlib():
         raise InputError("figures", reason)
 
 
@@ -115,9 +115,9 @@ def inline(figure: Figure, name: str, text: str) -> str:
     """Return a figure as SVG for an HTML page, without prolog and external references.
 
     Args:
-        figure: the figure.
-        name: letters and hyphens; prefix of its identifiers, which are unique on a page with several figures.
-        text: description for screen readers.
+        figure: Figure to convert.
+        name: Letters and hyphens; prefix that makes the identifiers unique on a page with several figures.
+        text: Description for screen readers.
     """
     drawn = StringIO()
     with _style():

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from flows.report.figures import Figure, inline, lacking, save
+from flows.report.figures import Figure, inline, missing_matplotlib, save
 from flows.report.table import Table
 from operators.errors import EndpointError, os_error_reason
 
@@ -30,7 +30,7 @@ footer { margin-top: 3rem; color: #5b6672; font-size: .85rem; }
 
 @dataclass(frozen=True)
 class Section:
-    """One finding with its evidence."""
+    """Finding with its evidence."""
 
     name: str  # letters, digits and hyphens; names the figure's file and the JSON key
     finding: str  # one sentence with numbers
@@ -41,8 +41,8 @@ class Section:
 
     @cached_property
     def figure(self) -> Figure | None:
-        """The figure; None if the section has none or matplotlib is not installed."""
-        return None if self.draw is None or lacking() else self.draw()
+        """Figure; None if the section has none or matplotlib is not installed."""
+        return None if self.draw is None or missing_matplotlib() else self.draw()
 
     def html(self) -> str:
         """Return the section as an HTML element."""
@@ -52,20 +52,20 @@ class Section:
         return f'<section id="{self.name}">\n{body}\n</section>'
 
     def markdown(self, figure: str) -> str:
-        """Return the section as Markdown that shows the figure in the file `figure`."""
+        """Return the section as Markdown; the file `figure` holds its figure."""
         shown = [f"![{self.finding}]({figure})"] if self.figure is not None else []
         return "\n\n".join([f"## {self.finding}", self.text, *shown, *(t.markdown() for t in self.tables)])
 
 
 @dataclass(frozen=True)
 class Report:
-    """The findings of a study and the command that produced them."""
+    """Findings of a study and the command that produced them."""
 
     title: str
     text: str
     sections: Sequence[Section]
     command: str
-    facts: Mapping[str, Any] = field(default_factory=dict[str, Any])  # what was studied, for the JSON
+    facts: Mapping[str, Any] = field(default_factory=dict[str, Any])  # subject of the study, for the JSON
 
     def html(self) -> str:
         """Return one self-contained HTML page."""
@@ -94,7 +94,7 @@ class Report:
         return {"title": self.title, "command": self.command, **self.facts, "sections": found}
 
     def terminal(self) -> str:
-        """Return the findings and tables of the sections for a terminal as text."""
+        """Return the findings and tables as text for a terminal."""
         shown = [section for section in self.sections if section.terminal]
         parts = [[section.finding, *(t.markdown() for t in section.tables)] for section in shown]
         return "\n\n".join("\n\n".join(each) for each in parts)

@@ -14,7 +14,7 @@ UNKNOWN: Final = "-"  # unknown values in tables
 class Table:
     """Rows below a head; text columns and the first column are aligned left, numbers right.
 
-    Floats are shown with one decimal, or as `decimals` says for their column; None: three significant digits.
+    Floats have one decimal, or those in `decimals` for their column; None there: three significant digits.
 
     >>> table = Table(["method", "F1", "how"], [["psd", 57.52, "late"], ["tcn", 9.0, None]])
     >>> print(table.markdown())
@@ -34,15 +34,15 @@ class Table:
     def markdown(self) -> str:
         """Return a padded Markdown table, which also reads as plain text."""
         texts = self._texts()
-        wide = [
+        widths = [
             max(3, *(len(line[column]) for line in [self.head, *texts])) for column in range(len(self.head))
         ]
         left = self._left()
-        rule = ["-" * w if text else "-" * (w - 1) + ":" for w, text in zip(wide, left, strict=True)]
+        rule = ["-" * w if text else "-" * (w - 1) + ":" for w, text in zip(widths, left, strict=True)]
         lines = [
             " | ".join(
                 cell.ljust(w) if text else cell.rjust(w)
-                for cell, w, text in zip(line, wide, left, strict=True)
+                for cell, w, text in zip(line, widths, left, strict=True)
             )
             for line in (self.head, rule, *texts)
         ]
@@ -68,8 +68,8 @@ class Table:
         return {"caption": self.caption, "rows": rows} if self.caption else {"rows": rows}
 
     def _texts(self) -> list[list[str]]:
-        places = [self.decimals.get(name, 1) for name in self.head]
-        return [[show(cell, number) for cell, number in zip(row, places, strict=True)] for row in self.rows]
+        digits = [self.decimals.get(name, 1) for name in self.head]
+        return [[show(cell, number) for cell, number in zip(row, digits, strict=True)] for row in self.rows]
 
     def _left(self) -> list[bool]:
         """Return which columns are aligned left."""
@@ -98,7 +98,7 @@ def _is_text(cells: Sequence[Value]) -> bool:
 
 
 def _plain(value: Value) -> Value:
-    """Return a value as JSON takes it: six significant digits, no NaN."""
+    """Return a value for JSON: six significant digits; None instead of NaN and infinity."""
     if isinstance(value, float):
         return float(f"{value:.6g}") if isfinite(value) else None
     return value

@@ -69,7 +69,7 @@ def test_without_matplotlib_the_page_names_the_missing_extra(
 ) -> None:
     reason = "need matplotlib: in the clone, pip install -e '.[report]'"
     for module in (verification_page, report_page):
-        monkeypatch.setattr(module, "lacking", lambda: reason)
+        monkeypatch.setattr(module, "missing_matplotlib", lambda: reason)
     [sessions, _] = report(verified(), tmp_path, "").sections
     assert sessions.figure is None
     assert "pip install -e '.[report]'" in sessions.text
