@@ -28,8 +28,8 @@ def chart(
 ) -> None:
     """Chart speed against accuracy of every detector.
 
-    Also charts onset delay against false alarms. Times are CPU time of one core, sample by sample, measured
-    in turns. Writes chart.html, .md, .json and .svg. Needs the train extra.
+    Also charts onset delay against false alarms. CPU time is measured on one core, sample by sample, in
+    turns. Writes chart.html, .md, .json and .svg. Needs the train extra.
 
     Examples:
       slipflow chart recordings --model mine.safetensors

@@ -34,8 +34,8 @@ def evaluate(
 ) -> None:
     """Compare detectors on a dataset.
 
-    Prints the paper's Tables I and III with its figures for comparison, false alarms, missed slips and onset
-    delay. Writes evaluation.html, .md, .json and figures. Needs the train extra.
+    Prints Tables I and III next to the paper's results, false alarms, missed slips and onset delay. Writes
+    evaluation.html, .md, .json and figures. Needs the train extra.
 
     Examples:
       slipflow evaluate recordings --model mine.safetensors --method psd --out evaluation

@@ -48,7 +48,7 @@ def train(
         str | None,
         typer.Option(
             metavar="TIME",
-            help="Shift the labels of each recording to come this long after the signal, such as 70ms"
+            help="Shift each recording's labels so that they lag the signal by this time, such as 70ms"
             " (default: no shift).",
         ),
     ] = None,

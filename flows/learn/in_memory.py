@@ -61,8 +61,8 @@ def run_in_memory(flow: Flow, sink: BatchSink) -> None:
     The batches must cover the same span of time.
 
     Args:
-        flow: the flow, whose only sink is `sink`.
-        sink: where the output goes.
+        flow: Flow whose only sink is `sink`.
+        sink: Sink that receives the output.
     """
     compiled = CompiledFlow(flow)
     inputs = {(n, finger): n.part.batch for n, finger in compiled.entries if isinstance(n.part, BatchSource)}

@@ -46,7 +46,7 @@ PERIOD: Final = 10 * ms  # ns from one sample to the next
 WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
 _CHUNK: Final = 3000  # samples simulated at once
 _STROKES: Final = ("translation", "rotation")
-_ALONG: Final = 1e-6  # sine of twice the angle to an axis of the fingertip, up to which a stroke is along it
+_ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,11 +57,11 @@ class LabelledRecording:
     label: Codes  # (n,) by arm speed, as in the paper: 1 slip, 0 static, -1 unknown
     surface: str  # plane, sphere, cylinder_x or cylinder_y; material of a CSV trace
     speed: float | None = None  # m/s of the translations; None: rotations
-    oblique: Flags | None = None  # (n,) True after a stroke that crosses both axes of the fingertip has begun
+    oblique: Flags | None = None  # (n,) True if the latest stroke is oblique to the fingertip's axes
     valid: Flags | None = None  # (n, 6) False where a cell has no reading; None: all valid
     force: Reals | None = None  # (n,) N, true normal force in simulation
     sliding: Flags | None = None  # (n,) true sliding of the contact in simulation
-    zeroing: int = 0  # samples at the start that gave the baseline
+    zeroing: int = 0  # samples at the start that determine the baseline
     name: str = ""
     split: str = ""  # train, validation or test
     degraded: Flags | None = None  # (n,) True while `Health` reports a fault; None: not computed
@@ -122,7 +122,7 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
 def load(dataset: Path) -> list[LabelledRecording]:
     """Read every fingertip of every session of a dataset.
 
-    If no session names its split, as in recordings made by hand, sessions are assigned in the order of their
+    If no session has a split, as in recordings made by hand, sessions are assigned in the order of their
     names: seven of ten to train, one to validation, two to test.
 
     Raises:
@@ -146,7 +146,7 @@ def load(dataset: Path) -> list[LabelledRecording]:
 
 
 def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
-    """Return the recordings of each of `SPLITS`, without those of no split."""
+    """Group recordings by split, in the order of `SPLITS`; omit recordings without a split."""
     recordings = list(recordings)
     return {split: [each for each in recordings if each.split == split] for split in SPLITS}
 
@@ -154,7 +154,7 @@ def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[Labelled
 def _of_session(session: Session, finger: int) -> LabelledRecording:
     labelled = concat(Labelled, list(session.read(Labelled, finger)))
     truth = concat(Truth, list(session.read(Truth, finger)))
-    known = len(truth) == len(labelled)  # a row for each touch row, where it was simulated
+    known = len(truth) == len(labelled)  # a simulation has one row per touch row
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     strokes = episodes[np.isin(episodes.motion, [MOTIONS.index(each) for each in _STROKES])]
     speeds = strokes.speed[strokes.motion == MOTIONS.index("translation")]
@@ -195,5 +195,5 @@ def _filled(labelled: Labelled) -> Counts:
 
 
 def _latest(flags: Sequence[bool], starts: Reals | NDArray[np.int64], time: NDArray[np.int64]) -> Flags:
-    """Return the flag of the stroke that began last before each instant, False before the first; (n,)."""
+    """Return the flag of the latest stroke at each instant; False before the first stroke; (n,)."""
     return np.array([*flags, False])[np.searchsorted(starts, time, "right") - 1]

@@ -29,9 +29,9 @@ def match_onsets(
 
     Args:
         onsets: (n,) times of onsets, ns, increasing.
-        slips: start and end of each true slip, ns, increasing.
-        before: time that an onset may precede its slip, ns.
-        after: time after the end of a slip in which an onset still belongs to it, ns.
+        slips: Start and end of each true slip, ns, increasing.
+        before: Time that an onset may precede its slip, ns.
+        after: Time after the end of a slip in which an onset still belongs to it, ns.
 
     >>> match_onsets(np.array([30 * ms, 900 * ms]), [(0, 200 * ms), (400 * ms, 500 * ms)])
     Onsets(delays=array([30000000]), missed=1, false=1)

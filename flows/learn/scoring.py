@@ -14,10 +14,10 @@ from operators.detectors.detector import Detector
 
 
 def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
-    """Return the probability of slip at each sample, as `Score` gives it in a live run.
+    """Return the probability of slip at each sample, as `Score` computes it in a live run.
 
     Returns:
-        (n,) NaN before sample `WARM_UP` or the first full window, and where `Score` gives NaN.
+        (n,) NaN before sample `WARM_UP` or the first full window, and where `Score` returns NaN.
     """
     found = np.full(len(recording), np.nan)
     if not len(recording):
@@ -32,14 +32,14 @@ def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
 
 
 def windows(recording: LabelledRecording, length: int, hop: int) -> Counts:
-    """Return the windows (k, length, 6) that end at the judged samples of a recording."""
+    """Return the windows (k, length, 6) that end at the evaluated samples of a recording."""
     view = sliding_window_view(recording.counts, length, axis=0)  # (n - length + 1, 6, length)
     picked: Counts = view[recording.evaluated(hop) + 1 - length].transpose(0, 2, 1)
     return picked
 
 
 def labels(recordings: Sequence[LabelledRecording], hop: int) -> Flags:
-    """Return True for each judged sample of the recordings that is labelled slip; (k,)."""
+    """Return True for each evaluated sample of the recordings that is labelled slip; (k,)."""
     return np.concatenate([recording.slip[recording.evaluated(hop)] for recording in recordings])
 
 

@@ -13,7 +13,7 @@ def require_train_extra(command: str) -> None:
     """Require that the packages of the train extra are installed.
 
     Raises:
-        InputError: if one is missing; it names the command that installs them.
+        InputError: if one is missing; the message contains the command that installs them.
     """
     if missing := [name for name, module in _PACKAGES.items() if find_spec(module) is None]:
         raise InputError(command, f"needs {', '.join(missing)}: in the clone, pip install -e '.[train]'")

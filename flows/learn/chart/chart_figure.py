@@ -17,12 +17,12 @@ _LINE: Final = 11.0  # points from one name to the next below it
 _LETTER: Final = 4.6  # points, wide
 _PANEL: Final = (400.0, 330.0)  # points, about
 _TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
-_NOUGHT: Final = 0.2  # height of no false alarm on a logarithmic axis
+_ZERO: Final = 0.2  # false alarms that stand for 0 on the logarithmic axis
 
 
 @dataclass(frozen=True, slots=True)
 class _Mark:
-    """Mark of a point, at shares of the width and height of its panel."""
+    """Mark of a point; x and y are fractions of the panel's width and height."""
 
     point: Point
     x: float
@@ -51,7 +51,7 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
         xlim=(low, high),
         ylim=_shrink([bottom, top]),
         xlabel="CPU us per sample, batch 1, one core",
-        ylabel="accuracy, % (equal steps: equal factors of the errors)",
+        ylabel="accuracy, % (logarithmic scale of the error)",
         title="Speed against accuracy",
     )
     front = sorted((point for point in points if point.pareto), key=lambda point: point.us)
@@ -69,21 +69,21 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
         axis.annotate(f"paper's {name}, {accuracy:g} %", (1, accuracy), (-2, 2), color=FAINT, fontsize=7,
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
     heights = (_stretch([point.performance.accuracy for point in points]) - bottom) / (top - bottom)
-    places = [math.log(point.us / low) / math.log(high / low) for point in points]
-    _draw(axis, [_Mark(*each) for each in zip(points, places, heights.tolist(), strict=True)])
+    positions = [math.log(point.us / low) / math.log(high / low) for point in points]
+    _draw(axis, [_Mark(*each) for each in zip(points, positions, heights.tolist(), strict=True)])
     for marker, text in (("o", "sample by sample"), ("s", "on windows")):
         axis.plot([], [], marker, color=INK, markerfacecolor="white", label=text)
 
 
 def _onsets(axis: Axes, points: Sequence[Point]) -> None:
     points = [point for point in points if not math.isnan(point.performance.onset_ms)]
-    alarms = np.array([max(point.performance.false_alarms_per_min, _NOUGHT) for point in points])
+    alarms = np.array([max(point.performance.false_alarms_per_min, _ZERO) for point in points])
     delays = np.array([point.performance.onset_ms for point in points])
     low, high = min([*alarms, 1.0]) / 1.5, max([*alarms, 4.0]) * 1.5
     left, right = min([*delays, 0.0]) - 10, max([*delays, 100.0]) * 1.3
     axis.set_yscale("log")
-    ticks = [tick for tick in (_NOUGHT, 0.5, 1, 2, 5, 10, 20, 50, 100) if low <= tick <= high]
-    axis.set_yticks(ticks, ["0" if tick == _NOUGHT else f"{tick:g}" for tick in ticks])
+    ticks = [tick for tick in (_ZERO, 0.5, 1, 2, 5, 10, 20, 50, 100) if low <= tick <= high]
+    axis.set_yticks(ticks, ["0" if tick == _ZERO else f"{tick:g}" for tick in ticks])
     axis.minorticks_off()
     axis.set(
         xlim=(left, right),
@@ -93,12 +93,12 @@ def _onsets(axis: Axes, points: Sequence[Point]) -> None:
         title="Delay against false alarms",
     )
     heights = np.log(alarms / low) / np.log(high / low)
-    places = (delays - left) / (right - left)
-    _draw(axis, [_Mark(*each) for each in zip(points, places.tolist(), heights.tolist(), strict=True)])
+    positions = (delays - left) / (right - left)
+    _draw(axis, [_Mark(*each) for each in zip(points, positions.tolist(), heights.tolist(), strict=True)])
 
 
 def _draw(axis: Axes, marks: Sequence[_Mark]) -> None:
-    """Draw marks, and the name of each to its right or below the names there."""
+    """Draw marks with their names to the right, moved down where they would overlap."""
     axis.grid(visible=True)
     axis.set_axisbelow(True)
     taken = list[tuple[float, float, float]]()  # left, right and height of names, points
@@ -132,10 +132,10 @@ def _draw(axis: Axes, marks: Sequence[_Mark]) -> None:
 
 
 def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return accuracy, %, as minus the logarithm of the errors, %."""
+    """Convert accuracy, %, to minus the logarithm of the error, %."""
     return -np.log(np.maximum(100 - np.asarray(accuracy, np.float64), 0.1))
 
 
 def _shrink(stretched: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return accuracy, %: the inverse of `_stretch`."""
+    """Convert back to accuracy, %; the inverse of `_stretch`."""
     return 100 - np.exp(-np.asarray(stretched, np.float64))

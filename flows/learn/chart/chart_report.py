@@ -21,7 +21,7 @@ def chart_report(of: Chart, command: str) -> Report:
 
 
 def points(of: Chart) -> Section:
-    """Return all detectors, from fast to slow, and the chart."""
+    """Return the section with all detectors, from fast to slow, and the chart."""
     ordered = sorted(of.points, key=lambda point: point.us)
     front = ", ".join(point.name for point in ordered if point.pareto)
     rows = [_row(point) for point in ordered]
@@ -33,11 +33,12 @@ def points(of: Chart) -> Section:
     return Section(
         "chart",
         f"No detector is both faster and more accurate than {front}",
-        "CPU time of one sample of one fingertip, batch 1, one core: a sample where a detector streams, else "
-        "a window; in turns in one run, median of the turns. Accuracy by the label. False alarms per static "
-        "minute, missed slips and median onset delay are of debounced events, with the settings of the model "
-        "card or those tuned on the validation split. The paper publishes no speed; its accuracy is of its "
-        "own, real test set." + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items()),
+        "CPU time per sample of one fingertip, batch 1, on one core: a streaming detector processes a "
+        "sample, any other a window. The detectors run in turns; the median turn counts. Accuracy by the "
+        "label. False alarms per static minute, missed slips and median onset delay are of debounced events, "
+        "with the settings of the model card or those tuned on the validation split. The paper publishes no "
+        "speed; its accuracy is of its own, real test set."
+        + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items()),
         [
             Table(
                 head,
@@ -50,7 +51,7 @@ def points(of: Chart) -> Section:
 
 
 def goals(of: Chart) -> list[Section]:
-    """Return the goals of the default detector; nothing if it was not measured."""
+    """Return the section with the goals of the default detector; [] if it was not measured."""
     reached = of.goals()
     if not reached:
         return []
@@ -62,9 +63,9 @@ def goals(of: Chart) -> list[Section]:
     return [
         Section(
             "goals",
-            f"{DEFAULT} meets {sum(goal.met for goal in reached)} of {len(reached)} goals of speed",
-            "Torch runs the module that was trained, eagerly; onnxruntime its export; both one window at a "
-            "time, on one thread.",
+            f"{DEFAULT} meets {sum(goal.met for goal in reached)} of {len(reached)} speed goals",
+            "PyTorch runs the trained module in eager mode, onnxruntime its ONNX export; both process one "
+            "window at a time on one thread.",
             [Table(["goal", "wanted", "reached", "met"], rows, decimals={"reached": None})],
         )
     ]

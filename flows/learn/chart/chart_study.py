@@ -1,7 +1,6 @@
 """`slipflow chart`: speed against accuracy of every detector, measured in one run.
 
-The default detector is also run as users would do without its streaming form: on windows, by PyTorch and by
-onnxruntime.
+For comparison, PyTorch and onnxruntime also run the default detector on windows.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -31,14 +30,14 @@ _ROUNDS: Final = (15, 5)  # of timing: one fingertip, many
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A detector with its speed and its performance on the test split."""
+    """Detector with its speed and its performance on the test split."""
 
     name: str
     us: float  # CPU time for a sample of one fingertip
     us_64: float  # CPU time for a sample of 64 fingertips
-    streams: bool  # sample by sample; False: on windows
+    streams: bool  # runs sample by sample; False: on windows
     performance: Performance
-    same: bool = False  # the default detector, run by another library
+    same: bool = False  # is the default detector, run by another library
     pareto: bool = False  # no other point is faster and more accurate
 
     @property
@@ -49,7 +48,7 @@ class Point:
 
 @dataclass(frozen=True, slots=True)
 class SpeedGoal:
-    """A goal of speed, and the value that was measured."""
+    """Speed goal and the measured value."""
 
     text: str
     wanted: float
@@ -64,7 +63,7 @@ class SpeedGoal:
 
 @dataclass(frozen=True, slots=True)
 class Chart:
-    """All points of one run."""
+    """Points of one run."""
 
     dataset: str
     recordings: int  # of the test split
@@ -96,16 +95,16 @@ def chart(
     span: float = 0.02,
     log: Callable[[str], object] = lambda _: None,
 ) -> Chart:
-    """Evaluate detectors on the test split of a dataset, and time them.
+    """Evaluate detectors on the test split of a dataset, and measure their CPU time.
 
     Args:
-        dataset: its training split fits the baselines, its validation split tunes the debounce of methods
-            without a card.
-        models: files of weights to include, such as networks of other sizes.
-        names: only these methods, and those of `models`; empty: all.
-        budget: false alarms per static minute that the debounce is tuned for.
-        span: CPU s of each turn of timing.
-        log: receives progress messages.
+        dataset: Folder; its training split fits the baselines, its validation split tunes the debounce of
+            methods without a card.
+        models: Files of weights to include, such as networks of other sizes.
+        names: Only these methods, and those of `models`; empty: all.
+        budget: False alarms per static minute that the debounce is tuned for.
+        span: CPU time of each turn of timing, s.
+        log: Receives progress messages.
 
     Raises:
         InputError: if the train extra is missing, the dataset does not exist or lacks a validation or test
@@ -134,7 +133,7 @@ def chart(
                 rule = rules[name] = tuned_on(validation, detector, budget)
             scores = [probabilities(detector, recording) for recording in test]
             performances[name] = Performance.of(test, scores, rule)
-        log("timing all of them in turns")
+        log("timing the detectors in turns")
         detectors |= others
         counts = max((recording.counts for recording in test), key=len)[-_TIMED:]
         one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
@@ -147,7 +146,7 @@ def chart(
 
 
 def with_front(points: Sequence[Point]) -> list[Point]:
-    """Return the same points with those on the Pareto front of speed and accuracy marked."""
+    """Return the points, and mark those on the Pareto front of speed and accuracy."""
     return [replace(point, pareto=not any(_dominates(other, point) for other in points)) for point in points]
 
 

@@ -1,7 +1,7 @@
 """CPU time of each detector per sample, batch 1.
 
 CPU time excludes other work on the machine and includes all threads of a library. The detectors are timed in
-turns, and the median turn counts, so that a slow moment of the machine affects none of them.
+turns, and the median turn counts, so that a temporary load of the machine has no effect.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ from operators.batch import Counts
 from operators.detectors.detector import Detector, Streaming
 
 _LEAST: Final = 1_000  # ns, resolution
-_WINDOWS: Final = 100  # different ones in a cycle
+_WINDOWS: Final = 100  # number of different windows in a cycle
 Step = Callable[[int], object]
 
 
@@ -28,14 +28,14 @@ def costs(
 ) -> dict[str, float]:
     """Return the CPU time of one sample of `fingers` fingertips by detector, us.
 
-    A streaming detector takes sample after sample, any other one window per sample, as in a live run.
+    As in a live run, streaming detectors process one sample at a time, others one window per sample.
 
     Args:
-        detectors: by name.
+        detectors: Detectors by name.
         counts: (n, 6) zeroed counts of a recording, longer than the longest window; they are repeated.
-        fingers: fingertips that are sampled together, with the same counts.
-        rounds: turns of each detector.
-        span: approximate CPU s of one turn.
+        fingers: Fingertips that are sampled together, with the same counts.
+        rounds: Turns of each detector.
+        span: Approximate CPU time of one turn, s.
     """
     steps = {name: _step(detector, counts, fingers) for name, detector in detectors.items()}
     turns = {name: _turn(step, span) for name, step in steps.items()}

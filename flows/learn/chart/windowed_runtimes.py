@@ -15,7 +15,7 @@ from operators.detectors.tcn import Tcn
 
 
 class TorchEager:
-    """`Tcn` run by the torch module that was trained, eagerly."""
+    """`Tcn` run by PyTorch in eager mode."""
 
     name = "torch_eager_windowed"
 

@@ -1,4 +1,4 @@
-"""Baselines on simple features, fitted by scikit-learn: a network has to beat them."""
+"""Baselines on simple features, fitted by scikit-learn, for comparison with the networks."""
 
 from dataclasses import dataclass
 from typing import Any, Final, Self
@@ -8,7 +8,7 @@ import numpy as np
 from flows.learn.train_extra import sklearn
 from operators.batch import Counts, Flags, Reals
 
-_STEPS: Final = 16  # newest steps that are features of their own
+_STEPS: Final = 16  # number of newest steps that are separate features
 _SPANS: Final = (5, 10, 20, 40)  # samples
 
 
@@ -49,8 +49,8 @@ class Logistic:
 class GradientBoosting:
     """Histogram gradient boosting on 88 features of 0.41-s windows.
 
-    The 48 of `Logistic`; the size of each of the newest 16 steps over the cells; and the distance of the
-    newest sample from the mean over the newest 50, 100, 200 and 400 ms, sorted over the cells.
+    The 48 of `Logistic`; the size of each of the newest 16 steps, summed over the cells; and the distance
+    of the newest sample from the mean over the newest 50, 100, 200 and 400 ms, sorted over the cells.
     """
 
     model: Any  # a fitted HistGradientBoostingClassifier

@@ -17,15 +17,15 @@ from operators.batch import Flags, Reals
 from operators.detectors import Detector
 
 BUDGET: Final = 2.0  # false alarms per static minute
-MISSED: Final = 2.0  # %, maximum of slips without an onset
-REPEATED: Final = 2.0  # %, of slips, maximum of onsets after the first
+MISSED: Final = 2.0  # %, largest share of slips without an onset
+REPEATED: Final = 2.0  # %, most onsets after the first of a slip, relative to the slips
 THRESHOLDS: Final = tuple(np.round(1 / (1 + np.exp(-np.arange(-1.5, 6.1, 0.25))), 3).tolist())
 CONSECUTIVE: Final = (1, 2, 3, 4, 5)  # decisions
 RELEASE: Final = (1, 2, 3, 5, 8, 12)  # decisions
 
 
 def tuned_on(recordings: Sequence[LabelledRecording], detector: Detector, budget: float = BUDGET) -> Debounce:
-    """Return the settings that `tuned` chooses for a detector on recordings."""
+    """Tune the debounce of a detector on recordings; see `tuned`."""
     scores = [probabilities(detector, recording) for recording in recordings]
     return tuned(scores, [Slips.labelled(recording) for recording in recordings], budget)
 
@@ -37,18 +37,18 @@ def tuned(
     missed: float = MISSED,
     repeated: float = REPEATED,
 ) -> Debounce:
-    """Return the settings with the least onset delay among those that keep within three limits.
+    """Return the settings with the least onset delay among those that keep three limits.
 
     Recordings of some minutes contain few false alarms, so the upper one-sigma limit of a Poisson count is
-    compared with the budget: n + 1 + sqrt(n + 3/4) (Gehrels 1986). If no setting keeps within all limits, the
-    budget comes first, then the sum of what the others exceed.
+    compared with the budget: n + 1 + sqrt(n + 3/4) (Gehrels 1986). If no setting keeps all limits, the excess
+    over the budget is minimised first, then the sum of the other excesses.
 
     Args:
-        scores: probabilities of each recording (n,), on the validation split.
-        slips: true slips of each recording.
-        budget: maximum of false alarms per static minute.
-        missed: maximum of slips without an onset, %.
-        repeated: maximum of onsets of a slip after its first, % of the slips.
+        scores: Probabilities of each recording (n,), on the validation split.
+        slips: True slips of each recording.
+        budget: Most false alarms per static minute.
+        missed: Most slips without an onset, %.
+        repeated: Most onsets of a slip after its first, % of the slips.
     """
     joined = JoinedRecordings.of(scores, slips)
     best, settings = (np.inf, np.inf, np.inf), (0.5, 2, 2)
@@ -68,9 +68,9 @@ def tuned(
 
 @dataclass(frozen=True, slots=True)
 class DebounceOutcome:
-    """Events that some settings of the debounce give."""
+    """Slip events that result from one debounce setting."""
 
-    false: int  # onsets
+    false: int  # false alarms
     missed: float  # %
     repeated: float  # %
     delay: float  # samples, mean
@@ -78,16 +78,16 @@ class DebounceOutcome:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedRecordings:
-    """Recordings joined, (n,) samples in all, so that a setting is computed for all at once.
+    """Recordings joined to (n,) samples, so that a setting is evaluated on all at once.
 
     One sample without a score separates them, so that no run continues from one to the next.
     """
 
     probability: Reals  # (n,)
-    first: NDArray[np.intp]  # (m,) of each recording
+    first: NDArray[np.intp]  # (m,) first sample of each recording
     early: NDArray[np.intp]  # (k,) first sample at which an onset detects each slip
-    late: NDArray[np.intp]  # (k,) last one
-    start: NDArray[np.intp]  # (k,) of the slips
+    late: NDArray[np.intp]  # (k,) last such sample
+    start: NDArray[np.intp]  # (k,) first sample of each slip
     detects: Flags  # (n,) True where an onset detects a slip
     excused: Flags  # (n,) True where an onset is not false
     minutes: float  # static
@@ -115,7 +115,7 @@ class JoinedRecordings:
         return cls(values, first[:-1], early, late, np.array(starts, np.intp), detects, excused, minutes)
 
     def outcome(self, slip: Flags, static: Flags) -> DebounceOutcome:
-        """Return the events if slips begin where `slip` and end where `static`; (n,) each."""
+        """Return the events if slips begin where `slip` is True and end where `static` is; (n,) each."""
         change = np.where(slip, 1, np.where(static, -1, 0)).astype(np.int8)
         change[self.first] = -1
         at = np.flatnonzero(change)

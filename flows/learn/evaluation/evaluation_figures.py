@@ -28,9 +28,9 @@ def confusions(results: Sequence[MethodResult]) -> Figure:
         share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)  # of each truth
         axis.imshow(share, cmap="Blues", vmin=0, vmax=1.6)
         for truth in range(2):
-            for answer in range(2):
-                number = f"{100 * share[truth, answer]:.1f} %\n{int(counts[truth, answer])}"
-                axis.text(answer, truth, number, ha="center", va="center", fontsize=8, color=INK)
+            for prediction in range(2):
+                number = f"{100 * share[truth, prediction]:.1f} %\n{int(counts[truth, prediction])}"
+                axis.text(prediction, truth, number, ha="center", va="center", fontsize=8, color=INK)
         axis.set(title=result.method.name)
         axis.set_xticks([0, 1], ["static", "slip"])
         axis.set_yticks([0, 1], ["static", "slip"])
@@ -52,15 +52,15 @@ def curves(results: Sequence[MethodResult]) -> Figure:
         curve = result.roc
         label = f"{result.method.name}  {100 * curve.area:.1f}"
         roc.plot(100 * curve.false, 100 * curve.true, label=label, **look)
-        sure, slip = 100 * result.reliability.probability, 100 * result.reliability.slip
+        predicted, slip = 100 * result.reliability.probability, 100 * result.reliability.slip
         label = f"{result.method.name}  {result.reliability.error:.1f}"
-        reliability.plot(sure, slip, marker="o", markersize=3, label=label, **look)
+        reliability.plot(predicted, slip, marker="o", markersize=3, label=label, **look)
     for axis in (roc, reliability):
         axis.plot([0, 100], [0, 100], color=FAINT, linewidth=0.8, zorder=0)
         axis.set(xlim=(0, 100), ylim=(0, 100))
     roc.set(title="ROC", xlabel="static predicted as slip, %", ylabel="slip predicted as slip, %")
     roc.legend(title="area under the curve, %", loc="lower right")
-    reliability.set(title="Reliability", xlabel="probability of slip, %", ylabel="slip among these, %")
+    reliability.set(title="Reliability", xlabel="probability of slip, %", ylabel="share of slip, %")
     reliability.legend(title="calibration error, %", loc="upper left")
     return figure
 
@@ -79,7 +79,7 @@ def delays(results: Sequence[MethodResult]) -> Figure:
         cost.annotate(result.method.name, (events.false_alarms_per_min, events.onset_ms), (6, 4),
                       textcoords="offset points", fontsize=8)  # fmt: skip
     found.axvline(0, color=FAINT, linewidth=0.8)
-    found.set(title="Slips with an onset", xlabel="ms after the label says slip", ylabel="slips, %",
+    found.set(title="Slips with an onset", xlabel="ms after the label changes to slip", ylabel="slips, %",
               xlim=(-50, _LATEST), ylim=(0, 100))  # fmt: skip
     found.yaxis.grid(visible=True)
     found.legend(loc="lower right")
@@ -115,25 +115,25 @@ def changes(results: Sequence[MethodResult]) -> Figure:
 def motion(found: Mapping[str, MotionConfusions]) -> Figure:
     """Draw the F1 of the paper's Table III for up to two detectors."""
     figure, axes = grid(1, len(SURFACES), (11, 3.4), sharey=True)
-    turn = len(SPEEDS)  # place of rotation
+    rotation = len(SPEEDS)  # place of rotation
     styles = dict(zip(found, ((MAIN, "o"), (SECOND, "s")), strict=False))
     for column, (axis, surface) in enumerate(zip(axes, SURFACES, strict=True)):
         for kind, line in (("primary", "-"), ("oblique", ":")):
             paper = [TABLE_3[kind, speed][column] for speed in SPEEDS]
-            axis.plot(range(turn), paper, line, color=FAINT, label=f"paper, {kind}")
+            axis.plot(range(rotation), paper, line, color=FAINT, label=f"paper, {kind}")
             for name, cells in found.items():
                 colour, mark = styles[name]
                 values = [cells.at(MotionKind(kind, speed, surface)).f1 for speed in SPEEDS]
                 label = f"{name}, {kind}"
-                axis.plot(range(turn), values, line, marker=mark, markersize=4, color=colour, label=label)
-        axis.plot(turn, TABLE_3["rotation", None][column], "D", color=FAINT, markersize=5)
+                axis.plot(range(rotation), values, line, marker=mark, markersize=4, color=colour, label=label)
+        axis.plot(rotation, TABLE_3["rotation", None][column], "D", color=FAINT, markersize=5)
         for name, cells in found.items():
             colour, mark = styles[name]
             axis.plot(
-                turn, cells.at(MotionKind("rotation", None, surface)).f1, mark, color=colour, markersize=5
+                rotation, cells.at(MotionKind("rotation", None, surface)).f1, mark, color=colour, markersize=5
             )
         axis.set(title=surface.replace("_", " "), xlabel="cm/s, or rotation")
-        axis.set_xticks(range(turn + 1), [*(f"{100 * speed:g}" for speed in SPEEDS), "rot."])
+        axis.set_xticks(range(rotation + 1), [*(f"{100 * speed:g}" for speed in SPEEDS), "rot."])
         axis.yaxis.grid(visible=True)
     axes[0].set_ylabel("F1, %")
     handles, names = axes[0].get_legend_handles_labels()

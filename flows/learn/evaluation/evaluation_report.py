@@ -35,8 +35,8 @@ _FAR: Final = 100  # ms
 
 def evaluation_report(of: Evaluation, command: str) -> Report:
     """Return the report of an evaluation that `command` made."""
-    clean = "No method was fitted or tuned on it; model cards name the data that a model was trained on."
-    used = "Methods were fitted to some of them, or settings tuned on them: this is not a test."
+    clean = "No method was fitted to or tuned on this split; model cards name the training data."
+    used = "Methods may have been fitted to or tuned on this data, so this is not a test."
     text = (
         f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
         f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. "
@@ -59,7 +59,7 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
 
 
 def accuracy(of: Evaluation) -> Section:
-    """Return Table I."""
+    """Return the section with Table I."""
     first = of.leader
     rows: list[list[Value]] = [
         [
@@ -85,7 +85,7 @@ def accuracy(of: Evaluation) -> Section:
 
 
 def confusions(of: Evaluation) -> Section:
-    """Return the confusion of slip and static."""
+    """Return the section with the confusion of slip and static."""
     first = of.leader
     static, slip = first.confusion.recalls
     rows: list[list[Value]] = [
@@ -96,7 +96,7 @@ def confusions(of: Evaluation) -> Section:
     return Section(
         "confusion",
         f"{first.method.name} recognises {static:.1f} % of static and {slip:.1f} % of slip",
-        "Samples by label and prediction; shares are of each label.",
+        "Samples by label and prediction; percentages are of the samples with the same label.",
         [Table([*head, "static %", "slip %"], rows)],
         lambda: figures.confusions(of.results),
         terminal=False,
@@ -104,7 +104,7 @@ def confusions(of: Evaluation) -> Section:
 
 
 def curves(of: Evaluation) -> Section:
-    """Return ROC and reliability."""
+    """Return the section with ROC and reliability."""
     first = of.leader
     best = max(of.results, key=lambda each: each.roc.area)
     rows: list[list[Value]] = [
@@ -114,8 +114,8 @@ def curves(of: Evaluation) -> Section:
         "curves",
         f"The area under the ROC of {best.method.name} is {100 * best.roc.area:.1f} %; "
         f"the probabilities of {first.method.name} are off by {first.reliability.error:.1f} % on average",
-        "The expected calibration error is the distance between probability and share of slip in ten bins, "
-        "weighted by their samples.",
+        "The expected calibration error is the mean distance between probability and share of slip in ten "
+        "bins, weighted by their number of samples.",
         [Table(["method", "area %", "calibration error %"], rows)],
         lambda: figures.curves(of.results),
         terminal=False,
@@ -123,7 +123,7 @@ def curves(of: Evaluation) -> Section:
 
 
 def events(of: Evaluation) -> Section:
-    """Return the quality of slip events."""
+    """Return the section with the quality of slip events."""
     first = of.leader
     rows: list[list[Value]] = [
         [
@@ -145,9 +145,9 @@ def events(of: Evaluation) -> Section:
         f"{total.slips} slips by the label in {total.minutes:.1f} static minutes. An onset from 50 ms "
         "before a slip to 150 ms after it detects it; others are false alarms. Each slip needs an onset of "
         "its own. Repeated: onsets of a slip after its first, of all slips. Settings: the probability from "
-        "which a sample is decided as slip, the number of consecutive slip decisions that begin a slip, and "
-        "of static ones that end it. Those chosen on the validation split keep within "
-        f"{of.budget:g} false alarms per static minute and 2 % missed, with the least delay.",
+        "which a sample counts as slip (threshold), and the numbers of consecutive decisions that begin a "
+        "slip (on) and end it (off). Settings chosen on the validation split have the least delay within "
+        f"{of.budget:g} false alarms per static minute and 2 % missed slips.",
         [
             Table(
                 ["method", *_EVENTS, "threshold", "on", "off", "chosen on"],
@@ -161,7 +161,7 @@ def events(of: Evaluation) -> Section:
 
 
 def motions(of: Evaluation) -> list[Section]:
-    """Return Table III: of the leading method, and of the others; nothing if the strokes are unknown."""
+    """Return the sections with Table III; [] if the strokes are unknown."""
     first = of.leader
     if not first.motions.kinds:
         return []
@@ -219,7 +219,7 @@ def motion_name(kind: str, speed: float | None) -> str:
 
 
 def changes(of: Evaluation) -> Section:
-    """Return the accuracy by distance from a change of the label, whose uncertainty limits it."""
+    """Return the section with the accuracy by distance from a change of the label."""
     first = of.leader.changes
     name = of.leader.method.name
     spans = [*(f"{low}-{high - 10}" for low, high in pairwise(EDGES)), f"{EDGES[-1]} or more"]
@@ -231,8 +231,8 @@ def changes(of: Evaluation) -> Section:
         "changes",
         f"{first.near(_NEAR):.0f} % of the errors of {name} lie within {_NEAR} ms of a change of the label; "
         f"{_FAR} ms or more from any change, {first.far(_FAR):.1f} % are correct",
-        "Accuracy, %, by distance from the nearest change of the label. The label is the arm's speed as it "
-        "arrived; the contact begins and ends to slide up to 100 ms sooner or later.",
+        "Accuracy, %, by distance from the nearest change of the label. The label follows the arm's speed "
+        "as it arrived; the contact starts and stops sliding up to 100 ms earlier or later.",
         [Table(["ms to the change", "samples", *(each.method.name for each in of.results)], rows)],
         lambda: figures.changes(of.results),
         terminal=False,
@@ -240,7 +240,7 @@ def changes(of: Evaluation) -> Section:
 
 
 def sliding(of: Evaluation) -> list[Section]:
-    """Return the comparison with true sliding; nothing if that is unknown."""
+    """Return the section with the comparison with true sliding; [] if that is unknown."""
     if of.label is None:
         return []
     rows: list[list[Value]] = [["the label itself", *_against(of.label), *[None] * 4]]
@@ -255,10 +255,10 @@ def sliding(of: Evaluation) -> list[Section]:
             "sliding",
             f"The label itself agrees with true sliding on {of.label.accuracy:.1f} % of the samples; "
             f"{first.method.name} on {first.sliding.accuracy:.1f} %",
-            "The simulation knows when the contact slides (faster than 3 mm/s, sticks shorter than 150 ms "
-            "included). The arm may move while the contact still sticks, and taps slide the contact while "
-            "the arm stands still. A detector that learns from the label can hardly agree with the truth "
-            "more than the label does. Events as above, against true slips.",
+            "True sliding is the simulated sliding of the contact (faster than 3 mm/s, sticks shorter than "
+            "150 ms included). The arm may move while the contact still sticks, and taps slide the contact "
+            "while the arm stands still. A detector that is trained on the label can hardly agree better "
+            "with the truth than the label itself. Events as above, against true slips.",
             [Table(["method", "accuracy", "balanced", "F1", *_EVENTS[:4]], rows, decimals=_IN_MS)],
         )
     ]

@@ -53,7 +53,7 @@ class Evaluation:
     split: str
     recordings: int
     samples: int  # evaluated
-    static: float  # share of these, %
+    static: float  # share of static samples, %
     minutes: float  # of all recordings
     budget: float  # false alarms per static minute that the debounce was tuned for
     results: tuple[MethodResult, ...]  # the most accurate first
@@ -81,12 +81,12 @@ def evaluate(
     """Evaluate methods on a split; the validation split tunes the debounce of those without a card.
 
     Args:
-        dataset: its folder.
-        split: train, validation, test or all.
-        models: files of weights to evaluate as well.
-        names: only these methods, and those of `models`; empty: all.
-        budget: false alarms per static minute that the debounce is tuned for.
-        log: receives progress messages.
+        dataset: Folder of the dataset.
+        split: One of train, validation, test and all.
+        models: Files of weights to evaluate as well.
+        names: Only these methods, and those of `models`; empty: all.
+        budget: False alarms per static minute that the debounce is tuned for.
+        log: Receives progress messages.
 
     Raises:
         InputError: if the train extra is missing, or the dataset, split, a method or a model does not exist.
@@ -134,7 +134,7 @@ def _of_split(dataset: Path, recordings: Sequence[LabelledRecording], split: str
 
 
 class _Evaluator:
-    """Evaluates one method after the other on the same recordings."""
+    """Evaluator of methods on the same recordings."""
 
     def __init__(
         self,
@@ -174,7 +174,7 @@ class _Evaluator:
         )
 
     def label(self) -> Confusion | None:
-        """Return the label compared with true sliding as if it were a method; None if that is unknown."""
+        """Compare the label with true sliding, as for a method; None if that is unknown."""
         labels = [recording.slip[at] for recording, at in zip(self.recordings, self.known, strict=True)]
         return self._against_sliding(self.known, labels)
 

@@ -21,13 +21,13 @@ BRIEF: Final = 50 * ms  # ns; uncertainty of the labels (paper, Fig. 6)
 class Slips:
     """True slips of a recording; ns from its first sample.
 
-    Pauses shorter than `PAUSE` belong to the slip. Slips shorter than `BRIEF` or begun during the warm-up
-    need not be detected, and neither they nor stretches without a label make an onset false.
+    Pauses shorter than `PAUSE` belong to the slip. Slips that are shorter than `BRIEF` or begin during the
+    warm-up need not be detected. An onset in such a slip, or where there is no label, is not a false alarm.
     """
 
-    found: tuple[tuple[int, int], ...]  # start and end of each slip to be detected
+    found: tuple[tuple[int, int], ...]  # start and end of each slip that must be detected
     excused: tuple[tuple[int, int], ...]  # start and end of other stretches in which onsets are not false
-    static: int  # ns outside of both, after the warm-up
+    static: int  # ns outside of all these, after the warm-up
 
     @classmethod
     def labelled(cls, recording: LabelledRecording) -> Self:
@@ -81,7 +81,7 @@ def _stretches(starts: Times, ends: Times) -> tuple[tuple[int, int], ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventMetrics:
-    """Onsets of some recordings compared with their slips.
+    """Onsets of slip events, compared with the true slips.
 
     An onset from 50 ms before a slip to 150 ms after it detects the slip. Each slip needs an onset of its
     own: a slip that begins while the one before is still reported is missed.
@@ -109,7 +109,7 @@ class EventMetrics:
 
     @property
     def slips(self) -> int:
-        """Number of slips to be detected."""
+        """Number of slips that must be detected."""
         return len(self.delays) + self.missed_slips
 
     @property

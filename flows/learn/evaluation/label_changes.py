@@ -19,7 +19,7 @@ class LabelChanges:
     """Samples and errors by distance from the nearest change of the label."""
 
     samples: NDArray[np.intp]  # (10,) in each bin of `EDGES`
-    errors: NDArray[np.intp]  # (10,) of these
+    errors: NDArray[np.intp]  # (10,) number of these that are wrong
 
     @classmethod
     def of(

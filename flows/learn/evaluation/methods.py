@@ -24,7 +24,7 @@ Log: TypeAlias = Callable[[str], object]
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A detector under its name in tables."""
+    """Detector with its name in tables."""
 
     name: str
     detector: Detector
@@ -41,10 +41,10 @@ def methods(
     """Return the methods, and the reasons why others are missing, by name.
 
     Args:
-        training: recordings that the baselines are fitted to.
-        models: files of weights to compare as well.
-        names: only these, and those of `models`; empty: all.
-        log: receives progress messages.
+        training: Recordings that the baselines are fitted to.
+        models: Files of weights to compare as well.
+        names: Only these methods, and those of `models`; empty: all.
+        log: Receives progress messages.
 
     Raises:
         InputError: if a file does not hold the weights of a detector, or a name is unknown.
@@ -76,7 +76,7 @@ def _psd(seen: Counts, slip: Flags) -> Detector:
     return Psd(seen.shape[1]).fitted(seen, np.where(slip, SLIP, STATIC).astype(np.int8))
 
 
-# by name: the samples of a window, and the function that fits to windows and labels
+# by name: length of a window, and function that fits a detector to windows and labels
 _BASELINES: Final[Mapping[str, tuple[int, Callable[[Counts, Flags], Detector]]]] = {
     "gradient_boosting": (GradientBoosting.length, GradientBoosting.fitted),
     "logistic": (Logistic.length, Logistic.fitted),

@@ -29,7 +29,7 @@ class MotionConfusions:
     """Predictions of a detector, counted by recording and by axis of the stroke."""
 
     kinds: tuple[MotionKind, ...]  # (k,)
-    recordings: NDArray[np.intp]  # (k,) number of each one's recording
+    recordings: NDArray[np.intp]  # (k,) index of the recording
     counts: Reals  # (k, 2, 2) as in `Confusion`
 
     @classmethod
@@ -59,7 +59,7 @@ class MotionConfusions:
         return cls(tuple(found), np.array(numbers, np.intp), np.array(counts).reshape(-1, 2, 2))
 
     def confusion(self, group: MotionGroup = lambda _: True) -> Confusion:
-        """Return the predictions in all kinds of a group together."""
+        """Return the sum of the predictions over the kinds in a group."""
         return Confusion(self.counts[[group(kind) for kind in self.kinds]].sum(axis=0))
 
     def at(self, kind: MotionKind) -> Confusion:

@@ -22,7 +22,7 @@ DECISION: Final = 0.5  # probability from which on a sample counts as slip
 class Performance:
     """Performance of one detector against one reference.
 
-    Samples without a score do not count. A slip without an onset is missed, for whatever reason.
+    Samples without a score do not count. Every slip without an onset is missed.
     """
 
     accuracy: float  # %, of the samples that have a score
@@ -42,10 +42,10 @@ class Performance:
         """Compare the probabilities (n,) of each recording with a reference.
 
         Args:
-            recordings: for the reference "sliding", simulated ones.
-            probabilities: of slip, (n,) for each recording.
-            debounce: settings of the slip events.
-            reference: what is taken as true.
+            recordings: recordings; the reference "sliding" needs simulated ones.
+            probabilities: probability of slip, (n,) for each recording.
+            debounce: debounce of the slip events.
+            reference: reference for true slip.
         """
         counts = np.zeros((2, 2))
         slips = list[Slips]()

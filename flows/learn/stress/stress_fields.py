@@ -9,7 +9,7 @@ from typing import Final
 
 from connectors.sim.paper_plan import PaperPlan as Plan
 
-FALL: Final = 10.0  # points of balanced accuracy below nominal: broken
+FALL: Final = 10.0  # percentage points below nominal balanced accuracy: broken
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,10 +20,10 @@ class Grid:
     ('10 mm/s', '14 counts')
     """
 
-    values: tuple[float, ...]  # nominal first, then ever harder; a second side follows the first
+    values: tuple[float, ...]  # nominal first, then increasing stress; a second side follows the first
     text: str  # title of the panel
     unit: str = ""  # of the displayed value
-    scale: float = 1.0  # displayed value per value
+    scale: float = 1.0  # factor from value to displayed value
 
     def number(self, value: float) -> str:
         """Return a value as text, without its unit."""
@@ -71,7 +71,7 @@ GRIDS: Final[Mapping[str, Grid]] = MappingProxyType(
 def plan_of(field: str, plan: Plan) -> Plan:
     """Return the plan that a field is applied to; for slip speed, all strokes at 50 mm/s and no rotation.
 
-    A factor of slip speed then is one speed, and the samples labelled slip are strokes at that speed.
+    So each factor of slip speed corresponds to one speed of all strokes.
     """
     if field != "slip_speed":
         return plan
@@ -103,12 +103,12 @@ def breaking_point(values: Sequence[float], scores: Sequence[float], fall: float
     """Return the value at which the score lies `fall` below the first one.
 
     Args:
-        values: from nominal outwards.
-        scores: at each value; NaN counts as broken.
-        fall: in the scores' unit.
+        values: Values of the field, from nominal outwards.
+        scores: Score at each value; NaN counts as broken.
+        fall: Fall of the score, in its unit.
 
     Returns:
-        Interpolated between the last value that holds and the first that does not; None where all hold.
+        Value interpolated between the last above the limit and the first below; None if all are above.
 
     >>> breaking_point([0, 1, 2], [90, 85, 75])
     1.5

@@ -19,12 +19,12 @@ _LATEST: Final = 400.0  # ms, delays that are shown
 
 @dataclass(frozen=True, slots=True)
 class Measure:
-    """A measure that is drawn along the fields."""
+    """Measure that is drawn along the fields."""
 
-    key: str  # of `Performance`
-    text: str  # of its axis
+    key: str  # field of `Performance`
+    text: str  # label of the axis
     limits: tuple[float, float]
-    log: bool = False  # near 0 linear
+    log: bool = False  # logarithmic axis, linear near 0
 
 
 MEASURES: Final[Mapping[str, Measure]] = {

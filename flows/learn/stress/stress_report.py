@@ -23,7 +23,8 @@ def stress_report(of: Stress, command: str) -> Report:
         f"{len(of.names)} detectors along {len(GRIDS)} stress fields, each from nominal to broken; the line "
         f"in a panel marks nominal. The {of.recordings} recordings of each condition are simulated with "
         f"seed {of.seed}; those of a field differ only by the stress. For slip speed all strokes are "
-        "translations at 50 mm/s, slowed down; otherwise it is a small paper plan. The debounce is that of "
+        "translations at 50 mm/s, slowed down; otherwise the plan is a small version of the paper's. The "
+        "debounce is that of "
         "the model card, or was tuned on nominal recordings of another seed."
         + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items())
     )
@@ -49,7 +50,7 @@ def stress_report(of: Stress, command: str) -> Report:
 
 
 def goals(of: Stress) -> Section:
-    """Return the goals and the values reached."""
+    """Return the section with the goals and the values reached."""
     first = of.names[0]
     met = sum(of.at(first, goal.field, goal.value).balanced >= goal.least for goal in GOALS)
     return Section(
@@ -61,23 +62,23 @@ def goals(of: Stress) -> Section:
 
 
 def breaking(of: Stress) -> Section:
-    """Return the breaking points of each detector."""
+    """Return the section with the breaking points of each detector."""
     first = of.names[0]
     broken = sum(value is not None for field in GRIDS for value in of.breaking(first, field).values())
     sides = sum(len(grid.sides) for grid in GRIDS.values())
     return Section(
         "balanced",
-        f"{first} falls by {FALL:g} points of balanced accuracy along {broken} of {sides} field sides",
+        f"{first} loses {FALL:g} points of balanced accuracy in {broken} of {sides} directions of stress",
         f"Breaking points: the value at which balanced accuracy lies {FALL:g} points below nominal, "
-        "interpolated between two values; a dash where it holds up to the hardest value. A detector at "
-        "chance level cannot break.",
+        "interpolated between two values; a dash if this is not reached. A detector at chance level cannot "
+        "break.",
         [_breaking(of, "label")],
         lambda: stress_figure.panels(of, MEASURES["balanced"]),
     )
 
 
 def events(of: Stress, key: str) -> Section:
-    """Return false alarms, missed slips or delay."""
+    """Return the section with false alarms, missed slips or delay."""
     first, measure = of.names[0], MEASURES[key]
     value, field = max((_worst(of, first, field, key), field) for field in GRIDS)
     nominal = getattr(_nominal(of, first), key)
@@ -95,15 +96,15 @@ def events(of: Stress, key: str) -> Section:
 
 
 def sliding(of: Stress) -> Section:
-    """Return the breaking points against true sliding."""
+    """Return the section with the breaking points against true sliding."""
     first = of.names[0]
     return Section(
         "sliding",
-        f"Against true sliding {first} reaches {show(_nominal(of, first, 'sliding').balanced)} % balanced at "
-        "nominal",
+        f"Against true sliding {first} has a balanced accuracy of "
+        f"{show(_nominal(of, first, 'sliding').balanced)} % at nominal",
         "Sliding of the contact faster than 3 mm/s, sticks shorter than 150 ms included. The delay of the "
-        "arm's velocity does not blur it. Stresses of the motion stream have no effect here, and slow slip "
-        "counts only as far as it is slip by that measure.",
+        "arm's velocity and stresses of the motion stream have no effect on it. Slip slower than 3 mm/s does "
+        "not count.",
         [_breaking(of, "sliding")],
         lambda: stress_figure.panels(of, MEASURES["balanced"], "sliding"),
         terminal=False,
@@ -111,7 +112,7 @@ def sliding(of: Stress) -> Section:
 
 
 def abstention(of: Stress) -> Section:
-    """Return the share of samples that the pipeline reports as degraded or does not score."""
+    """Return the section with the shares of samples that are degraded or have no score."""
     first = of.names[0]
     rows = list[list[Value]]()
     for field, grid in GRIDS.items():
@@ -122,8 +123,8 @@ def abstention(of: Stress) -> Section:
     return Section(
         "abstention",
         f"A fault is reported during {show(of.outcome(*_first()).degraded)} % of nominal samples",
-        "Health reports a fingertip as degraded while a cell is dead, stuck, saturated or drifting; overload "
-        "alone saturates cells. Where more than three cells have no reading there is no score.",
+        "A fingertip is degraded while `Health` reports a cell as dead, stuck, saturated or drifting; "
+        "overload alone saturates cells. There is no score if more than three cells have no reading.",
         [Table(["field", "hardest", "degraded %", "at nominal %", "no score %"], rows)],
         lambda: stress_figure.abstention(of),
         terminal=False,

@@ -75,7 +75,7 @@ class Stress:
         return self.outcomes[Condition(field, value)]
 
     def breaking(self, name: str, field: str, reference: Reference = "label") -> dict[str, float | None]:
-        """Return the breaking point on each side of nominal; None: it holds up to the hardest value."""
+        """Return the breaking point on each side of nominal; None: not reached."""
         return {
             side: breaking_point(
                 values, [self.at(name, field, value, reference).balanced for value in values]
@@ -98,15 +98,15 @@ def stress(
     """Evaluate all methods under every stress.
 
     Args:
-        models: files of weights to include.
-        names: only these methods, and those of `models`; empty: all.
-        seed: seed of the recordings.
-        plan: recordings of each condition.
-        training: nominal recordings of other seeds that baselines are fitted to and the debounce of methods
-            without a card is tuned on.
-        jobs: number of processes; None: one per core.
-        log: receives progress messages.
-        progress: called with the number of conditions done, and of all.
+        models: Files of weights to include.
+        names: Only these methods, and those of `models`; empty: all.
+        seed: Seed of the recordings.
+        plan: Recordings of each condition.
+        training: Plan of the nominal recordings, of other seeds, for fitting the baselines and tuning the
+            debounce of methods without a card.
+        jobs: Number of processes; None: one per core.
+        log: Receives progress messages.
+        progress: Called with the number of conditions done, and of all.
 
     Raises:
         InputError: if the train extra is missing, or a method or model does not exist.
@@ -142,7 +142,7 @@ def run_stress(
     jobs: int | None = None,
     progress: Progress = lambda _done, _all: None,
 ) -> Stress:
-    """Evaluate detectors, debounced, under every stress; see `stress`."""
+    """Evaluate detectors with their debounce under every stress; see `stress`."""
     conditions = [Condition(field, value) for field, grid in GRIDS.items() for value in grid.values]
     distinct = list(dict.fromkeys(map(_distinct, conditions)))
     progress(0, len(distinct))
@@ -163,7 +163,7 @@ def run_stress(
 
 @dataclass(frozen=True, slots=True)
 class _Evaluator:
-    """Simulates a condition and evaluates all detectors; is sent to processes."""
+    """Evaluator of all detectors under a simulated condition; processes receive a copy."""
 
     detectors: Mapping[str, tuple[Detector, Debounce]]
     plan: Plan
@@ -189,7 +189,7 @@ class _Evaluator:
 
 
 def _distinct(condition: Condition) -> Condition:
-    """Return the condition that gives the same recordings: nominal is nominal in any field."""
+    """Return the condition that gives the same recordings: the nominal value is the same in every field."""
     grid = GRIDS[condition.field]
     if condition.value != grid.values[0] or condition.field == "slip_speed":
         return condition

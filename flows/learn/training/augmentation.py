@@ -18,7 +18,7 @@ _FASTEST: Final = 2.0  # Hz
 
 
 def augmented(counts: Tensor, how: Augmentation, generator: torch.Generator) -> Tensor:
-    """Return counts (b, 6, n), changed at random crop by crop."""
+    """Augment counts (b, 6, n) at random, each crop independently."""
     crops, _, samples = counts.shape
     device = counts.device
 
@@ -28,27 +28,27 @@ def augmented(counts: Tensor, how: Augmentation, generator: torch.Generator) -> 
     def normal(*shape: int) -> Tensor:
         return torch.randn(*shape, generator=generator, device=device)
 
-    def some(chance: float) -> Tensor:
-        return (uniform(crops) < chance)[:, None, None]  # (b, 1, 1)
+    def chosen(probability: float) -> Tensor:
+        return (uniform(crops) < probability)[:, None, None]  # (b, 1, 1)
 
-    x = torch.where(some(how.flip), counts[:, MIRROR_X], counts)
-    x = torch.where(some(how.flip), x[:, MIRROR_Y], x)
+    x = torch.where(chosen(how.flip), counts[:, MIRROR_X], counts)
+    x = torch.where(chosen(how.flip), x[:, MIRROR_Y], x)
     if how.gain:
         spread = how.gain_spread * (normal(crops, 1, 1) + 0.8 * normal(crops, BAROMETERS, 1))
-        x = x * torch.exp(some(how.gain) * spread)
+        x = x * torch.exp(chosen(how.gain) * spread)
     if how.load:
         time = torch.arange(samples, device=device) / _RATE  # (n,) s
         frequency = _SLOWEST * (_FASTEST / _SLOWEST) ** uniform(crops, _WAVES, 1)  # Hz
         wave = torch.sin(2 * math.pi * (frequency * time + uniform(crops, _WAVES, 1)))  # (b, waves, n)
-        moved = (wave * normal(crops, _WAVES, 1)).sum(1, keepdim=True) * normal(crops, BAROMETERS, 1)
-        x = x + some(how.load) * how.load_amplitude * moved
+        load = (wave * normal(crops, _WAVES, 1)).sum(1, keepdim=True) * normal(crops, BAROMETERS, 1)
+        x = x + chosen(how.load) * how.load_amplitude * load
     if how.noise:
         least, most = how.noise_range
         deviation = least * (most / least) ** uniform(crops, 1, 1)
-        x = x + some(how.noise) * deviation * normal(crops, BAROMETERS, samples)
+        x = x + chosen(how.noise) * deviation * normal(crops, BAROMETERS, samples)
     x = torch.round(x)
     if how.dead:
         order = uniform(crops, BAROMETERS).argsort(1)[:, :, None]  # (b, 6, 1)
-        dead = (order == 0) | ((order == 1) & some(0.5))
-        x = x.masked_fill(dead & some(how.dead), 0.0)
+        dead = (order == 0) | ((order == 1) & chosen(0.5))
+        x = x.masked_fill(dead & chosen(how.dead), 0.0)
     return x

@@ -1,8 +1,8 @@
 """Dense training: whole sequences, one label per sample.
 
-Windowed training computes a window of 100 samples for each label. Here neighbouring samples share the work,
-which takes 60 to 90 times less of it per epoch. Crops are drawn from all recordings; their first
-`receptive_field` - 1 samples and those without a label are masked; slip and static weigh the same.
+Windowed training computes a window of 100 samples for each label. Here neighbouring samples share the
+computation, which is 60 to 90 times less per epoch. Crops are drawn from all recordings. Their warm-up
+samples and those without a label are masked. Slip and static have the same total weight.
 """
 
 import math
@@ -27,12 +27,12 @@ from operators.batch import SLIP, STATIC
 from operators.errors import ParameterError
 
 _CLIP: Final = 1.0  # maximum norm of the gradient
-_LAST_RATE: Final = 0.01  # of the peak rate, at the end of the cosine
+_LAST_RATE: Final = 0.01  # learning rate relative to its peak, at the end of the cosine
 
 
 @dataclass(frozen=True, slots=True)
 class Trained:
-    """A trained network at its best check."""
+    """Trained network at its best check."""
 
     arrays: Mapping[str, NDArray[Any]]  # as `operators.detectors.Tcn` takes them
     curve: tuple[Check, ...]
@@ -45,16 +45,17 @@ def train_dense(
     *,
     progress: Callable[[int, Check | None], object] = lambda _step, _check: None,
 ) -> Trained:
-    """Train our network, on a GPU if there is one.
+    """Train a TCN, on a GPU if there is one.
 
     Args:
-        train: recordings to learn from.
-        validation: recordings that choose the best check and the end of training.
-        recipe: size of the network and course of the training.
-        progress: called after each step, with the check that was made there.
+        train: Recordings of the train split.
+        validation: Recordings that choose the best check and the end of training.
+        recipe: Size of the network and course of the training.
+        progress: Called after each step, with the check that was made there.
 
     Raises:
-        ParameterError: if either has too few samples, or one class only.
+        ParameterError: if the training recordings are too short or lack a class, or there are no recordings
+            to validate on.
     """
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     corpus = _Corpus(train, recipe, device)
@@ -86,7 +87,7 @@ def train_dense(
 def _step(
     network: DenseTcn, optimiser: torch.optim.Optimizer, corpus: "_Corpus", recipe: Recipe, step: int
 ) -> float:
-    """Do one step of the optimiser; its random numbers depend on the seed and the step alone."""
+    """Perform one step of the optimiser; its random numbers depend only on the seed and the step."""
     own = int(np.random.SeedSequence([recipe.seed, step]).generate_state(1, np.uint64)[0] >> 1)
     generator = torch.Generator(corpus.device)
     cast("Any", generator).manual_seed(own)
@@ -97,7 +98,7 @@ def _step(
     each = functional.binary_cross_entropy_with_logits(logit, slip, reduction="none")
     loss = (each * weight).sum() / weight.sum().clamp(min=1)
     for group in optimiser.param_groups:
-        group["lr"] = recipe.rate * _share(step, recipe)
+        group["lr"] = recipe.rate * _relative_rate(step, recipe)
     optimiser.zero_grad()
     torch.autograd.backward(loss)
     utils.clip_grad_norm_(network.parameters(), _CLIP)
@@ -109,8 +110,8 @@ def _seed(seed: int) -> None:
     cast("Any", torch).manual_seed(seed)  # has no type annotations
 
 
-def _share(step: int, recipe: Recipe) -> float:
-    """Return the share of the peak rate at a step, from 1: a linear warm-up, then a cosine."""
+def _relative_rate(step: int, recipe: Recipe) -> float:
+    """Return the learning rate relative to its peak: a linear warm-up from step 1, then a cosine."""
     warm = max(round(recipe.warm_up * recipe.steps), 1)
     if step <= warm:
         return step / warm
@@ -123,7 +124,7 @@ def _stuck(curve: Sequence[Check], patience: int) -> bool:
 
 
 class _Corpus:
-    """All recordings, joined on the device, from which crops are drawn."""
+    """Recordings joined on the device, from which crops are drawn."""
 
     def __init__(self, recordings: Sequence[LabelledRecording], recipe: Recipe, device: torch.device) -> None:
         self.device, self._crop, self._batch = device, recipe.crop, recipe.batch
@@ -149,14 +150,14 @@ class _Corpus:
         """Return counts (b, 6, crop), and weight (b, m) and slip (b, m) of their evaluated samples."""
         chosen = torch.randint(len(self._starts), (self._batch,), generator=generator, device=self.device)
         rows = self._starts[chosen][:, None] + self._offsets  # (b, crop)
-        judged = rows[:, WARM_UP:]
+        evaluated = rows[:, WARM_UP:]
         counts = self._counts[rows].to(torch.float32).transpose(1, 2)
-        return counts, self._weight[judged], self._slip[judged]
+        return counts, self._weight[evaluated], self._slip[evaluated]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sequence:
-    """A recording that the network is evaluated on."""
+    """Recording that the network is evaluated on."""
 
     counts: Tensor  # (1, 6, n)
     label: NDArray[np.int8]  # (n - WARM_UP,)
@@ -171,8 +172,8 @@ def _evaluate(network: DenseTcn, recordings: Sequence[_Sequence]) -> tuple[float
     """Return accuracy and balanced accuracy, %."""
     network.eval()
     with torch.no_grad():
-        called = [network(recording.counts)[0, WARM_UP:].cpu().numpy() > 0 for recording in recordings]
-    slip, label = np.concatenate(called), np.concatenate([recording.label for recording in recordings])
-    hits, rests = slip[label == SLIP], ~slip[label == STATIC]
-    balanced = 50 * (float(hits.mean()) + float(rests.mean()))
-    return 100 * float(np.concatenate((hits, rests)).mean()), balanced
+        predicted = [network(recording.counts)[0, WARM_UP:].cpu().numpy() > 0 for recording in recordings]
+    slip, label = np.concatenate(predicted), np.concatenate([recording.label for recording in recordings])
+    hits, rejections = slip[label == SLIP], ~slip[label == STATIC]
+    balanced = 50 * (float(hits.mean()) + float(rejections.mean()))
+    return 100 * float(np.concatenate((hits, rejections)).mean()), balanced

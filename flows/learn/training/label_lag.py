@@ -1,9 +1,9 @@
 """Delay of labels after the signal, estimated from each recording.
 
-Two streams have two clocks, and the arm reports its motion late; a detector that is trained on such labels
-learns the same delay. While the contact slides the counts change: the lag of a recording is the shift at
-which its labels correlate best with the speed of this change. Because the fingertip is compliant it is 28 ms
-less than the arm's latency on the simulated rig.
+The two streams have separate clocks, and the arm's motion arrives late. A detector that is trained on such
+labels learns the same delay. Counts change while the contact slides, so the lag of a recording is the shift
+at which its labels correlate best with the rate of change. On the simulated rig it is 28 ms less than the
+arm's latency, because the fingertip is compliant.
 """
 
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ def relabelled(recordings: Sequence[LabelledRecording], lag: float) -> list[Labe
 
 
 def _shifted(recording: LabelledRecording, earlier: int) -> LabelledRecording:
-    """Return a recording with its labels `earlier` samples sooner; unknown where none is left."""
+    """Move the labels `earlier` samples towards the start; samples without a label become unknown."""
     label = np.full_like(recording.label, UNKNOWN)
     size = max(len(label) - abs(earlier), 0)
     if earlier >= 0:
@@ -53,17 +53,17 @@ def _shifted(recording: LabelledRecording, earlier: int) -> LabelledRecording:
 def _peak(recording: LabelledRecording) -> tuple[float, float]:
     """Return the lag (s) of the best correlation, and the correlation."""
     steps = np.diff(recording.counts.astype(np.float64), axis=0, prepend=recording.counts[:1])  # (n, 6)
-    moving = np.log1p(np.sqrt(np.square(steps).sum(axis=1)))  # (n,)
-    moving = np.convolve(moving, np.full(_SMOOTH, 1 / _SMOOTH), "same")
+    activity = np.log1p(np.sqrt(np.square(steps).sum(axis=1)))  # (n,)
+    activity = np.convolve(activity, np.full(_SMOOTH, 1 / _SMOOTH), "same")
     slip = (recording.label == SLIP).astype(np.float64)
     shifts = np.arange(round(_EARLIEST * RATE), round(LATEST * RATE) + 1)
-    inner = np.arange(max(WARM_UP, -int(shifts[0])), len(slip) - int(shifts[-1]))  # judged at every shift
-    if len(inner) < 2 or slip[inner].std() == 0 or moving[inner].std() == 0:  # noqa: PLR2004 no correlation
+    inner = np.arange(max(WARM_UP, -int(shifts[0])), len(slip) - int(shifts[-1]))  # evaluated at every shift
+    if len(inner) < 2 or slip[inner].std() == 0 or activity[inner].std() == 0:  # noqa: PLR2004 no correlation
         return 0.0, 0.0
-    felt = moving[inner] - moving[inner].mean()
-    found = [float(felt @ (slip[inner + k] - slip[inner + k].mean())) for k in shifts.tolist()]
+    signal = activity[inner] - activity[inner].mean()
+    found = [float(signal @ (slip[inner + k] - slip[inner + k].mean())) for k in shifts.tolist()]
     spread = [max(float(slip[inner + k].std()), 1e-9) for k in shifts.tolist()]
-    correlation = np.array(found) / (np.array(spread) * felt.std() * len(inner))  # (shifts,)
+    correlation = np.array(found) / (np.array(spread) * signal.std() * len(inner))  # (shifts,)
     best = int(correlation.argmax())
     fine = 0.0
     if 0 < best < len(shifts) - 1:  # a parabola through the peak and its neighbours

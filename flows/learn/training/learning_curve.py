@@ -8,7 +8,7 @@ from flows.report.figures import CELLS, FAINT, Figure, grid, styled
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """An evaluation on the validation split during training."""
+    """Evaluation on the validation split during training."""
 
     done: int  # steps of dense training, epochs of windowed training
     seconds: float

@@ -1,4 +1,4 @@
-"""Export of our network as ONNX, for runtimes without Python."""
+"""Export of the TCN as ONNX, for runtimes without Python."""
 
 from io import BytesIO
 from pathlib import Path
@@ -19,7 +19,7 @@ def _asinh(graph: Any, x: Any) -> Any:  # noqa: ANN401 - nodes of torch's graph
 
 
 def export_onnx(tcn: Tcn, path: Path) -> None:
-    """Write a detector: input ``counts`` (n, length, 6) float32, zeroed; output ``probability`` (n,).
+    """Write a TCN as ONNX: input ``counts`` (n, length, 6) float32, zeroed; output ``probability`` (n,).
 
     Raises:
         InputError: if the train extra is missing.

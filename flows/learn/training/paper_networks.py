@@ -1,4 +1,4 @@
-"""The paper's two networks in PyTorch, for training; the detectors in numpy run the exported weights."""
+"""Networks of the paper in PyTorch, for training; the numpy detectors run the exported weights."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -19,13 +19,13 @@ _TAPS: Final = 8
 _FILTERS: Final = 12
 _UNITS: Final = 24
 _BLOCKS: Final = 4
-_EPSILON: Final = 1e-3  # of both norms, and the next: what Keras takes
-_MOMENTUM: Final = 0.01  # of a batch in the running mean and variance
+_EPSILON: Final = 1e-3  # of both norms; this and the next are Keras defaults
+_MOMENTUM: Final = 0.01  # weight of a batch in the running mean and variance
 _TRUNCATED: Final = 0.87962566103423978  # standard deviation of a unit normal that is cut off at 2
 
 
 class Network(nn.Module):
-    """Base class: standardises counts; returns logits of static and slip.
+    """Base class of the networks: standardised counts to logits of static and slip.
 
     Args:
         mean: (6,) mean of the training counts.
@@ -54,16 +54,16 @@ class Network(nn.Module):
 
 
 class PaperTcnNetwork(Network):
-    """The paper's temporal convolutional network; `PaperTcn` describes the computation.
+    """Temporal convolutional network of the paper; `PaperTcn` describes the computation.
 
-    Only the steps of each layer that the last one depends on are computed, in training as in `PaperTcn`.
-    That is exact: layer norm treats each step by itself, and dropout drops a channel at all steps.
+    As in `PaperTcn`, only the steps that the last step depends on are computed. That is exact: layer norm
+    treats each step by itself, and dropout drops a channel at all steps.
 
     Args:
         mean: (6,) of the counts in training
         std: (6,) of the counts in training
-        dropout: probability that a channel or a dense unit is dropped
-        generator: source of the initial weights and of the dropout
+        dropout: Probability that a channel or a dense unit is dropped
+        generator: Source of the initial weights and of the dropout
     """
 
     def __init__(self, mean: Reals, std: Reals, *, dropout: float, generator: torch.Generator) -> None:
@@ -83,7 +83,7 @@ class PaperTcnNetwork(Network):
         """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
         values = inputs
         for block in range(_BLOCKS):
-            residual = values[:, 1 - values.shape[1] % 2 :: 2]  # each second step, back from the last
+            residual = values[:, 1 - values.shape[1] % 2 :: 2]  # every second step, counted from the last
             if block == 0:
                 residual = self.match(residual)
             for layer in (2 * block, 2 * block + 1):
@@ -101,10 +101,10 @@ class PaperTcnNetwork(Network):
         state = _state(self)
         result: Arrays = {"mean": state["mean"], "std": state["std"]}
         for layer in range(2 * _BLOCKS):
-            block, place = divmod(layer, 2)
+            block, conv = divmod(layer, 2)
             kernel = state[f"convolutions.{layer}.taps.weight"][:, :, 0].transpose(2, 1, 0)  # (taps, in, out)
-            result |= _linear(f"block{block}/conv{place}", kernel, state[f"convolutions.{layer}.taps.bias"])
-            result |= _layer_norm(f"block{block}/ln{place}", state, f"norms.{layer}")
+            result |= _linear(f"block{block}/conv{conv}", kernel, state[f"convolutions.{layer}.taps.bias"])
+            result |= _layer_norm(f"block{block}/ln{conv}", state, f"norms.{layer}")
         result |= _linear("block0/match", state["match.weight"].T[None], state["match.bias"])
         for layer in range(2):
             kernel = state[f"dense.{layer}.weight"].T
@@ -114,14 +114,14 @@ class PaperTcnNetwork(Network):
 
 
 class FrequencyCnnNetwork(Network):
-    """The paper's frequency CNN; `FrequencyCnn` describes the computation.
+    """Frequency CNN of the paper; `FrequencyCnn` describes the computation.
 
     Args:
         mean: (6,) of the counts in training
         std: (6,) of the counts in training
         interleaved: True for the image of `InterleavedFrequencyCnn`
-        dropout: probability that a bin of the image, a channel or a dense unit is dropped
-        generator: source of the initial weights and of the dropout
+        dropout: Probability that a bin of the image, a channel or a dense unit is dropped
+        generator: Source of the initial weights and of the dropout
     """
 
     parts: Tensor  # (100, 102) of the DFT
@@ -150,7 +150,7 @@ class FrequencyCnnNetwork(Network):
         values = self.drop(image).view(count, 2, 3, BINS).permute(0, 3, 1, 2)  # (n, 51, 2, 3)
         for convolution, norm in zip(self.convolutions, self.norms, strict=True):
             values = self.drop_channels(norm(functional.relu(convolution(values))))
-        values = values.permute(0, 2, 3, 1).flatten(1)  # (n, 40), channels of one place, then the other
+        values = values.permute(0, 2, 3, 1).flatten(1)  # (n, 40), channels of one pixel, then of the other
         for dense, norm in zip(self.dense, self.dense_norms, strict=True):
             values = self.drop(functional.relu(norm(dense(values))))  # (n, 40), (n, 20)
         logits: Tensor = self.out(values)
@@ -159,7 +159,8 @@ class FrequencyCnnNetwork(Network):
     def arrays(self) -> Arrays:
         """Return the arrays that `FrequencyCnn` takes.
 
-        Batch norm after ReLU is folded into the next layer, which pads no zeros; others into their own.
+        Batch norm after ReLU is folded into the next layer, which has no padding; other batch norm into its
+        own layer.
         """
         state = _state(self)
         result: Arrays = {"mean": state["mean"], "std": state["std"]}
@@ -169,7 +170,7 @@ class FrequencyCnnNetwork(Network):
             bias = state[f"convolutions.{layer}.bias"] + (kernel * offset[:, None]).sum(axis=(0, 1, 2))
             result |= _linear(f"conv{layer}", kernel * factor[:, None], bias)
             factor, offset = _batch_norm(state, f"norms.{layer}")
-        factor, offset = np.tile(factor, 2), np.tile(offset, 2)  # at both places of the second convolution
+        factor, offset = np.tile(factor, 2), np.tile(offset, 2)  # for both pixels of the second convolution
         for layer in range(2):
             kernel = state[f"dense.{layer}.weight"].T  # (in, out)
             bias = state[f"dense.{layer}.bias"] + offset @ kernel
@@ -180,10 +181,10 @@ class FrequencyCnnNetwork(Network):
 
 
 class _Causal(nn.Module):
-    """A causal convolution in time at each `stride`-th step, back from the last, after zeros.
+    """Causal, zero-padded convolution in time at every `stride`-th step, counted from the last.
 
     Args:
-        channels: of its input
+        channels: Channels of the input
         stride: 1 or 2
     """
 
@@ -193,7 +194,7 @@ class _Causal(nn.Module):
         self.taps = nn.Conv2d(channels, _FILTERS, (1, _TAPS), stride=(1, stride))
 
     def forward(self, values: Tensor) -> Tensor:
-        """(n, steps, channels) to (n, steps / stride, 12)."""
+        """Map (n, steps, channels) to (n, steps / stride, 12)."""
         first = (values.shape[1] - 1) % self.stride
         padded = functional.pad(values, (0, 0, _TAPS - 1 - first, 0))
         image = padded[:, None].permute(0, 3, 1, 2)  # (n, channels, 1, steps); in memory channels are last
@@ -202,12 +203,12 @@ class _Causal(nn.Module):
 
 
 class _Dropout(nn.Module):
-    """Dropout with a generator of its own, so that a seed always gives the same weights.
+    """Dropout with its own generator, so that training is reproducible.
 
     Args:
-        rate: probability of being dropped.
-        generator: source of the random numbers.
-        shared: axes along which all values are dropped together.
+        rate: Probability of being dropped.
+        generator: Source of the random numbers.
+        shared: Axes along which all values are dropped together.
     """
 
     def __init__(self, rate: float, generator: torch.Generator, shared: tuple[int, ...] = ()) -> None:

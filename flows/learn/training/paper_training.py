@@ -30,15 +30,15 @@ _ADAM_EPSILON: Final = 1e-7  # Keras's
 class PaperRecipe:
     """Settings of the paper's training: Adam, cross-entropy, augmentation.
 
-    Each epoch takes all windows of the smaller class and as many of the other, drawn again each time. The
-    three motions that map the pad onto itself exclude each other.
+    Each epoch uses all windows of the smaller class and as many random windows of the other. A window is
+    flipped or turned by at most one of the three symmetries of the pad.
     """
 
     rate: float = 0.002  # learning rate
     clip: float = 1.0  # maximum norm of the gradient of one array
     batch: int = 256  # windows
     dropout: float = 0.2  # probability
-    mirror: float = 0.25  # probability of an x flip, the same of a y flip, and of a turn by 180 degrees
+    mirror: float = 0.25  # probability of each: x flip, y flip, turn by 180 degrees
     noise: float = 0.5  # counts, standard deviation
 
 
@@ -56,20 +56,20 @@ def train_windowed(
     progress: Callable[[Check], object] = lambda _epoch: None,
     step: Step = lambda _done, _all: None,
 ) -> tuple[Arrays, list[Check]]:
-    """Train one of the paper's networks; keep the epoch of the best balanced accuracy on validation.
+    """Train one of the paper's networks; keep the epoch with the best balanced accuracy on validation.
 
     Args:
-        name: one of `WINDOWED`.
-        train: recordings to learn from; their counts also give the standardisation.
-        validation: recordings that choose the epoch.
-        seed: random seed.
-        epochs: number of epochs.
-        recipe: course of the training.
-        progress: called after each epoch.
-        step: called after each step with the number of steps done in its epoch, and of all.
+        name: One of `WINDOWED`.
+        train: Recordings of the train split; their counts also determine the standardisation.
+        validation: Recordings that choose the epoch.
+        seed: Random seed.
+        epochs: Number of epochs.
+        recipe: Course of the training.
+        progress: Called after each epoch.
+        step: Called after each step with the number of steps done and of all steps in the epoch.
 
     Returns:
-        The arrays that the detector of this name takes, and every epoch.
+        Weights for the detector of this name, and the check of each epoch.
 
     Raises:
         ParameterError: if there is no such network, or `epochs` is below 1.
@@ -132,7 +132,7 @@ def _epoch(
     device, parameters = generator.device, list(network.parameters())
     picked = windows.balanced(rng)
     slip = torch.as_tensor(windows.slip[picked].astype(np.int64), device=device)
-    steps = max(len(picked) // recipe.batch, 1)  # the rest is drawn in another epoch
+    steps = max(len(picked) // recipe.batch, 1)  # an incomplete batch is left out
     total = torch.zeros((), device=device)
     for number in range(steps):
         rows = slice(number * recipe.batch, (number + 1) * recipe.batch)
@@ -156,7 +156,7 @@ def _evaluate(network: "Network", windows: "Windows") -> tuple[float, float]:
     network.eval()
     blocks = np.split(np.arange(len(windows)), range(_BLOCK, len(windows), _BLOCK))
     with torch.inference_mode():
-        called = torch.cat([network(windows.take(block)).argmax(1) for block in blocks])
-    right = called.cpu().numpy() == windows.slip
+        predicted = torch.cat([network(windows.take(block)).argmax(1) for block in blocks])
+    right = predicted.cpu().numpy() == windows.slip
     balanced = (right[windows.slip].mean() + right[~windows.slip].mean()) / 2
     return 100 * float(right.mean()), 100 * float(balanced)

@@ -12,19 +12,19 @@ LONGEST: Final = 100  # samples, maximum receptive field: one window
 
 @dataclass(frozen=True, slots=True)
 class Augmentation:
-    """Random changes of counts that make a detector robust to what recordings do not show.
+    """Random changes of counts that make a detector robust to conditions that the recordings lack.
 
-    Each is applied to a crop with its chance, in this order. Labels stay.
+    Each is applied to a crop with its probability, in this order. Labels do not change.
     """
 
-    flip: float = 0.5  # chance of the mirror along x, and of that along y: the pad's symmetry group
-    gain: float = 0.5  # chance
-    gain_spread: float = 0.25  # of the logarithm of the pad's gain; of each cell's, 0.8 of that
-    load: float = 0.3  # chance of a slow change of load, 0.1 to 2 Hz, different in each cell
+    flip: float = 0.5  # probability of mirroring along x, and again along y
+    gain: float = 0.5  # probability
+    gain_spread: float = 0.25  # standard deviation of the log gain of the pad; of each cell 0.8 times that
+    load: float = 0.3  # probability of a slow change of load, 0.1 to 2 Hz, different in each cell
     load_amplitude: float = 20.0  # counts
-    noise: float = 0.5  # chance
+    noise: float = 0.5  # probability
     noise_range: tuple[float, float] = (0.3, 20.0)  # counts, standard deviation, log-uniform
-    dead: float = 0.25  # chance that one cell, or equally often two, reads 0
+    dead: float = 0.25  # probability that one or two cells, equally often, read 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +42,12 @@ class Recipe:
     units: int = 24  # of each of the two dense layers
     taps: int = 8  # of a convolution
     dilations: Sequence[int] = (1, 2, 4)  # of the blocks of two convolutions each
-    dropout: float = 0.1  # chance of a whole channel, after each block
+    dropout: float = 0.1  # probability of a whole channel, after each block
     position_scale: float = 60.0  # counts; see `DenseTcn`
     step_scale: float = 6.0  # counts
     steps: int = 4000  # of the optimiser
     batch: int = 32  # crops
-    crop: int = 612  # samples; all but the first `receptive_field` - 1 are labels
+    crop: int = 612  # samples
     rate: float = 5e-3  # of AdamW, at its peak
     decay: float = 1e-2  # of AdamW
     warm_up: float = 0.1  # of the steps; a cosine follows
@@ -66,5 +66,5 @@ class Recipe:
 
     @property
     def receptive_field(self) -> int:
-        """Samples that one score depends on; the step into the oldest feature adds one."""
+        """Samples that one score depends on, with the sample before the oldest feature."""
         return 2 + 2 * (self.taps - 1) * sum(self.dilations)

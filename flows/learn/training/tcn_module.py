@@ -1,4 +1,4 @@
-"""Our temporal convolutional network as a torch module, for training and export."""
+"""Temporal convolutional network as a torch module, for training and export."""
 
 from typing import Any, Final
 
@@ -12,15 +12,15 @@ from flows.learn.training.recipe import Recipe
 from operators.batch import BAROMETERS
 from operators.detectors.tcn import Tcn
 
-_DENSE: Final = 3  # last layers, which see one step
+_DENSE: Final = 3  # number of dense layers at the end
 
 
 class DenseTcn(nn.Module):
-    """Slip at every sample of a sequence.
+    """Network that computes the logit of slip at every sample of a sequence.
 
     Features of a sample are asinh(x / position_scale) and asinh(dx / step_scale) of each barometer, dx the
     step from the sample before: the signal matters from one count (noise) to 500 (saturation). Blocks of two
-    causal convolutions, batch norm and ReLU, with an identity skip where the widths agree, two dense layers.
+    causal convolutions with batch norm and ReLU, and an identity skip if the widths agree; then dense layers.
     Batch norm is folded into the exported weights.
     """
 
@@ -40,7 +40,7 @@ class DenseTcn(nn.Module):
 
     @classmethod
     def of_detector(cls, tcn: Tcn) -> "DenseTcn":
-        """Return the network with the weights of a detector; its batch norms change nothing."""
+        """Return the network with the weights of a detector; its batch norms are identities."""
         convs = tcn.layers[:-_DENSE]
         taps, _, filters = convs[0].kernel.shape
         network = cls(
@@ -65,7 +65,7 @@ class DenseTcn(nn.Module):
         return network.eval()
 
     def forward(self, counts: Tensor) -> Tensor:
-        """Return the logit of slip (b, n) of counts (b, 6, n); the first ones see the padding before."""
+        """Return the logit of slip (b, n) of counts (b, 6, n); the first ones depend on the padding."""
         before = torch.cat([counts[..., :1], counts[..., :-1]], 2)
         x = self._features(counts, before)  # (b, 12, n)
         for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
@@ -114,7 +114,7 @@ class DenseTcn(nn.Module):
 
 
 class _Layer(nn.Module):
-    """A causal convolution, batch norm, ReLU."""
+    """Causal convolution, batch norm and ReLU."""
 
     def __init__(self, inputs: int, outputs: int, taps: int = 1, dilation: int = 1) -> None:
         super().__init__()
@@ -123,11 +123,11 @@ class _Layer(nn.Module):
         self.past = (taps - 1) * dilation
 
     def forward(self, x: Tensor) -> Tensor:
-        """(b, inputs, n) to (b, outputs, n), with zeros before the first step."""
+        """Map (b, inputs, n) to (b, outputs, n), with zeros before the first step."""
         return self.without_padding(functional.pad(x, (self.past, 0)))
 
     def without_padding(self, x: Tensor) -> Tensor:
-        """(b, inputs, n) to (b, outputs, n - past)."""
+        """Map (b, inputs, n) to (b, outputs, n - past)."""
         y: Tensor = self.norm(self.conv(x))
         return functional.relu(y)
 

@@ -26,7 +26,7 @@ Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A trained model on disk."""
+    """Trained model on disk."""
 
     path: Path
     card: Mapping[str, Any]  # contents of its .json file
@@ -45,7 +45,7 @@ def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) ->
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
     """Describe a dataset for the card of a model that was trained on it.
 
-    Its sha256 is that of the manifests of its sessions, which hold the sha256 of every part.
+    The sha256 covers the manifests of the sessions, which contain the sha256 of every part.
     """
     digest = hashlib.sha256()
     for manifest in sorted((dataset / SESSIONS).glob(f"*/{MANIFEST}")):
@@ -62,15 +62,17 @@ def write_model(path: Path, arrays: Arrays, card: Mapping[str, Any], curve: Sequ
     """Write a model and its card.
 
     Args:
-        path: model file, .safetensors; the card has the same name with .json.
-        arrays: weights.
-        card: contents of the card, without the name, sha256 and number of weights of the file.
-        curve: learning curve.
+        path: Model file, .safetensors; the card has the same name with .json.
+        arrays: Weights.
+        card: Contents of the card, without the name, sha256 and number of weights of the file.
+        curve: Learning curve.
 
     Raises:
         OSError: if a file cannot be written.
     """
-    save_weights(path, arrays, {"detector": str(card["detector"])})  # several keys would have no fixed order
+    save_weights(
+        path, arrays, {"detector": str(card["detector"])}
+    )  # one key only: the order of several is not fixed
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     size = sum(int(array.size) for array in arrays.values())
     card = {**card, "file": path.name, "sha256": digest, "numbers": size}

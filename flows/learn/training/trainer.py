@@ -22,7 +22,9 @@ from operators.detectors import TRAINED, Detector
 from operators.errors import InputError, ParameterError
 from storage import load_weights
 
-Progress: TypeAlias = Callable[[str, int, int, "Check | None"], object]  # part, done, of all, new check
+Progress: TypeAlias = Callable[
+    [str, int, int, "Check | None"], object
+]  # part, steps done, all steps, new check
 
 OURS: Final = "tcn"
 METHODS: Final = (OURS, *WINDOWED)
@@ -63,18 +65,19 @@ def train(
     lag: float | None = None,
     progress: Progress = lambda _part, _done, _all, _check: None,
 ) -> Training:
-    """Train a detector on the train split of datasets; the validation split chooses among its checks.
+    """Train a detector on the train split of datasets; the validation split selects the best check.
 
     Args:
-        datasets: their folders; each fingertip of each session is a recording.
-        out: model file, .safetensors; its card has the same name with .json. With several seeds it is the
-            best on validation, and each one is also written as ``OUT-seed0`` and so on.
-        method: one of `METHODS`: ours, ``tcn``, or one of the paper's.
-        recipe: settings of our network.
-        epochs: epochs of the paper's networks.
-        seeds: number of seeds, from the recipe's seed on.
-        lag: delay of labels after the signal, s, that each recording is shifted to; None: no shift.
-        progress: called with the part (seed or epoch), the steps done and of all, and a new check if any.
+        datasets: Folders; each fingertip of each session is a recording.
+        out: Model file, .safetensors; its card has the same name with .json. With several seeds, this is
+            the best model on validation, and each model is also written as ``OUT-seed0`` and so on.
+        method: One of `METHODS`: ``tcn`` or one of the paper's networks.
+        recipe: Settings of the tcn.
+        epochs: Epochs of the paper's networks.
+        seeds: Number of seeds, from the recipe's seed on.
+        lag: Delay of labels after the signal to which each recording is shifted, s; None: no shift.
+        progress: Called with the part (seed and epoch), the numbers of steps done and of all steps, and a new
+            check or None.
 
     Raises:
         InputError: if the train extra is missing, or a dataset cannot be read.

@@ -1,4 +1,4 @@
-"""Windows of counts for training, gathered step by step and never all at once."""
+"""Windows of counts for training, gathered per batch to save memory."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from operators.batch import BAROMETERS, UNKNOWN, Flags, Reals
 from operators.errors import InputError
 
 LENGTH: Final = 100  # samples
-# source of each cell's counts in every motion that maps the pad onto itself
+# source of each cell's counts, for each symmetry of the pad
 MIRRORED: Final = (
     MIRROR_X,
     MIRROR_Y,
@@ -30,7 +30,7 @@ class Windows:
 
     counts: Tensor  # (samples, 6) int16, all recordings joined
     newest: NDArray[np.intp]  # (n,) index in `counts` of the end of each window
-    slip: Flags  # (n,) the label at its newest sample
+    slip: Flags  # (n,) label at the newest sample
 
     @classmethod
     def of(cls, recordings: Sequence[LabelledRecording], device: torch.device) -> Self:
@@ -42,8 +42,8 @@ class Windows:
         newest: list[NDArray[np.intp]] = []
         start = 0
         for recording in recordings:
-            judged = recording.evaluated(1)
-            newest.append(start + judged[recording.label[judged] != UNKNOWN])
+            evaluated = recording.evaluated(1)
+            newest.append(start + evaluated[recording.label[evaluated] != UNKNOWN])
             start += len(recording)
         ends = np.concatenate([np.empty(0, np.intp), *newest])
         slip = np.concatenate([np.empty(0, np.bool_), *(recording.slip for recording in recordings)])[ends]
@@ -73,24 +73,24 @@ class Windows:
         return counts.mean(axis=0, dtype=np.float64), np.maximum(counts.std(axis=0, dtype=np.float64), 1)
 
 
-def mirrored(windows: Tensor, motions: NDArray[np.intp]) -> Tensor:
-    """Return each window (k, 100, 6) after one of the motions in `MIRRORED`, by index (k,)."""
-    order = torch.as_tensor(np.array(MIRRORED)[motions]).to(windows.device)  # (k, 6)
+def mirrored(windows: Tensor, symmetries: NDArray[np.intp]) -> Tensor:
+    """Apply to each window (k, 100, 6) the symmetry in `MIRRORED` with this index (k,)."""
+    order = torch.as_tensor(np.array(MIRRORED)[symmetries]).to(windows.device)  # (k, 6)
     return windows.gather(2, order[:, None].expand(windows.shape))
 
 
 def varied(
     windows: Tensor, *, mirror: float, noise: float, rng: np.random.Generator, generator: torch.Generator
 ) -> Tensor:
-    """Return windows (k, 100, 6) with noise, some of them mirrored or turned.
+    """Mirror or turn some of the windows (k, 100, 6), and add noise to all.
 
     Args:
-        windows: counts.
-        mirror: probability of an x flip, the same of a y flip, and of a turn by 180 degrees.
-        noise: standard deviation, counts.
-        rng: generator of the motions.
-        generator: generator of the noise, on the device of the windows.
+        windows: Counts.
+        mirror: Probability of each: x flip, y flip, turn by 180 degrees.
+        noise: Standard deviation, counts.
+        rng: Generator of the symmetries.
+        generator: Generator of the noise, on the device of the windows.
     """
-    motions = rng.choice(4, len(windows), p=[mirror, mirror, mirror, 1 - 3 * mirror])
-    hiss = torch.randn(windows.shape, generator=generator, device=windows.device)
-    return mirrored(windows, motions) + noise * hiss
+    symmetries = rng.choice(4, len(windows), p=[mirror, mirror, mirror, 1 - 3 * mirror])
+    deviates = torch.randn(windows.shape, generator=generator, device=windows.device)
+    return mirrored(windows, symmetries) + noise * deviates
