@@ -12,12 +12,10 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
-EDGE_WITHOUT = ("numba", "polars", "scipy")  # the flow at the edge works without them
+EDGE_WITHOUT = ("numba", "polars", "scipy")  # not needed at the edge
 PYTHONS = ("3.11", "3.13")  # Debian 12 and 13
-GLIBC = {
-    "x86_64": (5, 12, 17, 27, 28),
-    "aarch64": (17, 27, 28),
-}  # 2.x, of manylinux tags up to that of Debian 12
+# minor versions of glibc 2 in manylinux tags, by machine
+GLIBC = {"x86_64": (5, 12, 17, 27, 28), "aarch64": (17, 27, 28)}
 
 ALL = "# All dependencies, for x86_64 and aarch64 with Python 3.11 or 3.13."
 EDGE = "# Dependencies of one fingertip that publishes and records: without numba, polars and scipy."
@@ -28,19 +26,13 @@ def resolve(wanted: Sequence[str], python: str, machine: str) -> list[dict[str, 
     """Return the packages that pip would install for a Python version and machine."""
     platforms = [f"manylinux_2_{minor}_{machine}" for minor in GLIBC[machine]] + [f"manylinux2014_{machine}"]
     platform_options = [word for each in platforms for word in ("--platform", each)]
-    pip = [
-        sys.executable,
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--dry-run",
-        "--ignore-installed",
-        "--report",
-        "-",
-    ]
+    options = ["--quiet", "--dry-run", "--ignore-installed", "--report", "-"]
     target = ["--only-binary", ":all:", "--implementation", "cp", "--python-version", python, "--target", "."]
-    done = subprocess.run([*pip, *target, *platform_options, *wanted], stdout=subprocess.PIPE, check=True)  # noqa: S603 - fixed arguments
+    done = subprocess.run(  # noqa: S603 - fixed arguments
+        [sys.executable, "-m", "pip", "install", *options, *target, *platform_options, *wanted],
+        stdout=subprocess.PIPE,
+        check=True,
+    )
     report: dict[str, Any] = json.loads(done.stdout)
     return list(report["install"])
 

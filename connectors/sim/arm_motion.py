@@ -1,4 +1,4 @@
-"""Arm motion: the moves of a plan as trapezoidal velocity profiles, in closed form at any instants.
+"""Arm motion: the moves of a plan as trapezoidal velocity profiles in closed form.
 
 With t the time since a move began (s)::
 
@@ -37,9 +37,9 @@ class Course(NamedTuple):
     ramp: float  # s
     speed: float  # m/s or, of a rotation, rad/s
     spins: bool
-    along: tuple[float, float]  # of the direction, in the fingertip's frame
-    onward: tuple[float, float]  # of the direction, in the frame of the position
-    place: tuple[float, float, float]  # m, m, rad at the start
+    along: tuple[float, float]  # unit vector of the direction, in the fingertip's frame
+    onward: tuple[float, float]  # unit vector of the direction, in the frame of the pose
+    pose: tuple[float, float, float]  # m, m, rad at the start
     end: tuple[float, float, float]  # m, m, rad at the end
     tap: float  # N
     settle: float  # s
@@ -47,12 +47,12 @@ class Course(NamedTuple):
     last: float  # N after settling
 
 
-def course(move: Move, start: float, place: tuple[float, float, float], force: float, scene: Scene) -> Course:
-    """Return the course of a move that begins at `start` (s), at a position (m, m, rad) and a force (N)."""
+def course(move: Move, start: float, pose: tuple[float, float, float], force: float, scene: Scene) -> Course:
+    """Return the course of a move from `start` (s), an initial pose (m, m, rad) and force (N)."""
     heading, spins = math.radians(move.direction_deg), move.motion == "rotation"
     acceleration = scene.spin_acceleration if spins else scene.acceleration
     ramp = min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
-    onward = math.cos(heading + place[2]), math.sin(heading + place[2])
+    onward = math.cos(heading + pose[2]), math.sin(heading + pose[2])
     travel = move.speed * (move.seconds - move.rest - ramp)
     return Course(
         start=start,
@@ -63,11 +63,11 @@ def course(move: Move, start: float, place: tuple[float, float, float], force: f
         spins=spins,
         along=(math.cos(heading), math.sin(heading)),
         onward=onward,
-        place=place,
+        pose=pose,
         end=(
-            (place[0], place[1], place[2] + travel)
+            (pose[0], pose[1], pose[2] + travel)
             if spins
-            else (place[0] + travel * onward[0], place[1] + travel * onward[1], place[2])
+            else (pose[0] + travel * onward[0], pose[1] + travel * onward[1], pose[2])
         ),
         tap=move.tap,
         settle=move.settle,
@@ -77,11 +77,11 @@ def course(move: Move, start: float, place: tuple[float, float, float], force: f
 
 
 @compiled
-def follow(course: Course, times: Reals, drive: Reals, place: Reals) -> None:
-    """Fill in the trajectory of a course at instants (k,) (s), see `Trajectory`; `drive` (k, 6) is zero."""
+def follow(course: Course, times: Reals, drive: Reals, pose: Reals) -> None:
+    """Write the trajectory of a course at instants (k,) (s) to `drive` (k, 6), initially 0, and `pose`."""
     for i in range(times.size):
         t = times[i] - course.start
-        place[i, 0], place[i, 1], place[i, 2] = course.place
+        pose[i, 0], pose[i, 1], pose[i, 2] = course.pose
         if course.speed != 0.0:
             up = min(max((t - course.rest) / course.ramp, 0.0), 1.0)
             down = min(max((course.seconds - t) / course.ramp, 0.0), 1.0)
@@ -93,11 +93,11 @@ def follow(course: Course, times: Reals, drive: Reals, place: Reals) -> None:
             )
             if course.spins:
                 drive[i, 2] = speed
-                place[i, 2] += travel
+                pose[i, 2] += travel
             else:
                 drive[i, 0], drive[i, 1] = speed * course.along[0], speed * course.along[1]
-                place[i, 0] += travel * course.onward[0]
-                place[i, 1] += travel * course.onward[1]
+                pose[i, 0] += travel * course.onward[0]
+                pose[i, 1] += travel * course.onward[1]
         drive[i, 3] = course.last
         if course.first != course.last:
             u = min(max(t / course.settle, 0.0), 1.0)
@@ -115,7 +115,7 @@ class Arm:
         scene: The scene.
         seed: Random seed of the plan.
         on_move: Called with each move and its start (s) when it begins.
-        commands: Commands that replace the plan.
+        commands: Queue of commands; each replaces the plan from its time on.
     """
 
     def __init__(
@@ -132,11 +132,11 @@ class Arm:
         self._end = 0.0  # s, of the current move
         self._next((0.0, 0.0, 0.0), 0.0)
 
-    def _next(self, place: tuple[float, float, float], force: float) -> None:
-        """Begin the next move at a position (m, m, rad) and a force (N)."""
+    def _next(self, pose: tuple[float, float, float], force: float) -> None:
+        """Begin the next move at a pose (m, m, rad) and a force (N)."""
         self._course = None
         if (move := next(self._moves, None)) is not None:
-            self._course = course(move, self._end, place, force, self._scene)
+            self._course = course(move, self._end, pose, force, self._scene)
             if self._on_move is not None:
                 self._on_move(move, self._end)
             self._end += move.seconds
@@ -153,7 +153,7 @@ class Arm:
         while (course := self._course) is not None:
             until = int(times.searchsorted(self._end))
             if until > done:
-                follow(course, times[done:until], path.drive[done:until], path.place[done:until])
+                follow(course, times[done:until], path.drive[done:until], path.pose[done:until])
                 done = until
             if done == k:
                 break
@@ -163,7 +163,7 @@ class Arm:
 
 def in_base(path: Trajectory) -> tuple[Reals, Reals]:
     """Return velocity and pose of the TCP in the base frame: (k, 6) m/s, rad/s and (k, 6) m, rad."""
-    x, y, yaw = path.place.T
+    x, y, yaw = path.pose.T
     vx, vy, spin = path.velocity.T
     cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     velocity = [cos * vx - sin * vy, -sin * vx - cos * vy, zero, zero, zero, -spin]
@@ -172,14 +172,14 @@ def in_base(path: Trajectory) -> tuple[Reals, Reals]:
 
 
 class Controller:
-    """Motion samples that the arm's controller reports."""
+    """Controller of the arm, which reports motion samples."""
 
     def __init__(self, scene: Scene, seed: int, commands: CommandQueue | None = None) -> None:
         self._arm = Arm(scene, seed, commands=commands)
         self._sampler = Sampler(scene.motion, np.random.default_rng([seed, 1]))
 
     def take(self, samples: int) -> Motion | None:
-        """Return the next samples, stamped from the start of the run; fewer when the plan ends, then None."""
+        """Return the next samples, timestamped from the run's start; fewer at the plan's end, then None."""
         t = self._sampler.instants(samples)  # (k,) s
         velocity, pose = in_base(self._arm.at(t))
         if not len(velocity):

@@ -1,4 +1,4 @@
-"""Six barometers under the rubber of the pad: from tractions on its face to raw counts.
+"""Six barometers under the rubber of the pad: raw counts from the tractions on its face.
 
 Stress at depth z under a point load on an elastic half-space, rho from the load to the cell::
 
@@ -7,9 +7,9 @@ Stress at depth z under a point load on an elastic half-space, rho from the load
 
 Both as compression (Pa), r^2 = rho^2 + z^2, integrated over each node's rectangle by the midpoint rule, so
 that the node grid may be coarser than the depth. The response to shear is multiplied by `shear_gain`, fitted
-for what the half-space neglects: stiff cells in a thin sheet of rubber. A cell has a gain G (counts/Pa), of
-which a fraction c creeps with time constant T. Counts fall as stress rises (MPL115A2 datasheet), with 10
-bits::
+to account for stiff cells in a thin sheet of rubber, which the half-space neglects. A cell has a gain G
+(counts/Pa), of which a fraction c creeps with time constant T. Counts fall as stress rises (MPL115A2
+datasheet), with 10 bits::
 
     late' = (sigma - late) / T          counts = rest - G ((1 - c) sigma + c late) + noise
 """
@@ -69,8 +69,8 @@ def respond(tractions: Reals, matrix: Reals, response: tuple[float, float, float
     Args:
         tractions: (k, 3, n) Pa.
         matrix: (6, 3, n) from `influence`.
-        response: Gain G (counts/Pa), fraction c, and the relaxation of the lag per sample.
-        late: (6,) the lagging stress (Pa); changed in place.
+        response: Gain G (counts/Pa), fraction c, and relaxation of the lagging stress per sample.
+        late: (6,) lagging stress (Pa); changed in place.
 
     Returns:
         (k, 6) counts.
@@ -97,26 +97,26 @@ class Barometers:
     Args:
         parameters: Parameters of the fingertip.
         faults: Faults of the cells.
-        body: Random generator of rest levels and temperature offsets.
+        offsets: Random generator of rest levels and temperature offsets.
         noise: Random generator of pressure noise.
-        warmth: Random generator of temperature noise.
+        temperature_noise: Random generator of temperature noise.
     """
 
     def __init__(
         self,
         parameters: Parameters,
         faults: Faults,
-        body: np.random.Generator,
+        offsets: np.random.Generator,
         noise: np.random.Generator,
-        warmth: np.random.Generator,
+        temperature_noise: np.random.Generator,
     ) -> None:
         p = self._p = parameters
-        self._faults, self._noise, self._warmth = faults, noise, warmth
+        self._faults, self._noise, self._temperature_noise = faults, noise, temperature_noise
         self._influence = influence(p)
         self._late = np.zeros(BAROMETERS)
-        self._rest = body.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
-        self._temperature = ROOM_TEMPERATURE + body.integers(-8, 8, BAROMETERS)
-        self._held: Reals | None = None  # (6,) first reading, repeated by stuck cells
+        self._rest = offsets.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
+        self._temperature = ROOM_TEMPERATURE + offsets.integers(-8, 8, BAROMETERS)
+        self._first: Reals | None = None  # (6,) first reading, repeated by stuck cells
 
     def read(self, t: Reals, tractions: Reals, aged: float) -> tuple[Counts, Counts, Flags]:
         """Read the cells at instants (k,) (s since the run began).
@@ -132,7 +132,7 @@ class Barometers:
         counts = self._counts(t, tractions, aged)
         valid = np.ones((len(t), BAROMETERS), np.bool_)
         valid[:, self._faults.dead] = False
-        temperature = self._temperature + 0.3 * self._warmth.standard_normal((len(t), BAROMETERS))
+        temperature = self._temperature + 0.3 * self._temperature_noise.standard_normal(valid.shape)
         return counts, np.rint(temperature).astype(np.int16), valid
 
     def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
@@ -150,8 +150,8 @@ class Barometers:
         if p.noise:
             counts += p.noise * self._noise.standard_normal(counts.shape)
         if faults.stuck:
-            held = self._held = counts[0].copy() if self._held is None else self._held
-            counts[:, faults.stuck] = held[list(faults.stuck)]
+            first = self._first = counts[0].copy() if self._first is None else self._first
+            counts[:, faults.stuck] = first[list(faults.stuck)]
         if faults.floored or faults.dead:
             counts[:, faults.floored + faults.dead] = 0.0
         return np.clip(np.rint(counts), 0, CEILING).astype(np.int16)

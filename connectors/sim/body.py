@@ -1,4 +1,4 @@
-"""A rigid body between the pad of `connectors.sim.contact` and passive fingers, over a table.
+"""Rigid body between the pad of `connectors.sim.contact` and passive fingers, above a table.
 
 The body moves in the plane of the pad. All vectors are in the initial frame of the hand, x right, y up; the
 hand translates without rotation. With velocity U and spin O of the body, c from its centre to the centre of
@@ -23,9 +23,9 @@ Table: two corners at r_i, each a unilateral spring and damper, without friction
 
     n_i = max(0, k_t h_i + c_t dh_i/dt)  h_i penetration of the corner into the table (m)
 
-A body is dropped, and no finger presses any more, when its centre is further from the centre of the pad than
-its reach along y or half its width along x. Not modelled: rolling and tilting out of the plane, the slope of
-a ball away from its top, air drag.
+A body is dropped, and no finger presses it any longer, once its centre is further from the centre of the
+pad than its reach along y or half its width along x. Not modelled: rolling and tilting out of the plane, the
+slope of a ball away from its top, air drag.
 
 Steps are semi-implicit Euler, as in `contact`. The tests compare `simulate` with the same equations in numpy.
 """
@@ -60,8 +60,8 @@ class GripModel(NamedTuple):
     inertia: float  # kg m2
     reach: float  # m
     half_width: float  # m
-    mu: float  # of the passive fingers
-    spring: float  # N/m, of each of them
+    mu: float  # friction coefficient of the passive fingers
+    spring: float  # N/m, of each passive finger
     damper: float  # N s/m
     finger_offset: float  # m, of each passive finger from the centre of the hand along x
     foot: float  # m, of each corner from the centre of the body along x
@@ -74,7 +74,7 @@ class GripModel(NamedTuple):
 class BodyState(NamedTuple):
     """State of the body and the passive fingers, changed in place."""
 
-    place: Reals  # (3,) m, m, rad, of the centre
+    pose: Reals  # (3,) m, m, rad, of the centre
     velocity: Reals  # (3,) m/s, m/s, rad/s: U and O
     hand: Reals  # (2,) m
     passive: Reals  # (2, 2) m: s_j, by finger, then x and y
@@ -95,14 +95,14 @@ class BodyState(NamedTuple):
 
 @vectorized
 def place_surface(
-    model: ContactModel, pad: Pad, tip: FingerState, body: BodyState, seen: tuple[float, float]
+    model: ContactModel, pad: Pad, tip: FingerState, body: BodyState, centre: tuple[float, float]
 ) -> None:
-    """Set the gaps of the pad, whose centre is at `seen` (m, m) relative to the body."""
-    turned = body.place[2] + tip.deflection[2]  # the rotation of the tip is -e_o
+    """Set the gaps of the pad, whose centre is at `centre` (m, m) relative to the body."""
+    turned = body.pose[2] + tip.deflection[2]  # the rotation of the tip is -e_o
     cos, sin = math.cos(turned), math.sin(turned)
     for i in range(pad.x.size):
-        u = seen[0] + cos * pad.x[i] + sin * pad.y[i]
-        v = seen[1] - sin * pad.x[i] + cos * pad.y[i]
+        u = centre[0] + cos * pad.x[i] + sin * pad.y[i]
+        v = centre[1] - sin * pad.x[i] + cos * pad.y[i]
         pad.gap[i] = 0.5 * (model.k_x * u * u + model.k_y * v * v)
     if tip.springs[0] != 0.0:
         sum_springs(model, pad, tip)
@@ -116,8 +116,8 @@ def load_passive_fingers(
     limit, step = 0.5 * grip.mu * force, grip.contact.step
     sum_x, sum_y, moment = 0.0, 0.0, 0.0
     for finger in range(2):
-        px = body.hand[0] + (2 * finger - 1) * grip.finger_offset - body.place[0]
-        py = body.hand[1] - body.place[1]
+        px = body.hand[0] + (2 * finger - 1) * grip.finger_offset - body.pose[0]
+        py = body.hand[1] - body.pose[1]
         ux = drive[0] - body.velocity[0] + body.velocity[2] * py
         uy = drive[1] - body.velocity[1] - body.velocity[2] * px
         sx, sy = body.passive[finger, 0], body.passive[finger, 1]
@@ -136,13 +136,13 @@ def load_passive_fingers(
 @compiled
 def support_by_table(grip: GripModel, body: BodyState) -> tuple[float, float]:
     """Return the upward force (N) and the moment (N m) of the table on the body."""
-    turned = body.place[2] if grip.foot > 0.0 else 0.0  # a round body stands on its lowest point
+    turned = body.pose[2] if grip.foot > 0.0 else 0.0  # a round body stands on its lowest point
     cos, sin = math.cos(turned), math.sin(turned)
     upward, moment = 0.0, 0.0
     for corner in range(2):
         foot = (2 * corner - 1) * grip.foot
         rx, ry = cos * foot + sin * grip.below, sin * foot - cos * grip.below
-        depth = grip.table - body.place[1] - ry
+        depth = grip.table - body.pose[1] - ry
         if depth > 0.0:
             sinking = -body.velocity[1] - body.velocity[2] * rx
             push = max(0.0, grip.table_spring * depth + grip.table_damper * sinking)
@@ -161,8 +161,8 @@ def simulate(
         pad: Nodes, with gaps that change in place.
         tip: State of the fingertip, changed in place.
         body: State of the body, changed in place.
-        drive: (steps, 9) as in `contact.simulate`, without external force and spin, then the mallet (N, N, N
-        m).
+        drive: (steps, 9) as in `contact.simulate`, without external force and spin, then the mallet
+            (N, N, N m).
 
     Returns:
         Pressure and tractions x and y on the pad (Pa), (3, n), and the mean sliding speed (m/s).
@@ -172,13 +172,13 @@ def simulate(
         tip.deflection, body.slip_velocity, tip.attitude, tip.friction, body.path,
         tip.yaw, tip.pressure, tip.bristle, tip.pressed, tip.springs,
     )  # fmt: skip
-    model, place, velocity, h = grip.contact, body.place, body.velocity, grip.contact.step
+    model, pose, velocity, h = grip.contact, body.pose, body.velocity, grip.contact.step
     curved = model.k_x != 0.0 or model.k_y != 0.0
     slid = 0.0
     for row in drive:
-        cx = body.hand[0] - tip.deflection[0] - place[0]
-        cy = body.hand[1] - tip.deflection[1] - place[1]
-        cos, sin = math.cos(place[2]), math.sin(place[2])
+        cx = body.hand[0] - tip.deflection[0] - pose[0]
+        cy = body.hand[1] - tip.deflection[1] - pose[1]
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
         across, up = cos * cx + sin * cy, cos * cy - sin * cx
         if row[3] > 0.0 and (abs(up) > grip.reach or abs(across) > grip.half_width):
             body.dropped[0] = 1.0
@@ -205,7 +205,7 @@ def simulate(
         velocity[1] += h / grip.mass * (fy - qy + upward + row[7]) - h * GRAVITY
         velocity[2] += h / grip.inertia * (twist - torque - cx * qy + cy * qx + tilt + row[8])
         for axis in range(3):
-            place[axis] += h * velocity[axis]
+            pose[axis] += h * velocity[axis]
         body.hand[0] += h * row[0]
         body.hand[1] += h * row[1]
         body.table[0] = upward

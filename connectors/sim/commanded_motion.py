@@ -5,9 +5,9 @@ A command replaces the plan from its own time on. With t (s) since then::
     F = F0 + clip(F1 - F0, -r t, r t)             normal force (N), r `Scene.force_rate`
     V = V0 + (V1 - V0) u,  u = clip(t / T, 0, 1)  velocity, T from `Scene.acceleration`, `spin_acceleration`
 
-All sources and fingertips apply a command at one instant: its own time, or the latest instant that is already
-simulated. So the same commands at the same event times give identical output, provided that each arrives
-before its time is simulated: always in virtual time, and on a host that keeps the pace.
+All sources and fingertips apply a command at the same instant: its own time, or the latest simulated instant
+if that is later. So the same commands at the same event times give identical output if each arrives before
+its time is simulated: always in virtual time, and on a host that is fast enough.
 """
 
 import math
@@ -28,7 +28,7 @@ class Trajectory:
     """Position, velocity and normal force of the arm at k instants."""
 
     drive: Reals  # (k, 6) velocity, force and push, as below
-    place: Reals  # (k, 3) m, m, rad of the TCP, relative to its start, seen along the normal
+    pose: Reals  # (k, 3) m, m, rad of the TCP, relative to its start, seen along the normal
 
     @classmethod
     def blank(cls, k: int) -> "Trajectory":
@@ -51,15 +51,15 @@ class Trajectory:
         return self.drive[:, 4:]
 
     def __len__(self) -> int:
-        return len(self.place)
+        return len(self.pose)
 
     def __getitem__(self, rows: slice) -> "Trajectory":
         """Return a view of some instants."""
-        return Trajectory(self.drive[rows], self.place[rows])
+        return Trajectory(self.drive[rows], self.pose[rows])
 
     def without(self, rows: NDArray[np.intp]) -> "Trajectory":
         """Return a copy without some instants."""
-        return Trajectory(np.delete(self.drive, rows, axis=0), np.delete(self.place, rows, axis=0))
+        return Trajectory(np.delete(self.drive, rows, axis=0), np.delete(self.pose, rows, axis=0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class Setpoint:
 
 
 class CommandQueue:
-    """Commands of one run in the order in which they apply, kept until every arm has passed them.
+    """Commands of one run in the order of their times, kept until every arm has passed them.
 
     Attributes:
         setpoints: Pending setpoints.
@@ -89,7 +89,7 @@ class CommandQueue:
         self._origin = self._simulated = origin
 
     def add(self, commands: Commands) -> None:
-        """Add commands; they cannot change what is already simulated."""
+        """Add commands; a time that is already simulated becomes the latest simulated time."""
         rows = zip(commands.time.tolist(), commands.force.tolist(), commands.velocity, strict=True)
         for time, force, (x, y, _, _, _, spin) in rows:
             grip = max(force, 0.0)  # in this order NaN stays NaN
@@ -103,7 +103,7 @@ class CommandQueue:
         del self.setpoints[:done]
 
     def instant(self, setpoint: Setpoint) -> float:
-        """Return when a setpoint applies (s since the run began)."""
+        """Return the instant at which a setpoint applies (s since the run began)."""
         return max(0, setpoint.time - self._origin) / s
 
     def mark_simulated(self, instant: float) -> None:
@@ -112,18 +112,18 @@ class CommandQueue:
 
 
 class CommandFollower:
-    """Replaces the planned trajectory of one arm by the commanded one.
+    """Follower of commands, which replace the planned trajectory of one arm.
 
     Args:
-        commands: Commands; more may be added while the arm moves.
+        commands: Queue of commands, which may grow during the run.
         scene: Scene with the rates at which force and velocity change.
     """
 
     def __init__(self, commands: CommandQueue, scene: Scene) -> None:
         self._commands, self._scene = commands, scene
-        self._applied = 0  # setpoints so far, dropped ones included
+        self._applied = 0  # number of applied setpoints, including dropped ones
         self._grip: tuple[float, float, float] | None = None  # start (s), initial and final force (N)
-        # start (s), position, initial and final velocity
+        # start (s), pose, initial and final velocity
         self._course: tuple[float, Reals, Reals, Reals] | None = None
 
     def trajectory(self, times: Reals, planned: Callable[[Reals], Trajectory]) -> Trajectory:
@@ -138,8 +138,8 @@ class CommandFollower:
         if not setpoints and self._grip is None and self._course is None:
             return planned(times)
         turns = np.array([self._commands.instant(setpoint) for setpoint in setpoints])  # (setpoints,) s
-        places = np.searchsorted(times, turns)
-        times, rows = np.insert(times, places, turns), places + np.arange(len(turns))
+        positions = np.searchsorted(times, turns)
+        times, rows = np.insert(times, positions, turns), positions + np.arange(len(turns))
         path, begin = planned(times), 0
         for setpoint, row in zip(setpoints, rows.tolist(), strict=True):
             if row >= len(path):
@@ -151,34 +151,34 @@ class CommandFollower:
         return path.without(rows[rows < len(path)]) if setpoints else path
 
     def _apply(self, setpoint: Setpoint, now: float, path: Trajectory) -> None:
-        """Change the targets; the trajectory is continuous, so this instant keeps its values."""
+        """Set the targets; the values at this instant remain, because the trajectory is continuous."""
         if not math.isnan(setpoint.force):
             self._grip = now, float(path.force[0]), setpoint.force
         if not any(map(math.isnan, setpoint.velocity)):
             vx, vy, spin = path.velocity[0].tolist()
-            cos, sin = math.cos(path.place[0, 2]), math.sin(path.place[0, 2])
+            cos, sin = math.cos(path.pose[0, 2]), math.sin(path.pose[0, 2])
             velocity = np.array([cos * vx - sin * vy, sin * vx + cos * vy, spin])
-            self._course = now, path.place[0].copy(), velocity, np.array(setpoint.velocity)
+            self._course = now, path.pose[0].copy(), velocity, np.array(setpoint.velocity)
 
     def _replace(self, times: Reals, path: Trajectory) -> None:
-        """Replace commanded quantities at instants (k,)."""
+        """Replace the commanded quantities at instants (k,) (s)."""
         if self._grip is not None:
             since, first, last = self._grip
             change = self._scene.force_rate * (times - since)
             path.force[:] = first + np.clip(last - first, -change, change)
         if self._course is not None:
-            since, place, before, after = self._course
+            since, pose, before, after = self._course
             vx, vy, spin = (after - before).tolist()
             ramp = max(
                 math.hypot(vx, vy) / self._scene.acceleration, abs(spin) / self._scene.spin_acceleration, 1e-9
             )
             t = (times - since)[:, None]  # (k, 1)
             u = np.clip(t / ramp, 0.0, 1.0)
-            velocity = before + (after - before) * u  # (k, 3) in the frame of the place
-            path.place[:] = (
-                place + before * t + (after - before) * (ramp * u * u / 2 + np.maximum(t - ramp, 0.0))
+            velocity = before + (after - before) * u  # (k, 3) in the frame of the pose
+            path.pose[:] = (
+                pose + before * t + (after - before) * (ramp * u * u / 2 + np.maximum(t - ramp, 0.0))
             )
-            cos, sin = np.cos(path.place[:, 2]), np.sin(path.place[:, 2])
+            cos, sin = np.cos(path.pose[:, 2]), np.sin(path.pose[:, 2])
             path.velocity[:, 0] = cos * velocity[:, 0] + sin * velocity[:, 1]
             path.velocity[:, 1] = cos * velocity[:, 1] - sin * velocity[:, 0]
             path.velocity[:, 2] = velocity[:, 2]

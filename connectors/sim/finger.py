@@ -15,7 +15,7 @@ from operators.batch import Counts, Flags, Reals, Touch, Truth, s
 
 
 def contact_model(scene: Scene) -> contact.ContactModel:
-    """Return the constants of the contact of a scene."""
+    """Return the constants of the contact model of a scene."""
     p = scene.parameters
     return contact.ContactModel(
         step=p.step,
@@ -59,8 +59,8 @@ def pad(scene: Scene) -> contact.Pad:
 def vibration_velocity(vibration: Vibration, t: Reals) -> Reals:
     """Return the velocity of a vibration at instants (k,) (s): (k, 2) m/s."""
     pulse, heading = 2 * math.pi * vibration.frequency, math.radians(vibration.direction_deg)
-    move_tip = pulse * vibration.amplitude * np.cos(pulse * t)
-    return np.multiply.outer(move_tip, (math.cos(heading), math.sin(heading)))
+    speed = pulse * vibration.amplitude * np.cos(pulse * t)
+    return np.multiply.outer(speed, (math.cos(heading), math.sin(heading)))
 
 
 class Finger:
@@ -90,16 +90,16 @@ class Finger:
         self._arm = Arm(scene, seed, on_move, commands)
         self._model, self._pad = contact_model(scene), pad(scene)
         self._state = contact.FingerState.rest(p.columns * p.rows)
-        self._ticks = 0
+        self._ticks = 0  # simulated physics steps
         self._sensed = 0.0  # s, instant of the latest sample of `sense`
-        body, timing, noise, warmth = np.random.default_rng([seed, 2, finger]).spawn(4)
-        self.cells = Barometers(p, scene.faults, body, noise, warmth)
+        offsets, timing, noise, temperature_noise = np.random.default_rng([seed, 2, finger]).spawn(4)
+        self.cells = Barometers(p, scene.faults, offsets, noise, temperature_noise)
         self._sampler = Sampler(scene.touch, timing)
 
     def take(self, samples: int) -> tuple[Touch, Truth] | None:
-        """Return the next samples, stamped from the run's start, and the truth of each.
+        """Return the next samples, timestamped from the run's start, and the truth of each.
 
-        Fewer where the plan ends or samples are lost, None after the plan's end.
+        There are fewer if the plan ends or samples are lost; None after the plan's end.
         """
         t = self._sampler.instants(samples)  # (k,) s
         if (reading := self._read(t, 1 / (self._scene.touch.rate * self._p.creep_time))) is None:
@@ -110,9 +110,9 @@ class Finger:
         return (touch, truth) if arrive.all() else (touch[arrive], truth[arrive])
 
     def sense(self, instant: float) -> tuple[Touch, Truth] | None:
-        """Return one sample at a chosen instant (s since the run began), stamped with it, and its truth.
+        """Return the sample at an instant (s since the run began), with that timestamp, and its truth.
 
-        For a fingertip that a host reads on its own schedule. Do not mix it with `take`.
+        Use it for a fingertip that a host reads on its own schedule, never together with `take`.
 
         Args:
             instant: At least `Parameters.step` after the previous one.
@@ -131,7 +131,7 @@ class Finger:
         """Return counts, temperatures, validity and truth at instants (k,) (s); None after the plan.
 
         Args:
-            t: Instants; those after the end of the plan are left out.
+            t: Instants; those after the end of the plan are omitted.
             aged: Time between instants, in creep time constants.
         """
         until = np.rint(t / self._p.step).astype(np.int64) - self._ticks
@@ -163,5 +163,5 @@ class Finger:
 
 
 def compile_physics() -> None:
-    """Compile the physics, or load it from the cache, before a live run starts its clock."""
+    """Compile the physics, or load it from the cache; call it before a live run starts."""
     Finger(Scene(Moves((Move("hold", 1.0),))), 0).take(2)

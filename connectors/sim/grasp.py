@@ -1,4 +1,4 @@
-"""A grasp: one sensorised fingertip and two passive fingers hold an object, lift it, and a mallet taps it.
+"""Simulated grasp: one sensorised fingertip and two passive fingers hold an object that a mallet taps.
 
 The hand begins open around an object that stands on a table. It closes at `closing`; from then on the normal
 force follows the commands at a limited rate. The equations are in `connectors.sim.body`. The passive fingers
@@ -26,10 +26,10 @@ from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 
 PASSIVE_FRICTION: Final = 0.6  # passive fingers on the scene's material; assumed: hard plastic pads
-FINGER_OFFSET: Final = 0.015  # m, from the middle of the hand to each passive finger; assumed: a pinch
+FINGER_OFFSET: Final = 0.015  # m, from the middle of the hand to each passive finger; assumed
 TABLE_STIFFNESS: Final = 1e4  # N/m per corner; assumed: 0.25 mm under a box of 0.5 kg
 TABLE_DAMPING: Final = 0.3  # damping ratio; assumed
-TEXTURE_LIMIT: Final = 0.95  # so that friction never vanishes
+TEXTURE_LIMIT: Final = 0.95  # below 1, so that friction never vanishes
 
 
 def least_force(
@@ -42,7 +42,7 @@ def least_force(
     acceleration: float = 0.0,
     texture: float = 1.0,
 ) -> float:
-    """Return the least normal force (N) that holds an object: m (g + a) / (mu_pad + mu_passive).
+    """Return the minimum normal force (N) that holds an object: m (g + a) / (mu_pad + mu_passive).
 
     Args:
         held: The object.
@@ -51,8 +51,8 @@ def least_force(
         mass: Factor of the mass (default 1).
         passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
         acceleration: Upward acceleration of the hand (m/s2, default 0).
-        texture: Factor of the pad's friction at this point of the object (default 1, as where it is first
-            gripped). Along the path it varies from 1 - c to 1 + c, with c the `texture` of `material`.
+        texture: Factor of the pad's friction at a point of the object (default 1, as at the first contact).
+            Along the path it varies from 1 - c to 1 + c, with c the `texture` of `material`.
 
     >>> from connectors.sim.objects import named
     >>> round(least_force(named("box")), 2)
@@ -78,13 +78,13 @@ def surface(held: Object, parameters: Parameters) -> Scene:
     return Scene(curvature=held.curvature, radius=held.radius, parameters=material(held, parameters))
 
 
-def grip_model(held: Object, scene: Scene, place: tuple[float, float], passive: float) -> GripModel:
+def grip_model(held: Object, scene: Scene, position: tuple[float, float], passive: float) -> GripModel:
     """Return the constants of a grip.
 
     Args:
         held: The object.
         scene: Its `surface`.
-        place: Position of the pad's centre relative to the object's centre (m, m).
+        position: Position of the pad's centre relative to the object's centre (m, m).
         passive: Friction of the passive fingers for an object whose `friction` is 1.
     """
     p, contact = scene.parameters, contact_model(scene)
@@ -101,7 +101,7 @@ def grip_model(held: Object, scene: Scene, place: tuple[float, float], passive: 
         finger_offset=FINGER_OFFSET,
         foot=held.foot,
         below=held.length / 2,
-        table=-place[1] - held.length / 2,
+        table=-position[1] - held.length / 2,
         table_spring=TABLE_STIFFNESS,
         table_damper=TABLE_DAMPING * math.sqrt(2 * TABLE_STIFFNESS * held.mass),
     )
@@ -118,22 +118,22 @@ class GraspState:
     speed: float  # m/s, sliding, mean over the pad since the previous sample
     height: float  # m, of the object above its initial position
     on_table: bool
-    dropped: bool  # the fingers have lost the object, for good
+    dropped: bool  # the fingers have lost the object permanently
     force: float  # N, normal
     hand: float  # m, height of the hand
 
 
 class Grasp:
-    """An object in a hand, which begins open.
+    """A grasp of an object by a hand that is initially open.
 
     Only the cells are random. The first sample in a process takes seconds, because the physics is compiled.
 
     Args:
         held: The object.
-        parameters: Parameters of the fingertip and the material (default: with the noise of real cells).
+        parameters: Parameters of the fingertip and the material (default `Parameters(noise=NOISE)`).
         seed: Random seed of the cells' rest levels and of all noise.
         force: Normal force with which the hand closes (N).
-        closing: Instant of closing (s since the run began, default 1), before which a baseline can be taken.
+        closing: Instant of closing (s since the run began, default 1), after the baseline.
         rate: Rate at which the force changes unless `press` gives another (N/s, default 10).
         taps: Mallet blows on the object.
         lift: Lift of the hand; None if the object stays on the table.
@@ -184,25 +184,25 @@ class Grasp:
         sunk = held.mass * body.GRAVITY / (2 * TABLE_STIFFNESS)
         self._body = body.BodyState.standing(-grip[0], -grip[1] - sunk)
         self._body.table[0] = held.mass * body.GRAVITY
-        self._start = float(self._body.place[1])
+        self._start = float(self._body.pose[1])
         randoms = np.random.default_rng([seed, 2, finger]).spawn(4)  # as for a `Finger`
         self._cells = Barometers(p, faults or Faults(), randoms[0], randoms[2], randoms[3])
         self._creep_time = p.creep_time
         self._ticks = 0
-        self._sensed = 0.0  # s, of the latest sample
+        self._sensed = 0.0  # s, instant of the latest sample
         self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)
         self._ramp = (0.0, 0.0, 0.0, rate)  # start (s), initial and final force (N), rate (N/s)
         self.press(force, closing)
 
     def press(self, force: float, instant: float, rate: float | None = None) -> None:
-        """Command a normal force from an instant on; it cannot change what is already simulated.
+        """Command a normal force from an instant on, or from the end of the simulated time if that is later.
 
-        A later command replaces it, beginning with the force reached by then.
+        A later command replaces it and starts from the force reached by then.
 
         Args:
             force: Normal force (N), at least 0.
             instant: Start (s since the run began).
-            rate: Rate at which the force changes (N/s); None for that of the grasp.
+            rate: Rate at which the force changes (N/s); None for the rate of the grasp.
 
         Raises:
             ParameterError: if the force or the rate is out of range.
@@ -212,10 +212,10 @@ class Grasp:
             raise ParameterError("Grasp.press", "force", force, "finite and at least 0 N")
         check_above("Grasp.press", "rate", rate, 0)
         self._pending.append((max(instant, self._ticks * self._step), force, rate))
-        self._pending.sort(key=lambda ramp: ramp[0])  # stable: of two at one instant, the later call applies
+        self._pending.sort(key=lambda ramp: ramp[0])  # stable: at equal instants the later call applies
 
     def sense(self, instant: float) -> tuple[Touch, GraspState]:
-        """Return one sample at a chosen instant (s since the run began), stamped with it, and the true state.
+        """Return the sample at an instant (s since the run began), with that timestamp, and the true state.
 
         Args:
             instant: At least `Parameters.step` after the previous one.
@@ -247,7 +247,7 @@ class Grasp:
             up,
             turned,
             speed,
-            height=float(self._body.place[1]) - self._start,
+            height=float(self._body.pose[1]) - self._start,
             on_table=bool(self._body.table[0] > 0),
             dropped=bool(self._body.dropped[0]),
             force=force,

@@ -41,7 +41,7 @@ class Lift:
         return self.instant + self._ramp + self.height / (self.acceleration * self._ramp)
 
     def climbed(self, t: Reals) -> Reals:
-        """Return the height of the hand at instants (k,) (s): (k,) m."""
+        """Return the height gained by the hand at instants (k,) (s): (k,) m."""
         rising, ramp = np.clip(t - self.instant, 0.0, self.end - self.instant), self._ramp
         left = self.end - self.instant - rising
         cruise = np.clip(rising - ramp, 0.0, self.end - self.instant - 2 * ramp)

@@ -1,4 +1,4 @@
-"""A simulated grasp as a live source and a sink for commands."""
+"""Live source of a simulated grasp, and sink for its commands."""
 
 import asyncio
 import math
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from connectors.sim.grasp import Grasp, GraspState
 
 PERIOD: Final = s // 100  # ns
-UP: Final = Lift(3.0)  # default lift, after the baseline
+UP: Final = Lift(3.0)  # default lift; leaves time for the baseline
 
 
 class SimulatedGrasp:
-    """An object in an open hand: a source, `touch`, and a sink for commands, `hand`.
+    """A simulated grasp with a source, `touch`, and a sink for commands, `hand`.
 
-    The hand closes when a force is commanded, and moves up at the instant of its lift, whatever it holds.
+    The hand is open until a force is commanded. It moves up at the instant of its lift, even if it is empty.
 
     Args:
         held: The object.
@@ -57,31 +57,31 @@ class SimulatedGrasp:
         self._grasp: Grasp | None = None
 
     def begin(self, origin: int) -> "Grasp":
-        """Begin a run without commands."""
+        """Begin a run at `origin` (ns) and return its grasp, without commands."""
         self._origin, self._grasp = origin, opened(self.held, self.seed, self.lift, self.taps)
         self.states.clear()
         return self._grasp
 
     def command(self, commands: Commands) -> None:
-        """Apply commands from their own times on; before a run they have no effect."""
+        """Apply commands from their own times on; without a run they have no effect."""
         if self._grasp is not None:
             press(self._grasp, commands, self._origin)
 
 
 class GraspTouch(Source[Touch]):
-    """Touch of the fingertip."""
+    """Source of the touch of the fingertip."""
 
     def __init__(self, grasping: SimulatedGrasp) -> None:
         self._grasping = grasping
 
     @property
     def kind(self) -> type[Touch]:
-        """Raw counts."""
+        """Type of the batches: raw counts."""
         return Touch
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """Finger 0."""
+        """Number of the only fingertip, 0."""
         return (0,)
 
     async def prepare(self) -> None:
@@ -97,8 +97,8 @@ class GraspTouch(Source[Touch]):
         grasp = grasping.begin(origin)
         for number in count() if grasping.seconds is None else range(round(grasping.seconds * s / PERIOD)):
             await clock.sleep_until(origin + number * PERIOD)
-            touch, held = grasp.sense(number * PERIOD / s)
-            grasping.states.append(held)
+            touch, state = grasp.sense(number * PERIOD / s)
+            grasping.states.append(state)
             yield replace(touch, time=touch.time + origin)
 
     def describe(self) -> Description:
@@ -113,14 +113,14 @@ class GraspTouch(Source[Touch]):
 
 
 class Hand(Sink[Commands]):
-    """Commands to the hand."""
+    """Sink of commands to the hand."""
 
     def __init__(self, grasping: SimulatedGrasp) -> None:
         self._grasping = grasping
 
     @property
     def destination(self) -> str:
-        """Identity of the hand, so that a flow commands it only once."""
+        """Unique name of the hand, so that a flow can detect a second sink for it."""
         return f"hand around a {self._grasping.held.name} {id(self._grasping):x}"
 
     async def open(self, run: Run) -> None:
@@ -133,7 +133,7 @@ class Hand(Sink[Commands]):
 
 
 def opened(held: Object, seed: int, lift: Lift, taps: Sequence[Tap] = ()) -> "Grasp":
-    """Return a grasp that is open until it is commanded."""
+    """Return a grasp whose hand is open until it is commanded."""
     from connectors.sim.grasp import Grasp  # noqa: PLC0415 - loads numba: only to run
 
     return Grasp(held, seed=seed, force=0.0, closing=0.0, lift=lift, taps=taps)

@@ -3,8 +3,7 @@
 Sources: *geometry* of the device; *paper*, "Under Pressure" (2021); *convergence*, a finer value changes
 nothing; *fit*, all together by CMA-ES, such that the paper's TCN, trained on real recordings, detects slip in
 the simulated signal, and such that level, spread, steps and slip-to-static ratio match the published values.
-Fitted values are
-effective: they describe the whole finger, not a sample of rubber.
+Fitted values are effective: they describe the whole finger, not a sample of rubber.
 """
 
 from dataclasses import dataclass
@@ -55,9 +54,7 @@ class Parameters:
     sensitivity: float = 0.012  # counts/Pa; fit, below the datasheet's 0.016 (1023 counts over 65 kPa)
     creep: float = 0.5  # fraction of the response that creeps; fit
     creep_time: float = 0.8  # s; fit of a prototype
-    noise: float = (
-        0.0  # counts, standard deviation; real unloaded cells have 0.43 to 0.7, without effect on results
-    )
+    noise: float = 0.0  # counts, standard deviation; real cells have 0.43 to 0.7, without effect on results
     rest_lowest: int = 420  # counts of an unloaded cell; paper: cells reach 0 at 420 to 502 counts below rest
     rest_highest: int = 502  # counts
 

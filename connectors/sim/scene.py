@@ -17,7 +17,7 @@ from operators.checks import check_above
 from operators.errors import ParameterError
 
 Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
-RADIUS: Final = 0.06  # m, of curved surfaces unless a scene says otherwise
+RADIUS: Final = 0.06  # m, default for curved surfaces
 NOISE: Final = 0.6  # counts, standard deviation; unloaded cells of real fingertips have 0.43 to 0.7
 
 MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"]
@@ -75,14 +75,14 @@ class Moves:
 
 @dataclass(frozen=True, slots=True)
 class Strokes:
-    """Strokes in eight shuffled directions, without end.
+    """Endless strokes in eight shuffled directions.
 
-    Each round has its own speed and normal force and ends where it began. The fingertip starts in the air, so
-    that a baseline can be taken.
+    Each round has its own speed and normal force and ends where it began. The fingertip starts in the air,
+    for the baseline.
     """
 
     air: float = 1.2  # s before the first contact
-    force: float = 2.0  # N, median of the grip
+    force: float = 2.0  # N, median normal force
     force_spread: float = 0.6  # standard deviation of its logarithm; paper: 0.5 to 8 N
     speeds: tuple[float, ...] = (0.05, 0.075, 0.1)  # m/s
     stroke: tuple[float, float] = (0.5, 0.7)  # s, shortest and longest
@@ -102,9 +102,9 @@ class Strokes:
 
 @dataclass(frozen=True, slots=True)
 class Commanded:
-    """Standstill without end, until the arm is commanded."""
+    """Endless standstill, until the arm is commanded."""
 
-    force: float = 0.0  # N, until commanded; reached within 0.3 s
+    force: float = 0.0  # N, normal force until commanded; reached within 0.3 s
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
         """Yield holds of one minute."""
@@ -114,17 +114,17 @@ class Commanded:
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """Sampling and time stamps of a stream.
+    """Sampling and timestamps of a stream.
 
-    A sample taken at t (s) is stamped ``t + latency + jitter + offset + drift * t``.
+    A sample taken at t (s) has the timestamp ``t + latency + jitter + offset + drift * t``.
 
     Raises:
         ParameterError: if the rate is not above 0, or the dropped fraction is not from 0 to below 1.
     """
 
     rate: float  # Hz
-    latency: float = 0.0  # s, from the sample to its stamp
-    jitter: float = 0.0  # s, standard deviation of the stamps, whose order is kept
+    latency: float = 0.0  # s, from the sample to its timestamp
+    jitter: float = 0.0  # s, standard deviation of the timestamps; their order is kept
     offset: float = 0.0  # s, clock offset
     drift: float = 0.0  # s/s, clock rate error
     dropped: float = 0.0  # fraction of samples that are lost
@@ -139,7 +139,7 @@ class Timing:
 class Faults:
     """Faults of the barometers, by cell."""
 
-    dead: tuple[int, ...] = ()  # cells that do not answer
+    dead: tuple[int, ...] = ()  # cells that do not respond
     stuck: tuple[int, ...] = ()  # cells that repeat their first reading
     floored: tuple[int, ...] = ()  # cells that read 0
     gain: tuple[float, ...] = ()  # (6,) factors of the response
@@ -217,7 +217,7 @@ _BEGINNING: Final = int(np.iinfo(np.int64).min)
 
 
 class Sampler:
-    """Sampling instants and stamps of one stream."""
+    """Generator of the sampling instants and timestamps of one stream."""
 
     def __init__(self, timing: Timing, random: np.random.Generator) -> None:
         self.timing = timing
@@ -230,7 +230,7 @@ class Sampler:
         return np.arange(self._taken, self._taken + samples) / self.timing.rate
 
     def stamp(self, samples: int) -> tuple[Times, Flags]:
-        """Take the next samples; return their stamps (k,) (ns since the run began) and which arrive (k,)."""
+        """Take the next samples; return timestamps (k,) (ns since the run began) and which arrive (k,)."""
         t, timing = self.instants(samples), self.timing
         self._taken += samples
         stamps = t + timing.latency + timing.offset + timing.drift * t

@@ -1,4 +1,4 @@
-"""Simulated rig: fingertips and an arm as live sources, arm and gripper commands as a sink."""
+"""Simulated rig: live sources of fingertips and an arm, and a sink of arm and gripper commands."""
 
 import asyncio
 from collections.abc import AsyncIterator, Iterator
@@ -19,13 +19,13 @@ UNPACED_BATCH: Final = 5.0  # s of samples per batch of an unpaced run; joins bu
 
 
 class SimulatedRig:
-    """A scene as sources that share one time, and a sink, `hand`, for commands.
+    """A simulated scene with synchronous sources, and a sink for commands, `hand`.
 
-    `touch` and `motion` are what the hardware gives, `episodes` the moves of the arm, each at its start, and
-    `truth` what really happens at each touch sample. The last two need `touch` in the same flow.
+    `touch` and `motion` are the streams of the hardware, `episodes` the moves of the arm at their starts, and
+    `truth` the ground truth at each touch sample. The last two need `touch` in the same flow.
 
-    A run begins when the first source is asked for its batches, and again when one is asked a second time;
-    the same seed then gives the same bytes, stamped from the new beginning.
+    A run begins with the first iteration over a source; a second iteration over the same source begins a new
+    run. With the same seed, runs are identical except for the start of their timestamps.
 
     Args:
         scene: Scene to simulate (default `Scene()`: presses and strokes without end).
@@ -51,7 +51,7 @@ class SimulatedRig:
         fingers: tuple[int, ...] = (0,),
     ) -> None:
         if pace is not None and not pace > 0:
-            raise ParameterError("SimulatedRig", "pace", pace, "above 0, or None for as fast as it goes")
+            raise ParameterError("SimulatedRig", "pace", pace, "above 0, or None for as fast as possible")
         if not fingers:
             raise ParameterError("SimulatedRig", "fingers", fingers, "at least one fingertip")
         self.scene = scene if scene is not None else Scene()
@@ -64,11 +64,11 @@ class SimulatedRig:
         self.truth = GroundTruth(self, Truth, fingers)
         self._origin = 0  # ns
         self._running: set[Source[Any]] = set()
-        self._batches: dict[Source[Any], float] = {}  # batches from each source, if not paced
+        self._batches: dict[Source[Any], float] = {}  # number of batches of each source, if not paced
         self._advanced = asyncio.Event()
 
     def describe(self) -> Description:
-        """Return what a recording says of the rig."""
+        """Return the description of the rig for recordings."""
         return {
             "rig": "simulated",
             "seed": self.seed,
@@ -77,7 +77,7 @@ class SimulatedRig:
         }
 
     def begin(self, source: Source[Any], clock: Clock) -> int:
-        """Add a source to the current run, or to a new one if it is in it already; return the origin (ns)."""
+        """Add a source to the current run, or to a new run if already added; return the origin (ns)."""
         if not self._running or source in self._running:
             self._running, self._batches, self._advanced = set(), {}, asyncio.Event()
             self._origin = clock.now()
@@ -88,7 +88,7 @@ class SimulatedRig:
         return self._origin
 
     def schedule(self, timing: Timing) -> Iterator[tuple[int, int]]:
-        """Yield when the next samples of a stream are due (ns), and their number."""
+        """Yield the time at which samples of a stream are due (ns), and their number."""
         if self.pace is None:
             while True:
                 yield self._origin, max(1, round(UNPACED_BATCH * timing.rate))
@@ -96,18 +96,18 @@ class SimulatedRig:
             yield self._origin + round((taken / timing.rate + timing.latency) / self.pace * s), 1
 
     async def wait_for_others(self, source: Source[Any]) -> None:
-        """Keep touch and motion of an unpaced run together, with the motion ahead."""
-        given = self._batches[source] = self._batches.get(source, -1) + 1
+        """Synchronise touch and motion of an unpaced run, with the motion ahead."""
+        batches = self._batches[source] = self._batches.get(source, -1) + 1
         self._advanced.set()
         await asyncio.sleep(0)  # the other source may not have begun yet
-        least = given + (source is self.touch)
+        least = batches + (source is self.touch)
         others = self._running & {self.touch, self.motion} - {source}
         while any(self._batches.get(other, 0) < least for other in others):
             self._advanced.clear()
             await self._advanced.wait()
 
     def end(self, source: Source[Any]) -> None:
-        """End the waiting for this source; after the touch, annotations end too."""
+        """Mark a source as ended, so that no other waits for it; end the annotations with the touch."""
         self._batches[source] = inf
         self._advanced.set()
         if source is self.touch:
@@ -115,31 +115,31 @@ class SimulatedRig:
             self.truth.end()
 
     def add_truth(self, truth: Truth) -> None:
-        """Give what really happened to a fingertip, stamped from the run's start."""
+        """Publish the ground truth of a fingertip, timestamped from the run's start."""
         if self.truth in self._running and len(truth):
             self.truth.add(replace(truth, time=truth.time + self._origin))
 
     def add_move(self, move: Move, start: float) -> None:
-        """Give a move that begins `start` seconds after the run as an episode."""
+        """Publish a move that begins at `start` (s since the run began) as an episode."""
         if self.episodes in self._running:
             begin, end = (self._origin + round(at * s) for at in (start, start + move.seconds))
             self.episodes.add(episode(move, begin, end, self.scene))
 
 
 class SimulatedTouch(Source[Touch]):
-    """The simulated fingertips; made by `SimulatedRig`."""
+    """Source of the simulated fingertips, created by `SimulatedRig`."""
 
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
     @property
     def kind(self) -> type[Touch]:
-        """Raw counts."""
+        """Type of the batches: raw counts."""
         return Touch
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The rig's fingertips."""
+        """Fingertips of the rig."""
         return self._rig.fingers
 
     async def prepare(self) -> None:
@@ -152,13 +152,13 @@ class SimulatedTouch(Source[Touch]):
         """Yield samples of each fingertip in turn, one at a time when paced."""
         rig = self._rig
         origin = rig.begin(self, clock)
-        await asyncio.sleep(0)  # the annotations begin too, before the first move does
+        await asyncio.sleep(0)  # lets the annotations begin before the first move
         from connectors.sim.finger import Finger  # noqa: PLC0415 - loads numba: only to run
 
-        moves = [rig.add_move, *[None] * len(rig.fingers)]
+        callbacks = [rig.add_move, *[None] * len(rig.fingers)]
         fingers = [
-            Finger(rig.scene, rig.seed, finger, begun, rig.commands)
-            for finger, begun in zip(rig.fingers, moves, strict=False)
+            Finger(rig.scene, rig.seed, finger, on_move, rig.commands)
+            for finger, on_move in zip(rig.fingers, callbacks, strict=False)
         ]
         try:
             for due, samples in rig.schedule(rig.scene.touch):
@@ -180,14 +180,14 @@ class SimulatedTouch(Source[Touch]):
 
 
 class SimulatedMotion(Source[Motion]):
-    """The simulated arm; made by `SimulatedRig`."""
+    """Source of the simulated arm's motion, created by `SimulatedRig`."""
 
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
     @property
     def kind(self) -> type[Motion]:
-        """Motion that the arm's controller reports."""
+        """Type of the batches: motion reported by the arm's controller."""
         return Motion
 
     async def prepare(self) -> None:
@@ -218,7 +218,7 @@ class SimulatedMotion(Source[Motion]):
 
 
 class GroundTruth(Source[AnyBatch], Generic[AnyBatch]):
-    """Ground truth of the simulated rig, as its touch source simulates it; made by `SimulatedRig`."""
+    """Source of ground truth that the touch source simulates, created by `SimulatedRig`."""
 
     def __init__(self, rig: SimulatedRig, kind: type[AnyBatch], fingers: tuple[int, ...]) -> None:
         self._rig, self._kind, self._fingers = rig, kind, fingers
@@ -226,27 +226,27 @@ class GroundTruth(Source[AnyBatch], Generic[AnyBatch]):
 
     @property
     def kind(self) -> type[AnyBatch]:
-        """Episodes or Truth."""
+        """Type of the batches: Episodes or Truth."""
         return self._kind
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """The rig's fingertips, or EVERY for episodes."""
+        """Fingertips of the rig, or EVERY for episodes."""
         return self._fingers
 
     async def batches(self, clock: Clock) -> AsyncIterator[AnyBatch]:
-        """Give rows until the touch source ends."""
+        """Yield batches until the touch source ends."""
         self._rig.begin(self, clock)
         rows = self._rows
         while (batch := await rows.get()) is not None:
             yield batch
 
     def restart(self) -> None:
-        """Drop what an earlier run left."""
+        """Drop the batches of an earlier run."""
         self._rows = asyncio.Queue[AnyBatch | None]()
 
     def add(self, batch: AnyBatch) -> None:
-        """Give a batch."""
+        """Queue a batch."""
         self._rows.put_nowait(batch)
 
     def end(self) -> None:
@@ -255,7 +255,7 @@ class GroundTruth(Source[AnyBatch], Generic[AnyBatch]):
 
 
 def episode(move: Move, start: int, end: int, scene: Scene) -> Episodes:
-    """Return a move as a row; `start` and `end` in ns."""
+    """Return a move as a row of episodes; `start` and `end` are in ns."""
     speed, angular_speed = (0.0, move.speed) if move.motion == "rotation" else (move.speed, 0.0)
     force = nan if move.force is None else move.force
     return Episodes(
@@ -268,21 +268,21 @@ def episode(move: Move, start: int, end: int, scene: Scene) -> Episodes:
 
 
 class SimulatedHand(Sink[Commands]):
-    """Commands to the simulated gripper and arm; see `connectors.sim.commanded_motion`."""
+    """Sink of commands to the simulated gripper and arm; see `connectors.sim.commanded_motion`."""
 
     def __init__(self, rig: SimulatedRig) -> None:
         self._rig = rig
 
     @property
     def destination(self) -> str:
-        """Identity of the rig, so that a flow commands it only once."""
+        """Unique name of the rig, so that a flow can detect a second sink for it."""
         return f"hand of the rig {id(self._rig):x}"
 
     async def open(self, run: Run) -> None:
         """Discard the commands of an earlier run.
 
         Raises:
-            ParameterError: if the rig is not paced, so that commands would come too late.
+            ParameterError: if the rig is not paced, because commands would arrive too late.
         """
         del run
         if self._rig.pace is None:
@@ -295,7 +295,7 @@ class SimulatedHand(Sink[Commands]):
 
 
 def _json(value: object) -> Json:
-    """Return declared parameters as plain data."""
+    """Return parameters as JSON data."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: _json(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple):

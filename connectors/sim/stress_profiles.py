@@ -1,4 +1,4 @@
-"""Stress fields: quantities of a scene that can be made harder, one at a time.
+"""Stress fields: quantities that make a scene harder, applied one at a time.
 
 >>> harder = stressed(Scene(), "noise", 14.0)
 >>> harder.parameters.noise, stressed(Scene(), "noise", 0.0) == Scene()
@@ -49,7 +49,7 @@ class Scaled:
 
 
 def stressed(scene: Scene, field: str, value: float) -> Scene:
-    """Return a scene with one of `FIELDS` at a value, in addition to the scene's own.
+    """Return a scene with the stress of one of `FIELDS` added to its own values.
 
     Raises:
         ParameterError: if the field is unknown, or the value is out of range.

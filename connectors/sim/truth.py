@@ -6,12 +6,12 @@ import numpy as np
 
 from operators.batch import Truth, ms
 
-SLIDING: Final = 0.003  # m/s; slower is rest, as in the paper's label
-STICK: Final = 150 * ms  # stick-slip has pauses of 50 to 100 ms
+SLIDING: Final = 0.003  # m/s; a lower speed counts as rest, as in the paper's labels
+STICK: Final = 150 * ms  # ns; stick-slip has pauses of 50 to 100 ms
 
 
 def true_slips(truth: Truth) -> list[tuple[int, int]]:
-    """Return onset and end (ns) of every slip; a stick shorter than `STICK` is part of a slip."""
+    """Return onset and end (ns) of every slip; a stick phase up to `STICK` is part of a slip."""
     at = truth.time[truth.sliding > SLIDING]  # (k,)
     if not len(at):
         return []

@@ -29,7 +29,7 @@ def at(body: BodyState, arm: Reals) -> Reals:
 
 def place_surface(model: ContactModel, pad: Pad, tip: FingerState, body: BodyState, seen: Reals) -> None:
     """Put the body's surface under the pad, whose middle is at `seen` (2,) (m) from the body."""
-    nodes = seen[:, None] + rotation(-body.place[2] - tip.deflection[2]) @ np.stack([pad.x, pad.y])  # (2, n)
+    nodes = seen[:, None] + rotation(-body.pose[2] - tip.deflection[2]) @ np.stack([pad.x, pad.y])  # (2, n)
     pad.gap[:] = np.array([model.k_x, model.k_y]) / 2 @ nodes**2
 
 
@@ -37,7 +37,7 @@ def load_passive_fingers(grip: GripModel, body: BodyState, hand: Reals, force: f
     """Move the springs of the passive fingers by one step; their force and moment (3,) on the body."""
     total, step = np.zeros(3), grip.contact.step
     for finger, side in enumerate((-1.0, 1.0)):
-        arm = body.hand + np.array([side * grip.finger_offset, 0.0]) - body.place[:2]
+        arm = body.hand + np.array([side * grip.finger_offset, 0.0]) - body.pose[:2]
         velocity = hand - at(body, arm)
         before = body.passive[finger].copy()
         pull = grip.spring * (before + step * velocity) + grip.damper * velocity
@@ -53,9 +53,9 @@ def support_by_table(grip: GripModel, body: BodyState) -> Reals:
     """Force and moment (3,) of the table on the body."""
     total = np.zeros(3)
     for side in (-1.0, 1.0):
-        turned = body.place[2] if grip.foot else 0.0
+        turned = body.pose[2] if grip.foot else 0.0
         arm = rotation(turned) @ np.array([side * grip.foot, -grip.below])
-        depth = grip.table - (body.place[1] + arm[1])
+        depth = grip.table - (body.pose[1] + arm[1])
         if depth > 0.0:
             push = grip.table_spring * depth - grip.table_damper * at(body, arm)[1]
             upward = np.array([0.0, max(0.0, push)])
@@ -71,8 +71,8 @@ def simulate(
     skin = tip._replace(velocity=body.slip_velocity, path=body.path)
     inertia = np.array([grip.mass, grip.mass, grip.inertia])
     for row in drive:
-        c = body.hand - tip.deflection[:2] - body.place[:2]
-        seen = rotation(-body.place[2]) @ c
+        c = body.hand - tip.deflection[:2] - body.pose[:2]
+        seen = rotation(-body.pose[2]) @ c
         off = abs(seen[1]) > grip.reach or abs(seen[0]) > grip.half_width
         if row[3] > 0.0 and off:
             body.dropped[0] = 1.0
@@ -93,7 +93,7 @@ def simulate(
         contact_numpy.move_tip(model, tip, row, friction)
         tip.friction[:] = friction[:2]
         body.velocity[:] += model.step * forces / inertia
-        body.place[:] += model.step * body.velocity
+        body.pose[:] += model.step * body.velocity
         body.hand[:] += model.step * row[:2]
         body.table[0] = table[1]
     return np.stack([tip.pressure, *(-model.k_t * tip.bristle)]), float(np.mean(slid)) if slid else 0.0

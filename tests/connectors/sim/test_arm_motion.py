@@ -51,7 +51,7 @@ def test_asking_piecewise_changes_nothing(times: list[float], cut: int) -> None:
     whole = Arm(Scene(PLAN), 0).at(instants)
     arm = Arm(Scene(PLAN), 0)
     first, second = arm.at(instants[:cut]), arm.at(instants[cut:])
-    for name in ("velocity", "place", "force", "push"):
+    for name in ("velocity", "pose", "force", "push"):
         parts: Reals = np.concatenate([getattr(first, name), getattr(second, name)])
         np.testing.assert_array_equal(parts, getattr(whole, name))
 
@@ -71,7 +71,7 @@ def test_a_tap_pushes_once_along_its_direction() -> None:
 
 def test_the_endless_strokes_end_every_round_where_they_began() -> None:
     path = Arm(Scene(Strokes()), 3).at(np.arange(0, 200, 0.01))
-    assert np.abs(path.place[:, :2]).max() < 0.2
+    assert np.abs(path.pose[:, :2]).max() < 0.2
     speeds: Reals = np.hypot(path.velocity[:, 0], path.velocity[:, 1]).round(6)
     assert set(speeds.tolist()) >= {0.0, 0.05, 0.075, 0.1}
     assert not path.force[:120].any()

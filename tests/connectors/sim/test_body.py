@@ -70,13 +70,13 @@ def energy(held: Held) -> float:
     bristles = model.k_t * model.area * (tip.bristle**2).sum()
     corners = [
         grip.table
-        - state.place[1]
-        + np.cos(state.place[2]) * grip.below
-        - np.sin(state.place[2]) * side * grip.foot
+        - state.pose[1]
+        + np.cos(state.pose[2]) * grip.below
+        - np.sin(state.pose[2]) * side * grip.foot
         for side in (-1, 1)
     ]
     table = grip.table_spring * sum(max(0.0, float(depth)) ** 2 for depth in corners)
-    return float(moving + strained + bristles + table) / 2 + grip.mass * GRAVITY * float(state.place[1])
+    return float(moving + strained + bristles + table) / 2 + grip.mass * GRAVITY * float(state.pose[1])
 
 
 def both(
@@ -92,7 +92,7 @@ def both(
             state = held.body
             rows.append(
                 np.concatenate([
-                    tractions.ravel() / 1e4, state.place, state.velocity, state.passive.ravel() * 1e2,
+                    tractions.ravel() / 1e4, state.pose, state.velocity, state.passive.ravel() * 1e2,
                     state.slide, state.table, held.pad.gap, [slid],
                 ])
             )  # fmt: skip
@@ -133,14 +133,14 @@ def test_a_body_that_is_turned_turns_its_surface_as_an_arm_that_turns_does() -> 
     arm = np.zeros((100, 6))
     arm[:, 2] = -0.3 / (100 * EVEN.step)
     contact.simulate(held.grip.contact, other, FingerState.rest(48), arm, np.array([100]))
-    held.body.place[:] = 0.0, 0.0, 0.3
+    held.body.pose[:] = 0.0, 0.0, 0.3
     held.go(held.drive(EVEN.step))
     np.testing.assert_allclose(held.pad.gap, other.gap, atol=1e-12)
 
 
 def test_the_top_of_a_ball_wanders_over_the_pad() -> None:
     held = Held(BALL, EVEN)
-    held.body.place[:] = 0.002, -0.003, 0.4
+    held.body.pose[:] = 0.002, -0.003, 0.4
     held.go(held.drive(EVEN.step))
     nodes = (held.pad.x - 0.002) ** 2 + (held.pad.y + 0.003) ** 2
     np.testing.assert_allclose(held.pad.gap, nodes / (2 * BALL.radius), atol=1e-12)
@@ -149,28 +149,28 @@ def test_the_top_of_a_ball_wanders_over_the_pad() -> None:
 @pytest.mark.parametrize("name", OBJECTS)
 def test_the_table_carries_what_stands_on_it(name: str) -> None:
     held = Held(OBJECTS[name])
-    before = held.body.place.copy()
+    before = held.body.pose.copy()
     held.go(held.drive(1.0))
     assert held.body.table[0] == pytest.approx(held.thing.mass * GRAVITY)
-    np.testing.assert_allclose(held.body.place, before, atol=1e-9)
+    np.testing.assert_allclose(held.body.pose, before, atol=1e-9)
 
 
 def test_what_no_finger_holds_falls_freely() -> None:
     held = Held(BALL)
-    held.body.place[1] += 0.5
+    held.body.pose[1] += 0.5
     held.go(held.drive(0.2))
     assert held.body.velocity[1] == pytest.approx(-GRAVITY * 0.2)
-    assert held.body.place[1] == pytest.approx(0.5 - GRAVITY * 0.02, abs=0.002)
+    assert held.body.pose[1] == pytest.approx(0.5 - GRAVITY * 0.02, abs=0.002)
     held.go(held.drive(2.0))
-    assert abs(held.body.place[1]) < 1e-3
+    assert abs(held.body.pose[1]) < 1e-3
     assert held.body.table[0] == pytest.approx(BALL.mass * GRAVITY, rel=1e-3)
 
 
 def test_a_box_that_is_tipped_a_little_stands_again() -> None:
     held = Held(BOX)
-    held.body.place[2] = 0.05
+    held.body.pose[2] = 0.05
     held.go(held.drive(3.0))
-    assert abs(held.body.place[2]) < 1e-3
+    assert abs(held.body.pose[2]) < 1e-3
     assert held.body.table[0] == pytest.approx(BOX.mass * GRAVITY, rel=1e-2)
 
 
@@ -179,11 +179,11 @@ def test_a_grip_above_the_least_force_holds_and_one_below_lets_fall(name: str) -
     held = Held(OBJECTS[name], EVEN)
     least = held.thing.mass * GRAVITY / held.friction
     held.lifted(2 * least)
-    place, slide = held.body.place[1], held.body.slide[1]
+    place, slide = held.body.pose[1], held.body.slide[1]
     for force in np.linspace(2 * least, 1.03 * least, 200):
         held.go(held.drive(0.005, float(force)))
     held.go(held.drive(2.0, 1.03 * least))
-    assert held.body.place[1] == pytest.approx(place, abs=2e-3)  # the springs give, no more
+    assert held.body.pose[1] == pytest.approx(place, abs=2e-3)  # the springs give, no more
     assert abs(held.body.slide[1] - slide) < 1e-3
     assert abs(held.body.velocity[1]) < 1e-4
     held.go(held.drive(0.06, 0.9 * least))
@@ -207,14 +207,14 @@ def test_a_tap_moves_it_as_far_as_friction_takes_to_use_its_energy_up(name: str,
     m, force = held.thing.mass, factor * held.thing.mass * GRAVITY / held.friction
     held.lifted(force)
     speed = np.sqrt(2 * 0.004 * (factor - 1) * GRAVITY)  # for 4 mm
-    before = held.body.place[1]
+    before = held.body.pose[1]
     blow = held.drive(0.001, force)
     blow[:, 7] = -m * speed / 0.001
     held.go(blow)
     held.go(held.drive(0.5, force))
     friction = held.friction * force
     expected = (m * speed) ** 2 / (2 * m * (friction - m * GRAVITY))
-    assert before - held.body.place[1] == pytest.approx(expected, rel=0.05)
+    assert before - held.body.pose[1] == pytest.approx(expected, rel=0.05)
     assert -held.body.slide[1] == pytest.approx(expected, rel=0.05)
 
 
@@ -236,7 +236,7 @@ def test_energy_never_grows(where: str) -> None:
         held.lifted(force)
         held.body.velocity[:] += 0.3, -0.2, 3.0
     else:
-        held.body.place[1] += 0.01
+        held.body.pose[1] += 0.01
     energies: list[float] = []
     for _ in range(1500):
         held.go(held.drive(held.step, force))
@@ -255,7 +255,7 @@ def test_a_finer_step_converges_in_first_order() -> None:
         held = Held(BOX, replace(GLUE, step=step, lever=0.0), passive=1e4)
         held.go(held.drive(0.02, 5.0))
         held.go(held.drive(0.04, 5.0, climb=0.05))
-        return float(held.body.place[1])
+        return float(held.body.pose[1])
 
     exact = bounce(1e-3 / 256)
     errors = [abs(bounce(1e-3 / n) - exact) for n in (4, 8, 16)]
@@ -274,7 +274,7 @@ def test_half_a_millisecond_gives_what_a_millisecond_gives(name: str) -> None:
         rows: list[Reals] = []
         for _ in range(40):
             held.go(held.drive(0.01, force, climb=0.05))
-            rows.append(held.body.place.copy())
+            rows.append(held.body.pose.copy())
         return np.array(rows)
 
     np.testing.assert_allclose(places(1e-3), places(5e-4), atol=2e-5)
@@ -301,4 +301,4 @@ def test_what_slips_out_is_dropped_for_good() -> None:
     assert held.body.dropped[0]
     assert not tractions.any()
     assert slid == 0.0
-    assert abs(held.body.place[1]) < 1e-3
+    assert abs(held.body.pose[1]) < 1e-3

@@ -197,7 +197,7 @@ def test_asking_piecewise_changes_nothing(ticks: list[int], cut: int) -> None:
         queue.add(told)
         arm = Arm(Scene(DRAG), 0, commands=queue)
         paths = [arm.at(part) for part in parts]
-        found.append(np.hstack([np.concatenate([getattr(p, n) for p in paths]) for n in ("drive", "place")]))
+        found.append(np.hstack([np.concatenate([getattr(p, n) for p in paths]) for n in ("drive", "pose")]))
     np.testing.assert_array_equal(found[0], found[1])
 
 
