@@ -102,7 +102,8 @@ def test_codes_are_stored_by_name_and_come_back_whatever_codes_the_file_uses() -
 def test_a_name_without_a_code_is_refused() -> None:
     rows: Any = to_arrow(EPISODES, [new_episodes((0, 1, "hold"))])
     field = rows.schema.field("motion")
-    rows = rows.set_column(2, field, pa.array(["dance"]).dictionary_encode().cast(field.type))
+    names: Any = pa.array(["dance"])
+    rows = rows.set_column(2, field, names.dictionary_encode().cast(field.type))
     with pytest.raises(BatchError, match=r"Episodes\.motion: holds 'dance', must be one of translation"):
         from_arrow(EPISODES, Episodes, rows)
 
