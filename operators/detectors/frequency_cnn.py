@@ -39,8 +39,7 @@ class FrequencyCnn:
             training. `shapes` lists them.
 
     Raises:
-        InputError: if an array is missing, has a wrong shape or is not finite, or if a ``std`` is not above
-        0.
+        InputError: if an array is missing, has a wrong shape or is not finite, or a ``std`` is not above 0.
 
     References:
         "Under Pressure" (2021), frequency CNN.
