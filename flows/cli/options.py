@@ -26,7 +26,7 @@ Target = Annotated[
     typer.Argument(
         metavar="FILE[:FLOW]",
         help="Python file that declares a flow (it is executed), or a shipped flow: live, record, relabel,"
-        " lift.",
+        " lift, demo.",
     ),
 ]
 Settings = Annotated[
