@@ -134,8 +134,10 @@ def write(root: Path, run: Run, batches: Sequence[Batch]) -> SessionWriter:
     for batch in batches:
         if writer.full(batch):
             writer.commit()
-        if not writer.add(batch):
+        if run.live:  # in the journal at once, so that its content does not depend on the journal's thread
             writer.append(batch)
+        else:
+            writer.add(batch)
     return writer
 
 
