@@ -6,9 +6,10 @@ import os
 from collections.abc import Callable, Generator, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from errno import EIO
+from errno import EIO, ELOOP, ENXIO
 from pathlib import Path
 from shutil import rmtree
+from stat import S_ISREG
 from typing import Any, BinaryIO, Final, NoReturn, TypeAlias, cast
 
 from operators.errors import EndpointError, InputError, os_error_reason
@@ -22,6 +23,66 @@ CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
 Put: TypeAlias = Callable[[Path, bytes], None]  # writes a whole file
 _KINDS: Final = {".parquet": "part", ".wal": "segment"}  # in the names of steps; default: the file's name
 _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches them
+
+
+def open_file(path: Path, *, write: bool = False) -> int:
+    """Open a regular file, not through a link, and return its descriptor.
+
+    Raises:
+        InputError: if it is a link, or not a file.
+        OSError: if it cannot be opened.
+    """
+    flags = (os.O_RDWR if write else os.O_RDONLY) | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
+        descriptor = os.open(path, flags)
+    except OSError as error:
+        if error.errno == ELOOP:
+            raise InputError(str(path), "is a link: replace it by the file") from error
+        raise
+    if not S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise InputError(str(path), "is not a regular file")
+    return descriptor
+
+
+def close(descriptor: int) -> None:
+    """Close a file."""
+    os.close(descriptor)
+
+
+def size_of(descriptor: int) -> int:
+    """Return the size of a file in bytes."""
+    return os.fstat(descriptor).st_size
+
+
+def read_at(descriptor: int, size: int, offset: int) -> bytes:
+    """Return `size` bytes at `offset`, fewer at the end of the file."""
+    return os.pread(descriptor, size, offset)
+
+
+def next_data(descriptor: int, offset: int) -> int:
+    """Return the first offset from `offset` on that is not in a hole of a sparse file, or its size."""
+    try:
+        return os.lseek(descriptor, offset, os.SEEK_DATA)
+    except OSError as error:
+        if error.errno == ENXIO:
+            return size_of(descriptor)
+        raise
+
+
+def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> int:
+    """Write bytes at `offset` and return how many were written."""
+    return os.pwrite(descriptor, data, offset)
+
+
+def truncate(descriptor: int, size: int) -> None:
+    """Cut a file to `size` bytes."""
+    os.ftruncate(descriptor, size)
+
+
+def fsync(descriptor: int) -> None:
+    """Make the content of an open file durable."""
+    os.fsync(descriptor)
 
 
 def put(path: Path, data: bytes) -> None:
@@ -55,7 +116,7 @@ def replace(path: Path, data: bytes, *, durable: bool) -> None:
             if durable:
                 file.flush()
                 steps.reach(f"sync {what}")
-                os.fsync(file.fileno())
+                fsync(file.fileno())
         steps.reach(f"rename {what}")
         scratch.replace(path)
     except OSError:
@@ -162,7 +223,7 @@ def sync(path: Path) -> None:
     """Make the content of a file, or the names in a folder, durable."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        fsync(descriptor)
     finally:
         os.close(descriptor)
 
@@ -252,7 +313,7 @@ def partial_file(path: Path) -> Generator[BinaryIO]:
             with file:
                 yield file
                 file.flush()
-                os.fsync(file.fileno())
+                fsync(file.fileno())
             scratch.rename(path)
             sync(path.parent)
         except BaseException:

@@ -1,0 +1,312 @@
+"""Append-only log: a file of records, each of which is in it completely or not at all.
+
+.. code-block:: text
+
+    log       header, then a frame per record
+    header    "SLIPLOG" and version (8 bytes), nonce (16), length of the identity (4), identity, CRC-32 (4)
+    frame     "SLIP", length of the record (4), record, CRC-32 (4)
+
+The CRC-32 is zlib's and covers the rest of the header or frame. That of a frame also covers, before it: the
+CRC of the header, and so the random nonce; the frame's offset in the file (8 bytes); the CRC before it (4).
+Bytes of an older log, of a failed append or of a repeated block are never read as records. All numbers
+are little-endian and unsigned.
+
+The caller decides when to `sync`. A log has no threads; `sync` may run in another thread than `append`.
+"""
+
+import os
+import zlib
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from errno import EIO
+from pathlib import Path
+from struct import Struct
+from typing import Final, NamedTuple, Self
+
+from operators.errors import InputError
+from storage import files
+
+VERSION: Final = 1
+LIMIT: Final = 64 * files.MiB  # bytes of a record and of an identity
+
+_MAGIC: Final = b"SLIPLOG"
+_HEAD: Final = Struct("<8s16sI")
+_FRAME_MAGIC: Final = b"SLIP"
+_PREFIX: Final = Struct("<4sI")
+_POSITION: Final = Struct("<QI")  # in this order the header does not cancel out in the first frame
+_CRC: Final = 4  # bytes
+_OVERHEAD: Final = _PREFIX.size + _CRC  # bytes of a frame without its record
+_WINDOW: Final = files.MiB  # bytes that are searched at once for frames after damage
+_SEARCHED: Final = 256 * files.MiB  # bytes; most that are hashed in that search
+_PER_CANDIDATE: Final = 4096  # bytes of that budget for each possible frame, besides its length
+
+
+class Record(NamedTuple):
+    """Record of a log, and the offset of its frame in the file."""
+
+    offset: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Damage:
+    """Part of a log that cannot be read."""
+
+    offset: int  # bytes, of the first frame that is not whole
+    size: int  # bytes from there to the end
+    more: bool  # whole frames follow; False: a torn tail, as after a crash of the writer
+
+
+class LogReader:
+    """Reader of a log, which has one record in memory at a time. It must be closed.
+
+    A log may be read while it is written: the reader ends at the last whole frame.
+
+    Args:
+        path: The file.
+
+    Attributes:
+        path: The file.
+        identity: What the writer identified the log with; empty if the header is damaged.
+        damage: What cannot be read; known once `records` has ended, at once if it is the header.
+        end: Offset after the last record that was read.
+        crc: CRC before that offset.
+        seed: CRC of the header.
+
+    Raises:
+        InputError: if the log has another version.
+        OSError: if the file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.identity = path, b""
+        self.damage: Damage | None = None
+        self._start = self.end = -1  # of the first frame; below 0: the header is damaged
+        self._file = files.open_file(path)
+        try:
+            self._size = files.size_of(self._file)
+            self.seed = self.crc = self._read_header()
+        except BaseException:
+            self.close()
+            raise
+
+    def records(self, offset: int | None = None) -> Iterator[Record]:
+        """Yield the records up to the end or the first damage.
+
+        Args:
+            offset: That of the first record, as a reader or `append` returned it; default: of the first one.
+
+        Raises:
+            OSError: if the file cannot be read; this is never reported as damage.
+        """
+        if self._start < 0:
+            return
+        self.damage, self._size = None, files.size_of(self._file)
+        self.end = self._start if offset is None else offset
+        self.crc = _to_int(files.read_at(self._file, _CRC, self.end - _CRC))
+        while self.end < self._size:
+            found = self._frame(self.end, self.crc)
+            if found is None:
+                more = self._find_frame(self.end + 1)
+                self.damage = Damage(self.end, self._size - self.end, more)
+                return
+            record = Record(self.end, found[0])
+            self.end, self.crc = self.end + _OVERHEAD + len(record.data), found[1]
+            yield record
+
+    def close(self) -> None:
+        """Close the file; may be called again."""
+        if self._file >= 0:
+            files.close(self._file)
+        self._file = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _read_header(self) -> int:
+        """Read the header and return its CRC."""
+        head = files.read_at(self._file, _HEAD.size, 0)
+        if len(head) == _HEAD.size:
+            magic, _, length = _HEAD.unpack(head)
+            if magic[:-1] == _MAGIC and magic != _MAGIC + bytes([VERSION]):
+                reason = f"has log version {magic[-1]}, this slipflow reads version {VERSION}"
+                raise InputError(str(self.path), f"{reason}: read it with the slipflow that wrote it")
+            if magic[:-1] == _MAGIC and length <= min(LIMIT, self._size - _HEAD.size - _CRC):
+                rest = files.read_at(self._file, length + _CRC, _HEAD.size)
+                crc = zlib.crc32(rest[:length], zlib.crc32(head))
+                if _to_int(rest[length:]) == crc:
+                    self.identity = rest[:length]
+                    self._start = self.end = _HEAD.size + length + _CRC
+                    return crc
+        self.damage = Damage(0, self._size, more=self._size > _HEAD.size)
+        return 0
+
+    def _frame(self, offset: int, before: int) -> tuple[bytes, int] | None:
+        """Return record and CRC of the frame at `offset` after the CRC `before`; None if it is not whole."""
+        prefix = files.read_at(self._file, _PREFIX.size, offset)
+        if len(prefix) < _PREFIX.size:
+            return None
+        magic, length = _PREFIX.unpack(prefix)
+        if magic != _FRAME_MAGIC or length > min(LIMIT, self._size - offset - _OVERHEAD):
+            return None
+        rest = files.read_at(self._file, length + _CRC, offset + _PREFIX.size)
+        record = rest[:length]
+        crc = _checksum(prefix, record, _POSITION.pack(offset, before), self.seed)
+        return (record, crc) if _to_int(rest[length:]) == crc and len(rest) == length + _CRC else None
+
+    def _find_frame(self, offset: int) -> bool:
+        """Return true if a whole frame begins at `offset` or later."""
+        budget = _SEARCHED
+        for found in self._find_magic(offset):
+            before = _to_int(files.read_at(self._file, _CRC, found - _CRC))
+            if self._frame(found, before) is not None:
+                return True
+            length = _to_int(files.read_at(self._file, 4, found + len(_FRAME_MAGIC)))
+            hashed = length <= min(LIMIT, self._size - found)
+            budget -= _PER_CANDIDATE + (length if hashed else 0)
+            if budget < 0:
+                break
+        return False
+
+    def _find_magic(self, offset: int) -> Iterator[int]:
+        """Yield the offsets at which a frame may begin; holes of a sparse file are skipped."""
+        while (offset := files.next_data(self._file, offset)) < self._size:
+            window = files.read_at(self._file, _WINDOW, offset)
+            if len(window) < _OVERHEAD:
+                return
+            place = -1
+            while (place := window.find(_FRAME_MAGIC, place + 1)) >= 0:
+                yield offset + place
+            offset += len(window) - len(_FRAME_MAGIC) + 1
+
+
+class AppendLog:
+    """Log that is open for appending: a new one by `create`, an existing one by `resume`.
+
+    Attributes:
+        path: The file.
+        end: Offset of the next frame, which is the size of the file.
+        suspect: True if an fsync failed: the kernel may have dropped records that were not durable yet, and a
+            second fsync would prove nothing. Write those records to a new log.
+    """
+
+    def __init__(self, path: Path, end: int, crc: int, seed: int) -> None:
+        self.path, self.end, self.suspect = path, end, False
+        self._crc, self._seed, self._synced = crc, seed, end
+        self._broken = False  # bytes of a failed append may be left at the end
+        self._file = files.open_file(path, write=True)
+
+    @classmethod
+    def create(cls, path: Path, identity: bytes, records: Iterable[bytes] = ()) -> Self:
+        """Create a log durably with its first records, and replace a file of the same name.
+
+        Raises:
+            OSError: if it cannot be written; the old or the new file remains.
+        """
+        head = _HEAD.pack(_MAGIC + bytes([VERSION]), os.urandom(16), len(identity)) + identity
+        seed = zlib.crc32(head)
+        head += _to_bytes(seed)
+        data, _, crc = _frames(records, len(head), seed, seed)
+        files.put(path, head + data)
+        return cls(path, len(head) + len(data), crc, seed)
+
+    @classmethod
+    def resume(cls, reader: LogReader) -> Self:
+        """Open a log for appending at its end, and cut off a torn tail durably.
+
+        Raises:
+            InputError: if the header is damaged or whole frames follow the damage.
+            OSError: if it cannot be written.
+        """
+        for _ in reader.records(reader.end):
+            pass
+        damage = reader.damage
+        if damage and (damage.more or not damage.offset):
+            raise InputError(str(reader.path), f"is damaged at byte {damage.offset}: restore a copy")
+        log = cls(reader.path, reader.end, reader.crc, reader.seed)
+        if damage:
+            try:
+                files.truncate(log._file, log.end)
+                files.fsync(log._file)
+            except BaseException:
+                log.close()
+                raise
+        return log
+
+    def append(self, records: Iterable[bytes]) -> list[int]:
+        """Append records, all or none, and return their offsets.
+
+        Raises:
+            OSError: nothing was appended. If the rest of a failed append cannot be removed, the log refuses
+                all further appends.
+        """
+        if self._broken:
+            raise OSError(EIO, "an earlier append failed and could not be undone", str(self.path))
+        data, offsets, crc = _frames(records, self.end, self._crc, self._seed)
+        left, offset = memoryview(data), self.end
+        try:
+            while left:
+                written = files.write_at(self._file, left, offset)
+                left, offset = left[written:], offset + written
+        except BaseException:
+            self._broken = True
+            with suppress(OSError):
+                files.truncate(self._file, self.end)
+                self._broken = False
+            raise
+        self.end, self._crc = self.end + len(data), crc
+        return offsets
+
+    def sync(self) -> None:
+        """Make the appended records durable; other threads may append meanwhile.
+
+        Raises:
+            OSError: records since the last sync may be lost; the log is `suspect` from then on.
+        """
+        end = self.end
+        if self.suspect:
+            raise OSError(EIO, "an earlier fsync failed", str(self.path))
+        if end > self._synced:
+            try:
+                files.fsync(self._file)
+            except OSError:
+                self.suspect = True
+                raise
+            self._synced = end
+
+    def close(self) -> None:
+        """Close the file without a sync; may be called again, but not during `sync`."""
+        if self._file >= 0:
+            files.close(self._file)
+        self._file = -1
+
+
+def _frames(records: Iterable[bytes], offset: int, crc: int, seed: int) -> tuple[bytes, list[int], int]:
+    """Return the frames of records as one, their offsets, and the CRC of the last."""
+    parts, offsets = list[bytes](), list[int]()
+    for record in records:
+        if len(record) > LIMIT:
+            raise ValueError(f"a record has {len(record)} bytes, at most {LIMIT} are allowed")
+        prefix = _PREFIX.pack(_FRAME_MAGIC, len(record))
+        crc = _checksum(prefix, record, _POSITION.pack(offset, crc), seed)
+        parts += [prefix, record, _to_bytes(crc)]
+        offsets.append(offset)
+        offset += _OVERHEAD + len(record)
+    return b"".join(parts), offsets, crc
+
+
+def _checksum(prefix: bytes, record: bytes, position: bytes, seed: int) -> int:
+    """Return the CRC of a frame at a position in a log whose header has the CRC `seed`."""
+    return zlib.crc32(record, zlib.crc32(prefix, zlib.crc32(position, seed)))
+
+
+def _to_bytes(crc: int) -> bytes:
+    return crc.to_bytes(_CRC, "little")
+
+
+def _to_int(data: bytes) -> int:
+    return int.from_bytes(data, "little")

@@ -1,0 +1,315 @@
+import os
+import tracemalloc
+from collections.abc import Callable, Iterator
+from errno import EIO, EMFILE, ENOMEM, ENOSPC
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from operators.errors import InputError
+from storage import append_log, files
+from storage.append_log import AppendLog, Damage, LogReader
+from storage.files import MiB
+
+RECORDS = [b"first", b"", b"SLIP" * 5, bytes(300)]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Iterator[AppendLog]:
+    made = AppendLog.create(tmp_path / "log", b"who")
+    yield made
+    made.close()
+
+
+def read(path: Path) -> tuple[list[bytes], Damage | None]:
+    with LogReader(path) as reader:
+        return [record.data for record in reader.records()], reader.damage
+
+
+def failing(error: int, after: int = 0) -> Callable[..., int]:
+    """Return a stand-in for a function of `files` that fails from a call on."""
+    left = [after]
+
+    def fail(*_: object) -> int:
+        left[0] -= 1
+        raise OSError(error, os.strerror(error))
+
+    return fail
+
+
+def test_records_are_read_back_with_the_offsets_that_append_returned(log: AppendLog) -> None:
+    offsets = [*log.append(RECORDS[:3]), *log.append(RECORDS[3:])]
+    with LogReader(log.path) as reader:
+        found = list(reader.records())
+        assert (reader.identity, reader.damage, reader.end) == (b"who", None, log.end)
+        assert [record.data for record in found] == RECORDS
+        assert [record.offset for record in found] == offsets
+        for number, offset in enumerate(offsets):
+            assert [record.data for record in reader.records(offset)] == RECORDS[number:]
+    assert log.end == log.path.stat().st_size
+
+
+def test_a_log_is_created_with_records_and_replaces_another(log: AppendLog) -> None:
+    log.append(RECORDS)
+    AppendLog.create(log.path, b"", RECORDS[:2]).close()
+    assert read(log.path) == (RECORDS[:2], None)
+
+
+def test_a_record_beyond_the_limit_is_refused(log: AppendLog, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(append_log, "LIMIT", 10)
+    log.append([bytes(10)])
+    with pytest.raises(ValueError, match="at most 10"):
+        log.append([b"small", bytes(11)])
+    assert read(log.path) == ([bytes(10)], None)
+
+
+def test_a_resumed_log_continues_and_its_torn_tail_is_cut_off(log: AppendLog) -> None:
+    log.append(RECORDS)
+    log.close()
+    whole = log.path.read_bytes()
+    for size in (len(whole) - lost for lost in (310, 308, 300, 50, 4, 1, 0)):
+        log.path.write_bytes(whole[:size])
+        with LogReader(log.path) as reader:
+            kept = len([*reader.records()])
+            resumed = AppendLog.resume(reader)
+        resumed.append([b"next"])
+        resumed.close()
+        assert kept == (4 if size == len(whole) else 3)
+        assert read(log.path) == ([*RECORDS[:kept], b"next"], None)
+
+
+def test_a_log_may_be_read_while_it_is_written_and_resumed_without_reading(log: AppendLog) -> None:
+    log.append(RECORDS[:1])
+    with LogReader(log.path) as reader:
+        rows = reader.records()
+        assert next(rows).data == RECORDS[0]
+        log.append(RECORDS[1:])
+        assert [record.data for record in reader.records(reader.end)] == RECORDS[1:]
+    with LogReader(log.path) as reader:
+        resumed = AppendLog.resume(reader)
+    resumed.append([b"next"])
+    resumed.close()
+    assert read(log.path)[0] == [*RECORDS, b"next"]
+
+
+@given(data=st.data())
+def test_a_log_with_any_damage_yields_its_first_records_only(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "damaged"
+    made = AppendLog.create(path, b"who")
+    starts = made.append(RECORDS)
+    made.close()
+    whole = path.read_bytes()
+    place = data.draw(st.integers(0, len(whole) - 1))
+    flipped = bytearray(whole)
+    flipped[place] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(flipped)
+    ends = [*starts[1:], len(whole)]
+    whole_before = sum(end <= place for end in ends) if place >= starts[0] else 0
+    try:
+        records, damage = read(path)
+    except InputError:
+        assert place == 7  # its version
+        return
+    assert records == RECORDS[:whole_before]
+    assert damage
+    assert damage.offset == (starts[whole_before] if place >= starts[0] else 0)
+    assert damage.offset + damage.size == len(whole)
+    # the damage of a CRC makes the next frame invalid too
+    crc_damaged = any(end - 4 <= place < end for end in ends)
+    following = len(RECORDS) - whole_before - 1 - crc_damaged
+    assert damage.more == (following > 0 or place < starts[0])
+
+
+def test_zeros_and_rubbish_at_the_end_are_a_torn_tail(log: AppendLog) -> None:
+    log.append(RECORDS)
+    whole = log.path.read_bytes()
+    frame = whole[log.end - 312 :]
+    for tail in (bytes(1), bytes(4096), b"SLIP", b"SLIP" * 2000, os.urandom(5000), frame, whole):
+        log.path.write_bytes(whole + tail)
+        assert read(log.path) == (RECORDS, Damage(len(whole), len(tail), more=False)), tail[:20]
+
+
+def test_frames_of_another_log_or_of_a_failed_append_are_not_read(log: AppendLog) -> None:
+    """Blocks that a file system reuses, or that were not cut off, hold whole frames of the same length."""
+    first, *rest = log.append(RECORDS)
+    other = AppendLog.create(log.path.with_name("other"), b"who", RECORDS)
+    other.close()
+    stale, whole = other.path.read_bytes(), log.path.read_bytes()
+    assert len(stale) == len(whole)
+    for place in (first, *rest):
+        log.path.write_bytes(whole[:place] + stale[place:])
+        records, damage = read(log.path)
+        assert records == RECORDS[: [first, *rest].index(place)]
+        assert damage == Damage(place, len(whole) - place, more=False)
+    log.path.write_bytes(whole[: rest[1]])
+    with LogReader(log.path) as reader:
+        resumed = AppendLog.resume(reader)
+    assert resumed.append([b"x" * len(RECORDS[2])]) == [rest[1]]
+    resumed.close()
+    log.path.write_bytes(log.path.read_bytes() + whole[rest[2] :])
+    assert read(log.path)[0] == [*RECORDS[:2], b"x" * len(RECORDS[2])]
+
+
+def test_damage_followed_by_whole_frames_cannot_be_resumed(log: AppendLog) -> None:
+    offsets = log.append(RECORDS)
+    whole = bytearray(log.path.read_bytes())
+    whole[offsets[0] + 9] ^= 1
+    log.path.write_bytes(whole)
+    with LogReader(log.path) as reader, pytest.raises(InputError, match="damaged at byte"):
+        AppendLog.resume(reader)
+    assert log.path.read_bytes() == whole
+
+
+@pytest.mark.parametrize("content", [b"", b"SL", b"SLIPLOG", bytes(100), os.urandom(1000)])
+def test_a_file_without_a_header_is_damaged_from_its_first_byte(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(content)
+    assert read(path) == ([], Damage(0, len(content), more=len(content) > 28))
+    with LogReader(path) as reader, pytest.raises(InputError, match="damaged at byte 0"):
+        AppendLog.resume(reader)
+
+
+def test_another_version_is_refused(log: AppendLog) -> None:
+    content = bytearray(log.path.read_bytes())
+    content[7] += 1
+    log.path.write_bytes(content)
+    with pytest.raises(InputError, match="has log version 2, this slipflow reads version 1"):
+        LogReader(log.path)
+
+
+def test_links_and_other_than_files_are_refused(log: AppendLog, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(log.path)
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("link", "pipe"):
+        with pytest.raises(InputError, match=r"is a link|is not a regular file"):
+            LogReader(tmp_path / name)
+
+
+@pytest.mark.parametrize("claimed", [100, 64 * MiB, 2**32 - 1])
+def test_a_sparse_file_of_4_gigabytes_needs_no_memory(log: AppendLog, claimed: int) -> None:
+    log.append([b"first"])
+    with log.path.open("r+b") as file:
+        file.seek(log.end)
+        file.write(b"SLIP" + claimed.to_bytes(4, "little"))
+        file.truncate(4096 * MiB)
+    tracemalloc.start()
+    records, damage = read(log.path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert records == [b"first"]
+    assert damage == Damage(log.end, 4096 * MiB - log.end, more=False)
+    assert peak < 130 * MiB  # the longest record, and its frame
+    with LogReader(log.path) as reader:
+        AppendLog.resume(reader).close()
+    assert log.path.stat().st_size == log.end
+
+
+def test_a_failed_append_leaves_nothing(log: AppendLog, monkeypatch: pytest.MonkeyPatch) -> None:
+    log.append([b"first"])
+    with monkeypatch.context() as patch:
+        write = os.pwrite
+
+        def run_full(file: int, data: memoryview, offset: int) -> int:
+            if offset > log.end:
+                raise OSError(ENOSPC, "No space left on device")
+            return write(file, data[:20], offset)
+
+        patch.setattr(files, "write_at", run_full)
+        with pytest.raises(OSError, match="No space"):
+            log.append([b"second", bytes(100)])
+    assert log.path.stat().st_size == log.end
+    log.append([b"third"])
+    assert read(log.path) == ([b"first", b"third"], None)
+
+
+def test_a_log_whose_failed_append_cannot_be_undone_refuses_further_ones(
+    log: AppendLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log.append([b"first"])
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "write_at", failing(EIO))
+        patch.setattr(files, "truncate", failing(EIO))
+        with pytest.raises(OSError, match="Input/output"):
+            log.append([b"second"])
+    with pytest.raises(OSError, match="could not be undone"):
+        log.append([b"third"])
+    assert read(log.path) == ([b"first"], None)
+
+
+def test_a_log_is_suspect_after_a_failed_fsync_however_often_it_is_repeated(
+    log: AppendLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log.sync()  # of nothing
+    log.append([b"first"])
+    log.sync()
+    log.append([b"second"])
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "fsync", failing(EIO))
+        with pytest.raises(OSError, match="Input/output"):
+            log.sync()
+    assert log.suspect
+    with pytest.raises(OSError, match="an earlier fsync failed"):
+        log.sync()
+
+
+def test_creation_and_cutting_are_durable(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced, fsync = list[str](), os.fsync
+
+    def note(file: int) -> None:
+        synced.append(Path(f"/proc/self/fd/{file}").resolve().name)
+        fsync(file)
+
+    monkeypatch.setattr(os, "fsync", note)
+    log = AppendLog.create(tmp_path / "log", b"who")
+    assert synced == ["log.tmp", tmp_path.name]
+    log.append(RECORDS)
+    log.close()
+    assert len(synced) == 2  # the caller decides about the rest
+    log.path.write_bytes(log.path.read_bytes()[:-1])
+    with LogReader(log.path) as reader:
+        AppendLog.resume(reader).close()
+    assert synced[2:] == ["log"]
+
+
+@pytest.mark.parametrize("error", [EIO, EMFILE, ENOMEM])
+def test_a_failing_disk_is_not_damage(log: AppendLog, error: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    log.append(RECORDS)
+    reader = LogReader(log.path)
+    rows = reader.records()
+    next(rows)
+    monkeypatch.setattr(files, "read_at", failing(error))
+    with pytest.raises(OSError, match=os.strerror(error)):
+        list(rows)
+    assert reader.damage is None
+    with pytest.raises(OSError, match=os.strerror(error)):
+        LogReader(log.path)
+    reader.close()
+
+
+def test_no_descriptor_is_left_open(log: AppendLog, tmp_path: Path) -> None:
+    before = len([*Path("/proc/self/fd").iterdir()])
+    (tmp_path / "other").write_bytes(b"SLIPLOG\x07" + bytes(100))
+    for _ in range(3):
+        with pytest.raises(InputError):
+            LogReader(tmp_path / "other")
+        with LogReader(log.path) as reader:
+            AppendLog.resume(reader).close()
+    assert len([*Path("/proc/self/fd").iterdir()]) == before
+
+
+def test_a_long_log_is_read_one_record_at_a_time(log: AppendLog) -> None:
+    block = np.random.default_rng(0).bytes(MiB)
+    for _ in range(30):
+        log.append([block])
+    with LogReader(log.path) as reader:
+        tracemalloc.start()
+        for record in reader.records():
+            assert record.data == block
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < 5 * MiB
