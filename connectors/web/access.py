@@ -56,37 +56,35 @@ def local_host(host: str) -> str:
 class Access:
     """Access rules for requests.
 
-    The Host header must be an IP address, localhost or the name of this machine. This prevents DNS rebinding:
-    otherwise a foreign page whose host name resolves to this machine could read the page.
-
-    With a token, a request needs the cookie that is set when the token is sent once, as ``/?token=...``.
-    The cookie stays valid after a restart, so that open pages reconnect.
+    Without a token the Host header must be an IP address, localhost or the name of this machine. This
+    prevents DNS rebinding: otherwise a foreign page whose host name resolves to this machine could read the
+    page. With a token, a request needs the header ``Authorization: Bearer TOKEN``, or the cookie that is set
+    when the token is sent once, as ``/?token=...``. The cookie stays valid after a restart, so that open
+    pages reconnect.
     """
 
     token: str | None = None  # 16 to 256 letters, digits, '.', '_', '~' or '-'; None: no token needed
-    any_name: bool = False  # True: accept any Host header, for data that is not for browsers
 
     @classmethod
-    def of(cls, host: str, token: str | None) -> Self:
-        """Return the access rules of a page on `host`; None stands for the token of the environment.
+    def of(cls, what: str, host: str, token: str | None = None) -> Self:
+        """Return the access rules of a server on `host`; None stands for the token of the environment.
 
         That is read from SLIPFLOW_PAGE_TOKEN, or from the file named by SLIPFLOW_PAGE_TOKEN_FILE.
 
         Raises:
-            ParameterError: if the token is malformed, or missing although other machines can reach `host`.
+            ParameterError: if the token is malformed, or missing although other machines can reach `host`; it
+                names the sink `what`.
             InputError: if the file cannot be read.
         """
         token = token or _environment_token(os.environ)
         if token is None and not is_loopback(host):
-            must_be = (
-                f"set if other machines can reach the page: use {TOKEN}, or a file named by {TOKEN_FILE}"
-            )
-            raise ParameterError("Page", "token", None, must_be)
+            must_be = f"set if other machines can connect: use {TOKEN}, or a file named by {TOKEN_FILE}"
+            raise ParameterError(what, "token", None, must_be)
         if token is not None and not _TOKEN.fullmatch(token):
             must_be = (
                 "16 to 256 letters, digits, '.', '_', '~' or '-', for example from: openssl rand -hex 16"
             )
-            raise ParameterError("Page", "token", "...", must_be)
+            raise ParameterError(what, "token", "...", must_be)
         return cls(token)
 
     @property
@@ -101,8 +99,8 @@ class Access:
         >>> [Access().is_own_host(host) for host in hosts]
         [True, True, True, False]
         """
-        if self.any_name:
-            return True
+        if self.token is not None:
+            return True  # a foreign page has neither token nor cookie
         match = _HOST.fullmatch(host)
         if match is None:
             return False
@@ -120,9 +118,12 @@ class Access:
         """Return True if `token` is the token."""
         return self.token is not None and hmac.compare_digest(token.encode(), self.token.encode())
 
-    def accepts_cookie(self, cookie: str | None) -> bool:
-        """Return True if a request with this cookie may see the page."""
-        return self.token is None or (
+    def admits(self, cookie: str | None, authorization: str | None = None) -> bool:
+        """Return True if a request with this cookie and this Authorization header has access."""
+        if self.token is None:
+            return True
+        scheme, _, bearer = (authorization or "").partition(" ")
+        return (scheme.lower() == "bearer" and self.accepts_token(bearer.strip())) or (
             cookie is not None and hmac.compare_digest(cookie.encode(), self.cookie.encode())
         )
 

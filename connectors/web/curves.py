@@ -1,5 +1,6 @@
 """Curves of a page: plotted values, reduction to pixel columns, and JSON."""
 
+from collections.abc import Collection, Mapping
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -25,6 +26,31 @@ def plotted_values(batch: Touch | Motion | Scores) -> Reals:
         speed: Reals = 1000 * np.sqrt(np.square(batch.velocity[:, :3]).sum(axis=1))
         return speed
     return batch.probability
+
+
+def stream_name(batch: Touch | Motion | Scores) -> str:
+    """Return the name of a batch's stream in frames: touch, speed or scores."""
+    return "touch" if isinstance(batch, Touch) else "speed" if isinstance(batch, Motion) else "scores"
+
+
+def streams_json(
+    curves: Mapping[tuple[str, str], dict[str, Json]], zeroed: Collection[tuple[str, str]]
+) -> dict[str, Json]:
+    """Return curves, by stream and fingertip, as streams of a frame; those in `zeroed` have zeroed counts.
+
+    >>> curve = {"t": [], "v": []}
+    >>> streams_json({("touch", "0"): curve, ("speed", "every"): curve}, zeroed=())
+    {'touch': {'0': {'t': [], 'v': [], 'zeroed': False}}, 'speed': {'t': [], 'v': []}}
+    """
+    document: dict[str, Any] = {}
+    for key, curve in curves.items():
+        stream, finger = key
+        if stream == "speed":
+            document[stream] = curve
+        else:
+            of_touch = {"zeroed": key in zeroed} if stream == "touch" else {}
+            document.setdefault(stream, {})[finger] = {**curve, **of_touch}
+    return document
 
 
 def curve_json(time: Times, values: NDArray[np.floating[Any]], origin: int) -> dict[str, Json]:

@@ -1,34 +1,39 @@
 """Sink that serves a live page of a running flow."""
 
 import asyncio
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from connectors.events import encode
 from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
-from connectors.web.page_frames import Frames, Rows
+from connectors.web.page_frames import Frames, Rows, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.checks import check_between
 from operators.ports import Json, Run, Sink
 
-if TYPE_CHECKING:
-    from aiohttp import web
-
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
 GATHER: Final = 0.002  # s before a frame, so that it contains all rows derived from one sample
 REPORT_EVERY: Final = 1.0  # s
-_RECORDERS_POLL: Final = 0.02  # s
-_RECORDERS_POLLS: Final = 50
-_EVENTS_REPEATED: Final = 20  # newest events in each report, for pages that lost frames
+WATCHED: Final = 3.0  # s since the last request of a browser, in which messages are made
+BUFFER_MAX: Final = 4 << 20  # bytes of messages kept for browsers
+_POLL: Final = 0.02  # s, between checks while the page closes
+_POLLS: Final = 50  # until all recorders have written their queues
+_END_POLLS: Final = 25  # until all browsers have fetched the end of the run
+_NAME_MAX: Final = 64  # characters of a browser's name
 
 
 class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     """Live page in the browser: pressure maps, slip probability, TCP speed, slip events with latency, health.
 
     Connect each stream to show: touch (preferably zeroed), motion, scores, slips, faults. The health covers
-    all sources and sinks of the run. Frames are server-sent events, at most 40 per second, see
-    `connectors.web.page_frames`. The page may drop rows and never slows the run.
+    all sources and sinks of the run. Browsers poll for messages: hello, frames (at most 40 per second, see
+    `connectors.web.page_frames`), reports, and the end. A request waits until there are new ones. A browser
+    that is too slow for the kept messages gets all kept rows again. The page may drop rows and never slows
+    the run.
 
     Only this machine can reach the page unless `host` is set, which requires a token. The connection is not
     encrypted: outside a trusted network, use a TLS proxy.
@@ -87,15 +92,19 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             ParameterError: if the token is malformed, or missing although other machines can reach `host`.
             InputError: if the file with the token cannot be read.
         """
-        from connectors.web.event_feed import EventFeed  # noqa: PLC0415 - aiohttp is slow to import
-        from connectors.web.web_server import page_server  # noqa: PLC0415 - as above
+        from connectors.web.web_server import json_answer, page_server  # noqa: PLC0415 - aiohttp is slow to import
 
         self._run, self._frames, self._reports = run, Frames(run), HealthReports(run)
         self._health = self._reports.next()
         self._loop = asyncio.get_running_loop()
-        self._feed = EventFeed(self._hello)
+        self._messages, self._ended = MessageBuffer(), False
+        self._seen: dict[str, float] = {}  # loop time (s) of the last request of each browser
         self._server = page_server(self._host, self._port, self._token)
-        await self._server.open({"/about.json": _about, "/stream": self._feed.stream})
+
+        async def about(query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG001 - a constant
+            return json_answer({"mode": "live"})
+
+        await self._server.open({"/about.json": about, "/messages": self._answer})
         self._reporting = asyncio.create_task(self._keep_reporting())
         if self._opened:
             self._opened(self._server.url)
@@ -103,7 +112,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     async def write(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
         """Add the rows of a batch to the next frame."""
         self._frames.add(batch)
-        if self._sending is None and len(self._feed):
+        if self._sending is None and self._watched():
             now = self._loop.time()
             self._sending = self._loop.call_at(max(now + GATHER, self._sent + FRAME_EVERY), self._send)
         if not self._run.live:  # otherwise a replay at full speed never yields
@@ -120,16 +129,41 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         self._health = self._reports.next()
         report = self._report()
         final = {name: report[name] for name in ("sinks", "recorders")}
-        self._feed.send("end", {"error": self._run.error or None, **final})
-        await self._feed.close()
+        self._messages.put("end", {"error": self._run.error or None, **final})
+        self._ended = True
+        for _ in range(_END_POLLS):
+            if self._watched():
+                await asyncio.sleep(_POLL)
         await self._server.close()
+
+    def _watched(self) -> bool:
+        """Return True if a browser shows the page and has not fetched the end of the run."""
+        now = self._loop.time()
+        self._seen = {each: time for each, time in self._seen.items() if now - time < WATCHED}
+        return bool(self._seen)
 
     def _send(self) -> None:
         self._sending, self._sent = None, self._loop.time()
-        self._feed.send("frame", self._frames.next())
+        self._messages.put("frame", self._frames.next())
 
-    async def _hello(self) -> bytes:
-        """Return the first messages to a page: the run with all kept rows, and a report."""
+    async def _answer(self, query: Mapping[str, str]) -> tuple[bytes, str]:
+        """Return the messages from number `next` of this run on; the first ones if those are dropped."""
+        browser, number = query.get("browser", "")[:_NAME_MAX], query.get("next", "")
+        if not self._ended:
+            self._seen[browser] = self._loop.time()
+        messages: list[bytes] | None = None
+        if query.get("session") == self._run.session and number.isdecimal():
+            messages = await self._messages.since(int(number))
+        end = self._messages.end
+        if messages is None:
+            end -= self._ended  # the end follows
+            messages = await self._hello()
+        elif self._ended:
+            self._seen.pop(browser, None)
+        return b'{"next":%d,"messages":[%b]}' % (end, b",".join(messages)), "application/json"
+
+    async def _hello(self) -> list[bytes]:
+        """Return the first messages to a browser: the run with all kept rows, and a report."""
         run = self._run
         about: dict[str, Json] = {
             "version": version("slipflow"),
@@ -153,9 +187,9 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
     async def _wait_for_recorders(self) -> None:
         """Wait up to 1 s until the recorders, which close concurrently, have written their queues."""
         recorders = [sink for sink in self._run.sinks.values() if sink.records]
-        for _ in range(_RECORDERS_POLLS if recorders and len(self._feed) else 0):
+        for _ in range(_POLLS if recorders and self._watched() else 0):
             before = [sink.rows for sink in recorders]
-            await asyncio.sleep(_RECORDERS_POLL)
+            await asyncio.sleep(_POLL)
             if before == [sink.rows for sink in recorders] and not any(sink.queued for sink in recorders):
                 return
 
@@ -163,16 +197,39 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         while True:
             await asyncio.sleep(REPORT_EVERY)
             self._health = self._reports.next()
-            self._feed.send("report", {**self._report(), "events": self._frames.events(_EVENTS_REPEATED)})
+            if self._watched():
+                self._messages.put("report", self._report())
 
 
-def _hello_messages(about: dict[str, Json], rows: Rows, origin: int, report: dict[str, Json]) -> bytes:
-    from connectors.web.event_feed import message  # noqa: PLC0415 - aiohttp is slow to import
+class MessageBuffer:
+    """Newest messages, numbered from 0, for clients that request those from a number on."""
 
-    return message("hello", {**about, **rows.document(origin)}) + message("report", report)
+    def __init__(self, limit: int = BUFFER_MAX) -> None:
+        """Create a buffer of at most `limit` bytes; the oldest messages are dropped."""
+        self.end = 0  # number of the next message
+        self._limit, self._size = limit, 0
+        self._messages: deque[bytes] = deque()
+        self._added = asyncio.Event()
+
+    def put(self, name: str, document: Json) -> None:
+        """Add a message."""
+        self._messages.append(encode([name, document]))
+        self._size += len(self._messages[-1])
+        self.end += 1
+        while self._size > self._limit:
+            self._size -= len(self._messages.popleft())
+        self._added.set()
+        self._added = asyncio.Event()
+
+    async def since(self, number: int) -> list[bytes] | None:
+        """Return the messages from `number` on, once there are any or after 1 s; None if some are dropped."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(REPORT_EVERY):
+                while number == self.end:
+                    await self._added.wait()
+        first = self.end - len(self._messages)
+        return [*self._messages][number - first :] if first <= number <= self.end else None
 
 
-async def _about(request: "web.Request") -> "web.Response":  # noqa: ARG001 - aiohttp's signature
-    from aiohttp import web  # noqa: PLC0415 - slow to import
-
-    return web.json_response({"mode": "live"})
+def _hello_messages(about: dict[str, Json], rows: Rows, origin: int, report: dict[str, Json]) -> list[bytes]:
+    return [encode(["hello", {**about, **rows_json(rows, origin)}]), encode(["report", report])]

@@ -1,16 +1,13 @@
 """Sink that serves metrics of a run to Prometheus."""
 
 import asyncio
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Mapping
+from typing import Final
 
 from connectors.web.access import METRICS_PORT, Access, http_url, is_loopback
 from operators.batch import Clocks, Faults, Slips
 from operators.checks import check_between
 from operators.ports import Run, Sink
-
-if TYPE_CHECKING:
-    from aiohttp import web
 
 PATH: Final = "/metrics"
 
@@ -22,8 +19,8 @@ class Metrics(Sink[Slips | Faults | Clocks]):
     health of barometers, and clocks for the offset of the device clock. The sink may drop rows and never
     slows the run.
 
-    Only this machine can read the metrics unless `host` is set; then anyone who can reach the port can read
-    names, counts and times, but no error texts.
+    Only this machine can read the metrics unless `host` is set, which requires a token: Prometheus sends it
+    as ``Authorization: Bearer TOKEN``. The metrics have names, counts and times, but no error texts.
 
     Args:
         port: Port to listen on; 0 for any free port.
@@ -61,12 +58,14 @@ class Metrics(Sink[Slips | Faults | Clocks]):
 
         Raises:
             EndpointError: if the server cannot listen on its address.
+            ParameterError: if the token is malformed, or missing although other machines can reach `host`.
+            InputError: if the file with the token cannot be read.
         """
         from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - prometheus_client is slow to import
         from connectors.web.web_server import WebServer  # noqa: PLC0415 - aiohttp too
 
         self._run, self._metrics = run, RunMetrics(run)
-        access = Access(any_name=not is_loopback(self._host))
+        access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
         self._server = WebServer(self._host, self._port, access, "metrics")
         await self._server.open({PATH: self._respond})
         if self._opened:
@@ -82,8 +81,7 @@ class Metrics(Sink[Slips | Faults | Clocks]):
         """Stop serving, so that Prometheus marks the run as down."""
         await self._server.close()
 
-    async def _respond(self, request: "web.Request") -> "web.Response":  # noqa: ARG002 - aiohttp's signature
-        from aiohttp import web  # noqa: PLC0415 - slow to import
-        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - as above
+    async def _respond(self, query: Mapping[str, str]) -> tuple[bytes, str]:  # noqa: ARG002 - no parameters
+        from prometheus_client.exposition import CONTENT_TYPE_PLAIN_0_0_4  # noqa: PLC0415 - slow to import
 
-        return web.Response(body=self._metrics.text(), headers={"Content-Type": CONTENT_TYPE_PLAIN_0_0_4})
+        return self._metrics.text(), CONTENT_TYPE_PLAIN_0_0_4

@@ -12,13 +12,12 @@ A frame is a JSON object. Times are ms since the start of the run; fingertips ha
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Final, Generic
+from typing import Any, Final, Generic, TypeAlias
 
 import numpy as np
 
 from connectors.events import faults, finger_name
-from connectors.web.curves import curve_json, event_json, plotted_values
+from connectors.web.curves import curve_json, event_json, plotted_values, stream_name, streams_json
 from operators.batch import SLIP, AnyBatch, Faults, Flags, Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.ports import Json, Run
 from operators.tail import Tail
@@ -28,6 +27,9 @@ FINGERS_MAX: Final = 32  # further fingertips are not shown
 KEPT: Final = 30 * s  # ns of each stream
 STEP: Final = 5 * ms  # ns; one row is kept per step
 
+# by stream and fingertip: views that another thread can encode
+Rows: TypeAlias = Mapping[tuple[str, str], Touch | Motion | Scores]
+
 
 class Track(Generic[AnyBatch]):
     """The last 30 s of a stream, reduced to the first row of each 5 ms: at most 6,000 rows.
@@ -36,6 +38,7 @@ class Track(Generic[AnyBatch]):
     """
 
     def __init__(self, kind: type[AnyBatch]) -> None:
+        self.kind = kind
         self._tail = Tail(kind)
         self._step = int(np.iinfo(np.int64).min)  # index of the newest row's step
         self._new = 0  # rows not yet returned by `take`
@@ -72,40 +75,12 @@ class Track(Generic[AnyBatch]):
         return steps > before
 
 
-@dataclass(frozen=True)
-class Rows:
-    """Rows of streams, as views that another thread can encode."""
-
-    touch: Mapping[int, Touch]  # by finger
-    scores: Mapping[int, Scores]  # by finger
-    motion: Motion | None
-
-    def document(self, origin: int) -> dict[str, Json]:
-        """Return the curves of a frame, with times since `origin` (ns)."""
-        document: dict[str, Json] = {}
-        if self.touch:
-            document["touch"] = {
-                finger_name(finger): {**_curve(rows, origin), "zeroed": isinstance(rows, Zeroed)}
-                for finger, rows in self.touch.items()
-            }
-        if self.scores:
-            document["scores"] = {
-                finger_name(finger): _curve(rows, origin) for finger, rows in self.scores.items()
-            }
-        if self.motion is not None:
-            document["speed"] = _curve(self.motion, origin)
-        return document
-
-
 class Frames:
     """Collector of the rows and events of a run, with bounded memory."""
 
     def __init__(self, run: Run) -> None:
         self._run = run
-        self._raw: dict[int, Track[Touch]] = {}  # by finger, as are the next two
-        self._zeroed: dict[int, Track[Zeroed]] = {}
-        self._scores: dict[int, Track[Scores]] = {}
-        self._motion = Track(Motion)
+        self._tracks: dict[tuple[str, str], Track[Any]] = {}  # by stream and fingertip
         self._slipping: set[str] = set()
         self._faults: dict[str, dict[str, Json]] = {}
         self._events: deque[dict[str, Json]] = deque(maxlen=EVENTS_KEPT)
@@ -113,34 +88,25 @@ class Frames:
 
     def add(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
         """Add a batch; zeroed touch of a fingertip replaces its raw touch."""
-        finger = batch.finger
         if isinstance(batch, Slips):
             self._add_slips(batch)
         elif isinstance(batch, Faults):
             self._add_faults(batch)
-        elif isinstance(batch, Motion):
-            self._motion.add(batch)
-        elif isinstance(batch, Scores):
-            if finger in self._scores or len(self._scores) < FINGERS_MAX:
-                self._scores.setdefault(finger, Track(Scores)).add(batch)
-        elif finger not in self._touch() and len(self._touch()) >= FINGERS_MAX:
-            return
-        elif isinstance(batch, Zeroed):
-            self._raw.pop(finger, None)
-            self._zeroed.setdefault(finger, Track(Zeroed)).add(batch)
-        elif finger not in self._zeroed:
-            self._raw.setdefault(finger, Track(Touch)).add(batch)
+        else:
+            key = stream_name(batch), finger_name(batch.finger)
+            track, zeroed = self._tracks.get(key), isinstance(batch, Zeroed)
+            if track is None and sum(each[0] == key[0] for each in self._tracks) >= FINGERS_MAX:
+                return
+            if track is None or (zeroed and track.kind is Touch):
+                kind = next(each for each in (Zeroed, Touch, Motion, Scores) if isinstance(batch, each))
+                track = self._tracks[key] = Track(kind)
+            if zeroed or track.kind is not Zeroed:
+                track.add(batch)
 
     def next(self) -> dict[str, Json]:
         """Return the frame of everything added since the last one."""
-        touch = {finger: track.take() for finger, track in self._touch().items()}
-        scores = {finger: track.take() for finger, track in self._scores.items()}
-        new = Rows(
-            {finger: rows for finger, rows in touch.items() if rows is not None},
-            {finger: rows for finger, rows in scores.items() if rows is not None},
-            self._motion.take(),
-        )
-        frame = {**new.document(self._run.start), **self.state()}
+        new = {key: rows for key, track in self._tracks.items() if (rows := track.take()) is not None}
+        frame = {**rows_json(new, self._run.start), **self.state()}
         if count := min(self._numbered - self._sent, EVENTS_KEPT):
             frame["events"] = self.events(count)
         self._sent = self._numbered
@@ -148,8 +114,7 @@ class Frames:
 
     def rows(self) -> Rows:
         """Return all kept rows."""
-        touch = {finger: track.rows for finger, track in self._touch().items()}
-        return Rows(touch, {finger: track.rows for finger, track in self._scores.items()}, self._motion.rows)
+        return {key: track.rows for key, track in self._tracks.items()}
 
     def state(self) -> dict[str, Json]:
         """Return the current time, slipping fingertips and faults."""
@@ -163,9 +128,6 @@ class Frames:
         """Return the `newest` events, oldest first."""
         events: list[Json] = [*self._events]
         return events[-newest:]
-
-    def _touch(self) -> dict[int, Track[Touch] | Track[Zeroed]]:
-        return {**self._raw, **self._zeroed}
 
     def _add_slips(self, batch: Slips) -> None:
         finger = finger_name(batch.finger)
@@ -188,5 +150,9 @@ class Frames:
                 del found[str(fault.barometer)]
 
 
-def _curve(rows: Touch | Motion | Scores, origin: int) -> dict[str, Json]:
-    return curve_json(rows.time, plotted_values(rows), origin)
+def rows_json(rows: Rows, origin: int) -> dict[str, Json]:
+    """Return rows as the curves of a frame, with times since `origin` (ns)."""
+    return streams_json(
+        {key: curve_json(each.time, plotted_values(each), origin) for key, each in rows.items()},
+        {key for key, each in rows.items() if isinstance(each, Zeroed)},
+    )

@@ -1,18 +1,24 @@
-"""Page of a recorded session: sink that keeps the curves in memory, and their server."""
+"""Page of a recorded session: sink that keeps the curves in memory, and the requests for them."""
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import isnan, nan
 from typing import Final
 
 import numpy as np
-from aiohttp import web
 from numpy.typing import NDArray
 
-from connectors.events import encode, finger_name
-from connectors.web.curves import curve_json, event_json, plotted_values, thin_curve
+from connectors.events import finger_name
+from connectors.web.curves import (
+    curve_json,
+    event_json,
+    plotted_values,
+    stream_name,
+    streams_json,
+    thin_curve,
+)
 from connectors.web.page_frames import FINGERS_MAX
-from connectors.web.web_server import page_server
+from connectors.web.web_server import Answer, Handler, json_answer
 from operators.batch import Motion, Scores, Slips, Times, Touch, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Json, Run, Sink
@@ -22,6 +28,9 @@ ROWS_MAX: Final = 20_000_000  # of all streams together, about 1 GB
 EVENTS_MAX: Final = 20_000
 _TIME_MAX: Final = 1e12  # ms
 _COLUMNS_MAX: Final = 8192
+_USAGE: Final = (
+    "must be ?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session; 1 to 8192 columns"
+)
 
 
 class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
@@ -71,12 +80,9 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
             rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
             self._events.extend((finger, row) for row in rows)
         else:
-            stream = (
-                "touch" if isinstance(batch, Touch) else "speed" if isinstance(batch, Motion) else "scores"
-            )
             self._zeroed |= isinstance(batch, Zeroed)
             values = plotted_values(batch).astype(np.float32)
-            self._arriving.setdefault((stream, finger), []).append((batch.time, values))
+            self._arriving.setdefault((stream_name(batch), finger), []).append((batch.time, values))
         self._rows += len(batch)
         self.end = max(self.end, int(batch.time.max(initial=self.start)))
         fingers = len({finger for _, finger in self._arriving})
@@ -140,15 +146,9 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
 
     def _streams(self, cut: Callable[[Times, NDArray[np.float32]], dict[str, Json]]) -> dict[str, Json]:
         """Return the streams of a frame, each curve cut by `cut`."""
-        document: dict[str, dict[str, Json]] = {"touch": {}, "scores": {}}
-        speed: Json = None
-        for (stream, finger), curve in self._curves.items():
-            if stream == "speed":
-                speed = cut(*curve)
-            else:
-                zeroed: dict[str, Json] = {"zeroed": self._zeroed} if stream == "touch" else {}
-                document[stream][finger] = {**cut(*curve), **zeroed}
-        return {**document, "speed": speed}
+        found = {key: cut(*curve) for key, curve in self._curves.items()}
+        empty: dict[str, Json] = {"touch": {}, "scores": {}, "speed": None}
+        return {**empty, **streams_json(found, found if self._zeroed else ())}
 
     def _deepest(self) -> float | None:
         """Return the minimum of all cells, for the scale of the pressure maps; None without touch."""
@@ -159,70 +159,27 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         return None if isnan(least) else least
 
 
-class SessionPage:
-    """Server of the page of a recorded session: ``/about.json`` describes it, ``/window`` returns curves."""
+def session_handlers(curves: SessionCurves) -> dict[str, Handler]:
+    """Return the requests of the page, by path: ``/about.json`` describes it, ``/window`` has curves.
 
-    def __init__(
-        self,
-        curves: SessionCurves,
-        port: int | None = None,
-        host: str = "127.0.0.1",
-        token: str | None = None,
-    ) -> None:
-        """Prepare to serve; `port`, `host` and `token` as in `connectors.web.live_page.Page`.
+    Documents are built in a thread, as that takes some ms.
+    """
 
-        Raises:
-            ParameterError: if the token is malformed, or missing although other machines can reach `host`.
-            InputError: if the file with the token cannot be read.
-        """
-        self._curves = curves
-        self._server = page_server(host, port, token)
+    async def about(query: Mapping[str, str]) -> Answer:  # noqa: ARG001 - no parameters
+        return await asyncio.to_thread(lambda: json_answer({"mode": "recorded", **curves.contents()}))
 
-    @property
-    def url(self) -> str:
-        """URL for a browser on this machine, once the page is open."""
-        return self._server.url
-
-    @property
-    def login_url(self) -> str:
-        """URL with the token, if there is one: keep it secret."""
-        return self._server.login_url
-
-    async def open(self) -> None:
-        """Start serving the page.
-
-        Raises:
-            EndpointError: if the server cannot listen on its address.
-        """
-        await self._server.open({"/about.json": self._about, "/window": self._window})
-
-    async def close(self) -> None:
-        """Stop serving."""
-        await self._server.close()
-
-    async def _about(self, request: web.Request) -> web.Response:  # noqa: ARG002 - aiohttp's signature
-        return await _json(lambda: {"mode": "recorded", **self._curves.contents()})
-
-    async def _window(self, request: web.Request) -> web.Response:
+    async def window(query: Mapping[str, str]) -> Answer:
         try:
-            begin, end, at = (float(request.query[name]) for name in ("begin", "end", "at"))
-            columns = int(request.query["columns"])
+            begin, end, at = (float(query[name]) for name in ("begin", "end", "at"))
+            columns = int(query["columns"])
         except (KeyError, ValueError):
-            return _bad_request()
+            raise InputError("/window", _USAGE) from None
         if not (
             -_TIME_MAX <= begin <= end <= _TIME_MAX and abs(at) <= _TIME_MAX and 0 < columns <= _COLUMNS_MAX
         ):
-            return _bad_request()  # also for NaN
-        curves = self._curves
-        return await _json(lambda: {**curves.window(begin, end, columns), "at": curves.values_at(at)})
+            raise InputError("/window", _USAGE)  # also for NaN
+        return await asyncio.to_thread(
+            lambda: json_answer({**curves.window(begin, end, columns), "at": curves.values_at(at)})
+        )
 
-
-def _bad_request() -> web.Response:
-    usage = "/window?begin=MS&end=MS&at=MS&columns=N: ms since the start of the session"
-    return web.Response(status=400, text=f"{usage}; 1 to {_COLUMNS_MAX} columns\n")
-
-
-async def _json(document: Callable[[], dict[str, Json]]) -> web.Response:
-    """Build a document in a thread, as it takes some ms, and respond with it."""
-    body = await asyncio.to_thread(lambda: encode(document()))
-    return web.Response(body=body, content_type="application/json")
+    return {"/about.json": about, "/window": window}

@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import os
+import resource
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -10,12 +11,19 @@ from typing import Final, TypeAlias
 
 from aiohttp import web
 
+from connectors.events import encode
 from connectors.web.access import COOKIE, PAGE_PORT, Access, http_url, local_host
-from operators.errors import EndpointError
+from operators.errors import EndpointError, InputError
+from operators.ports import Json
 
-Handler: TypeAlias = Callable[[web.Request], Awaitable[web.StreamResponse]]
+Answer: TypeAlias = tuple[bytes, str]  # body and content type
+Handler: TypeAlias = Callable[[Mapping[str, str]], Awaitable[Answer]]  # answers the query of a request
 
 STATIC: Final = Path(__file__).parent / "static"
+CONNECTIONS_MAX: Final = 64
+IDLE_TIMEOUT: Final = 20.0  # s without a complete request, after which a connection is closed
+_DESCRIPTORS: Final = 4  # a server uses at most 1/4 of the process's file descriptors
+_BACKLOG: Final = 16  # connections accepted at once
 _SHUTDOWN_TIMEOUT: Final = 0.5  # s, for responses in progress
 _REMEDIES: Final = {errno.EADDRINUSE: "choose another port", errno.EACCES: "choose a port of at least 1024"}
 _HEADERS: Final = {
@@ -24,6 +32,7 @@ _HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
     "Cross-Origin-Resource-Policy": "same-origin",
+    "Cache-Control": "no-store",
 }
 _TYPES: Final = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _LOCKED: Final = "/locked.html"  # page that asks for the token
@@ -31,8 +40,18 @@ _WRONG: Final = b'<p id="wrong" hidden>'  # element of that page, shown after a 
 _PUBLIC: Final = frozenset({"/page.css", "/icon.svg"})  # used by that page
 
 
+def json_answer(document: Json) -> Answer:
+    """Return a document as the answer to a request."""
+    return encode(document), "application/json"
+
+
 class WebServer:
-    """HTTP server for GET requests that `Access` admits."""
+    """HTTP server for GET requests that `Access` admits.
+
+    Connections are limited to 64, and to a quarter of the process's file descriptors, so that a recording can
+    always open its files. A further connection replaces the one that was silent for the longest time; one
+    without access replaces only others without access.
+    """
 
     def __init__(
         self,
@@ -56,8 +75,8 @@ class WebServer:
         """
         self._host, self._port, self._access = host, port, access
         self._name, self._any_port, self._files = name, any_port, files
-        self._locked: bytes | None = None
-        self._runner: web.AppRunner | None = None
+        self._locked = b""
+        self._strangers, self._admitted = dict[web.RequestHandler, None](), dict[web.RequestHandler, None]()
 
     @property
     def url(self) -> str:
@@ -75,22 +94,28 @@ class WebServer:
         Raises:
             EndpointError: if the server cannot listen on its address.
         """
+        limit = min(CONNECTIONS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // _DESCRIPTORS)
+        self._limit = max(1, limit // 2)  # of connections with access, and of those without
+        files = await asyncio.to_thread(_read_files, self._files) if self._files else {}
+        self._locked = files.pop(_LOCKED, (b"", ""))[0]
         app = web.Application(middlewares=[self._admit])
         app.on_response_prepare.append(_set_headers)
-        files = await asyncio.to_thread(_read_files, self._files) if self._files else {}
-        if _LOCKED in files:
-            self._locked = files.pop(_LOCKED)[0]
-        served = {path: _file(content, kind) for path, (content, kind) in files.items()}
-        for path, handler in {**served, **handlers}.items():
-            app.router.add_get(path, handler)
+        for path, answer in files.items():
+            app.router.add_get(path, _responder(_constant(answer)))
+        for path, handler in handlers.items():
+            app.router.add_get(path, _responder(handler))
         self._runner = web.AppRunner(
-            app, access_log=None, handler_cancellation=True, shutdown_timeout=_SHUTDOWN_TIMEOUT
+            app,
+            access_log=None,
+            handler_cancellation=True,
+            keepalive_timeout=IDLE_TIMEOUT,
+            shutdown_timeout=_SHUTDOWN_TIMEOUT,
         )
         await self._runner.setup()
         try:
-            await self._listen(self._runner)
+            self._listener = await self._listen()
         except OSError as error:
-            await self.close()
+            await self._runner.cleanup()
             number = error.errno or 0
             reason = (
                 os.strerror(number) if number > 0 else error.strerror or error
@@ -98,24 +123,45 @@ class WebServer:
             remedy = _REMEDIES.get(number, "choose an address of this machine")
             text = f"cannot serve {self._name}: {reason}; {remedy}"
             raise EndpointError(http_url(self._host, self._port), text) from None
+        self._port = int(self._listener.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
         """Stop listening."""
-        if self._runner:
-            await self._runner.cleanup()
-            self._runner = None
+        self._listener.close()
+        await self._runner.cleanup()
 
-    async def _listen(self, runner: web.AppRunner) -> None:
+    async def _listen(self) -> asyncio.Server:
+        listen = asyncio.get_running_loop().create_server
         try:
-            await web.TCPSite(runner, self._host, self._port).start()
+            return await listen(self._connection, self._host, self._port, backlog=_BACKLOG)
         except OSError as error:
             if not self._any_port or error.errno != errno.EADDRINUSE:
                 raise
-            await web.TCPSite(runner, self._host, 0).start()
-        self._port = int(runner.addresses[0][1])
+            return await listen(self._connection, self._host, 0, backlog=_BACKLOG)
+
+    def _connection(self) -> web.RequestHandler:
+        """Return the protocol of a new connection."""
+        server = self._runner.server
+        assert server, "the runner is set up before the server listens"
+        connection = server()
+        self._keep(connection, self._strangers)
+        return connection
+
+    def _keep(self, connection: web.RequestHandler, group: dict[web.RequestHandler, None]) -> None:
+        """Note that a connection is in use; close the one of its group that was silent longest."""
+        self._strangers.pop(connection, None)
+        self._admitted.pop(connection, None)
+        group[connection] = None
+        if len(group) > self._limit:
+            oldest = next(iter(group))
+            del group[oldest]
+            if oldest.transport:
+                oldest.transport.abort()
 
     @web.middleware
-    async def _admit(self, request: web.Request, handler: Handler) -> web.StreamResponse:
+    async def _admit(
+        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
+    ) -> web.StreamResponse:
         if not self._access.is_own_host(request.host):
             text = "Use the IP address, localhost or the host name of this machine.\n"
             return web.Response(status=421, text=text)
@@ -124,8 +170,9 @@ class WebServer:
             redirect = web.Response(status=303, headers={"Location": "/"})  # without the token
             redirect.set_cookie(COOKIE, self._access.cookie, httponly=True, samesite="Lax", path="/")
             return redirect
-        public = self._files is not None and request.path in _PUBLIC
-        if not public and not self._access.accepts_cookie(request.cookies.get(COOKIE)):
+        if self._access.admits(request.cookies.get(COOKIE), request.headers.get("Authorization")):
+            self._keep(request.protocol, self._admitted)
+        elif not (self._files and request.path in _PUBLIC):
             return self._refuse(request)
         with suppress(ConnectionError):  # the browser disconnected
             return await handler(request)
@@ -133,42 +180,58 @@ class WebServer:
 
     def _refuse(self, request: web.Request) -> web.Response:
         """Request the token: from browsers with a page, from programs with a line of text."""
-        if self._locked is None or "text/html" not in request.headers.get("Accept", ""):
-            text = f"Access to {self._name} needs its token: append /?token=... to the address.\n"
+        if not self._locked or "text/html" not in request.headers.get("Accept", ""):
+            text = (
+                f"Access to {self._name} needs its token: append /?token=... to the address, or send the"
+                " header 'Authorization: Bearer ...'.\n"
+            )
             return web.Response(status=401, text=text)
         shown = _WRONG.replace(b" hidden", b"") if "token" in request.query else _WRONG
         body = self._locked.replace(_WRONG, shown)
         return web.Response(status=401, body=body, content_type="text/html", charset="utf-8")
 
 
-def page_server(host: str, port: int | None, token: str | None) -> WebServer:
+def page_server(host: str, port: int | None, token: str | None = None) -> WebServer:
     """Return a server of the page's files; the default of `port` is 8765, or any free port if in use.
 
     Raises:
         ParameterError: if the token is malformed, or missing although other machines can reach `host`.
         InputError: if the file with the token cannot be read.
     """
-    access = Access.of(host, token)
+    access = Access.of("Page", host, token)
     number = PAGE_PORT if port is None else port
     return WebServer(host, number, access, "the page", any_port=port is None, files=STATIC)
 
 
 async def _set_headers(request: web.Request, response: web.StreamResponse) -> None:  # noqa: ARG001 - aiohttp's signature
     response.headers.update(_HEADERS)
-    response.headers.setdefault("Cache-Control", "no-store")
 
 
-def _read_files(folder: Path) -> dict[str, tuple[bytes, str]]:
-    """Read the files of a folder: content and type, by URL path."""
+def _read_files(folder: Path) -> dict[str, Answer]:
+    """Read the files of a folder, by URL path."""
     found = {path.relative_to(folder).as_posix(): path for path in folder.rglob("*") if path.is_file()}
     return {
-        f"/{name if name != 'index.html' else ''}": (path.read_bytes(), _TYPES.get(path.suffix, "text/plain"))
+        f"/{name if name != 'index.html' else ''}": (
+            path.read_bytes(),
+            f"{_TYPES.get(path.suffix, 'text/plain')}; charset=utf-8",
+        )
         for name, path in found.items()
     }
 
 
-def _file(content: bytes, kind: str) -> Handler:
-    async def respond(request: web.Request) -> web.Response:  # noqa: ARG001 - aiohttp's signature
-        return web.Response(body=content, content_type=kind, charset="utf-8")
+def _constant(answer: Answer) -> Handler:
+    async def handler(query: Mapping[str, str]) -> Answer:  # noqa: ARG001 - a constant
+        return answer
+
+    return handler
+
+
+def _responder(handler: Handler) -> Callable[[web.Request], Awaitable[web.Response]]:
+    async def respond(request: web.Request) -> web.Response:
+        try:
+            body, kind = await handler(request.query)
+        except InputError as error:
+            return web.Response(status=400, text=f"{error}\n")
+        return web.Response(body=body, headers={"Content-Type": kind})
 
     return respond

@@ -13,9 +13,6 @@ from flows.cli.report_output import (
 )
 from flows.cli.terminal import note
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def chart(
     dataset: Dataset,

@@ -11,9 +11,6 @@ from flows.cli.options import AsJson, Settings, Target, parse_settings
 if TYPE_CHECKING:
     from flows.graph.node import Node
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def check(target: Target, *, settings: Settings = None, as_json: AsJson = False) -> None:
     """Find errors in a flow without running it.

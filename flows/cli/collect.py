@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from flows.lab.collection.collector import CollectionResult, Setup
     from flows.lab.collection.stroke_plan import CollectionPlan
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 VIRTUAL_MARGIN = 0.03  # m; a virtual arm stops late on a busy host
 VIRTUAL_TIMEOUT = 2.0  # s
 VIRTUAL_WATCHDOG = 0.5  # Hz

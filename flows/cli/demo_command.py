@@ -13,9 +13,6 @@ from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metric
 from flows.cli.options import AsJson, Duration
 from flows.cli.terminal import note
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def demo(
     *,

@@ -16,9 +16,6 @@ from flows.cli.report_output import (
 )
 from flows.cli.terminal import note
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def evaluate(
     dataset: Dataset,

@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from flows.graph.node import Node, Part
     from operators.ports import Json, Run, SinkStatus, SourceStatus
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 _SECRET: Final = re.compile(r"""(?<=://)[^/\s"'@]+(?=@)|(?<=[?&]token=)[^&\s"']+""")  # in URLs
 
 log = logging.getLogger("slipflow")

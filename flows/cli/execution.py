@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from flows.graph import Flow
     from operators.ports import Recording, Run
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def separate_result(*, as_json: bool, log: Format) -> AbstractContextManager[object]:
     """Redirect the output of sinks to stderr if stdout is for a JSON result; a JSON log stays on stdout."""

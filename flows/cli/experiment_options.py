@@ -12,9 +12,6 @@ if TYPE_CHECKING:
     from flows.lab.experiments.study import Method, Trials
     from flows.lab.experiments.trial import Conditions
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object.")]
 Seed = Annotated[
     int, typer.Option(min=0, help="Random seed of the first trial; it increases by 1 per trial.")

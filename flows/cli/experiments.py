@@ -28,9 +28,6 @@ from flows.cli.options import AsJson
 from flows.cli.report_output import prepare_report, write_report
 from flows.cli.terminal import check_output_file, note, progress_bar
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 app = command_group("Run the paper's robot experiments in simulation, closed loop.")
 
 

@@ -14,9 +14,6 @@ from flows.report.table import counted
 if TYPE_CHECKING:
     from storage import Session
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def export(
     dataset: Annotated[

@@ -19,7 +19,7 @@ def graph(
       slipflow graph record
       slipflow graph grip.py --mermaid
     """
-    from flows.graph import drawing  # noqa: PLC0415 - slow to import
+    from flows.graph import drawing
 
     flow = load_flow(target, settings)
     typer.echo(drawing.mermaid(flow.nodes) if mermaid else flow)

@@ -10,9 +10,6 @@ import typer
 from flows.cli.options import AsJson
 from flows.cli.terminal import note, progress_bar
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def import_(
     trace: Annotated[Path, typer.Argument(metavar="TRACE.csv", help="Trace of one fingertip.")],

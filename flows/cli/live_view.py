@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from flows.graph.node import Node
     from operators.batch import Batch
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 WithPage = Annotated[
     bool, typer.Option("--page/--no-page", help="Serve the live page and open it in a browser.")
 ]
@@ -43,7 +40,8 @@ Metrics = Annotated[
     typer.Option(
         "--metrics",
         metavar="[HOST:]PORT",
-        help="Serve metrics for Prometheus here, such as 9464; on this machine only unless a host is given.",
+        help="Serve metrics for Prometheus here, such as 9464. Other machines can connect only if a host is"
+        " given; this requires SLIPFLOW_PAGE_TOKEN, which they send as bearer token.",
     ),
 ]
 

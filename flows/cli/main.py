@@ -43,7 +43,7 @@ _debug = False
 
 def _print_version(value: bool) -> None:  # noqa: FBT001 - called by typer
     if value:
-        from importlib.metadata import version  # noqa: PLC0415 - slow to import
+        from importlib.metadata import version
 
         typer.echo(f"slipflow {version('slipflow')}")
         raise typer.Exit
@@ -73,12 +73,12 @@ def main() -> None:
     except OSError as error:
         if _debug or error.filename is None:
             raise
-        from operators.errors import os_error_reason  # noqa: PLC0415 - imports numpy
+        from operators.errors import os_error_reason
 
         typer.echo(f"error: {error.filename}: {os_error_reason(error)}", err=True)
         sys.exit(2)
     except Exception as error:
-        from operators.errors import SlipflowError  # noqa: PLC0415 - imports numpy
+        from operators.errors import SlipflowError
 
         if _debug or not isinstance(error, SlipflowError):
             raise

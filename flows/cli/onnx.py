@@ -7,9 +7,6 @@ import typer
 
 from flows.cli.terminal import check_output_file
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def onnx(
     model: Annotated[

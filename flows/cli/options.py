@@ -62,7 +62,7 @@ def load_flow(target: str, settings: list[str] | None) -> "Flow":
         InputError: if there is no such flow.
         ParameterError: if a setting is invalid.
     """
-    from flows.graph.loading import load  # noqa: PLC0415 - imports numpy
+    from flows.graph.loading import load
 
     return load(target).flow(parse_settings(settings))
 

@@ -12,9 +12,6 @@ from flows.report.table import counted
 if TYPE_CHECKING:
     from storage import Recovery
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
     """Repair recordings after a crash.

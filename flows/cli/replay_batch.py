@@ -16,9 +16,6 @@ if TYPE_CHECKING:
 
     from flows.run.parallel_replay import Replayed
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def replay_all(
     target: str,

@@ -25,8 +25,8 @@ def prepare_report(folder: Path) -> None:
     Raises:
         EndpointError: if the folder cannot be created.
     """
-    from flows.report.figures import missing_matplotlib  # noqa: PLC0415 - imports numpy
-    from flows.report.report_page import make_output_folder  # noqa: PLC0415
+    from flows.report.figures import missing_matplotlib
+    from flows.report.report_page import make_output_folder
 
     make_output_folder(folder)
     if reason := missing_matplotlib():

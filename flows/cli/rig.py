@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from connectors.emulators.ur_controller import Ports
     from connectors.sim.scene import Curvature
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 MAX_PORT = 65535
 GRIPPER = 5020  # port 502 of real grippers needs root
 

@@ -14,9 +14,6 @@ from flows.cli.replay_batch import replay_all
 from flows.cli.run_on_cluster import ClusterUrl, Follow, PythonFile, run_on_cluster
 from flows.cli.terminal import note
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def run(
     target: Target,

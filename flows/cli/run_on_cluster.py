@@ -10,9 +10,6 @@ import typer
 from flows.cli.terminal import note, progress_bar
 from flows.report.table import counted
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 ClusterUrl = Annotated[
     str | None,
     typer.Option(

@@ -12,10 +12,8 @@ from flows.cli.terminal import note
 
 if TYPE_CHECKING:
     from connectors.web.session_page import SessionCurves
+    from connectors.web.web_server import WebServer
     from operators.ports import Recording
-
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
 
 
 def show(
@@ -37,29 +35,27 @@ def show(
     Examples:
       slipflow show recordings/sessions/stroke-9 --detector psd
     """
-    from connectors.web.access import Access
+    from connectors.web.web_server import page_server
     from storage import Session
 
     host, port = parse_address("--listen", listen) if listen else ("127.0.0.1", None)
-    Access.of(host, None)  # raises an error before a long session is read
-    recording = Session.open(session)
-    asyncio.run(_show(recording, detector, host, port, browse=not no_browser))
+    server = page_server(host, port)  # raises an error before a long session is read
+    asyncio.run(_show(Session.open(session), detector, server, browse=not no_browser))
 
 
-async def _show(recording: "Recording", detector: str, host: str, port: int | None, *, browse: bool) -> None:
-    from connectors.web.session_page import SessionPage
+async def _show(recording: "Recording", detector: str, server: "WebServer", *, browse: bool) -> None:
+    from connectors.web.session_page import session_handlers
     from flows.run.stop_signals import signals_to
 
     note(f"{recording.name}: reading and scoring by {detector}")
-    page = SessionPage(await load(recording, detector), port, host)
-    await page.open()
-    announce_page("page, until Ctrl-C", page.url, page.login_url, browse=browse)
+    await server.open(session_handlers(await load(recording, detector)))
+    announce_page("page, until Ctrl-C", server.url, server.login_url, browse=browse)
     stop = asyncio.Event()
     try:
         with signals_to(stop.set):
             await stop.wait()
     finally:
-        await page.close()
+        await server.close()
 
 
 async def load(recording: "Recording", detector: str = "tcn") -> "SessionCurves":

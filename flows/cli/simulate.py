@@ -9,9 +9,6 @@ import typer
 from flows.cli.options import AsJson
 from flows.cli.terminal import progress_bar
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder of the dataset, new or empty.")],

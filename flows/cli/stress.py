@@ -9,9 +9,6 @@ from flows.cli.options import AsJson, Methods, Models
 from flows.cli.report_output import ReportFolder, method_options, prepare_report, write_report
 from flows.cli.terminal import note, progress_bar
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def stress(
     *,

@@ -7,9 +7,6 @@ from typing import Protocol
 
 import typer
 
-# numpy and rich are imported inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def note(text: str) -> None:
     """Print a message on stderr; stdout is for the result."""

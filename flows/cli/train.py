@@ -12,9 +12,6 @@ from flows.cli.terminal import check_output_file, note, progress_bar
 if TYPE_CHECKING:
     from flows.learn.training.learning_curve import Check
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def train(
     datasets: Annotated[list[Path], typer.Argument(metavar="DATASET", help="Labelled datasets with splits.")],

@@ -12,9 +12,6 @@ from flows.cli.terminal import note, progress_bar
 if TYPE_CHECKING:
     from storage import Verified
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def verify(
     path: DatasetOrSession,

@@ -11,9 +11,6 @@ from flows.cli.terminal import note
 if TYPE_CHECKING:
     from connectors.events import Event
 
-# Slow imports are inside functions: `slipflow --help` must be fast.
-# ruff: noqa: PLC0415
-
 
 def watch(
     url: Annotated[

@@ -1,15 +1,16 @@
-// Live page: frames arrive as server-sent events; the page reconnects by itself.
+// Live page: polls for messages, each request waits for new ones; the page reconnects by itself.
 
 import { Health } from "./lists.js";
 import { title, write } from "./pad.js";
 
-const SILENCE = 4000; // ms without a message until the connection counts as lost; reports arrive every second
+const SILENCE = 4000; // ms without an answer until the connection counts as lost; the server answers within 1 s
 const RETRY = 1000; // ms between attempts
+const BROWSER = crypto.getRandomValues(new Uint32Array(2)).join("-"); // the server waits for it at the end of a run
 const $ = (id) => document.getElementById(id);
 
 export function live(view) {
   const health = new Health(), announce = announcer();
-  let hello = null, ended = null, paused = null, heard = performance.now(), source = null;
+  let hello = null, ended = null, paused = null, next = "";
 
   const clock = new Intl.DateTimeFormat(undefined, { hour: "2-digit", minute: "2-digit", second: "2-digit", fractionalSecondDigits: 3, hour12: false });
   const when = (t) => clock.format(new Date(hello.start + t));
@@ -79,53 +80,51 @@ export function live(view) {
     view.dirty();
   }
 
-  function open() {
-    source?.close();
-    source = new EventSource("stream");
-    heard = performance.now();
-    const on = (name, take) => source.addEventListener(name, ({ data }) => {
-      heard = performance.now();
-      take(JSON.parse(data));
-    });
-    on("hello", begin);
-    on("frame", (each) => {
+  const takes = {
+    hello: begin,
+    frame(each) {
       frame(each);
       const newest = view.newest, received = performance.timeOrigin + performance.now();
       if (newest !== null) document.dispatchEvent(new CustomEvent("frame", { detail: { newest: hello.start + newest, sent: hello.start + each.now, received } }));
-    });
-    on("report", (each) => {
+    },
+    report(each) {
       health.show(each);
-      if (each.events && view.events.add(each.events).length) view.dirty();
       view.events.show(when);
-    });
-    on("lost", (count) => {
-      $("lost").hidden = false;
-      write($("lost"), `This browser was too slow: ${count} messages were dropped.`);
-    });
-    on("end", (each) => {
+    },
+    end(each) {
       ended = each;
       view.slipping.clear();
       health.end(each);
       view.dirty();
       showLink();
-    });
+    },
+  };
+
+  async function poll() {
+    const query = new URLSearchParams({ browser: BROWSER, session: hello?.session ?? "", next });
+    const answer = await fetch(`messages?${query}`, { signal: AbortSignal.timeout(SILENCE) });
+    if (answer.status === 401) return location.reload(); // it requires another token after a restart
+    if (!answer.ok) throw new Error(await answer.text());
+    const found = await answer.json();
+    next = found.next;
+    for (const [name, document_] of found.messages) takes[name](document_);
+    if (ended) await sleep(RETRY);
+    else link("live");
   }
 
-  setInterval(() => {
-    const dead = performance.now() - heard > SILENCE || source.readyState !== EventSource.OPEN;
-    if (!dead) return;
-    if (!ended || performance.now() - heard > SILENCE) link("lost");
-    if (source.readyState === EventSource.CLOSED) reloadIfRefused();
-    if (source.readyState === EventSource.CLOSED || performance.now() - heard > SILENCE) open();
-  }, RETRY);
-  open();
+  (async () => {
+    for (;;) {
+      try {
+        await poll();
+      } catch {
+        link("lost");
+        await sleep(RETRY);
+      }
+    }
+  })();
 }
 
-// Reload the page if the server requires another token after a restart; it then asks for the token.
-async function reloadIfRefused() {
-  const answer = await fetch("about.json", { cache: "no-store" }).catch(() => null);
-  if (answer?.status === 401) location.reload();
-}
+const sleep = (time) => new Promise((resolve) => setTimeout(resolve, time));
 
 // Return a copy of the current streams.
 function snapshot({ streams, newest }) {

@@ -6,7 +6,8 @@ from threading import Thread
 from typing import Any, Self
 
 from connectors import Page
-from connectors.web.session_page import SessionCurves, SessionPage
+from connectors.web.session_page import SessionCurves, session_handlers
+from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.ports import Run, SinkStatus, SourceStatus
@@ -98,11 +99,11 @@ class ServedRecording(Served):
 
     def __enter__(self) -> Self:
         super().__enter__()
-        self._scrubber = SessionPage(self.do(self._recorded), 0)
-        self.do(self._scrubber.open())
-        self.url = self._scrubber.url
+        self._server = page_server("127.0.0.1", 0)
+        self.do(self._server.open(session_handlers(self.do(self._recorded))))
+        self.url = self._server.url
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.do(self._scrubber.close())
+        self.do(self._server.close())
         super().__exit__()

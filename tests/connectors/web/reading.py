@@ -1,13 +1,12 @@
-"""What tests of the page share: rows of streams, and a reader of server-sent events."""
+"""What tests of the page share: rows of streams, and a reader of its messages."""
 
 import asyncio
-import json
 from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, suppress
 from typing import Any
 
 import numpy as np
-from aiohttp import ClientResponse, ClientSession
+from aiohttp import ClientConnectionError, ClientSession
 
 from operators.batch import Motion, Scores, Slips, Zeroed
 from tests.connectors.mqtt.broker_process import PATIENCE
@@ -36,24 +35,25 @@ def moved(time: int) -> Motion:
     return Motion(at, at, np.array([[0.003, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)))
 
 
-async def events(response: ClientResponse) -> AsyncIterator[tuple[str, Any]]:
-    """Server-sent events as they come: name and document."""
-    name = ""
-    async for line in response.content:
-        field, _, value = line.decode().rstrip("\n").partition(": ")
-        if field == "event":
-            name = value
-        elif field == "data":
-            yield name, json.loads(value)
+async def messages(session: ClientSession, url: str, browser: str = "test") -> AsyncIterator[tuple[str, Any]]:
+    """Messages of a live page as a browser gets them, until it ends: name and document."""
+    query = {"browser": browser, "session": "", "next": ""}
+    with suppress(ClientConnectionError):
+        while True:
+            async with session.get(f"{url}/messages", params=query) as response:
+                assert response.status == 200, await response.text()
+                found = await response.json()
+            query["next"] = str(found["next"])
+            for name, document in found["messages"]:
+                if name == "hello":
+                    query["session"] = document["session"]
+                yield name, document
+                if name == "end":
+                    return
 
 
 @asynccontextmanager
 async def listening(url: str) -> AsyncGenerator[AsyncIterator[tuple[str, Any]]]:
     """What a browser at a page hears."""
-    async with (
-        asyncio.timeout(PATIENCE),
-        ClientSession() as session,
-        session.get(f"{url}/stream") as response,
-    ):
-        assert response.content_type == "text/event-stream"
-        yield events(response)
+    async with asyncio.timeout(PATIENCE), ClientSession() as session:
+        yield messages(session, url)

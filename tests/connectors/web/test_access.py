@@ -11,46 +11,46 @@ SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 
 
 def test_loopback_needs_no_token() -> None:
-    assert Access.of("127.0.0.1", None).accepts_cookie(None)
-    assert Access.of("localhost", None).accepts_cookie(None)
+    assert Access.of("Page", "127.0.0.1").admits(None)
+    assert Access.of("Page", "localhost").admits(None)
 
 
 @pytest.mark.parametrize("host", ["::", "192.168.1.5", "rig.lab"])
 def test_other_addresses_need_a_token(host: str) -> None:
     with pytest.raises(ParameterError, match=f"token is None, must be set.* {TOKEN}"):
-        Access.of(host, None)
-    assert Access.of(host, SECRET).token == SECRET
+        Access.of("Metrics", host)
+    assert Access.of("Page", host, SECRET).token == SECRET
 
 
 def test_the_token_comes_from_the_environment_or_a_file(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv(TOKEN, SECRET)
-    assert Access.of("::", None).accepts_token(SECRET)
+    assert Access.of("Page", "::").accepts_token(SECRET)
     (tmp_path / "token").write_text(f"{SECRET}-of-the-file\n")
     monkeypatch.setenv(TOKEN_FILE, str(tmp_path / "token"))
-    assert Access.of("::", None).accepts_token(f"{SECRET}-of-the-file")
+    assert Access.of("Page", "::").accepts_token(f"{SECRET}-of-the-file")
     monkeypatch.setenv(TOKEN_FILE, str(tmp_path / "none"))
     with pytest.raises(InputError, match=re.escape(str(tmp_path / "none"))):
-        Access.of("::", None)
+        Access.of("Page", "::")
 
 
 @pytest.mark.parametrize("token", ["short", "x" * 300, "0123456789 abcdef", "0123456789abcdef\n", "é" * 20])
 def test_a_malformed_token_is_rejected_and_not_shown(token: str) -> None:
     with pytest.raises(ParameterError) as caught:
-        Access.of("127.0.0.1", token)
+        Access.of("Page", "127.0.0.1", token)
     assert token not in str(caught.value)
 
 
 def test_only_the_cookie_of_the_token_is_accepted() -> None:
     access = Access(SECRET)
-    assert access.accepts_cookie(access.cookie)
+    assert access.admits(access.cookie)
     assert Access(SECRET).cookie == access.cookie  # a page comes back after a restart
-    assert not access.accepts_cookie(None)
-    assert not access.accepts_cookie("")
-    assert not access.accepts_cookie(SECRET)
-    assert not access.accepts_cookie(Access(SECRET + "0").cookie)
-    assert not access.accepts_cookie("ü")
+    assert not access.admits(None)
+    assert not access.admits("")
+    assert not access.admits(SECRET)
+    assert not access.admits(Access(SECRET + "0").cookie)
+    assert not access.admits("ü")
     assert not access.accepts_token("ü")
     assert SECRET not in access.cookie
 
@@ -78,5 +78,13 @@ def test_addresses_and_names_of_this_machine_are_accepted() -> None:
         assert Access().is_own_host(host), host
 
 
-def test_any_name_accepts_all_hosts() -> None:
-    assert Access(any_name=True).is_own_host("robot.example")
+def test_with_a_token_any_host_name_is_accepted() -> None:
+    assert Access(SECRET).is_own_host("robot.example")
+
+
+def test_the_token_is_accepted_as_a_bearer() -> None:
+    access = Access(SECRET)
+    assert access.admits(None, f"Bearer {SECRET}")
+    assert access.admits(None, f"bearer  {SECRET}")
+    for wrong in ("", SECRET, f"Basic {SECRET}", f"Bearer {SECRET}x", "Bearer", "Bearer ü"):
+        assert not access.admits(None, wrong), wrong

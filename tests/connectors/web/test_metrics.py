@@ -7,6 +7,7 @@ from aiohttp import ClientSession
 from prometheus_client.parser import text_string_to_metric_families
 
 from connectors import Metrics
+from connectors.web.access import TOKEN
 from operators.batch import Slips
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run, SourceStatus
@@ -40,6 +41,21 @@ def test_metrics_are_served_only_during_the_run(run: Run) -> None:
     assert families["slipflow_slip_latency_seconds"].type == "histogram"
 
 
+def test_other_machines_need_the_token(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def main() -> None:
+        wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
+        with pytest.raises(ParameterError, match="Metrics: token is None, must be set"):
+            await wide.open(run)
+        monkeypatch.setenv(TOKEN, "0123456789abcdef")
+        await wide.open(run)
+        assert (await asked(wide.url))[0] == 401
+        own = {"Host": "robot.example", "Authorization": "Bearer 0123456789abcdef"}
+        assert (await asked(wide.url, **own))[0] == 200
+        await wide.close()
+
+    asyncio.run(main())
+
+
 def test_only_this_machine_reaches_it_without_dns_rebinding(run: Run) -> None:
     async def main() -> None:
         metrics = Metrics(0)
@@ -48,10 +64,6 @@ def test_only_this_machine_reaches_it_without_dns_rebinding(run: Run) -> None:
         assert (await asked(metrics.url, Host="evil.example"))[0] == 421
         assert (await asked(metrics.url.removesuffix("/metrics")))[0] == 404
         await metrics.close()
-        wide = Metrics(0, "0.0.0.0")  # noqa: S104 - what is tested
-        await wide.open(run)
-        assert (await asked(wide.url, Host="robot.example"))[0] == 200
-        await wide.close()
 
     asyncio.run(main())
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from connectors.events import encode
-from connectors.web.page_frames import EVENTS_KEPT, FINGERS_MAX, KEPT, STEP, Frames, Track
+from connectors.web.page_frames import EVENTS_KEPT, FINGERS_MAX, KEPT, STEP, Frames, Track, rows_json
 from operators.batch import EVERY, Faults, Motion, Scores, Slips, Touch, Zeroed, ms, s
 from operators.health import FaultKind
 from operators.ports import Json, Run
@@ -49,7 +49,7 @@ def test_a_frame_has_the_new_rows_of_each_stream(frames: Frames) -> None:
         "faults": {},
     }
     assert document(frames.next()) == {"now": 10_000.0, "slipping": [], "faults": {}}
-    assert document(frames.rows().document(START))["touch"]["2"]["t"] == [10.0]
+    assert document(rows_json(frames.rows(), START))["touch"]["2"]["t"] == [10.0]
 
 
 def test_zeroed_counts_replace_raw_ones(frames: Frames) -> None:

@@ -2,7 +2,8 @@ import asyncio
 
 from aiohttp import ClientSession
 
-from connectors.web.session_page import SessionCurves, SessionPage
+from connectors.web.session_page import SessionCurves, session_handlers
+from connectors.web.web_server import page_server
 from operators.batch import ms, s
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import PATIENCE
@@ -17,9 +18,9 @@ def test_the_server_returns_the_session_and_any_window(run: Run) -> None:
             await recorded.write(felt(90 * s + k * 10 * ms, -k))
         await recorded.write(slip(90 * s + 50 * ms, 1))
         await recorded.close()
-        scrubber = SessionPage(recorded, 0)
-        await scrubber.open()
-        url = scrubber.url
+        server = page_server("127.0.0.1", 0)
+        await server.open(session_handlers(recorded))
+        url = server.url
         async with asyncio.timeout(PATIENCE), ClientSession() as session:
             async with session.get(f"{url}/about.json") as response:
                 about = await response.json()
@@ -44,6 +45,6 @@ def test_the_server_returns_the_session_and_any_window(run: Run) -> None:
                 async with session.get(f"{url}/window{wrong}") as response:
                     assert response.status == 400, wrong
                     assert "begin=MS" in await response.text()
-        await scrubber.close()
+        await server.close()
 
     asyncio.run(main())

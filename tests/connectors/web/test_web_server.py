@@ -1,22 +1,24 @@
 import asyncio
 import re
+import resource
 import socket
-from collections.abc import AsyncGenerator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import pytest
-from aiohttp import ClientResponse, ClientSession, CookieJar, web
+from aiohttp import ClientResponse, ClientSession, CookieJar
 
 from connectors.web.access import Access
-from connectors.web.web_server import STATIC, WebServer, page_server
+from connectors.web.web_server import CONNECTIONS_MAX, STATIC, WebServer, page_server
 from operators.errors import EndpointError
+from tests.connectors.mqtt.broker_process import PATIENCE
 
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 
 
-async def answer(_: web.Request) -> web.Response:
-    return web.Response(text="felt")
+async def answer(_: Mapping[str, str]) -> tuple[bytes, str]:
+    return b"felt", "text/plain"
 
 
 @asynccontextmanager
@@ -63,7 +65,10 @@ def test_without_the_token_the_response_has_a_remedy() -> None:
         async with served(Access(SECRET)) as (session, url):
             status, text, _ = await get(session, f"{url}/data")
             assert status == 401
-            assert text == ("Access to numbers needs its token: append /?token=... to the address.\n")
+            assert text.startswith(
+                "Access to numbers needs its token: append /?token=... to the address, or "
+            )
+            assert (await get(session, f"{url}/data", Authorization=f"Bearer {SECRET}"))[1] == "felt"
 
     asyncio.run(main())
 
@@ -192,3 +197,53 @@ def test_browsers_get_a_token_form_and_programs_a_line_of_text() -> None:
             assert (status, response.content_type, text.count("\n")) == (401, "text/plain", 1)
 
     page_served(use, SECRET)
+
+
+def descriptors() -> int:
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+def test_silent_connections_are_limited_and_never_replace_one_with_access() -> None:
+    async def main() -> None:
+        server = WebServer("127.0.0.1", 0, Access(SECRET), "numbers")
+        await server.open({"/data": answer})
+        address = "127.0.0.1", int(server.url.rpartition(":")[2])
+        own = {"Authorization": f"Bearer {SECRET}"}
+        silent = list[tuple[asyncio.StreamReader, asyncio.StreamWriter]]()
+        async with ClientSession() as session:
+            assert (await get(session, f"{server.url}/data", **own))[0] == 200
+            [connection] = server._admitted
+            before = descriptors()
+            for _ in range(5 * CONNECTIONS_MAX):
+                silent.append(await asyncio.open_connection(*address))
+            async with asyncio.timeout(PATIENCE):
+                for reader, _ in silent[: -CONNECTIONS_MAX // 2]:
+                    with suppress(ConnectionResetError):
+                        assert await reader.read() == b""  # closed by the server
+            assert descriptors() - before <= len(silent) + CONNECTIONS_MAX // 2
+            assert not silent[-1][0].at_eof()
+            assert (await get(session, f"{server.url}/data", **own))[0] == 200
+            assert list(server._admitted) == [connection]  # not a new one
+        for _, writer in silent:
+            writer.close()
+        await server.close()
+
+    asyncio.run(main())
+
+
+def test_a_quarter_of_the_file_descriptors_is_used_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (32, 32))
+
+    async def main() -> None:
+        server = WebServer("127.0.0.1", 0, Access(), "numbers")
+        await server.open({"/data": answer})
+        sessions = [ClientSession() for _ in range(12)]
+        for session in sessions:
+            assert (await get(session, f"{server.url}/data"))[1] == "felt"
+        assert len(server._admitted) == 4
+        assert (await get(sessions[0], f"{server.url}/data"))[1] == "felt"  # on a new connection
+        for session in sessions:
+            await session.close()
+        await server.close()
+
+    asyncio.run(main())

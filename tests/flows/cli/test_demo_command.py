@@ -1,11 +1,11 @@
 """`slipflow demo` in processes of its own: its page, and brokers that refuse it or are killed."""
 
+import asyncio
 import json
 import re
 import signal
 import subprocess
 import sys
-from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import pytest
 
 from tests.command import SLIPFLOW, slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
+from tests.connectors.web.reading import listening
 
 SCHEMA = json.loads((Path(__file__).parents[3] / "connectors" / "slip-event.schema.json").read_text())
 
@@ -40,19 +41,24 @@ def test_the_demo_serves_its_page_by_default(tmp_path: Path) -> None:
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr
     address = next(
-        filter(None, (re.search(r"live page: http://(127\.0\.0\.1):(\d+)", line) for line in process.stderr))
+        filter(None, (re.search(r"live page: (http://127\.0\.0\.1:\d+)", line) for line in process.stderr))
     )
-    connection = HTTPConnection(address[1], int(address[2]), timeout=30)
-    connection.request("GET", "/stream")
-    lines = iter(connection.getresponse().readline, b"")
-    assert any(line == b"event: hello\n" for line in lines)
-    hello = json.loads(next(lines).removeprefix(b"data: "))
-    assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("demo", True, True)
-    frames = (json.loads(line[6:]) for line in lines if line.startswith(b"data: {") and b'"scores"' in line)
-    assert "0" in next(frames)["touch"]
-    process.send_signal(signal.SIGTERM)
-    assert any(line == b"event: end\n" for line in lines)
-    connection.close()
+
+    async def follow() -> None:
+        async with listening(address[1]) as heard:
+            name, hello = await anext(heard)
+            assert name == "hello"
+            assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("demo", True, True)
+            assert (
+                "0"
+                in (await anext(each async for name, each in heard if name == "frame" and "scores" in each))[
+                    "touch"
+                ]
+            )
+            process.send_signal(signal.SIGTERM)
+            assert "end" in [name async for name, _ in heard]
+
+    asyncio.run(follow())
     output, _ = process.communicate(timeout=30)
     assert process.returncode == 0
     found = summary(output)

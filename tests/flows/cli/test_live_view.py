@@ -1,9 +1,4 @@
-import json
-import re
-import signal
-import subprocess
 import sys
-from http.client import HTTPConnection
 from io import StringIO
 from pathlib import Path
 from queue import Queue
@@ -21,7 +16,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from operators import Debounce, Touch, Zero
-from tests.command import SLIPFLOW, slipflow
+from tests.command import slipflow
 from tests.connectors.mqtt.broker_process import PATIENCE
 
 
@@ -95,30 +90,6 @@ def test_a_browser_is_opened_only_if_no_program_reads_the_output(
 def test_run_demo_and_show_share_the_option_no_browser() -> None:
     for command in (run, demo, show):
         assert get_type_hints(command, include_extras=True)["no_browser"] is NoBrowser
-
-
-def test_a_live_run_serves_its_page_and_prints_the_address() -> None:
-    command = [*SLIPFLOW, "run", "live", "--listen", "127.0.0.1:0", "--for", "60s", "--json"]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stderr
-    address = next(
-        filter(None, (re.search(r"live page: http://(127\.0\.0\.1):(\d+)", line) for line in process.stderr))
-    )
-    connection = HTTPConnection(address[1], int(address[2]), timeout=30)
-    connection.request("GET", "/stream")
-    stream = connection.getresponse()
-    lines = iter(stream.readline, b"")
-    assert any(line == b"event: hello\n" for line in lines)
-    hello = json.loads(next(lines).removeprefix(b"data: "))
-    assert (hello["flow"], hello["live"], 0 < hello["threshold"] < 1) == ("live", True, True)
-    frames = (json.loads(line[6:]) for line in lines if line.startswith(b"data: {") and b'"scores"' in line)
-    assert "0" in next(frames)["touch"]
-    process.send_signal(signal.SIGTERM)
-    assert any(line == b"event: end\n" for line in lines)
-    connection.close()
-    output, _ = process.communicate(timeout=30)
-    assert process.returncode == 0
-    assert json.loads(output.splitlines()[-1])["sinks"]["page"]["dropped"] == 0
 
 
 def test_a_page_for_other_machines_without_a_token_is_a_one_line_error(
