@@ -12,8 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from connectors.sim.arm_motion import Arm, in_base
-from connectors.sim.commanded_motion import CommandQueue
+from connectors.sim.arm_motion import in_base
+from connectors.sim.commanded_motion import CommandedArm
 from connectors.sim.scene import Scene, commanded_scene
 from operators.batch import Commands, Counts, Reals, Touch, Truth, s
 from operators.errors import ParameterError
@@ -27,7 +27,7 @@ class SharedScene:
     The first scene in a process takes seconds to create, because the physics is compiled.
 
     Args:
-        scene: Scene to simulate (default `commanded_scene()`). `Scene()` presses and strokes until commanded.
+        scene: Scene to simulate (default `commanded_scene()`).
         seed: Random seed; the same seed and the same requests give identical output.
         fingers: Fingertips that share one motion, each with its own noise and cells.
         now: Clock of the host (ns since 1970 UTC), also used by the emulators for timestamps.
@@ -51,26 +51,21 @@ class SharedScene:
         compile_physics()
         self.scene = scene if scene is not None else commanded_scene()
         self.fingers, self.now = fingers, now
-        self._lock, self.commands = Lock(), CommandQueue()
-        self._fingertips = {
-            finger: Finger(self.scene, seed, finger, commands=self.commands) for finger in fingers
-        }
-        self._arm = Arm(self.scene, seed, commands=self.commands)
+        self._lock, self.origin = Lock(), now()
+        self._arm = CommandedArm(self.scene, self.origin)
+        self._fingertips = {finger: Finger(self.scene, seed, finger, self._arm) for finger in fingers}
         self._step = round(self.scene.parameters.step * s)  # ns, one physics step
         self._latest: dict[int, Touch] = {}  # by fingertip, time in ns from the origin
-        self._ended: set[int] = set()  # fingertips whose plan has ended
         self._latest_motion = -1  # ns from the origin
         self._pose, self._velocity = np.zeros(6), np.zeros(6)
-        self.origin = now()
-        self.commands.begin(self.origin)
         for finger in fingers:
             self._simulate(finger, 0)
 
     def touch(self, finger: int, time: int) -> tuple[Counts, Counts]:
         """Return the counts of a conversion that starts at `time` (ns).
 
-        The latest reading is returned for an instant before the latest request, less than one physics step
-        after it, or after the end of the plan.
+        The latest reading is returned for an instant before the latest request, or less than one physics step
+        after it.
 
         Returns:
             Raw ADC counts of pressure and of temperature, (6,) each; 0 for dead cells of the scene.
@@ -85,26 +80,20 @@ class SharedScene:
 
         Returns:
             Pose, (6,) m and rotation vector in rad, and velocity, (6,) m/s and rad/s, in the base frame.
-            After the end of the plan the arm stands still.
         """
         with self._lock:
             instant = max(0, time - self.origin)
             if instant > self._latest_motion:
                 self._latest_motion = instant
-                trajectory = self._arm.at(np.array([instant / s]))
-                if len(trajectory):
-                    velocity, pose = in_base(trajectory)
-                    self._pose, self._velocity = pose[0], velocity[0]
-                else:
-                    self._velocity = np.zeros(6)
+                [self._velocity], [self._pose] = in_base(*self._arm.at(np.array([instant / s])))
             return self._pose.copy(), self._velocity.copy()
 
     def command(self, commands: Commands) -> None:
         """Apply commands from their own times on; they cannot change what is already simulated."""
         with self._lock:
-            self.commands.add(commands)
+            self._arm.add(commands)
             passed = min(self._latest_motion, *(int(latest.time[0]) for latest in self._latest.values()))
-            self.commands.drop_before(self.origin + passed - 2 * self._step)
+            self._arm.forget((passed - 2 * self._step) / s)
 
     def advance(self, time: int) -> None:
         """Simulate all fingertips up to `time` (ns), so that the next request is fast."""
@@ -116,12 +105,9 @@ class SharedScene:
         """Simulate a fingertip up to an instant (ns from the origin)."""
         latest = self._latest.get(finger)
         done = -self._step if latest is None else int(latest.time[0])
-        while instant - done >= self._step and finger not in self._ended:
+        while instant - done >= self._step:
             done = min(instant, done + LONGEST_STEP)
-            if (sample := self._sense(finger, done / s)) is None:
-                self._ended.add(finger)
-                return
-            self._latest[finger] = sample[0]
+            self._latest[finger] = self._sense(finger, done / s)[0]
 
-    def _sense(self, finger: int, instant: float) -> tuple[Touch, Truth] | None:
+    def _sense(self, finger: int, instant: float) -> tuple[Touch, Truth]:
         return self._fingertips[finger].sense(instant)

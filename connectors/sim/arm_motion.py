@@ -14,17 +14,16 @@ base's. At yaw q about its normal, its rotation vector is pi (cos q/2, -sin q/2,
 """
 
 import math
-from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from connectors.sim.commanded_motion import CommandFollower, CommandQueue, Trajectory
 from connectors.sim.contact import compiled
 from connectors.sim.scene import Move, Sampler, Scene
 from operators.batch import Motion, Reals, s
 
 TAP_DURATION: Final = 0.01  # s
+SPIN_ACCELERATION: Final = 10.0  # rad/s2, at the ends of a rotation
 CONTROLLER_UPTIME: Final = 3600.0  # s at the beginning of a run
 
 
@@ -50,7 +49,7 @@ class Course(NamedTuple):
 def course(move: Move, start: float, pose: tuple[float, float, float], force: float, scene: Scene) -> Course:
     """Return the course of a move from `start` (s), an initial pose (m, m, rad) and force (N)."""
     heading, spins = math.radians(move.direction_deg), move.motion == "rotation"
-    acceleration = scene.spin_acceleration if spins else scene.acceleration
+    acceleration = SPIN_ACCELERATION if spins else scene.acceleration
     ramp = min(abs(move.speed) / acceleration, (move.seconds - move.rest) / 2)
     onward = math.cos(heading + pose[2]), math.sin(heading + pose[2])
     travel = move.speed * (move.seconds - move.rest - ramp)
@@ -108,80 +107,60 @@ def follow(course: Course, times: Reals, drive: Reals, pose: Reals) -> None:
             drive[i, 4], drive[i, 5] = push * course.along[0], push * course.along[1]
 
 
-class Arm:
-    """An arm that executes the plan of a scene once, and commands.
+class PlannedArm:
+    """An arm that executes the plan of a scene once; `seed` is that of the plan."""
 
-    Args:
-        scene: The scene.
-        seed: Random seed of the plan.
-        on_move: Called with each move and its start (s) when it begins.
-        commands: Queue of commands; each replaces the plan from its time on.
-    """
+    def __init__(self, scene: Scene, seed: int) -> None:
+        self._scene, self._moves = scene, scene.moves(seed)
+        self._course = self._next((0.0, 0.0, 0.0), 0.0)  # current move; None after the plan
 
-    def __init__(
-        self,
-        scene: Scene,
-        seed: int,
-        on_move: Callable[[Move, float], None] | None = None,
-        commands: CommandQueue | None = None,
-    ) -> None:
-        self._moves: Iterator[Move] = scene.plan.moves(np.random.default_rng([seed, 0]))
-        self._scene, self._on_move = scene, on_move
-        self._follower = None if commands is None else CommandFollower(commands, scene)
-        self._course: Course | None = None  # current move; None after the plan
-        self._end = 0.0  # s, of the current move
-        self._next((0.0, 0.0, 0.0), 0.0)
-
-    def _next(self, pose: tuple[float, float, float], force: float) -> None:
+    def _next(self, pose: tuple[float, float, float], force: float) -> Course | None:
         """Begin the next move at a pose (m, m, rad) and a force (N)."""
-        self._course = None
-        if (move := next(self._moves, None)) is not None:
-            self._course = course(move, self._end, pose, force, self._scene)
-            if self._on_move is not None:
-                self._on_move(move, self._end)
-            self._end += move.seconds
+        for start, move in self._moves:
+            return course(move, start, pose, force, self._scene)
+        return None
 
-    def at(self, times: Reals) -> Trajectory:
-        """Return the trajectory at increasing instants (k,) (s); shorter if the plan ends before the last."""
-        if self._follower is None:
-            return self._planned(times)
-        return self._follower.trajectory(times, self._planned)
+    def at(self, times: Reals) -> tuple[Reals, Reals]:
+        """Return the trajectory at increasing instants (k,) (s); shorter if the plan ends before the last.
 
-    def _planned(self, times: Reals) -> Trajectory:
+        Returns:
+            Drive (k, 6): velocity (m/s, m/s, rad/s), normal force (N) and external force (N, N), in the
+            fingertip's frame. Pose (k, 3) m, m, rad of the TCP, relative to its start, seen along the normal.
+        """
         k, done = len(times), 0
-        path = Trajectory.blank(k)
+        drive, pose = np.zeros((k, 6)), np.zeros((k, 3))
         while (course := self._course) is not None:
-            until = int(times.searchsorted(self._end))
+            until = int(times.searchsorted(course.start + course.seconds))
             if until > done:
-                follow(course, times[done:until], path.drive[done:until], path.pose[done:until])
+                follow(course, times[done:until], drive[done:until], pose[done:until])
                 done = until
             if done == k:
                 break
-            self._next(course.end, course.last)
-        return path[:done]
+            self._course = self._next(course.end, course.last)
+        return drive[:done], pose[:done]
 
 
-def in_base(path: Trajectory) -> tuple[Reals, Reals]:
+def in_base(drive: Reals, pose: Reals) -> tuple[Reals, Reals]:
     """Return velocity and pose of the TCP in the base frame: (k, 6) m/s, rad/s and (k, 6) m, rad."""
-    x, y, yaw = path.pose.T
-    vx, vy, spin = path.velocity.T
+    x, y, yaw = pose.T
+    vx, vy, spin = drive[:, :3].T
     cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     velocity = [cos * vx - sin * vy, -sin * vx - cos * vy, zero, zero, zero, -spin]
-    pose = [x, -y, zero, math.pi * np.cos(yaw / 2), -math.pi * np.sin(yaw / 2), zero]
-    return np.stack(velocity, axis=1), np.stack(pose, axis=1)
+    rotated = [x, -y, zero, math.pi * np.cos(yaw / 2), -math.pi * np.sin(yaw / 2), zero]
+    return np.stack(velocity, axis=1), np.stack(rotated, axis=1)
 
 
 class Controller:
     """Controller of the arm, which reports motion samples."""
 
-    def __init__(self, scene: Scene, seed: int, commands: CommandQueue | None = None) -> None:
-        self._arm = Arm(scene, seed, commands=commands)
+    def __init__(self, scene: Scene, seed: int) -> None:
+        self._arm = PlannedArm(scene, seed)
         self._sampler = Sampler(scene.motion, np.random.default_rng([seed, 1]))
 
     def take(self, samples: int) -> Motion | None:
         """Return the next samples, timestamped from the run's start; fewer at the plan's end, then None."""
         t = self._sampler.instants(samples)  # (k,) s
-        velocity, pose = in_base(self._arm.at(t))
+        velocity, pose = in_base(*self._arm.at(t))
         if not len(velocity):
             return None
         t = t[: len(velocity)]

@@ -1,17 +1,18 @@
 """One simulated fingertip: touch samples and ground truth from a scene and a seed."""
 
 import math
-from collections.abc import Callable
+from dataclasses import replace
+from typing import Final, Protocol
 
 import numpy as np
 
 from connectors.sim import contact
-from connectors.sim.arm_motion import Arm
+from connectors.sim.arm_motion import Controller, PlannedArm
 from connectors.sim.barometers import Barometers, grid
-from connectors.sim.commanded_motion import CommandQueue
-from connectors.sim.physics_parameters import Parameters
 from connectors.sim.scene import Move, Moves, Sampler, Scene, Vibration
-from operators.batch import Counts, Flags, Reals, Touch, Truth, s
+from operators.batch import Motion, Reals, Touch, Truth, concat, s
+
+_CHUNK: Final = 3000  # samples simulated at once
 
 
 def contact_model(scene: Scene) -> contact.ContactModel:
@@ -49,7 +50,7 @@ def contact_model(scene: Scene) -> contact.ContactModel:
 
 def pad(scene: Scene) -> contact.Pad:
     """Return the nodes of the pad over the surface of a scene."""
-    p: Parameters = scene.parameters
+    p = scene.parameters
     x, y = grid(p)
     kx, ky = scene.curvatures
     gap = (kx * (x - scene.apex[0]) ** 2 + ky * (y - scene.apex[1]) ** 2) / 2
@@ -63,6 +64,14 @@ def vibration_velocity(vibration: Vibration, t: Reals) -> Reals:
     return np.multiply.outer(speed, (math.cos(heading), math.sin(heading)))
 
 
+class Arm(Protocol):
+    """An arm that carries a fingertip."""
+
+    def at(self, times: Reals) -> tuple[Reals, Reals]:
+        """Return drive (k, 6) and pose (k, 3) at increasing instants (k,) (s); see `PlannedArm.at`."""
+        ...
+
+
 class Finger:
     """A fingertip in a scene.
 
@@ -70,24 +79,15 @@ class Finger:
         scene: The scene.
         seed: Random seed of the plan and, with `finger`, of the cells' rest levels and of all noise.
         finger: Number of the fingertip (default 0).
-        on_move: Called with each move and its start (s) when it begins.
-        commands: Commands to the arm.
+        arm: Arm that moves the fingertip (default: one that executes the plan).
 
     Attributes:
         cells: Barometers of the fingertip.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        seed: int,
-        finger: int = 0,
-        on_move: Callable[[Move, float], None] | None = None,
-        commands: CommandQueue | None = None,
-    ) -> None:
+    def __init__(self, scene: Scene, seed: int, finger: int = 0, arm: Arm | None = None) -> None:
         p = self._p = scene.parameters
-        self._scene, self._finger = scene, finger
-        self._arm = Arm(scene, seed, on_move, commands)
+        self._scene, self._finger, self._arm = scene, finger, arm or PlannedArm(scene, seed)
         self._model, self._pad = contact_model(scene), pad(scene)
         self._state = contact.FingerState.rest(p.columns * p.rows)
         self._ticks = 0  # simulated physics steps
@@ -102,33 +102,28 @@ class Finger:
         There are fewer if the plan ends or samples are lost; None after the plan's end.
         """
         t = self._sampler.instants(samples)  # (k,) s
-        if (reading := self._read(t, 1 / (self._scene.touch.rate * self._p.creep_time))) is None:
+        touch, truth = self._read(t, 1 / (self._scene.touch.rate * self._p.creep_time))
+        if not len(touch):
             return None
-        counts, temperature, valid, truth = reading
-        time, arrive = self._sampler.stamp(len(counts))
-        touch = Touch(time, counts, temperature, valid, finger=self._finger)
+        time, arrive = self._sampler.stamp(len(touch))
+        touch = replace(touch, time=time)
         return (touch, truth) if arrive.all() else (touch[arrive], truth[arrive])
 
-    def sense(self, instant: float) -> tuple[Touch, Truth] | None:
+    def sense(self, instant: float) -> tuple[Touch, Truth]:
         """Return the sample at an instant (s since the run began), with that timestamp, and its truth.
 
-        Use it for a fingertip that a host reads on its own schedule, never together with `take`.
+        Both are empty after the end of the plan. Use it for a fingertip that a host reads on its own
+        schedule, never together with `take`.
 
         Args:
             instant: At least `Parameters.step` after the previous one.
-
-        Returns:
-            None after the end of the plan.
         """
         aged = (instant - self._sensed) / self._p.creep_time
-        if (reading := self._read(np.array([instant]), aged)) is None:
-            return None
         self._sensed = instant
-        counts, temperature, valid, truth = reading
-        return Touch(truth.time, counts, temperature, valid, finger=self._finger), truth
+        return self._read(np.array([instant]), aged)
 
-    def _read(self, t: Reals, aged: float) -> tuple[Counts, Counts, Flags, Truth] | None:
-        """Return counts, temperatures, validity and truth at instants (k,) (s); None after the plan.
+    def _read(self, t: Reals, aged: float) -> tuple[Touch, Truth]:
+        """Return samples, timestamped at their instants (k,) (s), and their truth.
 
         Args:
             t: Instants; those after the end of the plan are omitted.
@@ -138,21 +133,20 @@ class Finger:
         drive = self._drive(int(until[-1]))
         t, until = t[until <= len(drive)], until[until <= len(drive)]
         if not len(t):
-            return None
+            return Touch.empty(), Truth.empty()
         tractions, contact_truth = contact.simulate(self._model, self._pad, self._state, drive, until)
         self._ticks += int(until[-1])
-        counts, temperature, valid = self.cells.read(t, tractions, aged)
         velocity = np.zeros((len(t), 3))
         moved = until > 0
         velocity[moved] = drive[until[moved] - 1, :3]
         time = np.rint(t * s).astype(np.int64)
-        truth = Truth(time, contact_truth[:, 0], contact_truth[:, 1], velocity, finger=self._finger)
-        return counts, temperature, valid, truth
+        touch = Touch(time, *self.cells.read(t, tractions, aged), finger=self._finger)
+        return touch, Truth(time, contact_truth[:, 0], contact_truth[:, 1], velocity, finger=self._finger)
 
     def _drive(self, steps: int) -> Reals:
         """Return the next steps (steps, 6) of the arm for `contact.simulate`; fewer when the plan ends."""
         t = np.arange(self._ticks, self._ticks + steps, dtype=np.float64) * self._p.step
-        drive = self._arm.at(t).drive
+        drive, _ = self._arm.at(t)
         x, y = self._scene.offset
         if x or y:
             drive[:, 0] -= drive[:, 2] * y
@@ -160,6 +154,14 @@ class Finger:
         if self._scene.vibration is not None:
             drive[:, :2] += vibration_velocity(self._scene.vibration, t[: len(drive)])
         return drive
+
+
+def simulate_scene(scene: Scene, seed: int) -> tuple[Touch, Motion, Truth]:
+    """Simulate one fingertip and the arm to the end of the plan; times are relative to the run's start."""
+    finger, controller = Finger(scene, seed), Controller(scene, seed)
+    taken = list(iter(lambda: finger.take(_CHUNK), None))
+    motion = concat(Motion, list(iter(lambda: controller.take(_CHUNK), None)))
+    return concat(Touch, [touch for touch, _ in taken]), motion, concat(Truth, [truth for _, truth in taken])
 
 
 def compile_physics() -> None:

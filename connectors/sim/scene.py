@@ -5,7 +5,6 @@ Terms that are zero or absent are not computed.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import repeat
 from math import sqrt
 from typing import Final, Literal, Protocol, TypeAlias
 
@@ -30,8 +29,8 @@ class Move:
     Raises:
         ParameterError: if the rest is negative or not shorter than the move.
 
-    >>> Move("translation", seconds=0.9, rest=0.3, direction_deg=45, speed=0.05).axis
-    'oblique'
+    >>> Move("translation", seconds=0.9, rest=0.3, direction_deg=45, speed=0.05).oblique
+    True
     """
 
     motion: MotionKind
@@ -48,9 +47,9 @@ class Move:
             raise ParameterError("Move", "rest", self.rest, f"at least 0 and below its {self.seconds} s")
 
     @property
-    def axis(self) -> Literal["primary", "oblique"]:
-        """Class of the direction: along an axis of the fingertip, or oblique."""
-        return "oblique" if self.direction_deg % 90 else "primary"
+    def oblique(self) -> bool:
+        """True if the direction is not along an axis of the fingertip."""
+        return self.direction_deg % 90 != 0
 
 
 class Plan(Protocol):
@@ -81,35 +80,16 @@ class Strokes:
     for the baseline.
     """
 
-    air: float = 1.2  # s before the first contact
-    force: float = 2.0  # N, median normal force
-    force_spread: float = 0.6  # standard deviation of its logarithm; paper: 0.5 to 8 N
-    speeds: tuple[float, ...] = (0.05, 0.075, 0.1)  # m/s
-    stroke: tuple[float, float] = (0.5, 0.7)  # s, shortest and longest
-    pause: tuple[float, float] = (0.4, 1.2)  # s, shortest and longest
-
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield air, then rounds of approach and eight strokes."""
-        yield Move("hold", self.air, force=0.0)
+        """Yield air, then rounds of approach and eight strokes; normal forces have a median of 2 N."""
+        yield Move("hold", 1.2, force=0.0)
         while True:
-            force = self.force * float(np.exp(self.force_spread * random.standard_normal()))
+            force = 2.0 * float(np.exp(0.6 * random.standard_normal()))  # paper: 0.5 to 8 N
             yield Move("hold", float(random.uniform(0.8, 1.5)), force=force)
-            speed, length = float(random.choice(self.speeds)), float(random.uniform(*self.stroke))
+            speed, length = float(random.choice((0.05, 0.075, 0.1))), float(random.uniform(0.5, 0.7))
             for direction in random.permutation(8):
-                pause = float(random.uniform(*self.pause))
+                pause = float(random.uniform(0.4, 1.2))
                 yield Move("translation", pause + length, pause, 45.0 * int(direction), speed)
-
-
-@dataclass(frozen=True, slots=True)
-class Commanded:
-    """Endless standstill, until the arm is commanded."""
-
-    force: float = 0.0  # N, normal force until commanded; reached within 0.3 s
-
-    def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield holds of one minute."""
-        del random
-        return repeat(Move("hold", 60.0, force=self.force))
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +147,6 @@ class Scene:
     tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope of the pad along x and y
     offset: tuple[float, float] = (0.0, 0.0)  # m, from the TCP, the axis of rotations, to the pad's centre
     acceleration: float = 1.0  # m/s2 of the arm at the ends of a stroke
-    spin_acceleration: float = 10.0  # rad/s2
-    force_rate: float = 50.0  # N/s, of a commanded normal force; assumed
     vibration: Vibration | None = None
     touch: Timing = Timing(100.0)
     motion: Timing = Timing(125.0, latency=0.07)
@@ -183,15 +161,17 @@ class Scene:
             self.curvature
         ]
 
+    def moves(self, seed: int) -> Iterator[tuple[float, Move]]:
+        """Yield each move of the plan with its start (s)."""
+        start = 0.0
+        for move in self.plan.moves(np.random.default_rng([seed, 0])):
+            yield start, move
+            start += move.seconds
+
 
 def commanded_scene(curvature: Curvature = "plane", radius: float = RADIUS) -> Scene:
-    """Return a scene whose arm waits in the air for commands and whose cells have the noise of real ones.
-
-    Args:
-        curvature: Shape of the surface (default "plane").
-        radius: Radius of a curved surface (default 0.06 m).
-    """
-    return Scene(Commanded(), curvature, radius, parameters=Parameters(noise=NOISE))
+    """Return a scene without moves, for a commanded arm; its cells have the noise of real ones."""
+    return Scene(Moves(()), curvature, radius, parameters=Parameters(noise=NOISE))
 
 
 def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:

@@ -9,7 +9,7 @@ import asyncio
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, astuple, dataclass, replace
 from functools import partial
 from operator import add
 from pathlib import Path
@@ -19,16 +19,17 @@ from typing import Any, Final, cast
 import numpy as np
 
 from connectors import SimulatedRig
+from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan, PaperStrokes, varied
 from connectors.sim.scene import Scene
+from connectors.sim.simulated_rig import episode
 from flows.graph import Flow
 from flows.learn.splits import SPLITS, TURNS
 from flows.record import declare_recording
-from flows.run.clocks import EventClock
 from flows.run.processes import process_map
 from flows.run.replay_runner import ReplayRunner
-from operators import Label, Source
-from operators.batch import SLIP, STATIC, Batch, Labelled, concat, s
+from operators import Label
+from operators.batch import SLIP, STATIC, Batch, Episodes, Labelled, concat, s
 from operators.checks import check_at_least, check_choice
 from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
@@ -209,15 +210,19 @@ def _record(root: Path, delay: int, planned: PlannedRecording) -> tuple[str, Tal
 
 
 async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
-    """Run a scene to its end, then the recording flow over it; describe it as a live run would."""
-    rig = SimulatedRig(planned.scene, planned.seed, pace=None)
-    clock = EventClock(planned.start)
-    streams: tuple[Source[Any], ...] = (rig.touch, rig.motion, rig.episodes, rig.truth)
-    finished = _FinishedScene(planned.session, await asyncio.gather(*(_all(each, clock) for each in streams)))
+    """Simulate a scene and replay it through the recording flow; describe it as a live run would."""
+    rig = SimulatedRig(planned.scene, planned.seed)
+    moves = planned.scene.moves(planned.seed)
+    episodes = [episode(move, start, planned.start, planned.scene) for start, move in moves]
+    streams = [
+        *(replace(each, time=each.time + planned.start) for each in simulate_scene(rig.scene, rig.seed)),
+        concat(Episodes, episodes),
+    ]
     flow = Flow("simulate")
     dataset = Dataset(root, part_span=_PART_SPAN, host="simulated")
     declare_recording(flow, rig, Label(speed=0.003, rotation=0.2, delay=delay), dataset)  # m/s, rad/s; paper
-    runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, finished.streams)))
+    finished = _FinishedScene(planned.session, streams)
+    runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, streams)))
     about = {
         **rig.touch.describe(),
         "plan": planned.plan,
@@ -226,10 +231,6 @@ async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
     }
     runner.run.describe |= {"touch": about, "motion": rig.motion.describe()}
     await runner.execute()
-
-
-async def _all(source: Source[SomeBatch], clock: EventClock) -> SomeBatch:
-    return concat(source.kind, [batch async for batch in source.batches(clock)])
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.sim.arm_motion import Controller
-from connectors.sim.finger import Finger
+from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import Move, Scene
+from connectors.sim.scene import Scene
 from connectors.sim.truth import SLIDING
 from flows.graph.flow import Flow
 from flows.learn.in_memory import BatchSink, BatchSource, run_in_memory
@@ -44,7 +43,6 @@ from storage.layout import session_folder, session_names
 
 PERIOD: Final = 10 * ms  # ns from one sample to the next
 WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
-_CHUNK: Final = 3000  # samples simulated at once
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 
@@ -92,15 +90,9 @@ def simulated_recordings(
 
 def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = "") -> LabelledRecording:
     """Simulate one scene; zero, align and label its samples in a compiled flow."""
-    moves: list[tuple[float, Move]] = []
-    finger = Finger(scene, seed, on_move=lambda move, start: moves.append((start, move)))
-    controller = Controller(scene, seed)
-    taken = list(iter(lambda: finger.take(_CHUNK), None))
-    motion = concat(Motion, list(iter(lambda: controller.take(_CHUNK), None)))
-    touch = concat(Touch, [sensed for sensed, _ in taken])
-    truth = concat(Truth, [happened for _, happened in taken])
+    touch, motion, truth = simulate_scene(scene, seed)
     labelled, faults = _label(touch, motion)
-    strokes = [(start, move) for start, move in moves if move.motion in _STROKES]
+    strokes = [(start, move) for start, move in scene.moves(seed) if move.motion in _STROKES]
     starts = np.array([start for start, _ in strokes]) * s
     speeds = [move.speed for _, move in strokes if move.motion == "translation"]
     return LabelledRecording(
@@ -108,7 +100,7 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
         labelled.label,
         scene.curvature,
         speeds[0] if speeds else None,
-        _latest([move.axis == "oblique" for _, move in strokes], starts, truth.time),
+        _latest([move.oblique for _, move in strokes], starts, truth.time),
         labelled.valid,
         truth.force,
         truth.sliding > SLIDING,

@@ -8,40 +8,33 @@ too. The goals: below 400 MB installed, below 150 MB of memory.
 """
 
 import argparse
-import asyncio
 import json
 import os
 import subprocess
 import sys
 import tempfile
-from contextlib import aclosing
 from pathlib import Path
 from typing import Any, Final, cast
 
 import numpy as np
 
-from connectors import SimulatedRig
-from flows.run.clocks import LoopClock
-from operators import Touch, concat
+from connectors.sim.finger import Finger
+from connectors.sim.scene import Scene
+from operators import Touch
 from tests.benchmarks.machine import commit, machine
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.deploy.shipped import DEPLOY, PASSWORDS, shipped_broker
 
 ROOT: Final = DEPLOY.parent
 FELT: Final = 60.0  # s, then it begins again
-BATCH: Final = 500  # rows that the rig gives at once
 INSTALLED, RESIDENT = 400, 150  # MB, the goals
 
 
-async def felt() -> Touch:
+def felt() -> Touch:
     """What a simulated fingertip feels: presses and strokes."""
-    read, source = list[Touch](), SimulatedRig(seed=0, pace=None).touch
-    async with aclosing(cast("Any", source.batches(LoopClock()))) as batches:
-        async for batch in batches:
-            read.append(batch)
-            if len(read) * BATCH >= FELT * 100:
-                break
-    return concat(Touch, read)
+    taken = Finger(Scene(), 0).take(round(FELT * 100))
+    assert taken is not None
+    return taken[0]
 
 
 def install(folder: Path) -> Path:
@@ -118,7 +111,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         python = options.python.absolute() if options.python else install(folder / "environment")
-        touch, table = asyncio.run(felt()), folder / "felt.npz"
+        touch, table = felt(), folder / "felt.npz"
         np.savez(table, counts=touch.counts, temperature=touch.temperature)
         broker = shipped_broker(folder)
         try:

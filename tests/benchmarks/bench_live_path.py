@@ -27,11 +27,12 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 import numpy as np
 import smbus2.smbus2
 
-from connectors import SimulatedRig, TakkTile, UrMotion
+from connectors import TakkTile, UrMotion
 from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_controller import E_SERIES, Ports, UrController
+from connectors.sim.finger import Finger
+from connectors.sim.scene import Scene
 from flows.graph import Flow
-from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import (
     Align,
@@ -45,7 +46,6 @@ from operators import (
     Slips,
     Touch,
     Zero,
-    concat,
     ms,
     s,
 )
@@ -62,7 +62,6 @@ HOST = "127.0.0.6"
 BUS = "/dev/i2c-99"
 FINGERS = (0, 1, 2)
 WARM = 3.0  # s of a run that do not count: `Zero` learns its baseline
-BATCH = 500  # rows of a fingertip that the rig gives at once
 
 
 class Table:
@@ -78,15 +77,10 @@ class Table:
         return touch.counts[row], touch.temperature[row]
 
 
-async def felt(seconds: float, seed: int) -> dict[int, Touch]:
+def felt(seconds: float, seed: int) -> dict[int, Touch]:
     """What the simulated rig's fingertips feel: presses and strokes."""
-    read, source = list[Touch](), SimulatedRig(seed=seed, pace=None, fingers=FINGERS).touch
-    async with aclosing(cast("Any", source.batches(LoopClock()))) as batches:
-        async for batch in batches:
-            read.append(batch)
-            if len(read) >= len(FINGERS) * (seconds * 100 / BATCH + 1):
-                break
-    return {finger: concat(Touch, [each for each in read if each.finger == finger]) for finger in FINGERS}
+    taken = {finger: Finger(Scene(), seed, finger).take(round(seconds * 100)) for finger in FINGERS}
+    return {finger: each[0] for finger, each in taken.items() if each is not None}
 
 
 class Noting(TakkTile):
@@ -215,9 +209,7 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
     """One run; `apart`: what it is made of is timed."""
     spent, touch, told = Spent(), Noting(), Told()
     motion = UrMotion(HOST, 500.0, port=port)
-    bus = FaultyI2cBus(
-        Table(await felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS}
-    )
+    bus = FaultyI2cBus(Table(felt(seconds + WARM, seed), time.time_ns), {each: each for each in FINGERS})
     with tempfile.TemporaryDirectory() as out, served(bus, BUS):
         runner = LiveRunner(declared(touch, motion, told, out), "path")
         if apart:

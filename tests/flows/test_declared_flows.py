@@ -6,8 +6,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from connectors import CsvTrace, SimulatedRig
-from connectors.sim.scene import Move, Moves, Scene
+from connectors import CsvTrace
 from flows.cli.demo_summary import report, summarize
 from flows.demo import demo
 from flows.graph import Flow
@@ -19,7 +18,7 @@ from flows.record import record
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, first_time, replayed
-from operators import Align, Debounce, Label, Labelled, Run, Score, Slips, Touch, Zero, s
+from operators import Debounce, Run, Score, Slips, Touch, Zero, s
 from storage import Session, load_detector
 
 MAT = Path(__file__).parents[3] / "shared" / "real" / "mat_trace.csv"
@@ -105,18 +104,3 @@ def test_the_real_trace_gives_the_same_events_live_paced_and_at_full_speed(detec
     assert len(full) > 0
     for column in ("time", "state", "start", "probability"):
         assert getattr(full, column).tobytes() == getattr(paced, column).tobytes()
-
-
-def test_a_rig_as_fast_as_it_goes_is_labelled_like_a_paced_one() -> None:
-    labels: list[list[int]] = []
-    for pace in (1.0, None):
-        strokes = [Move("translation", 1.0, 0.4, 45.0 * k, 0.05) for k in range(12)]
-        plan = Moves((Move("hold", 1.2, force=0.0), *strokes))
-        rig, flow, sink = SimulatedRig(Scene(plan=plan), pace=pace), Flow("fast"), TestSink()
-        zeroed = flow.source(rig.touch) | Zero()
-        (zeroed & flow.source(rig.motion) | Align() | Label()).to(sink)
-        run_for(flow, 60)
-        labels.append(sink.rows(Labelled, 0).label.tolist())
-    paced, fast = labels
-    assert set(paced) >= {0, 1}
-    assert fast == paced

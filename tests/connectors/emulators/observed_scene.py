@@ -18,9 +18,9 @@ class ObservedScene(SharedScene):
         truth = concat(Truth, self._truth[self.fingers[0] if finger is None else finger])
         return replace(truth, time=truth.time + self.origin)
 
-    def _sense(self, finger: int, instant: float) -> tuple[Touch, Truth] | None:
+    def _sense(self, finger: int, instant: float) -> tuple[Touch, Truth]:
         if self._truth is None:
             self._truth = defaultdict(list)
-        if (sample := super()._sense(finger, instant)) is not None:
-            self._truth[finger].append(sample[1])
+        sample = super()._sense(finger, instant)
+        self._truth[finger].append(sample[1])
         return sample

@@ -1,20 +1,23 @@
+import pickle
+from dataclasses import replace
 from math import nan
 from threading import Thread
 
 import numpy as np
 import pytest
 
-from connectors.sim.arm_motion import Controller
+from connectors.sim.arm_motion import in_base
+from connectors.sim.commanded_motion import CommandedArm
 from connectors.sim.finger import Finger
-from connectors.sim.scene import Faults, Move, Moves, Scene, Timing
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Faults, Scene, commanded_scene
 from connectors.sim.truth import true_slips
-from operators.batch import Commands, ms, s
+from operators.batch import Commands, concat, ms, s
 from operators.errors import ParameterError
 from tests.connectors.emulators.observed_scene import ObservedScene
 
 START = 1_700_000_000 * s
 LEAVE = [nan] * 6
-STROKE = Moves((Move("hold", 0.5, force=2.0), Move("translation", 1.0, 0.2, 45.0, 0.1)))
 
 
 def lab(scene: Scene | None = None, fingers: tuple[int, ...] = (0,)) -> ObservedScene:
@@ -25,24 +28,29 @@ def command(time: int, force: float, velocity: list[float]) -> Commands:
     return Commands(np.array([START + time]), np.array([force]), np.array([velocity])).check()
 
 
-def test_a_fingertip_that_is_asked_every_10_ms_feels_what_a_sampled_one_feels() -> None:
-    taken = Finger(Scene(), 3).take(300)
+def stroke() -> Commands:
+    """Press with 2 N, then drag."""
+    drag = command(500 * ms, nan, [0.05, 0.07, 0.0, 0.0, 0.0, 0.5])
+    return concat(Commands, [command(100 * ms, 2.0, LEAVE), drag])
+
+
+def test_a_fingertip_and_the_motion_are_those_of_the_commanded_arm() -> None:
+    scene, arm = lab(), CommandedArm(commanded_scene(), START)
+    scene.command(stroke())
+    arm.add(stroke())
+    seen = [(*scene.touch(0, START + k * 10 * ms), *scene.motion(START + k * 10 * ms)) for k in range(140)]
+    counts, temperature, pose, velocity = (np.array(column) for column in zip(*seen, strict=True))
+    taken = Finger(commanded_scene(), 3, arm=arm).take(140)
     assert taken is not None
-    scene = lab(Scene())
-    asked = [scene.touch(0, START + k * 10 * ms) for k in range(300)]
-    np.testing.assert_array_equal([counts for counts, _ in asked], taken[0].counts)
-    np.testing.assert_array_equal([temperature for _, temperature in asked], taken[0].temperature)
+    np.testing.assert_array_equal(counts, taken[0].counts)
+    np.testing.assert_array_equal(temperature, taken[0].temperature)
     np.testing.assert_array_equal(scene.truth().sliding, taken[1].sliding)
     np.testing.assert_array_equal(scene.truth().time, START + taken[1].time)
-
-
-def test_the_motion_is_what_a_controller_without_delay_reports() -> None:
-    reported = Controller(Scene(STROKE, motion=Timing(125.0)), 3).take(180)
-    assert reported is not None
-    scene = lab(Scene(STROKE))
-    seen = [scene.motion(START + k * 8 * ms) for k in range(180)]
-    np.testing.assert_allclose([pose for pose, _ in seen], reported.pose, atol=1e-12)
-    np.testing.assert_allclose([velocity for _, velocity in seen], reported.velocity, atol=1e-12)
+    arm = CommandedArm(commanded_scene(), START)
+    arm.add(stroke())
+    expected = in_base(*arm.at(np.arange(0, 1.4, 0.01)))
+    np.testing.assert_allclose(velocity, expected[0], atol=1e-12)
+    np.testing.assert_allclose(pose, expected[1], atol=1e-12)
 
 
 def test_the_default_scene_stands_still_in_the_air_and_its_cells_are_noisy() -> None:
@@ -54,7 +62,8 @@ def test_the_default_scene_stands_still_in_the_air_and_its_cells_are_noisy() -> 
 
 
 def test_an_instant_of_the_past_gives_the_newest_reading() -> None:
-    scene = lab(Scene(STROKE))
+    scene = lab()
+    scene.command(stroke())
     newest, seen = scene.touch(0, START + 700 * ms)[0], scene.motion(START + 900 * ms)
     assert seen[1].any()
     for earlier in (START - s, START, START + 700 * ms):
@@ -88,13 +97,17 @@ def test_fingertips_feel_one_motion_with_cells_of_their_own() -> None:
 
 
 def test_a_cell_that_the_scene_declares_dead_converts_to_0() -> None:
-    counts, temperature = lab(Scene(STROKE, faults=Faults(dead=(4,)))).touch(0, START + 300 * ms)
+    scene = lab(replace(commanded_scene(), faults=Faults(dead=(4,))))
+    counts, temperature = scene.touch(0, START + 300 * ms)
     assert np.flatnonzero(counts == 0).tolist() == np.flatnonzero(temperature == 0).tolist() == [4]
     assert counts.dtype == temperature.dtype == np.dtype(np.int16)
 
 
 def test_after_a_long_silence_the_scene_is_where_it_would_be_anyway() -> None:
-    asked, silent = lab(Scene(STROKE)), lab(Scene(STROKE))
+    quiet = replace(commanded_scene(), parameters=Parameters())
+    asked, silent = lab(quiet), lab(quiet)
+    for scene in (asked, silent):
+        scene.command(stroke())
     for k in range(140):
         asked.touch(0, START + k * 10 * ms)
     silent.advance(START + 1000 * ms)
@@ -102,16 +115,6 @@ def test_after_a_long_silence_the_scene_is_where_it_would_be_anyway() -> None:
     difference = silent.touch(0, START + 1390 * ms)[0] - asked.touch(0, START + 1390 * ms)[0]
     assert np.abs(difference).max() <= 12  # the creep is followed in longer steps
     assert silent.truth().force[-1] == asked.truth().force[-1]
-
-
-def test_a_plan_that_has_ended_leaves_the_scene_as_it_is() -> None:
-    scene = lab(Scene(STROKE))
-    last, pose = scene.touch(0, START + 1490 * ms)[0], scene.motion(START + 1490 * ms)[0]
-    for k in range(3):
-        np.testing.assert_array_equal(scene.touch(0, START + (2 + k) * s)[0], last)
-    at, velocity = scene.motion(START + 9 * s)
-    np.testing.assert_array_equal(at, pose)
-    assert not velocity.any()
 
 
 def test_threads_may_ask_and_command_at_once() -> None:
@@ -136,15 +139,16 @@ def test_threads_may_ask_and_command_at_once() -> None:
         assert (np.diff(scene.truth(finger).time) > 0).all()
 
 
-def test_commands_that_all_have_obeyed_are_forgotten() -> None:
-    scene = lab(fingers=(0, 1))
+def test_commands_that_all_devices_have_passed_are_forgotten() -> None:
+    scene, sizes = lab(fingers=(0, 1)), list[int]()
     for k in range(300):
         time = k * 10 * ms
         scene.command(command(time, nan, [0.001 * k, 0.0, 0.0, 0.0, 0.0, 0.0]))
         scene.motion(START + time)
         scene.touch(0, START + time)
         scene.touch(1, START + time)
-    assert len(scene.commands.setpoints) < 5
+        sizes.append(len(pickle.dumps(scene._arm)))
+    assert max(sizes) < 2 * sizes[5]
     assert scene.motion(START + 3 * s)[1][0] == pytest.approx(0.299)
 
 

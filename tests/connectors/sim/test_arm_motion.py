@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from connectors.sim.arm_motion import Arm, Controller, in_base
+from connectors.sim.arm_motion import Controller, PlannedArm, in_base
 from connectors.sim.scene import MotionKind, Move, Moves, Scene, Strokes
 from operators.batch import Reals
 from operators.errors import ParameterError
@@ -24,57 +24,56 @@ FINE = np.arange(0, PLAN_SECONDS := 2.65, 1e-4)
 
 
 def test_place_is_the_integral_of_velocity() -> None:
-    velocity, pose = in_base(Arm(Scene(PLAN), 0).at(FINE))
+    velocity, pose = in_base(*PlannedArm(Scene(PLAN), 0).at(FINE))
     travelled = np.cumsum(velocity[:, :3], axis=0) * 1e-4
     np.testing.assert_allclose(pose[:, :3] - pose[0, :3], travelled, atol=2e-5)
 
 
 def test_the_rotation_vector_turns_with_the_angular_velocity() -> None:
-    velocity, pose = in_base(Arm(Scene(PLAN), 0).at(FINE))
+    velocity, pose = in_base(*PlannedArm(Scene(PLAN), 0).at(FINE))
     turns = Rotation.from_rotvec(pose[:, 3:])
     steps = (turns[1:] * turns[:-1].inv()).as_rotvec() / 1e-4
     np.testing.assert_allclose(steps, velocity[:-1, 3:], atol=2e-3)
 
 
 def test_the_velocity_in_the_fingertip_frame_is_along_the_stroke() -> None:
-    path = Arm(Scene(PLAN), 0).at(FINE)
-    velocity, pose = in_base(path)
+    drive, local = PlannedArm(Scene(PLAN), 0).at(FINE)
+    velocity, pose = in_base(drive, local)
     seen = Rotation.from_rotvec(pose[:, 3:]).apply(velocity[:, :3], inverse=True)
-    np.testing.assert_allclose(seen[:, :2], path.velocity[:, :2], atol=1e-12)
-    cruising = path.velocity[(FINE > 1.0) & (FINE < 1.2)]
+    np.testing.assert_allclose(seen[:, :2], drive[:, :2], atol=1e-12)
+    cruising = drive[(FINE > 1.0) & (FINE < 1.2)]
     np.testing.assert_allclose(cruising[:, :2], 0.1 * math.sqrt(0.5), atol=1e-12)
 
 
 @given(st.lists(st.floats(0.0, 2.6), min_size=1, max_size=20).map(sorted), st.integers(0, 20))
 def test_asking_piecewise_changes_nothing(times: list[float], cut: int) -> None:
     instants = np.array(times)
-    whole = Arm(Scene(PLAN), 0).at(instants)
-    arm = Arm(Scene(PLAN), 0)
-    first, second = arm.at(instants[:cut]), arm.at(instants[cut:])
-    for name in ("velocity", "pose", "force", "push"):
-        parts: Reals = np.concatenate([getattr(first, name), getattr(second, name)])
-        np.testing.assert_array_equal(parts, getattr(whole, name))
+    whole = PlannedArm(Scene(PLAN), 0).at(instants)
+    arm = PlannedArm(Scene(PLAN), 0)
+    parts = arm.at(instants[:cut]), arm.at(instants[cut:])
+    for expected, *found in zip(whole, *parts, strict=True):
+        np.testing.assert_array_equal(np.concatenate(found), expected)
 
 
 def test_force_goes_from_grip_to_grip_without_a_jump() -> None:
-    force = Arm(Scene(PLAN), 0).at(FINE).force
+    force = PlannedArm(Scene(PLAN), 0).at(FINE)[0][:, 3]
     assert np.abs(np.diff(force)).max() < 2.0 / 0.3 * 1.5 * 1.1e-4
     assert force[[0, 5000, -1]] == pytest.approx([0.0, 2.0, 0.0])
 
 
 def test_a_tap_pushes_once_along_its_direction() -> None:
-    push = Arm(Scene(Moves((Move("tap", 0.5, 0.2, 90.0, tap=5.0),))), 0).at(FINE).push
+    push = PlannedArm(Scene(Moves((Move("tap", 0.5, 0.2, 90.0, tap=5.0),))), 0).at(FINE)[0][:, 4:]
     assert push[:, 1].max() == pytest.approx(5.0)
     assert np.abs(push[:, 0]).max() < 1e-12
     assert push[:, 1].sum() * 1e-4 == pytest.approx(5.0 * 0.01 * 2 / 3, rel=1e-3)
 
 
 def test_the_endless_strokes_end_every_round_where_they_began() -> None:
-    path = Arm(Scene(Strokes()), 3).at(np.arange(0, 200, 0.01))
-    assert np.abs(path.pose[:, :2]).max() < 0.2
-    speeds: Reals = np.hypot(path.velocity[:, 0], path.velocity[:, 1]).round(6)
+    drive, pose = PlannedArm(Scene(Strokes()), 3).at(np.arange(0, 200, 0.01))
+    assert np.abs(pose[:, :2]).max() < 0.2
+    speeds: Reals = np.hypot(drive[:, 0], drive[:, 1]).round(6)
     assert set(speeds.tolist()) >= {0.0, 0.05, 0.075, 0.1}
-    assert not path.force[:120].any()
+    assert not drive[:120, 3].any()
 
 
 def test_the_controller_keeps_its_own_time_and_reports_late() -> None:

@@ -75,30 +75,20 @@ def test_a_paced_sample_comes_when_it_is_due() -> None:
     asyncio.run(check())
 
 
-def test_as_fast_as_it_goes_gives_the_same_rows_in_large_batches() -> None:
-    paced, fast = run(SimulatedRig(Scene(PLAN), 3)), run(SimulatedRig(Scene(PLAN), 3, pace=None))
-    assert [len(fast[0]), len(fast[1])] == [1, 1]
-    for kind, slow, quick in ((Touch, paced[0], fast[0]), (Motion, paced[1], fast[1])):
-        one, other = concat(kind, cast("Any", slow)), concat(kind, cast("Any", quick))
-        for name in ("time", *(("counts",) if kind is Touch else ("velocity", "pose"))):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-
-
 def test_a_second_run_repeats_the_first_from_its_own_origin() -> None:
-    rig = SimulatedRig(Scene(PLAN), pace=None)
-    first = run(rig)
-    second = run(rig, Virtual(ORIGIN + 500))
-    np.testing.assert_array_equal(first[0][0].counts, second[0][0].counts)
-    np.testing.assert_array_equal(first[0][0].time + 500, second[0][0].time)
-    np.testing.assert_array_equal(first[1][0].time + 500, second[1][0].time)
+    rig = SimulatedRig(Scene(PLAN))
+    first, second = annotations(rig), annotations(rig, Virtual(ORIGIN + 500))
+    np.testing.assert_array_equal(first[0].counts, second[0].counts)
+    for one, other in zip(first, second, strict=True):
+        np.testing.assert_array_equal(one.time + 500, other.time)
 
 
-def annotations(rig: SimulatedRig, at_most: int = 100_000) -> tuple[Touch, Episodes, Truth]:
+def annotations(rig: SimulatedRig, clock: Virtual | None = None) -> tuple[Touch, Episodes, Truth]:
     """Return touch, episodes and truth of a run."""
 
     async def main() -> list[list[Batch]]:
-        clock, sources = Virtual(), (rig.touch, rig.episodes, rig.truth)
-        return await asyncio.gather(*(gather(cast("Any", each), clock, at_most) for each in sources))
+        shared, sources = clock or Virtual(), (rig.touch, rig.episodes, rig.truth)
+        return await asyncio.gather(*(gather(cast("Any", each), shared) for each in sources))
 
     touch, episodes, truth = asyncio.run(main())
     return (
@@ -108,9 +98,8 @@ def annotations(rig: SimulatedRig, at_most: int = 100_000) -> tuple[Touch, Episo
     )
 
 
-@pytest.mark.parametrize("pace", [None, 1.0])
-def test_each_move_is_an_episode(pace: float | None) -> None:
-    _, episodes, _ = annotations(SimulatedRig(Scene(PLAN), pace=pace))
+def test_each_move_is_an_episode() -> None:
+    _, episodes, _ = annotations(SimulatedRig(Scene(PLAN)))
     assert [MOTIONS[code] for code in episodes.motion] == ["hold", "hold", "translation"]
     assert (episodes.time - ORIGIN).tolist() == [0, 500 * ms, 1000 * ms]
     assert (episodes.end - ORIGIN).tolist() == [500 * ms, 1000 * ms, 1900 * ms]
@@ -123,17 +112,12 @@ def test_each_move_is_an_episode(pace: float | None) -> None:
 
 def test_a_rotation_has_an_angular_speed() -> None:
     plan = Moves((Move("rotation", 0.9, 0.3, speed=-1.0),))
-    _, episodes, _ = annotations(SimulatedRig(Scene(plan), pace=None))
+    _, episodes, _ = annotations(SimulatedRig(Scene(plan)))
     assert (episodes.speed.item(), episodes.angular_speed.item()) == (0.0, -1.0)
 
 
 def test_episodes_follow_each_other_without_gap_or_overlap() -> None:
-    async def main() -> Episodes:
-        rig, clock = SimulatedRig(pace=None), Virtual()
-        _, episodes = await asyncio.gather(gather(rig.touch, clock, 30_000), gather(rig.episodes, clock, 100))
-        return concat(Episodes, cast("list[Episodes]", episodes))
-
-    episodes = asyncio.run(main())
+    episodes = concat(Episodes, cast("Any", asyncio.run(gather(SimulatedRig().episodes, Virtual(), 100))))
     assert len(episodes) == 100
     assert (episodes.end[:-1] == episodes.time[1:]).all()
 
@@ -145,31 +129,25 @@ def test_descriptions_are_plain_data() -> None:
 
 
 def test_the_truth_has_a_row_for_each_touch_row() -> None:
-    touch, _, truth = annotations(SimulatedRig(Scene(PLAN), pace=None))
+    touch, _, truth = annotations(SimulatedRig(Scene(PLAN)))
     np.testing.assert_array_equal(truth.time, touch.time)
     assert len(true_slips(truth)) == 1
     lossy = Scene(PLAN, touch=Timing(100.0, latency=0.004, dropped=0.2))
-    touch, _, truth = annotations(SimulatedRig(lossy, pace=None))
+    touch, _, truth = annotations(SimulatedRig(lossy))
     assert len(touch) < 180
     np.testing.assert_array_equal(truth.time + 4 * ms, touch.time)
 
 
-def test_a_second_run_begins_with_its_own_episodes() -> None:
-    rig = SimulatedRig(Scene(PLAN), pace=None)
-    first, second = annotations(rig), annotations(rig)
-    assert first[1].time.tolist() == second[1].time.tolist()
-    assert len(first[2]) == len(second[2])
-
-
 def test_several_fingertips_feel_the_same_motion_with_noise_of_their_own() -> None:
-    touch, _ = run(SimulatedRig(Scene(PLAN), pace=None, fingers=(0, 2)))
-    assert [batch.finger for batch in touch] == [0, 2]
-    assert touch[0].counts.tobytes() != touch[1].counts.tobytes()
+    touch, _ = run(SimulatedRig(Scene(PLAN), fingers=(0, 2)))
+    assert [batch.finger for batch in touch[:4]] == [0, 2, 0, 2]
+    one, other = (concat(Touch, touch[first::2]) for first in (0, 1))
+    assert one.counts.tobytes() != other.counts.tobytes()
 
 
 def test_the_baseline_of_the_default_scene_is_the_unloaded_level() -> None:
-    touch, _ = run(SimulatedRig(pace=None), at_most=1000)
-    counts = touch[0].counts
+    touch, _ = run(SimulatedRig(), at_most=500)
+    counts = concat(Touch, touch).counts
     assert (np.median(counts[:100], axis=0) >= 420).all()
     assert np.ptp(counts[:100], axis=0).max() < 10
     assert (counts[200:].min(axis=0) < np.median(counts[:100], axis=0) - 30).all()

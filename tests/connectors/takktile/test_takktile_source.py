@@ -14,7 +14,6 @@ import pytest
 
 from connectors import TakkTile
 from connectors.emulators.shared_scene import SharedScene
-from connectors.sim.scene import Scene
 from flows.graph import Flow
 from flows.graph.testing import TestSink
 from flows.run.clocks import LoopClock
@@ -322,7 +321,7 @@ async def test_a_run_records_the_gap_and_logs_it_once(rig: Rig, caplog: pytest.L
 
 
 async def test_a_flow_detects_slip_on_the_virtual_lab() -> None:
-    lab = SharedScene(Scene(), seed=1, fingers=(0, 3))
+    lab = SharedScene(seed=1, fingers=(0, 3))
     with served(FaultyI2cBus(lab, {0: 0, 2: 3}, now=lab.now), PATH):
         flow, scores, raw = Flow("feel"), TestSink(), TestSink()
         touch = flow.source(TakkTile(rows=(0, 2), fingers=(0, 3)))
