@@ -31,6 +31,8 @@ class Replay(Source[Given], Generic[Given]):
         ParameterError: if `pace` is not above 0.
     """
 
+    stale_after = None  # a recording may have gaps
+
     def __init__(
         self,
         recording: Recording,

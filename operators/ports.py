@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Generic, Protocol, TypeAlias, TypeVar
 
-from operators.batch import EVERY, Batch
+from operators.batch import EVERY, Batch, s
 
 Given = TypeVar("Given", bound=Batch, covariant=True)
 Taken = TypeVar("Taken", bound=Batch, contravariant=True)
@@ -54,8 +54,9 @@ class SourceStatus:
     late: int = 0  # rows older than a row before them
     newest: int = 0  # ns, event time of the newest row
     up: bool = False
+    stale: bool = False  # delivers nothing although it has not failed; `error` says for how long
     failures: int = 0  # the source is restarted after each
-    error: str = ""  # latest failure; empty while the source works
+    error: str = ""  # latest failure or silence; empty while the source works
     gaps: list[Gap] = field(default_factory=list[Gap])
 
 
@@ -97,7 +98,12 @@ class Run:
 
 
 class Source(ABC, Generic[Given]):
-    """Input stream of a flow."""
+    """Input stream of a flow.
+
+    A source without a row for `stale_after` counts as failed until its next row.
+    """
+
+    stale_after: int | None = 5 * s  # ns; None: rows may be rare or missing
 
     @property
     @abstractmethod
@@ -118,7 +124,8 @@ class Source(ABC, Generic[Given]):
         """Connect and yield batches, each of one fingertip, stamped in the clock's time.
 
         A return ends the stream. An exception is a failure: the runner records a gap and calls this method
-        again after a back-off.
+        again after a back-off. A batch of the wrong type or shape, and any `SlipflowError` other than
+        `EndpointError`, ends the run, because a retry would not help.
         """
 
     @property
@@ -152,6 +159,11 @@ class Sink(ABC, Generic[Taken]):
     def replay_destination(self) -> str:
         """Destination in a replay; it differs if readers could mistake replayed rows for live ones."""
         return self.destination
+
+    @property
+    def pending(self) -> int:
+        """Accepted rows that are not stored yet and would be lost if `close` did not complete."""
+        return 0
 
     @abstractmethod
     async def open(self, run: Run) -> None:

@@ -160,6 +160,8 @@ class SimulatedMotion(_RigStream[Motion]):
 class SimulatedEpisodes(_RigStream[Episodes]):
     """Source of the moves of the arm, created by `SimulatedRig`."""
 
+    stale_after = None  # episodes are rare
+
     async def batches(self, clock: Clock) -> AsyncIterator[Episodes]:
         """Yield each move when it begins."""
         rig, origin = self._rig, self._rig.begin(self, clock)
@@ -171,6 +173,7 @@ class SimulatedEpisodes(_RigStream[Episodes]):
 class SimulatedTruth(_RigStream[Truth]):
     """Source of the ground truth that the touch source simulates, created by `SimulatedRig`."""
 
+    stale_after = None  # an annotation of the touch, which has its own status
     _rows: asyncio.Queue[Truth | None] | None = None  # of the current run
 
     async def batches(self, clock: Clock) -> AsyncIterator[Truth]:

@@ -18,7 +18,8 @@ Status = TypeVar("Status")
 Column: TypeAlias = tuple[Family, str, str, Callable[[Status], float]]  # kind, name, help, value
 
 _SOURCE: Final[tuple[Column[SourceStatus], ...]] = (
-    (GaugeMetricFamily, "up", "1 if the source is up, 0 if it has failed", lambda source: source.up),
+    (GaugeMetricFamily, "up", "1 if the source is up, 0 if it is down or stale", lambda source: source.up),
+    (GaugeMetricFamily, "stale", "1 if the source delivers nothing", lambda source: source.stale),
     (CounterMetricFamily, "rows", "Rows received", lambda source: source.rows),
     (CounterMetricFamily, "late_rows", "Rows that arrived after newer ones", lambda source: source.late),
     (CounterMetricFamily, "failures", "Failures, each followed by a restart", lambda source: source.failures),

@@ -40,7 +40,7 @@ def demo(
     """Detect slip on a simulated rig; no hardware is needed.
 
     Records a labelled dataset, shows touch and slips on the live page, and publishes events if there is a
-    broker. Exits 1 if a source was down at the end or rows were lost.
+    broker. Exits 1 if a source was down or silent at the end, or rows were lost.
 
     Examples:
       slipflow demo --for 1min

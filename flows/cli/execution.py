@@ -54,7 +54,7 @@ async def execute(
     from flows.run.clocks import LoopClock
     from flows.run.live_runner import LiveRunner
     from flows.run.replay_runner import ReplayRunner, first_time, log_replay_destinations, replayed
-    from flows.run.stop_signals import stopping
+    from flows.run.stop_signals import signals_to, stopping
 
     begin_log(log)
     if recording is not None:
@@ -66,15 +66,15 @@ async def execute(
             return await replay.execute(lambda run: replay.stop() if stopped() else show(run))
     clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
     flow = flow if recording is None else replayed(flow, recording)
-    live = LiveRunner(flow, session, clock=clock, duration=limit)
-    with logged(live.run):
+    live = LiveRunner(flow, session, clock=clock, duration=limit, signals=False)
+    with signals_to(live.stop), logged(live.run):  # the log announces a run that signals already end
         return await live.execute()
 
 
 def report_run(run: "Run", *, replayed: Path | None, seconds: float, log: Format, as_json: bool) -> None:
     """Print the result of a run that took `seconds` of wall time.
 
-    Exits 130 if it was interrupted, 1 if a source was down at its end or rows were lost.
+    Exits 130 if it was interrupted, 1 if a source was down or silent at its end, or rows were lost.
     """
     from flows.run.parallel_replay import Replayed
     from flows.run.run_summary import Summary

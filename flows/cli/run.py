@@ -50,7 +50,7 @@ def run(
     """Run a flow live, or replay recordings through it.
 
     Ends when the sources end, after --for, or at Ctrl-C, and commits what was recorded. Exits 1 if a source
-    was down at the end or rows were lost.
+    was down or silent at the end, or rows were lost.
 
     Several recordings are replayed in parallel, each to its own session, with its output under its name. If
     one fails, the error is reported, the others continue, and the exit code is 1.

@@ -19,13 +19,13 @@ class LoopClock:
         self._loop = asyncio.get_running_loop()
         self._began = self._loop.time()
         self._start = time.time_ns() if start is None else start
-        self._ahead = time.time_ns() - time.monotonic_ns() if start is None else None
+        self._ahead = _host_ahead() if start is None else None
         self._pace = pace
 
     @property
     def host_offset(self) -> int | None:
         """Offset of the host's clock from this one, ns, due to steps since the start; None in a replay."""
-        return None if self._ahead is None else time.time_ns() - time.monotonic_ns() - self._ahead
+        return None if self._ahead is None else _host_ahead() - self._ahead
 
     def now(self) -> int:
         """Return the current time, ns since 1970-01-01 UTC."""
@@ -36,6 +36,14 @@ class LoopClock:
         wait = (time - self.now()) / s / self._pace
         if wait > 0:
             await asyncio.sleep(wait)
+
+
+def _host_ahead() -> int:
+    """Return the host's time minus its monotonic time, ns; the thread must not be suspended between the two."""
+    while True:
+        before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        if after - before < STEP // 10:
+            return now - before
 
 
 class EventClock:

@@ -1,10 +1,9 @@
 """Live execution of a flow: one task per source, operators called inline, one queue per sink."""
 
 import asyncio
-from collections import defaultdict
-from collections.abc import AsyncGenerator, Mapping, Sequence
+from collections.abc import Coroutine, Mapping, Sequence
 from contextlib import aclosing, nullcontext
-from typing import Any
+from typing import Any, Final
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
@@ -14,25 +13,27 @@ from flows.run import log_events
 from flows.run.clocks import STEP, LoopClock
 from flows.run.replay_runner import replayed_recording
 from flows.run.sink_queue import SinkQueue
+from flows.run.source_reader import SourceReader
 from flows.run.stop_signals import signals_to
-from operators.back_off import BackOff
 from operators.batch import Batch, ms
-from operators.operator import LateRowFilter
-from operators.ports import Clock, ClockStep, Gap, Run, Sink, Source, SourceStatus
+from operators.ports import Clock, ClockStep, Run, Sink, Source, SourceStatus
 
-CLOCK_CHECK = 1.0  # s, between two checks of the host's clock
-YIELD_EVERY = 16  # rows; a source that never waits yields to the event loop after as many
-LAGGING = 50 * ms  # ns; a source whose newest row is older is catching up, as after a stall of the host
-PASSES = 8  # passes of the event loop that a source catching up waits for older rows of the others
+CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
+REPORT_INTERVAL: Final = 5.0  # s, between two messages about sinks that the end of the run waits for
+YIELD_EVERY: Final = 16  # rows; a source that never waits yields to the event loop after as many
+LAGGING: Final = 50 * ms  # ns; a source whose newest row is older is catching up, as after a host stall
+PASSES: Final = 8  # passes of the event loop that a source catching up waits for older rows of the others
 
 
 class LiveRunner:
     """One live run of a flow.
 
-    A source that fails is restarted with a back-off, and its gap is recorded. A sink that fails is retried
-    with the same batch and never blocks the others. While a lossless sink is slow, the sources wait; other
-    sinks drop their oldest batch. A sink that is stuck counts as failing. Rows for which a failing sink has
-    no room are counted as dropped. Steps of the host's clock are recorded; they do not affect time stamps.
+    A source that fails is restarted with a back-off, and its gap is recorded. A source that delivers nothing
+    is reported as stale. A sink that fails is retried with the same batch and never blocks the others. While
+    a lossless sink is slow, the sources wait; other sinks drop their oldest batch. A sink that is stuck
+    counts as failing. Rows for which a failing sink has no room are counted as dropped. Steps of the host's
+    clock are recorded; they do not affect time stamps. The run starts no thread and takes time only from its
+    clock and the event loop.
 
     Args:
         flow: Flow to run.
@@ -57,7 +58,7 @@ class LiveRunner:
         self.compiled = CompiledFlow(flow)
         self.clock = clock or LoopClock()
         self._duration, self._signals = duration, signals
-        self._sources: dict[Node, Source[Any]] = {
+        sources: dict[Node, Source[Any]] = {
             node: node.part for node in flow.nodes if isinstance(node.part, Source)
         }
         self.run = Run(
@@ -65,13 +66,13 @@ class LiveRunner:
             flow.name,
             self.clock,
             self.clock.now(),
-            recording=replayed_recording(self._sources.values()),
+            recording=replayed_recording(sources.values()),
             declaration=tuple(streams(flow.nodes)),
+            describe={node.name: source.describe() for node, source in sources.items()},
             sink_types=self.compiled.sink_types,
         )
-        for node, source in self._sources.items():
-            self.run.describe[node.name] = source.describe()
-            self.run.sources[node.name] = SourceStatus()
+        self._sources = sources
+        self._readers = {node: SourceReader(node.name, source, self.run) for node, source in sources.items()}
         self._queues = {
             node: SinkQueue(node.name, node.part) for node in flow.nodes if isinstance(node.part, Sink)
         }
@@ -80,35 +81,61 @@ class LiveRunner:
         self._push = asyncio.Lock()  # while a sink is full, all sources wait: streams stay in order
         self._pending = 0  # batches of sources that wait for room in a queue
         self._delivered, self._ending = asyncio.Event(), False
-        self._stop, self._stops = asyncio.Event(), 0
-        self._writers: list[asyncio.Task[None]] = []
+        self._stop = asyncio.Event()
 
     def stop(self) -> None:
         """End the run: flush the operators, write the queues, close the sinks.
 
-        The second call abandons failing sinks, the third one all writes in progress.
+        A second call drops the queued rows; sinks may end their write and close for `sink_queue.GRACE`.
         """
-        self._stops += 1
+        if self._stop.is_set():
+            for queue in self._queues.values():
+                queue.abandon()
         self._stop.set()
         if self.run.recording is not None:
             self.run.error = "was interrupted"
-        if self._stops > 1:
-            for queue in self._queues.values():
-                queue.abandon()
-        if self._stops > 2:  # noqa: PLR2004 - see above
-            for writer in self._writers:
-                writer.cancel()
 
     async def execute(self) -> Run:
         """Run until all sources end, the duration is over, or `stop` is called.
 
         Raises:
-            SlipflowError: if a sink cannot be opened or an operator fails; earlier output is committed.
+            SlipflowError: if a sink cannot be opened, an operator fails or a source breaks its contract;
+                earlier output is committed.
         """
-        opened: list[SinkQueue] = []
+        with signals_to(self.stop) if self._signals else nullcontext():
+            if not await self._unless_stopped(self._prepare()):
+                self.run.error = "was stopped before it began"
+                return self.run
+            self.run.start = self.clock.now()
+            await self._open_sinks()
+            writers = [queue.start() for queue in self._queues.values()]
+            try:
+                await self._read_all()
+                await self._deliver(self.compiled.flush())
+            except Exception as error:
+                self.run.error = log_events.reason_of(error)
+                raise
+            finally:
+                await self._end_sinks(writers)
+        return self.run
+
+    async def _prepare(self) -> None:
         for source in self._sources.values():
             await source.prepare()
-        self.run.start = self.clock.now()
+
+    async def _unless_stopped(self, work: Coroutine[Any, Any, None]) -> bool:
+        """Run a coroutine; cancel it and return False if `stop` is called before it ends."""
+        task, stopped = asyncio.create_task(work), asyncio.create_task(self._stop.wait())
+        try:
+            await asyncio.wait({task, stopped}, return_when=asyncio.FIRST_COMPLETED)
+            if task.done():
+                task.result()
+            return task.done()
+        finally:
+            await _cancelled([task, stopped])
+
+    async def _open_sinks(self) -> None:
+        opened: list[SinkQueue] = []
         try:
             for queue in self._queues.values():
                 await queue.sink.open(self.run)
@@ -118,53 +145,56 @@ class LiveRunner:
             for queue in opened:
                 await queue.sink.close()
             raise
-        with signals_to(self.stop) if self._signals else nullcontext():
-            await self._run_tasks()
-        return self.run
 
-    async def _run_tasks(self) -> None:
-        self._writers = [asyncio.create_task(queue.run()) for queue in self._queues.values()]
-        readers = [asyncio.create_task(self._read(node)) for node in self._sources]
-        ends: list[asyncio.Task[Any]] = [asyncio.create_task(self._stop.wait())]
-        watching = asyncio.create_task(self._watch_host_clock())
+    async def _read_all(self) -> None:
+        """Read the sources until they end, the duration is over, `stop` is called or a task fails."""
+        readers = [asyncio.create_task(self._read(node)) for node in self._readers]
+        reading = asyncio.create_task(asyncio.wait(readers, return_when=asyncio.FIRST_EXCEPTION))
+        ends: list[asyncio.Task[Any]] = [
+            asyncio.create_task(self._stop.wait()),
+            asyncio.create_task(self._check_regularly()),
+        ]
         if self._duration is not None:
             ends.append(asyncio.create_task(self.clock.sleep_until(self.clock.now() + self._duration)))
-        reading = asyncio.gather(*readers)
         try:
             await asyncio.wait([reading, *ends], return_when=asyncio.FIRST_COMPLETED)
             self._ending = True
             while self._pending and not reading.done():  # deliver pending batches
                 self._delivered.clear()
                 await self._delivered.wait()
-            for task in readers:
-                task.cancel()
-            await asyncio.wait(readers)
-            for task in readers:
-                if not task.cancelled():
-                    task.result()  # raises an operator's error, which ends the run
-            await self._deliver(self.compiled.flush())
-        except Exception as error:
-            self.run.error = log_events.reason_of(error)
-            raise
         finally:
-            tasks: list[asyncio.Task[Any]] = [*readers, *ends, watching]
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(reading, *tasks, return_exceptions=True)
-            for queue in self._queues.values():
-                queue.complete()
-            await asyncio.gather(*self._writers, return_exceptions=True)
+            errors = await _cancelled([*readers, *ends, reading])
+            for reader in self._readers.values():
+                reader.end()
+        for error in errors:  # of an operator, a source's contract, or a task of this run
+            raise error
+
+    async def _end_sinks(self, writers: Sequence[asyncio.Task[None]]) -> None:
+        """Complete the queues, and wait until all rows are written and all sinks are closed."""
+        for queue in self._queues.values():
+            queue.complete()
+        waiting = set(writers)
+        try:
+            while True:
+                _, waiting = await asyncio.wait(waiting, timeout=REPORT_INTERVAL)
+                if not waiting:
+                    break
+                log_events.sinks_awaited(
+                    {
+                        queue.name: (queue.status.queued, queue.sink.pending)
+                        for queue, writer in zip(self._queues.values(), writers, strict=True)
+                        if writer in waiting
+                    }
+                )
+        finally:
+            for error in await _cancelled(writers):
+                raise error
 
     async def _read(self, node: Node) -> None:
-        status, filters = self.run.sources[node.name], defaultdict[int, LateRowFilter](LateRowFilter)
-        async with aclosing(self._batches(node, status)) as batches:
+        reader = self._readers[node]
+        status = reader.status
+        async with aclosing(reader.batches()) as batches:
             async for batch in batches:
-                in_time = filters[batch.finger]
-                late = in_time.late
-                in_time.filter(batch)
-                status.late += in_time.late - late
-                status.newest = max(status.newest, in_time.newest)
-                status.rows += len(batch)
                 await self._process({(node, batch.finger): batch})
                 if self._ending:
                     return
@@ -201,49 +231,30 @@ class LiveRunner:
                 return
             await asyncio.sleep(0)
 
-    async def _batches(self, node: Node, status: SourceStatus) -> AsyncGenerator[Batch]:
-        """Yield the batches of a source, restarting it after failures."""
-        retry, failed_at, reason = BackOff(), 0, ""
-        try:
-            while True:
-                stream = self._sources[node].batches(self.clock)
-                try:
-                    async for batch in stream:
-                        if not len(batch.check()):
-                            continue
-                        if failed_at:
-                            status.gaps.append(gap := Gap(failed_at, self.clock.now(), reason))
-                            log_events.source_restarted(node.name, gap)
-                            failed_at = 0
-                            retry.reset()
-                        status.up, status.error = True, ""
-                        yield batch
-                except Exception as error:  # noqa: BLE001 - retry after any error
-                    if not failed_at:
-                        failed_at, reason = status.newest or self.run.start, log_events.reason_of(error)
-                        log_events.source_failed(node.name, reason)
-                    status.up, status.error = False, log_events.reason_of(error)
-                    status.failures += 1
-                else:
-                    return
-                finally:
-                    if isinstance(stream, AsyncGenerator):  # release the device before it is opened again
-                        await stream.aclose()
-                await asyncio.sleep(retry.delay())
-        finally:
-            status.up = False
-            if failed_at:  # it did not recover
-                status.gaps.append(Gap(failed_at, self.clock.now(), reason))
-
     async def _deliver(self, deliveries: Sequence[Delivery]) -> None:
         for node, batch in deliveries:
             await self._queues[node].put(batch)
 
-    async def _watch_host_clock(self) -> None:
-        """Record steps of the host's clock."""
-        while (offset := self.clock.host_offset if isinstance(self.clock, LoopClock) else None) is not None:
-            known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
-            if abs(offset - known) >= STEP:
-                self.run.clock_steps.append(ClockStep(self.clock.now(), offset))
-                log_events.clock_set(offset, known)
-            await asyncio.sleep(CLOCK_CHECK)
+    async def _check_regularly(self) -> None:
+        """Record steps of the host's clock, and silent sources, until cancelled."""
+        while True:
+            await asyncio.sleep(CHECK_INTERVAL)
+            self._check_host_clock()
+            if not self._pending:  # else the sources wait for a sink
+                for reader in self._readers.values():
+                    reader.check_silence(CHECK_INTERVAL)
+
+    def _check_host_clock(self) -> None:
+        offset = self.clock.host_offset if isinstance(self.clock, LoopClock) else None
+        known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
+        if offset is not None and abs(offset - known) >= STEP:
+            self.run.clock_steps.append(ClockStep(self.clock.now(), offset))
+            log_events.clock_set(offset, known)
+
+
+async def _cancelled(tasks: Sequence[asyncio.Task[Any]]) -> list[Exception]:
+    """Cancel tasks, wait for their end, and return the errors of those that failed."""
+    for task in tasks:
+        task.cancel()
+    results = await asyncio.gather(*tasks, return_exceptions=True)
+    return [result for result in results if isinstance(result, Exception)]

@@ -1,6 +1,7 @@
 """Log events of a run, each with a line of text and structured data."""
 
 import logging
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -41,6 +42,12 @@ def source_failed(source: str, reason: str) -> None:
     log.warning("%s failed, retrying: %s", source, reason, extra=extra)
 
 
+def source_stale(source: str, reason: str) -> None:
+    """Log that a source has not failed, but delivers nothing."""
+    hint = "check that it is connected and switched on"
+    log.warning("%s %s: %s", source, reason, hint, extra=event("source_stale", source=source, reason=reason))
+
+
 def source_restarted(source: str, gap: Gap) -> None:
     """Log that a source works again."""
     log.warning("%s works again", source, extra=event("source_restarted", source=source, gap=asdict(gap)))
@@ -60,6 +67,16 @@ def sink_restored(sink: str, dropped: int) -> None:
     """Log that a sink works again, and how many rows were dropped meanwhile."""
     lost = f"; {dropped} rows were dropped" if dropped else ""
     log.warning("%s works again%s", sink, lost, extra=event("sink_restored", sink=sink, dropped=dropped))
+
+
+def sinks_awaited(sinks: Mapping[str, tuple[int, int]]) -> None:
+    """Log that the end of the run waits for sinks, with their queued batches and their unstored rows."""
+    text = "; ".join(
+        f"{name} ({queued} batches queued, {rows} rows not stored)" for name, (queued, rows) in sinks.items()
+    )
+    log.warning(
+        "waiting for %s; a second signal drops them", text, extra=event("sinks_awaited", sinks=[*sinks])
+    )
 
 
 def clock_set(offset: int, known: int) -> None:

@@ -32,7 +32,7 @@ class Summary:
 
     @property
     def lost(self) -> bool:
-        """True if a source was down at the end, or a sink dropped rows."""
+        """True if a source was down or silent at the end, or a sink dropped rows."""
         return any(sink.dropped or sink.error for sink in self.sinks.values()) or any(
             source.error for source in self.sources.values()
         )

@@ -14,6 +14,7 @@ from operators.ports import Sink, SinkStatus
 
 LAST_ATTEMPTS: Final = 5.0  # s; a failing sink is retried for this time after the end of the run
 STUCK: Final = 10.0  # s; a sink whose write takes longer while the sources wait counts as failing
+GRACE: Final = 2.0  # s; an abandoned sink may end its write and close for this time
 
 
 class SinkQueue:
@@ -36,9 +37,13 @@ class SinkQueue:
         self._end, self._abandoned = asyncio.Event(), asyncio.Event()
         self._write_start: float | None = None  # loop time, s; None: no write in progress
         self._dropped_before = 0  # rows, before the current failure
+        self._task: asyncio.Task[None] | None = None
 
     def try_put(self, batch: Batch) -> bool:
         """Queue or drop a batch by the sink's policy; return False if the caller must wait for room."""
+        if self._abandoned.is_set():
+            self._drop(batch)
+            return True
         if len(self._waiting) >= self.sink.capacity:
             if not self.sink.lossless:
                 self._drop(self._waiting.popleft())
@@ -60,17 +65,25 @@ class SinkQueue:
                 async with asyncio.timeout(STUCK):
                     await self._room.wait()
 
+    def start(self) -> asyncio.Task[None]:
+        """Start the task that writes the queued batches and closes the sink; it raises no error."""
+        self._task = asyncio.create_task(self._run())
+        return self._task
+
     def complete(self) -> None:
         """End the queue: no more batches follow."""
         self._end.set()
         self._more.set()
 
     def abandon(self) -> None:
-        """Stop retrying."""
+        """Drop the queued batches and stop retrying; cancel the task if it does not end within `GRACE`."""
         self._abandoned.set()
+        self._drop_waiting()
+        self._room.set()
+        if self._task:
+            asyncio.get_running_loop().call_later(GRACE, self._task.cancel)
 
-    async def run(self) -> None:
-        """Write the queued batches until the queue is complete and empty, then close the sink."""
+    async def _run(self) -> None:
         try:
             while self._waiting or not self._end.is_set():
                 if not self._waiting:
@@ -84,10 +97,14 @@ class SinkQueue:
             await self.sink.close()
         except asyncio.CancelledError:
             self._drop_waiting()
-            self._failed(EndpointError(self.sink.destination, "abandoned during a write"))
-            raise
+            self._failed(EndpointError(self.sink.destination, "was abandoned before it had stored its rows"))
         except Exception as error:  # noqa: BLE001 - the other sinks must be closed too
             self._failed(error)
+        finally:
+            self._abandoned.set()  # nothing is written any more
+            lost = self.sink.pending
+            self.status.rows -= lost
+            self.status.dropped += lost
 
     async def _write(self, batch: Batch) -> None:
         """Write a batch; retry until it is written or abandoned."""

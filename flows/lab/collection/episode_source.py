@@ -14,6 +14,8 @@ class EpisodeSource(Source[Episodes]):
         about: Description of the session.
     """
 
+    stale_after = None  # episodes are rare
+
     def __init__(self, about: Description) -> None:
         self._about = about
         self._episodes = asyncio.Queue[Episodes]()

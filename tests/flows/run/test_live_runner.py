@@ -1,6 +1,7 @@
 import asyncio
 import logging
 import os
+import re
 import signal
 import time
 from collections.abc import AsyncIterator
@@ -12,7 +13,9 @@ import pytest
 
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, VirtualLoop, run_virtually
+from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
+from flows.run.run_summary import Summary
 from operators import (
     Align,
     Clock,
@@ -21,9 +24,11 @@ from operators import (
     Join,
     Motion,
     OperatorError,
+    ParameterError,
     Run,
     Sample,
     Scores,
+    SlipflowError,
     Slips,
     Source,
     Touch,
@@ -125,16 +130,156 @@ def test_a_failing_source_does_not_stop_the_others() -> None:
     assert not run.sources["broken"].up
 
 
-def test_a_source_that_breaks_its_type_has_failed() -> None:
+SINGLE: Any = np.ones(1, np.float32)
+OTHER_TYPE: Any = Slips.empty()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (
+            Scores(np.array([0]), SINGLE),
+            "scores: yielded Scores.probability: is float32, must be an array of float64",
+        ),
+        (Scores(np.arange(2), np.ones(1)), r"yielded Scores.probability: has shape \(1,\), must be \(2\)"),
+        (
+            OTHER_TYPE,
+            "scores: yielded Slips, but declares Scores",
+        ),
+        (ParameterError("Fingertip", "seed", -5, "at least 0"), "Fingertip: seed is -5, must be at least 0"),
+    ],
+    ids=["dtype", "shape", "type", "parameter"],
+)
+def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
+    wrong: Scores | Exception, message: str
+) -> None:
     flow, sink = Flow("f"), TestSink()
-    single: Any = np.ones(1, np.float32)
-    wrong = Scores(np.array([0]), single)
-    flow.source(TestSource(Scores, [wrong, *scores(1, 1)])).to(sink)
-    run = execute(flow)
-    assert times(sink) == [1]
-    assert run.sources["scores"].gaps[0].reason == (
-        "Scores.probability: is float32, must be an array of float64"
-    )
+    flow.source(TestSource(Scores, [*scores(0, 3), wrong, *scores(4, 1)])).to(sink)
+    with pytest.raises(SlipflowError, match=message):
+        execute(flow)
+    assert times(sink) == [0, 1, 2]
+    assert sink.closed == 1
+    assert re.search(message, sink.run.error)
+
+
+class Pausing(Source[Scores]):
+    """Scores every 10 ms, with a pause after the first `before`."""
+
+    def __init__(self, before: int, pause: float, after: int = 0) -> None:
+        self._before, self._pause, self._after = before, pause, after
+
+    @property
+    def kind(self) -> type[Scores]:
+        return Scores
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+        for count in (self._before, self._after):
+            for _ in range(count):
+                await clock.sleep_until(clock.now() + 10 * ms)
+                yield Scores(np.array([clock.now()]), np.array([0.9]))
+            await asyncio.sleep(self._pause)
+
+
+def test_a_source_that_falls_silent_is_stale_until_its_next_row(caplog: pytest.LogCaptureFixture) -> None:
+    flow, seen = Flow("f"), list[tuple[bool, bool, str]]()
+    flow.source(Pausing(100, 20.0, 100)).to(TestSink())
+
+    async def main() -> Run:
+        runner = LiveRunner(flow, "test", duration=22 * s)
+        status = runner.run.sources["scores"]
+        for after in (4.0, 8.0, 21.5):
+            asyncio.get_running_loop().call_later(
+                after, lambda: seen.append((status.up, status.stale, status.error))
+            )
+        return await runner.execute()
+
+    with caplog.at_level(logging.WARNING):
+        run = run_virtually(main())
+    assert seen == [(True, False, ""), (False, True, "delivered no rows for 5 s"), (True, False, "")]
+    [gap] = run.sources["scores"].gaps
+    assert (gap.end - gap.start) // s == 20
+    assert gap.reason == "delivered no rows for 5 s"
+    assert [record.message.partition(":")[0] for record in caplog.records] == [
+        "scores delivered no rows for 5 s",
+        "scores works again",
+    ]
+    assert not Summary.of(run).lost
+
+
+@pytest.mark.parametrize(("rows", "duration"), [(0, s), (0, 30 * s), (100, 30 * s)])
+def test_a_source_that_is_silent_at_the_end_makes_the_run_fail(rows: int, duration: int) -> None:
+    flow = Flow("f")
+    flow.source(Pausing(rows, 100.0)).to(TestSink())
+    run = execute(flow, duration=duration)
+    assert run.sources["scores"].stale
+    assert "delivered" in Summary.of(run).report()
+    assert Summary.of(run).lost
+
+
+def test_a_stalled_host_and_a_full_sink_make_no_source_stale() -> None:
+    flow = Flow("f")
+    busy = TestSink(capacity=1, before_write=lambda: asyncio.sleep(7))
+    flow.source(Pausing(4, 0.0)).to(busy)
+
+    async def main() -> Run:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, VirtualLoop)
+        loop.call_later(0.035, loop.stall, 60)
+        return await LiveRunner(flow, "test").execute()
+
+    run = run_virtually(main())
+    assert (run.sources["scores"].rows, run.sources["scores"].gaps) == (4, [])
+
+
+def test_a_source_with_rare_rows_is_never_stale() -> None:
+    flow, rare = Flow("f"), Pausing(0, 100.0)
+    rare.stale_after = None
+    flow.source(rare).to(TestSink())
+    assert not Summary.of(execute(flow, duration=60 * s)).lost
+
+
+def test_a_background_task_that_fails_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: LoopClock) -> int:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(LoopClock, "host_offset", property(broken))
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Endless()).to(sink)
+    with pytest.raises(ZeroDivisionError):
+        execute(flow, duration=60 * s)
+    assert sink.closed == 1
+
+
+class Slow(Endless):
+    """Source that needs 20 s before the run."""
+
+    async def prepare(self) -> None:
+        await asyncio.sleep(20)
+
+
+def test_a_signal_before_the_run_ends_it_without_opening_a_sink() -> None:
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Slow()).to(sink)
+
+    async def main() -> Run:
+        asyncio.get_running_loop().call_later(1, os.kill, os.getpid(), signal.SIGTERM)
+        return await LiveRunner(flow, "test").execute()
+
+    assert run_virtually(main()).error == "was stopped before it began"
+    assert sink.opened == 0
+
+
+def test_a_signal_that_follows_the_announcement_of_a_sink_ends_the_run_orderly() -> None:
+    class Announced(TestSink):
+        async def open(self, run: Run) -> None:
+            await super().open(run)
+            os.kill(os.getpid(), signal.SIGTERM)  # as soon as it is announced as ready
+            await asyncio.sleep(1)
+
+    flow, sink = Flow("f"), Announced()
+    flow.source(Endless()).to(sink)
+    assert not execute(flow).error
+    assert sink.closed == 1
 
 
 @dataclass
@@ -290,10 +435,6 @@ def test_a_recording_that_was_stopped_is_not_complete(source: type[Endless], err
 
 
 def test_the_preparation_of_a_source_precedes_the_run() -> None:
-    class Slow(Endless):
-        async def prepare(self) -> None:
-            await asyncio.sleep(20)
-
     flow, sink = Flow("f"), TestSink()
     flow.source(Slow()).to(sink)
     run = execute(flow, duration=s)
@@ -358,15 +499,15 @@ def test_a_failed_source_lets_go_of_its_device_before_it_is_opened_again() -> No
             assert not Device.open
             Device.open += 1
             try:
-                single: Any = np.ones(1, np.float32)
-                yield Scores(np.array([0]), single)
+                raise OSError("unplugged")
+                yield
             finally:
                 Device.open -= 1
 
     flow = Flow("f")
     flow.source(Device()).to(TestSink())
     run = execute(flow, duration=s)
-    assert "float32" in run.sources["scores"].error
+    assert run.sources["scores"].failures > 1
     assert Device.open == 0
 
 

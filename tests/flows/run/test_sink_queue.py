@@ -8,7 +8,8 @@ import pytest
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from flows.run.live_runner import LiveRunner
-from operators import EndpointError, Run, Scores, s
+from flows.run.run_summary import Summary
+from operators import Debounce, EndpointError, Run, Scores, s
 from tests.flows.run.live import Endless, execute, scores, times
 
 
@@ -102,39 +103,88 @@ def test_a_slow_sink_that_may_drop_loses_its_oldest_and_counts_them() -> None:
     assert times(slow)[-3:] == [97, 98, 99]
 
 
+async def for_ever() -> None:
+    await asyncio.Event().wait()
+
+
+def stopped_twice(flow: Flow, *, after: float = 1, again: float = 1) -> tuple[Run, float]:
+    """A run that is stopped `after` s and `again` s later, and its length in s."""
+
+    async def main() -> tuple[Run, float]:
+        runner, loop = LiveRunner(flow, "test"), asyncio.get_running_loop()
+        loop.call_later(after, runner.stop)
+        loop.call_later(after + again, runner.stop)
+        return await runner.execute(), loop.time()
+
+    return run_virtually(main())
+
+
 def test_a_second_stop_abandons_failing_sinks_at_once() -> None:
     flow = Flow("f")
     dead = TestSink(failures=[OSError("dead")] * 10_000)
     flow.source(Endless()).to(dead)
-
-    async def main() -> float:
-        runner = LiveRunner(flow, "test")
-        loop = asyncio.get_running_loop()
-        loop.call_later(1, runner.stop)
-        loop.call_later(1.5, runner.stop)
-        await runner.execute()
-        return loop.time()
-
-    assert run_virtually(main()) < 2
+    run, seconds = stopped_twice(flow)
+    assert seconds < 2.5
     assert dead.closed == 1
+    assert run.sinks["testsink"].dropped == run.sources["scores"].rows > 0
 
 
-def test_a_third_stop_ends_a_run_whose_sink_hangs() -> None:
-    async def for_ever() -> None:
-        await asyncio.Event().wait()
-
+def test_a_second_stop_ends_a_run_whose_sink_hangs_and_counts_all_rows_as_dropped() -> None:
     flow = Flow("f")
     flow.source(Endless()).to(TestSink(before_write=for_ever))
-
-    async def main() -> Run:
-        runner = LiveRunner(flow, "test")
-        for after in (1, 2, 3):
-            asyncio.get_running_loop().call_later(after, runner.stop)
-        return await runner.execute()
-
-    run = run_virtually(main())
+    run, seconds = stopped_twice(flow)
+    assert seconds < 5
     assert run.sinks["testsink"].dropped == run.sources["scores"].rows > 0
-    assert "abandoned" in run.sinks["testsink"].error
+    assert "was abandoned" in run.sinks["testsink"].error
+    assert Summary.of(run).lost
+
+
+class Disk(TestSink):
+    """Sink that accepts rows and stores them, slowly, when it is closed."""
+
+    stored = 0
+
+    @property
+    def pending(self) -> int:
+        return len(self.written) - self.stored
+
+    async def close(self) -> None:
+        while self.pending:
+            await asyncio.sleep(0.1)
+            self.stored += 1
+        await super().close()
+
+
+def test_the_end_of_a_run_waits_for_a_slow_sink_and_reports_it(caplog: pytest.LogCaptureFixture) -> None:
+    flow, slow = Flow("f"), Disk()
+    flow.source(TestSource(Scores, scores(0, 120))).to(slow)
+    with caplog.at_level(logging.WARNING):
+        run = execute(flow)
+    assert [record.message for record in caplog.records] == [
+        f"waiting for disk (0 batches queued, {rows} rows not stored); a second signal drops them"
+        for rows in (70, 20)
+    ]
+    assert (run.sinks["disk"].rows, run.sinks["disk"].dropped, slow.closed) == (120, 0, 1)
+    assert not Summary.of(run).lost
+
+
+def test_a_second_stop_reports_the_exact_number_of_rows_that_a_slow_sink_lost() -> None:
+    flow, slow = Flow("f"), Disk()
+    flow.source(Endless()).to(slow)
+    run, _ = stopped_twice(flow, after=3)
+    status = run.sinks["disk"]
+    assert (status.rows, status.dropped) == (slow.stored, run.sources["scores"].rows - slow.stored)
+    assert slow.stored > 10
+    assert Summary.of(run).lost
+
+
+def test_rows_that_come_after_a_second_stop_are_counted_as_dropped() -> None:
+    flow, hung = Flow("f"), TestSink(capacity=1, before_write=for_ever)
+    stream = flow.source(Endless())
+    stream.to(hung)
+    (stream | Debounce(consecutive=2)).to(hung)  # gives a row at the end
+    run, _ = stopped_twice(flow, again=0)
+    assert run.sinks["testsink"].dropped == run.sources["scores"].rows + 1
 
 
 def test_the_queue_of_an_abandoned_sink_is_dropped() -> None:

@@ -1,0 +1,129 @@
+"""Reading of a source in a live run: restarts after failures, gaps, and silence."""
+
+import asyncio
+from collections import defaultdict
+from collections.abc import AsyncGenerator
+from typing import Any, cast
+
+from flows.run import log_events
+from operators.back_off import BackOff
+from operators.batch import Batch, s
+from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
+from operators.operator import LateRowFilter
+from operators.ports import Gap, Run, Source, SourceStatus
+
+
+class SourceReader:
+    """Reader of one source, which restarts it after each failure.
+
+    A time without rows, because the source failed or was silent for `Source.stale_after`, is recorded as a
+    gap.
+
+    Args:
+        name: Name of the source in the run.
+        source: Source to read.
+        run: Run that the source belongs to; its status is added.
+    """
+
+    def __init__(self, name: str, source: Source[Any], run: Run) -> None:
+        self.name, self._source, self._run = name, source, run
+        self._kind = cast("type[Batch]", source.kind)
+        self.status = run.sources[name] = SourceStatus()
+        self._filters = defaultdict[int, LateRowFilter](LateRowFilter)  # by fingertip; they only count
+        self._gap_start, self._gap_reason = 0, ""  # of the current gap; 0: none
+        self._counted, self._silent = 0, 0.0  # rows at the last check, and s without rows since then
+        self._ended = False
+
+    async def batches(self) -> AsyncGenerator[Batch]:
+        """Yield the batches of the source until it ends.
+
+        Raises:
+            OperatorError: if a batch has another type or shape than the source declares.
+            SlipflowError: if the source raises one other than EndpointError.
+        """
+        retry = BackOff()
+        try:
+            while True:
+                stream = self._source.batches(self._run.clock)
+                try:
+                    async for batch in stream:
+                        if not len(self._checked(batch)):
+                            continue
+                        if self._gap_start:
+                            self._end_gap()
+                            log_events.source_restarted(self.name, self.status.gaps[-1])
+                            retry.reset()
+                        self._count(batch)
+                        yield batch
+                except Exception as error:
+                    if isinstance(error, SlipflowError) and not isinstance(error, EndpointError):
+                        self.status.error = str(error)
+                        raise  # it would fail again
+                    self._failed(log_events.reason_of(error))
+                else:
+                    return
+                finally:
+                    if isinstance(stream, AsyncGenerator):  # release the device before it is opened again
+                        await stream.aclose()
+                await asyncio.sleep(retry.delay())
+        finally:
+            self._ended, self.status.up = True, False
+
+    def check_silence(self, waited: float) -> None:
+        """Mark the source as stale if it was silent for too long; call this every `waited` seconds.
+
+        The checks are counted, not the time, so that a stall of the host does not count as silence.
+        """
+        limit, status = self._source.stale_after, self.status
+        if limit is None or status.error or self._ended:
+            return
+        self._silent = self._silent + waited if status.rows == self._counted else 0.0
+        self._counted = status.rows
+        if self._silent * s >= limit:
+            self._is_silent(f"delivered no rows for {self._silent:g} s")
+
+    def end(self) -> None:
+        """End the current gap at the end of the run; a source that never delivered a row has failed."""
+        status = self.status
+        if not status.rows and not status.error and self._source.stale_after is not None:
+            self._is_silent("never delivered a row")
+        if self._gap_start:
+            self._end_gap()
+
+    def _checked(self, batch: object) -> Batch:
+        if not isinstance(batch, self._kind):
+            reason = f"yielded {type(batch).__name__}, but declares {self._kind.__name__}"
+            raise OperatorError(self._run.flow, self.name, reason)
+        try:
+            return batch.check()
+        except BatchError as error:
+            raise OperatorError(self._run.flow, self.name, f"yielded {error}") from error
+
+    def _count(self, batch: Batch) -> None:
+        status, in_time = self.status, self._filters[batch.finger]
+        late = in_time.late
+        in_time.filter(batch)
+        status.late += in_time.late - late
+        status.newest = max(status.newest, in_time.newest)
+        status.rows += len(batch)
+        status.up, status.stale, status.error = True, False, ""
+
+    def _failed(self, reason: str) -> None:
+        if self.status.stale or not self.status.error:
+            log_events.source_failed(self.name, reason)
+        self.status.failures += 1
+        self._begin_gap(reason, stale=False)
+
+    def _is_silent(self, reason: str) -> None:
+        log_events.source_stale(self.name, reason)
+        self._begin_gap(reason, stale=True)
+
+    def _begin_gap(self, reason: str, *, stale: bool) -> None:
+        self.status.up, self.status.stale, self.status.error = False, stale, reason
+        if not self._gap_start:
+            self._gap_start, self._gap_reason = self.status.newest or self._run.start, reason
+
+    def _end_gap(self) -> None:
+        gap = Gap(self._gap_start, self._run.clock.now(), self._gap_reason)
+        self.status.gaps.append(gap)
+        self._gap_start = 0
