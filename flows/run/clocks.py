@@ -39,7 +39,7 @@ class LoopClock:
 
 
 def _host_ahead() -> int:
-    """Return the host's time minus its monotonic time, ns; the thread must not be suspended between the two."""
+    """Return the host's time minus its monotonic time (ns), both read without a suspension in between."""
     while True:
         before, now, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
         if after - before < STEP // 10:
