@@ -7,7 +7,7 @@ from time import time_ns
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
-from connectors.emulators.gripper_mechanism import ForceReceiver, Mechanism
+from connectors.emulators.gripper_mechanism import ForceReceiver, Mechanism, encode_status
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.modbus_link import check_pymodbus
 from connectors.gripper.robotiq import PORT, STATUS, UNIT, Request, octets, registers
@@ -40,7 +40,6 @@ class GripperServer:
         now: Clock of the scene (ns since 1970 UTC).
         contact: Position, 0 to 255, at which the fingers meet an object (default 120); None for no object.
         activation: Duration of an activation (s, default 2).
-        mode_change: Duration of a mode change (s, default 1).
         scale: Force of the force register's values.
 
     Attributes:
@@ -61,14 +60,11 @@ class GripperServer:
         now: Callable[[], int] = time_ns,
         contact: int | None = 120,
         activation: float = 2.0,
-        mode_change: float = 1.0,
         scale: ForceScale | None = None,
     ) -> None:
         check_between("GripperServer", "unit", unit, 0, MAX_UNIT)
         self.host, self.port, self.unit = host, port, unit
-        self.mechanism = Mechanism(
-            scene, now(), contact=contact, activation=activation, mode_change=mode_change, scale=scale
-        )
+        self.mechanism = Mechanism(scene, now(), contact=contact, activation=activation, scale=scale)
         self._now = now
         self._written = bytearray(2 * STATUS)
         self._server: ModbusTcpServer | None = None
@@ -143,7 +139,7 @@ class GripperServer:
             self._written[2 * address : 2 * address + len(data)] = data
             self.mechanism.request(Request.decode(bytes(self._written)), self._now())
         elif function == READ:
-            current[:STATUS] = registers(self.mechanism.status(self._now()).encode())
+            current[:STATUS] = registers(encode_status(self.mechanism.status(self._now())))
         else:
             return ExcCodes.ILLEGAL_FUNCTION
         return None

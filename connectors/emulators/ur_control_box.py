@@ -123,6 +123,11 @@ class ControlBox:
         """Clock of the controller (s since power-up)."""
         return self.cycles / self.rate
 
+    @property
+    def command_overdue(self) -> bool:
+        """True while the program waits for a client that has set a watchdog and is late with a command."""
+        return self.runtime_state == RuntimeState.PLAYING and bool(self._running and self._running.overdue)
+
     def cycle(self, time: int) -> None:
         """Run one cycle that begins at a host time (ns)."""
         self.cycles += 1

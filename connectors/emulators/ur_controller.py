@@ -25,8 +25,6 @@ from connectors.ur.rtde import Version
 from operators.batch import s
 from operators.errors import EndpointError, os_error_reason
 
-MAX_LATENESS: Final = 1.0  # s; if cycles are later than this, they are skipped
-
 log = logging.getLogger("slipflow")
 
 
@@ -136,12 +134,6 @@ class UrController:
             lateness = self._now() - due
             if lateness < 0:
                 await asyncio.sleep(-lateness / s)
-                continue
-            if lateness > MAX_LATENESS * s:
-                skipped = int(lateness / self._period)
-                log.warning("the host was busy: skipping %d cycles", skipped)
-                self.box.cycles += skipped
-                self._cycles += skipped
                 continue
             self._cycles += 1
             self.box.cycle(due)

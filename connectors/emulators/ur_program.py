@@ -12,6 +12,7 @@ import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import IntEnum
+from math import isfinite
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,7 @@ log = logging.getLogger("slipflow")
 
 READY: Final = 1
 DONE: Final = 2
+OVERDUE: Final = 0.1  # s after a command; `control_process` repeats commands every 0.06 s at the latest
 
 
 class Command(IntEnum):
@@ -76,6 +78,12 @@ class Program:
         self._silence, self._watchdog = 0.0, np.inf  # s since the last command, and the limit
         self._report(running=False)
         registers.output_int[0] = READY
+
+    @property
+    def overdue(self) -> bool:
+        """True if a client that has set a watchdog is late with its next command."""
+        late = self._silence > OVERDUE and not self._registers.command_written
+        return late and isfinite(self._watchdog) and not self._waiting
 
     def step(self) -> bool:
         """Run one cycle; return False when the program has ended."""

@@ -5,13 +5,15 @@ highest point of the surface, its middle, is the origin of the arm's base frame.
 """
 
 import asyncio
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
+from time import time_ns
 from typing import Final
 
 from connectors.emulators.gripper_server import GripperServer
 from connectors.emulators.i2c_bus import EmulatedI2cBus
+from connectors.emulators.lab_loop import LabLoop
 from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.shared_scene import SharedScene
 from connectors.emulators.ur_controller import PORTS, Ports, UrController
@@ -27,7 +29,11 @@ LARGEST_LAG: Final = 2 * s  # ns by which an idle scene lags the clock
 
 @dataclass(frozen=True)
 class VirtualLab:
-    """A running virtual lab; pass `bus` to `TakkTile`."""
+    """A running virtual lab; pass `bus` to `TakkTile`.
+
+    It runs on the time of its event loop. In a `LabLoop` (`run_lab`) a busy host makes the lab slow; in
+    another loop the arm moves on while a busy host delays its commands.
+    """
 
     scene: SharedScene
     bus: EmulatedI2cBus
@@ -45,6 +51,12 @@ class VirtualLab:
             "dashboard": f"{host}:{ports.dashboard}",
             **({"gripper": f"modbus://{gripper.host}:{gripper.port}/{gripper.unit}"} if gripper else {}),
         }
+
+    def wait_for_commands(self) -> None:
+        """Stop the time of the `LabLoop` while a command of the arm's program is overdue on a busy host."""
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, LabLoop)
+        loop.hold_while(lambda: self.controller.box.command_overdue)
 
 
 @asynccontextmanager
@@ -72,11 +84,12 @@ async def virtual_lab(
         InputError: if a gripper is requested and pymodbus is not installed.
         ParameterError: if a finger is not from 0 to 7.
     """
-    shared = await asyncio.to_thread(lambda: SharedScene(scene, seed, fingers=fingers))
-    bus = EmulatedI2cBus(shared, {finger: finger for finger in fingers}, now=shared.now)
+    now = _loop_clock()
+    shared = await asyncio.to_thread(lambda: SharedScene(scene, seed, fingers=fingers, now=now))
+    bus = EmulatedI2cBus(shared, {finger: finger for finger in fingers}, now=now)
     arm = PressingArm(shared, HEIGHT, curvatures=shared.scene.curvatures)
-    controller = UrController(arm, host=host, ports=ports, version=UR10_CB3, now=shared.now)
-    server = None if gripper is None else GripperServer(shared, host=host, port=gripper, now=shared.now)
+    controller = UrController(arm, host=host, ports=ports, version=UR10_CB3, now=now)
+    server = None if gripper is None else GripperServer(shared, host=host, port=gripper, now=now)
     async with AsyncExitStack() as running:
         await running.enter_async_context(controller)
         if server:
@@ -87,6 +100,13 @@ async def virtual_lab(
         finally:
             advancing.cancel()
             await asyncio.gather(advancing, return_exceptions=True)
+
+
+def _loop_clock() -> Callable[[], int]:
+    """Return a clock (ns since 1970 UTC) that runs on the time of the event loop."""
+    loop = asyncio.get_running_loop()
+    start = time_ns() - round(loop.time() * s)
+    return lambda: start + round(loop.time() * s)
 
 
 async def _advance(scene: SharedScene) -> None:

@@ -1,158 +1,169 @@
-"""Control of a gripper over one connection: activation, requests and status."""
+"""Control of a gripper over successive connections: activation, requests and status."""
 
 import asyncio
 import logging
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from math import inf
 
 from connectors.gripper.modbus_link import GripperLink
-from connectors.gripper.robotiq import Phase, Request, Status
+from connectors.gripper.robotiq import Request
 from operators.errors import EndpointError
 
 log = logging.getLogger("slipflow")
 
 
-@dataclass
-class GripTarget:
-    """Target of a gripper; it is not sent before `request.go` is set.
+@dataclass(frozen=True)
+class DriveLimits:
+    """Times in s; see `connectors.gripper.gripper_sink.Gripper`."""
 
-    Attributes:
-        request: Request that sets the target.
-        sent: True if the newest force was sent, over any connection.
-        changed: Event, set by a new force.
-    """
-
-    request: Request
-    sent: bool = True
-    changed: asyncio.Event = field(default_factory=asyncio.Event)
-
-    def grip(self, force: int) -> None:
-        """Set the force, as a register value."""
-        request = replace(self.request, go=True, force=force)
-        self.sent = self.sent and request == self.request
-        self.request = request
-        self.changed.set()
+    timeout: float
+    activation: float
+    poll: float
 
 
 class GripperDrive:
-    """Controller of a gripper over one connection.
+    """Controller of a gripper.
 
     Args:
-        link: The connection.
-        target: Target of the gripper.
-        was_ready: True if the gripper was ready when it last answered.
+        new_link: Returns a link that is not yet connected.
+        target: Request that sets the target; it is not sent before `go` is set.
         counted: Counters; ``sent`` and ``restarts`` are incremented.
-        timeout: Longest time until the status echoes a request, s.
-        activation: Longest time until the gripper is ready, s.
-        poll: Time between two status requests, s.
+        limits: Longest waits, and the time between two status requests.
 
     Attributes:
-        status: Newest status after the newest request was echoed; None before the first.
-        sent: Newest request; None before the first.
+        target: Request that sets the target.
+        target_sent: True if the newest force was sent, over any connection.
+        status: Newest status after the newest request was echoed; None before the first of a connection.
         ready: True if the gripper accepts requests.
-        was_ready: True if the gripper was ready when it last answered.
     """
 
     def __init__(
         self,
-        link: GripperLink,
-        target: GripTarget,
+        new_link: Callable[[], GripperLink],
+        target: Request,
         counted: dict[str, int],
-        *,
-        was_ready: bool,
-        timeout: float,
-        activation: float,
-        poll: float,
+        limits: DriveLimits,
     ) -> None:
-        self.link, self.was_ready, self._target, self._counted = link, was_ready, target, counted
-        self._timeout, self._activation, self._poll = timeout, activation, poll
+        self.target, self.target_sent = target, True
+        self._new_link, self._counted, self._limits = new_link, counted, limits
+        self._changed = asyncio.Event()
+        self._was_ready = False  # the gripper was ready when it last answered
+        self._link: GripperLink | None = None
         self.status: Status | None = None
-        self.sent: Request | None = None
-        self.ready = False
-        self._loop = asyncio.get_running_loop()
-        self._due = -inf  # loop time (s) of the next status request
-        self._requested = 0.0  # loop time (s) of the newest request whose echo is checked
-        self._waiting = self._loop.time()  # loop time (s), start of the wait for readiness
+        self.drop()
+
+    @property
+    def connected(self) -> bool:
+        """True from `connect` to `drop`."""
+        return self._link is not None
 
     @property
     def pending(self) -> bool:
         """True if the target has not been sent."""
-        return self._target.request.go and self._target.request != self.sent
+        return self.target.go and self.target != self._sent
 
-    async def reset(self) -> None:
-        """Reset the gripper if its fault requires it.
+    def grip(self, force: int) -> None:
+        """Set the force, as a register value."""
+        target = replace(self.target, go=True, force=force)
+        self.target_sent = self.target_sent and target == self.target
+        self.target = target
+        self._changed.set()
+
+    async def connect(self) -> GripperLink:
+        """Connect.
+
+        Raises:
+            EndpointError: if the gripper cannot be reached.
+        """
+        self._link = link = self._new_link()
+        self._waiting = asyncio.get_running_loop().time()
+        await link.connect()
+        return link
+
+    def drop(self) -> None:
+        """Close the connection, if there is one."""
+        if self._link:
+            self._link.close()
+        self._link = self.status = None
+        self._sent: Request | None = None  # newest request of this connection
+        self.ready = False
+        self._due = -inf  # loop time (s) of the next status request
+        self._requested = 0.0  # loop time (s) of the newest request whose echo is checked
+        self._waiting = 0.0  # loop time (s), start of the wait for readiness
+
+    async def start(self) -> None:
+        """Connect, reset a fault, activate the gripper and send the target if it is set.
 
         Raises:
             EndpointError: if the gripper fails.
         """
-        if (await self.link.read_status()).needs_reset:
-            await self.link.write(Request())
+        link = await self.connect()
+        if (await link.read_status()).needs_reset:
+            await link.write(Request())
+        while not self.ready or self.pending:
+            await self.step()
 
     async def step(self) -> None:
-        """Read the status or send the target if due, else wait until one of them is due.
+        """Connect, read the status or send the target if due, else wait until one of them is due.
 
         Raises:
-            EndpointError: if the gripper fails; a new connection is then required.
+            EndpointError: if the gripper fails; the connection must then be dropped.
         """
-        now = self._loop.time()
+        link, loop = self._link or await self.connect(), asyncio.get_running_loop()
+        now = loop.time()
         if now >= self._due:
-            self._due = self._loop.time() + await self._check_status()
+            self._due = loop.time() + await self._check_status(link)
         elif self.ready and self.pending:
-            await self.link.wait_turn()
-            await self._send(self._target.request)  # read after the wait, so it is the newest
+            await link.wait_turn()
+            await self._send(link, self.target)  # read after the wait, so it is the newest
         else:
-            self._target.changed.clear()
+            self._changed.clear()
             try:
                 async with asyncio.timeout(self._due - now):
-                    await self._target.changed.wait()
+                    await self._changed.wait()
             except TimeoutError:
                 pass
 
-    async def _check_status(self) -> float:
+    async def _check_status(self, link: GripperLink) -> float:
         """Read the status, and activate the gripper if needed.
 
         Returns:
             Time until the next status request, s.
         """
-        status, now = await self.link.read_status(), self._loop.time()
+        status, now = await link.read_status(), asyncio.get_running_loop().time()
         if status.needs_reset:
-            raise EndpointError(self.link.endpoint, status.reason)
-        if status.active and self.sent and status.echo != self.sent.position:
-            if now - self._requested > self._timeout:
-                raise EndpointError(
-                    self.link.endpoint,
-                    f"does not accept a request within {self._timeout} s: does another program command it?",
-                )
+            raise EndpointError(link.endpoint, status.reason)
+        if status.active and self._sent and status.echo != self._sent.position:
+            if now - self._requested > self._limits.timeout:
+                reason = f"does not accept a request within {self._limits.timeout} s"
+                raise EndpointError(link.endpoint, f"{reason}: does another program command it?")
             return 0.0
         self.status = status
-        if status.ready and status.mode is self._target.request.mode:
-            self.ready = self.was_ready = True
-            return self._poll
-        if self.was_ready:
-            log.warning("%s has restarted: activating it again", self.link.endpoint)
+        if status.ready:
+            self.ready = self._was_ready = True
+            return self._limits.poll
+        if self._was_ready:
+            log.warning("%s has restarted: activating it again", link.endpoint)
             self._counted["restarts"] += 1
-            self.ready = self.was_ready = False
-            self.sent, self._waiting = None, now
-        if now - self._waiting > self._activation:
-            raise EndpointError(
-                self.link.endpoint,
-                f"is not ready within {self._activation} s: does something obstruct its fingers?",
-            )
+            self.ready = self._was_ready = False
+            self._sent, self._waiting = None, now
+        if now - self._waiting > self._limits.activation:
+            reason = f"is not ready within {self._limits.activation} s: does something obstruct its fingers?"
+            raise EndpointError(link.endpoint, reason)
         if not status.active:
-            await self._send(Request(active=True))
-        elif status.phase is Phase.READY:
-            await self._send(replace(self._target.request, go=False))  # sets its mode
-        return self._poll
+            await self._send(link, Request(active=True))
+        return self._limits.poll
 
-    async def _send(self, request: Request) -> None:
-        on_target = request == self._target.request
-        self._target.sent = self._target.sent or on_target
+    async def _send(self, link: GripperLink, request: Request) -> None:
+        on_target = request == self.target
+        self.target_sent = self.target_sent or on_target
         try:
-            await self.link.write(request)
+            await link.write(request)
         except BaseException:
-            self._target.sent = self._target.sent and not on_target
+            self.target_sent = self.target_sent and not on_target
             raise
-        if self.sent is None or replace(self.sent, force=request.force) != request:
-            self._requested = self._due = self._loop.time()
-        self.sent = request
+        if self._sent is None or replace(self._sent, force=request.force) != request:
+            self._requested = self._due = asyncio.get_running_loop().time()
+        self._sent = request
         self._counted["sent"] += 1

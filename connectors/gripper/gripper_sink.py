@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from connectors.gripper.drive import GripperDrive, GripTarget
+from connectors.gripper.drive import DriveLimits, GripperDrive
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.modbus_link import GripperLink
-from connectors.gripper.robotiq import FULL, PORT, UNIT, Mode, Request, Status
+from connectors.gripper.robotiq import FULL, PORT, UNIT, Request, Status
 from operators.back_off import BackOff
 from operators.batch import Commands
 from operators.checks import check_above, check_between
@@ -24,7 +24,7 @@ RETRY: Final = 2.0  # s, longest time between attempts to reconnect
 
 @dataclass(eq=False)
 class Gripper(Sink[Commands]):
-    """Sink that sets the grip force of a Robotiq 3-finger gripper; the newest command wins.
+    """Sink that sets the grip force of a Robotiq 3-finger gripper in its basic mode; the newest command wins.
 
     Opening activates an inactive gripper, which moves its fingers, and resets a fault. The fingers move to
     `position` with the first commanded force, or at once if `force` is given, and stop at an object. Closing
@@ -43,7 +43,6 @@ class Gripper(Sink[Commands]):
     Args:
         limits: Minimum and maximum force, N.
         force: Initial force, N; None: the first command sets the force.
-        mode: Position of the fingers relative to each other.
         position: Target of the fingers, 0 open to 255 closed.
         speed: Speed of the fingers, 0 to 255.
         scale: Scale of the force register.
@@ -63,7 +62,6 @@ class Gripper(Sink[Commands]):
     unit: int = UNIT  # some grippers are set to 0 or 9
     limits: tuple[float, float] = (15.0, 60.0)
     force: float | None = None
-    mode: Mode = Mode.BASIC
     position: int = FULL
     speed: int = FULL
     scale: ForceScale = field(default_factory=ForceScale)
@@ -93,13 +91,12 @@ class Gripper(Sink[Commands]):
 
     def _reset(self) -> None:
         """Set the state before a run."""
-        request = Request(active=True, mode=self.mode, position=self.position, speed=self.speed)
+        target = Request(active=True, position=self.position, speed=self.speed)
         if self.force is not None:
-            request = replace(request, go=True, force=self.scale.register(self.force))
-        self._target = GripTarget(request)
-        self._was_ready = False  # the gripper was ready when it last answered
+            target = replace(target, go=True, force=self.scale.register(self.force))
+        limits = DriveLimits(self.timeout, self.activation, self.poll)
+        self._drive = GripperDrive(self._new_link, target, self._counted, limits)
         self._batch: Commands | None = None  # newest batch
-        self._drive: GripperDrive | None = None
         self._failure = ""
         self._serving: asyncio.Task[None] | None = None  # None: not open
 
@@ -111,7 +108,7 @@ class Gripper(Sink[Commands]):
     @property
     def status(self) -> Status | None:
         """Newest status after the newest request was echoed; None while the gripper cannot be reached."""
-        return self._drive.status if self._drive else None
+        return self._drive.status
 
     def describe(self) -> Description:
         """Return gripper, address, limits, target, newest status and counts.
@@ -120,11 +117,10 @@ class Gripper(Sink[Commands]):
         and ``limited`` were clipped. ``sent`` counts requests, including activations; ``restarts`` and
         ``failures`` count those of the gripper.
         """
-        status, request = self.status, self._target.request
+        status, request = self.status, self._drive.target
         return {
             "gripper": "Robotiq 3-finger",
             "address": self.destination,
-            "mode": self.mode.name.lower(),
             "limits_n": list(self.limits),
             "scale": [list(point) for point in self.scale.points],
             "force_n": self.scale.force(request.force) if request.go else None,
@@ -147,12 +143,9 @@ class Gripper(Sink[Commands]):
             raise FlowError(run.flow, self.destination, reason)
         self._reset()
         try:
-            drive = await self._connect()
-            await drive.reset()
-            while not drive.ready or drive.pending:
-                await drive.step()
+            await self._drive.start()
         except BaseException:
-            self._drop()
+            self._drive.drop()
             raise
         self._serving = asyncio.create_task(self._serve())
 
@@ -183,13 +176,13 @@ class Gripper(Sink[Commands]):
         await asyncio.wait({serving})
         try:
             async with asyncio.timeout(self.timeout):
-                while self._drive and not self._target.sent:
+                while self._drive.connected and not self._drive.target_sent:
                     await self._drive.step()
         except TimeoutError:
             self._failure = "is not ready for the newest command"
         finally:
-            self._drop()
-        if not self._target.sent:
+            self._drive.drop()
+        if not self._drive.target_sent:
             raise EndpointError(self.destination, self._failure)
 
     def _take(self, batch: Commands) -> None:
@@ -199,19 +192,18 @@ class Gripper(Sink[Commands]):
         low, high = self.limits
         newest = float(forces[-1])
         self._counted["taken"] += len(forces)
-        self._counted["superseded"] += len(forces) - 1 + (not self._target.sent)
+        self._counted["superseded"] += len(forces) - 1 + (not self._drive.target_sent)
         self._counted["limited"] += not low <= newest <= high
-        self._target.grip(self.scale.register(min(max(newest, low), high)))
+        self._drive.grip(self.scale.register(min(max(newest, low), high)))
 
     async def _serve(self) -> None:
         """Keep the gripper on target until cancelled."""
-        back_off = BackOff(last=RETRY)
+        back_off, drive = BackOff(last=RETRY), self._drive
         while True:
             try:
-                drive = self._drive or await self._connect()
                 await drive.step()
             except EndpointError as error:
-                self._drop()
+                drive.drop()
                 if not self._failure:
                     log.warning("%s, retrying", error)
                 self._failure = error.reason
@@ -223,14 +215,5 @@ class Gripper(Sink[Commands]):
                     self._failure = ""
                     back_off.reset()
 
-    async def _connect(self) -> GripperDrive:
-        link = GripperLink(self.destination, self.host, self.port, self.unit, self.timeout)
-        limits = {"timeout": self.timeout, "activation": self.activation, "poll": self.poll}
-        self._drive = GripperDrive(link, self._target, self._counted, was_ready=self._was_ready, **limits)
-        await link.connect()
-        return self._drive
-
-    def _drop(self) -> None:
-        if self._drive:
-            self._drive.link.close()
-            self._was_ready, self._drive = self._drive.was_ready, None
+    def _new_link(self) -> GripperLink:
+        return GripperLink(self.destination, self.host, self.port, self.unit, self.timeout)

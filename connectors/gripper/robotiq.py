@@ -55,15 +55,6 @@ class RobotiqError(SlipflowError):
     """Bytes that are not a valid request or status."""
 
 
-class Mode(IntEnum):
-    """Position of the fingers relative to each other [rMOD, gMOD]."""
-
-    BASIC = 0
-    PINCH = 1
-    WIDE = 2
-    SCISSOR = 3
-
-
 class Phase(IntEnum):
     """State of activation and mode change [gIMC]."""
 
@@ -82,24 +73,13 @@ class Fingers(IntEnum):
     ARRIVED = 3  # at the requested position
 
 
-class Axis(IntEnum):
-    """Motion of one finger, or of the scissor [gDTA to gDTC, gDTS]."""
-
-    MOVING = 0
-    STOPPED_OPENING = 1  # by a contact
-    STOPPED_CLOSING = 2  # by a contact
-    ARRIVED = 3
-
-
 @dataclass(frozen=True, slots=True)
 class Request:
-    """Request to the gripper; the default resets it.
+    """Request to the gripper in its basic mode [rMOD 0]; the default resets it.
 
     Attributes:
         active: Activate it, or keep it active; False resets it and its fault [rACT].
-        mode: Position of the fingers relative to each other [rMOD].
         go: Move to the position; False: stay [rGTO].
-        release: Open slowly, whatever else is requested; then it must be reset [rATR].
         position: 0 open to 255 closed [rPRA].
         speed: 0 slowest to 255 fastest [rSPA].
         force: 0 weakest to 255 strongest, see `connectors.gripper.grip_force.ForceScale` [rFRA].
@@ -109,16 +89,14 @@ class Request:
     """
 
     active: bool = False
-    mode: Mode = Mode.BASIC
     go: bool = False
-    release: bool = False
     position: int = 0
     speed: int = 0
     force: int = 0
 
     def encode(self) -> bytes:
         """Return the 6 bytes of its registers."""
-        action = self.active | self.mode << 1 | self.go << 3 | self.release << 4
+        action = self.active | self.go << 3
         return _BYTES.pack(action, 0, 0, self.position, self.speed, self.force)
 
     @classmethod
@@ -131,15 +109,7 @@ class Request:
         if len(data) < _BYTES.size:
             raise RobotiqError(f"a request of {len(data)} bytes")
         action, _, _, position, speed, force = _BYTES.unpack_from(data)
-        return cls(
-            active=bool(action & 1),
-            mode=Mode(action >> 1 & 3),
-            go=bool(action & 1 << 3),
-            release=bool(action & 1 << 4),
-            position=position,
-            speed=speed,
-            force=force,
-        )
+        return cls(bool(action & 1), bool(action & 1 << 3), position, speed, force)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,29 +118,21 @@ class Status:
 
     Attributes:
         active: Activated, or being activated [gACT].
-        mode: Requested mode [gMOD].
         go: Moving or moved to the requested position [gGTO].
         phase: State of activation and mode change [gIMC].
         fingers: Motion of the fingers; valid only if `go` [gSTA].
-        axes: Motion of each finger (A, B, C) and of the scissor [gDTA to gDTS].
         fault: 0, or one of `FAULTS` [gFLT].
         echo: Requested position, as received by the gripper [gPRA].
         positions: Positions of the fingers (A, B, C), 0 open to 255 closed [gPOA to gPOC].
-        currents: Currents of their motors, 0.1 mA [gCUA to gCUC].
-        scissor: Position of the scissor, 0 to 255 [gPOS].
     """
 
     active: bool = False
-    mode: Mode = Mode.BASIC
     go: bool = False
     phase: Phase = Phase.RESET
     fingers: Fingers = Fingers.MOVING
-    axes: tuple[Axis, Axis, Axis, Axis] = (Axis.MOVING, Axis.MOVING, Axis.MOVING, Axis.MOVING)
     fault: int = 0
     echo: int = 0
     positions: tuple[int, int, int] = (0, 0, 0)
-    currents: tuple[int, int, int] = (0, 0, 0)
-    scissor: int = 0
 
     @classmethod
     def decode(cls, data: bytes) -> Self:
@@ -181,28 +143,16 @@ class Status:
         """
         if len(data) != 2 * STATUS:
             raise RobotiqError(f"a status of {len(data)} bytes")
-        gripper, axes = data[0], data[1]
+        gripper = data[0]
         return cls(
             active=bool(gripper & 1),
-            mode=Mode(gripper >> 1 & 3),
             go=bool(gripper & 1 << 3),
             phase=Phase(gripper >> 4 & 3),
             fingers=Fingers(gripper >> 6),
-            axes=(Axis(axes & 3), Axis(axes >> 2 & 3), Axis(axes >> 4 & 3), Axis(axes >> 6)),
             fault=data[2] & 0xF,
             echo=data[3],
             positions=(data[4], data[7], data[10]),
-            currents=(data[5], data[8], data[11]),
-            scissor=data[13],
         )
-
-    def encode(self) -> bytes:
-        """Return the 16 bytes of its registers."""
-        gripper = self.active | self.mode << 1 | self.go << 3 | self.phase << 4 | self.fingers << 6
-        axes = sum(axis << 2 * index for index, axis in enumerate(self.axes))
-        (a, b, c), (current_a, current_b, current_c) = self.positions, self.currents
-        head = [gripper, axes, self.fault, self.echo]
-        return bytes([*head, a, current_a, 0, b, current_b, 0, c, current_c, 0, self.scissor, 0, 0])
 
     @property
     def ready(self) -> bool:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from errno import ENODEV, EREMOTEIO
 from os import strerror
 from threading import Event, Thread
-from time import monotonic_ns
 from typing import Final
 
 from connectors.takktile.i2c_access import I2cBus
@@ -21,6 +20,7 @@ log = logging.getLogger("slipflow")
 
 LOST_AFTER: Final = 250 * ms  # ns without a sample, at least three scans
 TIMEOUT: Final = 3.0  # s, for a scan and for the end of the thread
+SHORTEST_WAIT: Final = ms // 5  # ns, between looks at a slow clock
 BACKLOG: Final = 1000  # maximum of scans that wait for the event loop
 
 
@@ -58,7 +58,7 @@ class ScanThread:
         self._schedule, self._now, self._path = schedule, now, schedule.bus.path
         self._loop = asyncio.get_running_loop()
         self._scans = deque[Scan]()
-        self._error: EndpointError | None = None
+        self._error: Exception | None = None
         self._changed, self._ended = asyncio.Event(), asyncio.Event()
         self._ending, self._blocked = Event(), False
         self._thread = Thread(target=self._run, name=f"takktile {self._path}", daemon=True)
@@ -111,9 +111,8 @@ class ScanThread:
             self._scan(scanner)
         except OSError as error:
             self._error = EndpointError(self._path, i2c_reason(error))
-        except Exception as error:  # noqa: BLE001 - reported to the event loop
-            self._error = EndpointError(self._path, f"{type(error).__name__}: {error}")
-            self._error.__cause__ = error
+        except Exception as error:  # noqa: BLE001 - no failure of the device: raised to the runner as it is
+            self._error = error
         finally:
             self._set(self._changed)
             if scanner is not None:
@@ -127,27 +126,33 @@ class ScanThread:
             OSError: if the sensor is lost.
         """
         period, counted = self._schedule.period, self._schedule.counted
-        sampled, answered = monotonic_ns(), False
+        sampled, answered = self._now(), False
         due = sampled
-        while not self._ending.wait(max(0, due - monotonic_ns()) / s):
+        while self._wait_until(due):
             if len(self._scans) < BACKLOG:
-                counted["late"] += monotonic_ns() - due > period // 10
+                counted["late"] += self._now() - due > period // 10
                 scan = scanner.scan()
                 counted["made"] += 1
                 if scan.valid.any():
-                    sampled, answered = monotonic_ns(), True
+                    sampled, answered = self._now(), True
                 else:
                     counted["silent"] += 1
                     unplugged = scan.error is not None and scan.error.errno == ENODEV
-                    if monotonic_ns() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
+                    if self._now() - sampled > max(LOST_AFTER, 3 * period) or unplugged:
                         raise scan.error or OSError(EREMOTEIO, strerror(EREMOTEIO))
                 if answered:  # a sensor without any sample so far is still lost
                     self._scans.append(scan)
                     self._set(self._changed)
             else:
                 counted["missed"] += 1
-            due, missed = next_scan(due, monotonic_ns(), period)
+            due, missed = next_scan(due, self._now(), period)
             counted["missed"] += missed
+
+    def _wait_until(self, due: int) -> bool:
+        """Wait until `due` (ns) on the clock, which may be slow; return False when the thread must end."""
+        while (wait := due - self._now()) > 0 and not self._ending.is_set():
+            self._ending.wait(max(wait, SHORTEST_WAIT) / s)
+        return not self._ending.is_set()
 
     def _set(self, event: asyncio.Event) -> None:
         try:

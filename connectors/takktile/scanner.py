@@ -3,7 +3,7 @@
 import errno
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from time import monotonic_ns, sleep
+from time import sleep
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -134,9 +134,10 @@ class Scanner:
         before = self._now()
         self._bus.write_i2c_block_data(BAROMETER, CONVERT, [1])
         after = self._now()
-        end = monotonic_ns() + self._conversion
+        end = after + self._conversion
         self._disconnect_all()
-        sleep(max(0, end - monotonic_ns()) / s)
+        while (wait := end - self._now()) > 0:
+            sleep(wait / s)
         return (before + after) // 2
 
     def _read_missing_coefficients(self, valid: Flags) -> None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 VIRTUAL_MARGIN = 0.03  # m; a virtual arm stops late on a busy host
 VIRTUAL_TIMEOUT = 2.0  # s
-VIRTUAL_WATCHDOG = 0.5  # Hz
+VIRTUAL_WATCHDOG = 0.1  # Hz; on a busy host the time of a virtual lab is slow
 DOWN = (0.0, 0.0, 0.0, 3.141592653589793, 0.0, 0.0)  # pose at which a fingertip touches a virtual surface
 
 
@@ -112,8 +112,11 @@ def collect(
     if dry_run:
         _print_path(chosen, robot, seed, virtual=virtual, as_json=as_json)
     else:
+        from connectors.emulators.lab_loop import run_lab
+
         setup = _setup(robot or "127.0.0.1", bus, rows, out)
-        _report(asyncio.run(_collect(chosen, setup, seed, virtual=virtual)), as_json=as_json)
+        execute = run_lab if virtual else asyncio.run
+        _report(execute(_collect(chosen, setup, seed, virtual=virtual)), as_json=as_json)
 
 
 def _setup(robot: str, bus: str, rows: str, out: Path) -> "Setup":
@@ -172,16 +175,19 @@ async def _collect(plan: "CollectionPlan", setup: "Setup", seed: int, *, virtual
     from connectors.emulators.virtual_lab import virtual_lab
     from connectors.sim.scene import commanded_scene
     from flows.lab.collection.collector import collect
+    from flows.run.clocks import LoopClock
 
     async with AsyncExitStack() as running:
+        clock = None
         if virtual:
             note("starting the virtual lab; the first start compiles its physics, which takes some seconds")
             scene = commanded_scene(plan.surfaces[0].shape, plan.surfaces[0].radius)
             serving = virtual_lab(scene, seed, fingers=setup.rows, host=setup.robot)
             lab = await running.enter_async_context(serving)
-            setup = replace(setup, bus=lab.bus)
+            lab.wait_for_commands()
+            setup, clock = replace(setup, bus=lab.bus), LoopClock(lab.scene.now())
         note(f"to pause and to resume: kill -USR1 {os.getpid()}")
-        return await collect(plan, setup, seed=seed, log=note)
+        return await collect(plan, setup, seed=seed, log=note, clock=clock)
 
 
 def _report(result: "CollectionResult", *, as_json: bool) -> None:

@@ -63,6 +63,7 @@ def rig(
     """
     from typing import get_args
 
+    from connectors.emulators.lab_loop import run_lab
     from connectors.emulators.ur_controller import Ports
     from connectors.sim.scene import Curvature
     from flows.graph.quantity import parse_time
@@ -73,7 +74,7 @@ def rig(
     seconds = None if duration is None else parse_time("rig", "--for", duration) / 1e9
     ports, port = Ports(rtde, script, dashboard), None if gripper < 0 else gripper
     shape = cast("Curvature", surface)
-    asyncio.run(_serve(listen, ports, gripper=port, surface=shape, seed=seed, seconds=seconds))
+    run_lab(_serve(listen, ports, gripper=port, surface=shape, seed=seed, seconds=seconds))
 
 
 async def _serve(

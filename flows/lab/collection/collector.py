@@ -74,7 +74,12 @@ class CollectionResult:
 
 
 async def collect(
-    plan: CollectionPlan, setup: Setup, *, seed: int = 0, log: Callable[[str], None] = lambda _: None
+    plan: CollectionPlan,
+    setup: Setup,
+    *,
+    seed: int = 0,
+    log: Callable[[str], None] = lambda _: None,
+    clock: Clock | None = None,
 ) -> CollectionResult:
     """Execute a plan and record it; SIGUSR1 pauses and resumes, SIGINT and SIGTERM stop the arm first.
 
@@ -83,13 +88,14 @@ async def collect(
         setup: Devices and dataset.
         seed: Random seed of the order of directions.
         log: Called with progress messages.
+        clock: Clock of all sessions; default: `LoopClock`.
 
     Raises:
         EndpointError: if a device is not ready; nothing has moved then.
         ParameterError: if the path leaves the workspace.
         SlipflowError: if a session cannot be recorded; the arm stands still.
     """
-    clock = LoopClock()
+    clock = clock or LoopClock()
     here = await read_pose(setup.robot, clock)
     series = plan.series(here, seed)
     low, high = workspace(series, here, plan.limits)

@@ -9,6 +9,8 @@ from connectors.emulators.gripper_mechanism import Mechanism
 from connectors.emulators.gripper_server import GripperServer
 from connectors.gripper.robotiq import Phase
 
+RELEASED = 0x0F  # fault: automatic release completed
+
 if TYPE_CHECKING:
     from pymodbus.constants import ExcCodes
 

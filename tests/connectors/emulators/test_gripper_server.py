@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from connectors import Gripper
-from connectors.gripper.robotiq import Fingers, Mode, Phase, Request, Status, octets, registers
+from connectors.gripper.robotiq import Fingers, Phase, Request, Status, octets, registers
 from flows.run.clocks import LoopClock
 from operators import EndpointError, ParameterError, s
 from operators.batch import Commands
@@ -111,7 +111,7 @@ def test_the_real_client_activates_grips_and_lets_go() -> None:
             await modbus.write_registers(1, [0], device_id=9)  # the position alone
             hand.time += 3 * s
             status = await look(modbus, 9)
-            assert (status.fingers, status.mode, hand.forces) == (Fingers.ARRIVED, Mode.BASIC, [60.0, 0.0])
+            assert (status.fingers, hand.forces) == (Fingers.ARRIVED, [60.0, 0.0])
 
     asyncio.run(test())
 

@@ -89,6 +89,20 @@ def cell() -> Cell:
     return cell
 
 
+def test_a_command_is_overdue_only_for_a_client_that_has_set_a_watchdog(cell: Cell) -> None:
+    cell.run(1.0)
+    assert not cell.box.command_overdue
+    cell.ask(Command.SET_WATCHDOG, 1.0)
+    cell.run(0.09)
+    assert not cell.box.command_overdue
+    assert cell.run(1.0, lambda: cell.box.command_overdue) == pytest.approx(0.02, abs=0.01)
+    cell.ask(Command.NONE)
+    assert not cell.box.command_overdue
+    cell.run(2.0)
+    assert cell.box.runtime_state == RuntimeState.STOPPED  # by the watchdog
+    assert not cell.box.command_overdue
+
+
 # --- clock and variables ---------------------------------------------------------------------------------
 
 

@@ -1,5 +1,6 @@
 import asyncio
 import socket
+import time
 from collections.abc import AsyncGenerator
 from contextlib import aclosing
 from typing import cast
@@ -9,12 +10,14 @@ import pytest
 from pymodbus.client import AsyncModbusTcpClient
 
 from connectors import TakkTile, UrMotion
+from connectors.emulators.lab_loop import run_lab
+from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.ur_controller import Ports
 from connectors.emulators.virtual_lab import HEIGHT, virtual_lab
 from connectors.sim.scene import commanded_scene
 from flows.run.clocks import LoopClock
-from operators import Touch
-from operators.batch import Counts
+from operators import Touch, Truth
+from operators.batch import Counts, Reals, s
 from tests.connectors.emulators.observed_scene import ObservedScene
 
 ANYWHERE = Ports(0, 0, 0)
@@ -48,6 +51,36 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip(monkeypatch: 
             assert 1.8 < truth.force[-1] < 2.1
 
     asyncio.run(main())
+
+
+def test_a_stall_of_the_host_delays_arm_and_fingertip_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("connectors.emulators.virtual_lab.SharedScene", ObservedScene)
+    forces, motion = list[tuple[int, float]](), PressingArm.motion  # ns, N; of the arm
+
+    def record(arm: PressingArm, instant: int) -> tuple[Reals, Reals]:
+        moved = motion(arm, instant)
+        forces.append((instant, arm.wrench.item(2)))
+        return moved
+
+    monkeypatch.setattr(PressingArm, "motion", record)
+
+    async def main() -> Truth:
+        async with virtual_lab(ports=ANYWHERE) as lab:
+            lab.controller.box.drive.line(np.array([0.0, 0.0, -0.004, np.pi, 0.0, 0.0]), 0.04, 1.0)
+            stalled = lab.scene.now()
+            async for sample in TakkTile(lab.bus).batches(LoopClock(lab.scene.now())):  # in a thread of its own
+                if lab.scene.now() - stalled > 0.1 * s:
+                    time.sleep(0.15)  # noqa: ASYNC251 - the stall
+                    stalled = lab.scene.now()
+                if lab.controller.box.drive.task == "none" and sample.counts.any():
+                    break
+            return cast("ObservedScene", lab.scene).truth()
+
+    truth = run_lab(main())
+    times, pressed = np.array(forces).T
+    assert truth.force[-1] > 3.9
+    expected = np.interp(truth.time, times, pressed)  # (n,) N
+    assert np.abs(truth.force - expected).max() < 40.0 * 0.02  # 40 N/s, late by 20 ms at most
 
 
 def test_a_sphere_is_touched_lower_at_its_side() -> None:

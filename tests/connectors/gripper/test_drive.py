@@ -4,10 +4,10 @@ from math import nan
 
 import pytest
 
-from connectors.emulators.gripper_mechanism import RELEASED, Mechanism
-from connectors.gripper.robotiq import Mode, Phase, Request
+from connectors.emulators.gripper_mechanism import Mechanism
+from connectors.gripper.robotiq import Request
 from operators import EndpointError
-from tests.connectors.emulators.faulty_gripper import fail
+from tests.connectors.emulators.faulty_gripper import RELEASED, fail
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
 
 pytestmark = pytest.mark.virtual
@@ -16,17 +16,6 @@ pytest.importorskip("pymodbus")
 
 def ignored(mechanism: Mechanism, request: Request, now: int) -> None:
     del mechanism, request, now
-
-
-async def test_the_mode_is_set_before_the_fingers_move() -> None:
-    async with lab() as at, at.gripping(mode=Mode.SCISSOR) as gripper:
-        assert gripper.status
-        assert (gripper.status.mode, gripper.status.phase) == (Mode.SCISSOR, Phase.READY)
-        assert [(each.mode, each.go) for each in at.writes] == [(Mode.BASIC, False), (Mode.SCISSOR, False)]
-        await gripper.write(commands(15.0))
-        await asyncio.sleep(10)
-        assert at.scene.forces == [15.0]
-        assert gripper.status.object_detected
 
 
 @pytest.mark.parametrize("drop", [False, True])

@@ -6,7 +6,6 @@ from math import inf, nan
 import pytest
 
 from connectors import Gripper
-from connectors.emulators.gripper_mechanism import RELEASED
 from connectors.gripper import modbus_link as gripper_link
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.robotiq import Request
@@ -16,7 +15,7 @@ from flows.run.live_runner import LiveRunner
 from operators import EndpointError, FlowError, InputError, ParameterError, ms
 from operators.batch import Commands
 from operators.ports import Run
-from tests.connectors.emulators.faulty_gripper import fail
+from tests.connectors.emulators.faulty_gripper import RELEASED, fail
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
 
 pytestmark = pytest.mark.virtual

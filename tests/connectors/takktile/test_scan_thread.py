@@ -12,7 +12,7 @@ from connectors.takktile.i2c_access import LinuxI2cBus
 from connectors.takktile.scan_thread import ScanThread, Schedule, next_scan
 from connectors.takktile.scanner import Scan, Scanner
 from connectors.takktile.takktile_protocol import Coefficients
-from operators import EndpointError, ms, us
+from operators import ms, us
 from operators.batch import Counts
 from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
 from tests.connectors.emulators.i2c_device import served
@@ -97,9 +97,8 @@ def test_the_error_of_a_thread_comes_after_its_scans(monkeypatch: pytest.MonkeyP
             async for each in thread.scans():
                 taken.append(each)
 
-        with pytest.raises(EndpointError, match="/dev/i2c-1: ZeroDivisionError: oh") as raised:
+        with pytest.raises(ZeroDivisionError, match="oh"):  # no failure of the device: not retried
             await gather()
-        assert isinstance(raised.value.__cause__, ZeroDivisionError)
         assert [each.time for each in taken] == [each.time for each in made]
         await thread.end()
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from connectors.emulators.i2c_bus import VIRTUAL
+from connectors.emulators.lab_loop import run_lab
 from connectors.emulators.pressing_arm import STIFFNESS
 from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
 from connectors.sim.scene import Curvature, commanded_scene
@@ -28,6 +29,7 @@ from flows.lab.collection.stroke_plan import (
     Press,
     StrokeSeries,
 )
+from flows.run.clocks import LoopClock
 from operators import (
     EVERY,
     SLIP,
@@ -124,19 +126,22 @@ def made(
 
     async def main() -> Made:
         async with virtual_lab(commanded_scene(surface), host=HOST) as lab:
-            limits = Limits(force=limit, margin=0.05, sensor_timeout=1.0, watchdog=1.0)  # for a busy host
+            lab.wait_for_commands()
+            limits = Limits(force=limit, margin=0.05, sensor_timeout=1.0, watchdog=0.1)  # for a busy host
             surfaces = (PlannedSurface(surface, pose=place),)
             planned = replace(plan, limits=limits, surfaces=surfaces)
             acting = asyncio.create_task(do(lab))
             async with asyncio.timeout(120):
-                collected = await collect(planned, Setup(HOST, out, lab.bus), seed=1)
+                collected = await collect(
+                    planned, Setup(HOST, out, lab.bus), seed=1, clock=LoopClock(lab.scene.now())
+                )
             acting.cancel()
             lab.scene.advance(lab.scene.now())  # to see that the arm stands
             return Made(collected, cast("ObservedScene", lab.scene).truth(), out)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("connectors.emulators.virtual_lab.SharedScene", ObservedScene)
-        return asyncio.run(main())
+        return run_lab(main())
 
 
 def unplug(lab: VirtualLab) -> None:
