@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from math import inf
 
 from connectors.gripper.modbus_link import GripperLink
-from connectors.gripper.robotiq import Request
+from connectors.gripper.robotiq import Request, Status
 from operators.errors import EndpointError
 
 log = logging.getLogger("slipflow")

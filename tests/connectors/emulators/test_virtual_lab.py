@@ -68,7 +68,9 @@ def test_a_stall_of_the_host_delays_arm_and_fingertip_together(monkeypatch: pyte
         async with virtual_lab(ports=ANYWHERE) as lab:
             lab.controller.box.drive.line(np.array([0.0, 0.0, -0.004, np.pi, 0.0, 0.0]), 0.04, 1.0)
             stalled = lab.scene.now()
-            async for sample in TakkTile(lab.bus).batches(LoopClock(lab.scene.now())):  # in a thread of its own
+            async for sample in TakkTile(lab.bus).batches(
+                LoopClock(lab.scene.now())
+            ):  # in a thread of its own
                 if lab.scene.now() - stalled > 0.1 * s:
                     time.sleep(0.15)  # noqa: ASYNC251 - the stall
                     stalled = lab.scene.now()
