@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from math import isfinite
+from typing import Final
 from urllib.parse import quote, unquote
 
 import numpy as np
@@ -15,6 +16,8 @@ from connectors.fields import INT64, Fields
 from operators.batch import BAROMETERS, EVERY, Faults
 from operators.health import FaultKind
 from operators.ports import Json
+
+CONTENT_TYPE: Final = "application/cloudevents+json"  # CloudEvents MQTT binding 1.0.2, section 3.2
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,8 @@ class Message:
 
     topic: str
     payload: bytes
-    qos: int = 1
     retain: bool = True
+    content_type: str = ""
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import logging
 import re
 import socket
 import ssl
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Sequence
 from contextlib import suppress
 from typing import TypeVar
 
@@ -51,7 +51,7 @@ class NewestQueue(asyncio.Queue[aiomqtt.Message]):
     """A queue that drops its oldest message when it is full, and counts the dropped ones."""
 
     dropped = 0
-    on_message: Callable[[], object] = staticmethod(lambda: None)  # called for each message
+    changed: asyncio.Event  # set for each message
 
     def put_nowait(self, item: aiomqtt.Message) -> None:
         """Add a message; drop the oldest if the queue is full."""
@@ -59,7 +59,7 @@ class NewestQueue(asyncio.Queue[aiomqtt.Message]):
             self.get_nowait()
             self.dropped += 1
         super().put_nowait(item)
-        self.on_message()
+        self.changed.set()
 
 
 class Link(aiomqtt.Client):
@@ -69,8 +69,16 @@ class Link(aiomqtt.Client):
     waits for a response, and leaves no callback on a closed socket or event loop.
     """
 
-    def __init__(self, broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> None:
+    def __init__(
+        self,
+        broker: Broker,
+        identifier: str,
+        will: Message | None = None,
+        changed: asyncio.Event | None = None,
+    ) -> None:
         """Prepare to connect as client `identifier`, whose session the broker resumes.
+
+        The link sets `changed` when a message arrives or the connection is lost.
 
         Raises:
             InputError: if the file with the password or the certificate authorities cannot be read.
@@ -88,7 +96,7 @@ class Link(aiomqtt.Client):
             username=user,
             password=password,
             protocol=aiomqtt.ProtocolVersion.V5,
-            will=aiomqtt.Will(*will, qos=1, retain=True, properties=delay) if will else None,
+            will=aiomqtt.Will(will.topic, will.payload, 1, retain=True, properties=delay) if will else None,
             clean_start=False,  # a clean start would trigger the will of the previous connection
             properties=session,
             tls_context=_tls(broker) if broker.scheme == "mqtts" else None,
@@ -103,9 +111,10 @@ class Link(aiomqtt.Client):
         self._url = str(broker)
         self._answers: dict[int, asyncio.Future[ReasonCode]] = {}  # PUBACKs, by packet identifier
         self._deadline = 0.0  # loop time (s), limit for connecting
-        self._changed = asyncio.Event()  # a message arrived, or the connection was lost
-        if isinstance(self._queue, NewestQueue):
-            self._queue.on_message = self._changed.set
+        self._changed = changed or asyncio.Event()
+        assert isinstance(self._queue, NewestQueue)
+        self._received = self._queue
+        self._received.changed = self._changed
 
     @property
     def alive(self) -> bool:
@@ -115,7 +124,7 @@ class Link(aiomqtt.Client):
     @property
     def dropped(self) -> int:
         """Number of messages dropped because they were not read in time."""
-        return self._queue.dropped if isinstance(self._queue, NewestQueue) else 0
+        return self._received.dropped
 
     async def connect(self) -> None:
         """Connect.
@@ -135,24 +144,15 @@ class Link(aiomqtt.Client):
         except (aiomqtt.MqttError, ValueError) as error:
             self.abort()
             raise EndpointError(self._url, f"cannot connect: {_reason(error)}{self._hint(error)}") from None
-        self.on_lost(self._changed.set)
+        self._disconnected.add_done_callback(lambda _: self._changed.set())
 
-    def on_lost(self, call: Callable[[], object]) -> None:
-        """Register `call`, to be called when the connection is lost."""
-        self._disconnected.add_done_callback(lambda _: call())
-
-    async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
-        """Publish a message; with `qos` 1, wait until the broker has received it.
-
-        Raises:
-            EndpointError: if the connection is lost, or the broker refuses the message.
-        """
-        [refusal] = await self.send_all([Message(topic, payload, qos, retain)])
-        if refusal:
-            raise EndpointError(self._url, refusal)
+    def post(self, message: Message) -> None:
+        """Publish a message without waiting for its acknowledgement, which may never come."""
+        if not (answer := self._publish(message)).cancel():
+            answer.exception()  # mark as retrieved, else asyncio logs it
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
-        """Publish messages in order, then wait for all acknowledgements.
+        """Publish messages with QoS 1 in order, then wait for all acknowledgements.
 
         Returns:
             The reason for the refusal of each message; empty if the broker accepted it.
@@ -195,14 +195,24 @@ class Link(aiomqtt.Client):
         Raises:
             EndpointError: if the connection is lost and all messages received before were returned.
         """
-        while self._queue.empty():
-            if not self.alive:
-                reason = _reason(self._disconnected.exception())
-                raise EndpointError(self._url, f"connection lost ({reason})")
+        while (message := self.next_received()) is None:
             self._changed.clear()
             await self._changed.wait()
-        message = self._queue.get_nowait()
-        return message.topic.value, message.payload
+        return message
+
+    def next_received(self) -> tuple[str, bytes] | None:
+        """Return topic and payload of the next message, None if there is none yet.
+
+        Raises:
+            EndpointError: if the connection is lost and all messages received before were returned.
+        """
+        if not self._received.empty():
+            message = self._received.get_nowait()
+            return message.topic.value, message.payload
+        if not self.alive:
+            reason = _reason(self._disconnected.exception())
+            raise EndpointError(self._url, f"connection lost ({reason})")
+        return None
 
     async def disconnect(self) -> None:
         """Disconnect, so that the broker discards the will."""
@@ -241,11 +251,13 @@ class Link(aiomqtt.Client):
 
     def _publish(self, message: Message) -> "asyncio.Future[ReasonCode]":
         answer = asyncio.get_running_loop().create_future()
-        info = self._client.publish(message.topic, message.payload, message.qos, message.retain)
+        properties = None
+        if message.content_type:
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            properties.ContentType = message.content_type
+        info = self._client.publish(message.topic, message.payload, 1, message.retain, properties)
         if info.rc != MQTTErrorCode.MQTT_ERR_SUCCESS or not self.alive:
             answer.set_exception(aiomqtt.MqttCodeError(info.rc))
-        elif info.is_published():  # QoS 0: written to the socket
-            answer.set_result(ReasonCode(PacketTypes.PUBACK))
         else:
             self._answers[info.mid] = answer
         return answer
@@ -315,13 +327,17 @@ def _refusal(code: ReasonCode) -> str:
     return f"{code}; allow it in the broker's access list" if code.value == NOT_AUTHORIZED else str(code)
 
 
-async def connect(broker: Broker, identifier: str, will: tuple[str, bytes] | None = None) -> Link:
-    """Connect once; `will` is the topic and payload that the broker retains if the client disappears.
+async def connect(
+    broker: Broker, identifier: str, will: Message | None = None, changed: asyncio.Event | None = None
+) -> Link:
+    """Connect once; `will` is the message that the broker retains if the client disappears.
+
+    The link sets `changed` when a message arrives or the connection is lost.
 
     Raises:
         EndpointError: if the broker is unreachable, does not respond or refuses the client.
         InputError: if the file with the password or the certificate authorities cannot be read.
     """
-    link = Link(broker, identifier, will)
+    link = Link(broker, identifier, will, changed)
     await link.connect()
     return link

@@ -4,7 +4,6 @@ import asyncio
 import logging
 import os
 from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
 from pathlib import Path
 from random import uniform
 from secrets import token_hex
@@ -13,10 +12,10 @@ from typing import TYPE_CHECKING, Literal, Self
 
 from connectors.events import Event
 from connectors.fields import Fields
-from connectors.mqtt.broker import Broker
+from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads, save
-from connectors.mqtt.rig_names import is_replay, rig_topic
+from connectors.mqtt.rig_names import is_replay, is_topic_level, rig_topic
 from operators.back_off import BackOff
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError
@@ -75,8 +74,7 @@ class Consumer(AsyncIterator[Event]):
         self._dropped = 0
         # first number and time (s) of the latest progress, by rig and epoch
         self._requested: dict[tuple[RigId, str], tuple[int, float]] = {}
-        self._check_gaps = asyncio.Event()
-        self._requesting: asyncio.Task[None] | None = None
+        self._check_due = 0.0  # loop time (s) of the next check for gaps
         self._saving: asyncio.Task[None] | None = None
         self._unsaved: bytes | None = None
         self._changed = False  # the position changed since it was saved
@@ -93,24 +91,22 @@ class Consumer(AsyncIterator[Event]):
             if path := self._position_file:
                 self._lock = await asyncio.to_thread(lock_position, path)
                 self._position = await asyncio.to_thread(load, path, everything=self._everything)
-            await self._connect()
+            self._link = await self._connect()
         except BaseException:
             self._unlock()
             raise
-        self._requesting = asyncio.create_task(self._keep_requesting())
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Disconnect; the next run delivers an event in progress again."""
-        if self._requesting:
-            self._requesting.cancel()
-            await asyncio.wait([self._requesting])
-        if self._saving:
-            await self._saving
-        self._unlock()
-        await self._disconnect()
+        try:
+            if self._saving:
+                await self._saving
+        finally:
+            self._unlock()
+            await self._disconnect()
 
     def __aiter__(self) -> Self:
         return self
@@ -119,9 +115,14 @@ class Consumer(AsyncIterator[Event]):
         """Return the next event; wait as long as necessary."""
         self._mark_done()
         while True:
-            link = await self._connected()
+            link = self._link or await self._reconnect()
+            if asyncio.get_running_loop().time() >= self._check_due:
+                self._request_missed(link)
             try:
-                topic, payload = await link.receive()
+                async with asyncio.timeout_at(self._check_due):
+                    topic, payload = await link.receive()
+            except TimeoutError:
+                continue
             except EndpointError as error:
                 self._report(f"{error}, reconnecting")
                 await self._disconnect()
@@ -129,14 +130,11 @@ class Consumer(AsyncIterator[Event]):
             if link.dropped > self._dropped:
                 dropped, self._dropped = link.dropped - self._dropped, link.dropped
                 self._report(f"{self._broker}: {dropped} messages dropped: the consumer is too slow")
-            if not self._with_replays and is_replay(topic.split("/")[3]):
-                continue
             try:
                 event = self._process(topic, payload)
             except InputError as error:
                 self._report(f"ignoring malformed message: {error}")
                 continue
-            self._changed = True
             if event:
                 return event
             self._mark_done()
@@ -144,7 +142,12 @@ class Consumer(AsyncIterator[Event]):
     def _process(self, topic: str, payload: bytes) -> Event | None:
         """Process a message; return its event if the event is new."""
         _, _, site, rig, *rest = topic.split("/")
+        if not (topic.isprintable() and is_topic_level(site) and is_topic_level(rig)):
+            raise InputError(ascii(topic), "site and rig of a topic must be printable text, and not empty")
+        if is_replay(rig) and not self._with_replays:
+            return None
         fields, reply = Fields.parse(payload, topic), ["replay", self._reply_name]
+        self._changed = True
         if rest == ["head"]:
             self._report_lost(self._position.announce((site, rig), read_heads(fields)))
         elif rest == reply and "specversion" not in fields.values:
@@ -171,36 +174,26 @@ class Consumer(AsyncIterator[Event]):
     def _report_lost(self, lost: list[str]) -> None:
         for text in lost:
             self._report(text)
-        self._check_gaps.set()
+        self._check_due = 0.0
 
-    async def _keep_requesting(self) -> None:
-        """Request missed events from each rig, and repeat each request until the rig answers."""
-        loop = asyncio.get_running_loop()
-        while True:
-            self._check_gaps.clear()
-            for rig, epoch, first, last in list(self._position.gaps()):
-                _, when = self._requested.get((rig, epoch), (0, -REQUEST_EVERY))
-                if loop.time() >= when + REQUEST_EVERY:
-                    self._requested[rig, epoch] = first, loop.time()
-                    await self._request(rig, epoch, first, last)
-            with suppress(TimeoutError):
-                async with asyncio.timeout(REQUEST_EVERY):
-                    await self._check_gaps.wait()
+    def _request_missed(self, link: "Link") -> None:
+        """Request missed events from each rig; repeat a request if the rig has not answered for 3 s."""
+        now = asyncio.get_running_loop().time()
+        self._check_due = now + REQUEST_EVERY
+        for rig, epoch, first, last in self._position.gaps():
+            _, when = self._requested.get((rig, epoch), (0, now - REQUEST_EVERY))
+            if now >= when + REQUEST_EVERY:
+                self._requested[rig, epoch] = first, now
+                topic = rig_topic("Consumer", *rig)
+                request = GapRequest(epoch, first, last, f"{topic}/replay/{self._reply_name}")
+                link.post(Message(f"{topic}/replay/request", request.encode(), retain=False))
 
-    async def _request(self, rig: RigId, epoch: str, first: int, last: int) -> None:
-        topic = rig_topic("Consumer", *rig)
-        request = GapRequest(epoch, first, last, f"{topic}/replay/{self._reply_name}")
-        if self._link and self._link.alive:
-            with suppress(EndpointError):  # `receive` reports it, and the request is repeated
-                await self._link.send(f"{topic}/replay/request", request.encode())
-
-    async def _connected(self) -> "Link":
-        """Return the connection; reconnect if it was lost."""
+    async def _reconnect(self) -> "Link":
         retry, failures = BackOff(), 0
         while self._link is None:
             await asyncio.sleep(retry.delay() * uniform(0.5, 1))  # noqa: S311 - spreads clients that reconnect
             try:
-                await self._connect()
+                self._link = await self._connect()
             except SlipflowError as error:
                 failures += 1
                 (self._report if failures == 1 else log.debug)(f"{error}, reconnecting")
@@ -208,7 +201,7 @@ class Consumer(AsyncIterator[Event]):
                 self._report(f"{self._broker}: connected again")
         return self._link
 
-    async def _connect(self) -> None:
+    async def _connect(self) -> "Link":
         from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
         link = await connect(self._broker, f"slipflow-{self._reply_name}")
@@ -219,9 +212,9 @@ class Consumer(AsyncIterator[Event]):
         except BaseException:
             await link.disconnect()
             raise
-        self._link, self._dropped = link, 0
+        self._dropped, self._check_due = 0, 0.0
         self._requested.clear()
-        self._check_gaps.set()
+        return link
 
     async def _disconnect(self) -> None:
         if self._link:
@@ -235,9 +228,14 @@ class Consumer(AsyncIterator[Event]):
 
     def _mark_done(self) -> None:
         """Mark the latest event as processed, and start saving the position."""
+        if self._saving and self._saving.done():
+            self._saving.result()  # raises the error that ended the task
         if not (self._position_file and self._changed):
             return
-        self._changed, self._unsaved = False, self._position.encode()
+        self._unsaved, forgotten = self._position.encode_limited()
+        self._changed = False
+        for text in forgotten:
+            self._report(text)
         if self._saving is None or self._saving.done():
             self._saving = asyncio.create_task(self._save(self._position_file))
 

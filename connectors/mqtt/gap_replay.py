@@ -5,7 +5,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from connectors.events import encode
+from connectors.events import CONTENT_TYPE, encode
 from connectors.fields import Fields
 from connectors.mqtt.broker import Message
 from connectors.mqtt.range_set import RangeSet
@@ -141,7 +141,10 @@ class GapReplies:
         for entry in found:
             reply.found.add(entry.seq)
         reply.first, reply.sent = last + 1, reply.sent + len(found)
-        messages = [Message(request.reply_to, entry.payload, retain=False) for entry in found]
+        messages = [
+            Message(request.reply_to, entry.payload, retain=False, content_type=CONTENT_TYPE)
+            for entry in found
+        ]
         if len(found) == limit and reply.sent < ANSWER_MAX and last < request.last:
             self._pending.append(reply)
         elif last >= request.first:

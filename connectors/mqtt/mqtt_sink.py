@@ -1,6 +1,5 @@
 """Sink that publishes slip events and the state of the rig over MQTT 5."""
 
-import asyncio
 import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -22,7 +21,6 @@ from operators.ports import Json, Run, Sink
 
 log = logging.getLogger("slipflow")
 
-HEALTH_EVERY = 5.0  # s
 KEEP = 100_000  # sent events, for consumers that missed them
 KEEP_FOR = 7 * 86400.0  # s
 
@@ -106,7 +104,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         await self._outbox.open()
         # the same in each live run, so that a new connection cancels the previous will
         identifier = f"slipflow/{self.site}/{self._name}"
-        self._sender = Sender(self._broker, self._topic, self._outbox, self._documents)
+        self._sender = Sender(self._broker, self._topic, self._outbox, self._documents, self._report)
         online = self._status("online", run.clock.now())
         try:
             documents = online, self._info(), self._head(), self._report()
@@ -115,7 +113,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         except BaseException:
             await self._outbox.close()
             raise
-        self._reporting = asyncio.create_task(self._keep_reporting())
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
         """Store the events of a batch in the outbox, which sends them at once.
@@ -134,8 +131,6 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
 
     async def close(self) -> None:
         """Send pending events within 3 s, publish the offline status, and disconnect."""
-        self._reporting.cancel()
-        await asyncio.wait([self._reporting])
         await self._sender.close(self._status("offline", self._run.clock.now()))
         if self._outbox.waiting:
             text = "%s: %d unsent events remain in %s; the next run sends them"
@@ -229,8 +224,3 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
         outbox: dict[str, Json] = {"error": self._outbox.error or None, "waiting": self._outbox.waiting}
         report = {**self._identity(), **self._health.next(), "degraded": degraded, "clock": self._clock}
         return self._message("health", {**report, "outbox": {**outbox, "refused": refused}})
-
-    async def _keep_reporting(self) -> None:
-        while True:
-            await asyncio.sleep(HEALTH_EVERY)
-            self._sender.retain(self._report())

@@ -12,6 +12,7 @@ from connectors.events import Event, encode
 from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
 from connectors.mqtt.range_set import RangeSet
+from connectors.mqtt.rig_names import is_topic_level
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Json
 from storage.files import put
@@ -22,7 +23,7 @@ RigId: TypeAlias = tuple[str, str]  # site and rig
 FORMAT = 1
 FILE_MAX = 16 * 2**20  # bytes
 RIGS_MAX = 1000  # beyond it, the rig that was added first is dropped
-EPOCHS_MAX = 16  # per rig
+EPOCHS_MAX = 128  # per rig; beyond it, the first is dropped
 GAPS_MAX = 1000  # per epoch; beyond it, the first gap is given up
 
 
@@ -31,7 +32,11 @@ class _Epoch:
     """Numbers of one epoch."""
 
     seen: RangeSet = field(default_factory=RangeSet)
-    head: int = 0  # the newest number announced by the rig
+    head: int = -1  # the newest number announced by the rig; -1: the rig has not announced the epoch yet
+
+    @property
+    def announced(self) -> bool:
+        return self.head >= 0
 
     def gaps(self) -> Iterator[tuple[int, int]]:
         return self.seen.gaps(1, max(self.head, self.seen.highest))
@@ -71,20 +76,37 @@ class Position:
         return True
 
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
-        """Set the newest number of each epoch that a rig keeps; report the gaps of other epochs as lost."""
-        epochs, lost = self._rigs.get(rig), list[str]()
-        if epochs is None:
-            epochs = self._add(rig)
-            for name, head in heads.items():
-                self._epoch(epochs, name).seen.add(1, 0 if self._everything else head)
+        """Set the newest number of each epoch that a rig keeps, the current epoch last.
+
+        An older head that arrives late is ignored. The gaps of epochs that are no longer kept are closed and
+        reported as lost; the epochs stay known, so that an older head does not bring them back.
+        """
+        epochs = self._rigs.get(rig) or self._add(rig)
+        newest = next((name for name in reversed(epochs) if epochs[name].announced), None)
+        current, last = list(heads.items())[-1]
+        if (known := epochs.get(current)) and known.announced and (current != newest or last < known.head):
+            return []
         for name, head in heads.items():
-            epoch = self._epoch(epochs, name)
+            epoch = epochs.pop(name, None)  # the order of the epochs becomes that of the head
+            if epoch is None:
+                epoch = _Epoch()
+                epoch.seen.add(1, head if newest is None and not self._everything else 0)
             epoch.head = max(epoch.head, head)
-        for name in [name for name in epochs if name not in heads]:
-            gone = epochs.pop(name)
-            missed = [f"{first} to {last}" if first < last else str(first) for first, last in gone.gaps()]
-            which = ", ".join([*missed, f"any after {max(gone.head, gone.seen.highest)}"])
-            lost.append(f"{'/'.join(rig)}: epoch {name} is no longer kept; lost events: {which}")
+            epochs[name] = epoch
+        lost = list[str]()
+        for name, epoch in epochs.items():
+            if name in heads or not epoch.announced:
+                continue
+            missed = [f"{first} to {last}" if first < last else str(first) for first, last in epoch.gaps()]
+            end = max(epoch.head, epoch.seen.highest)
+            epoch.seen.add(1, end)
+            if name == newest:  # its last number was never announced
+                missed.append(f"any after {end}")
+            if missed:
+                which = ", ".join(missed)
+                lost.append(f"{'/'.join(rig)}: epoch {name} is no longer kept; lost events: {which}")
+        while len(epochs) > EPOCHS_MAX:
+            del epochs[next(iter(epochs))]
         return lost
 
     def settle(self, rig: RigId, answer: GapAnswer) -> list[str]:
@@ -118,6 +140,15 @@ class Position:
                     )
         return lost
 
+    def encode_limited(self) -> tuple[bytes, list[str]]:
+        """Return the position as JSON of at most `FILE_MAX` bytes; report the rigs forgotten for it."""
+        forgotten = list[str]()
+        while len(payload := self.encode()) > FILE_MAX:
+            rig = next(iter(self._rigs))
+            del self._rigs[rig]
+            forgotten.append(f"{'/'.join(rig)}: position forgotten, because the file would be too large")
+        return payload, forgotten
+
     def encode(self) -> bytes:
         """Return the position as JSON."""
         rigs: list[Json] = [
@@ -143,8 +174,10 @@ class Position:
         position, fields = cls(everything=everything), Fields.parse(payload, where, largest=FILE_MAX)
         fields.integer("format", FORMAT, FORMAT)
         for rig in fields.objects("rigs"):
-            epochs = position._rigs.setdefault((rig.text("site"), rig.text("rig")), {})
-            epochs[rig.text("epoch")] = _Epoch(RangeSet(rig.ranges("seen")), rig.integer("head", 0))
+            epoch = _Epoch(RangeSet(rig.ranges("seen")), rig.integer("head", -1))
+            name = rig.text("site"), rig.text("rig")
+            if all(map(is_topic_level, name)):  # earlier versions stored any
+                position._rigs.setdefault(name, {})[rig.text("epoch")] = epoch
         return position
 
     def _add(self, rig: RigId) -> dict[str, _Epoch]:

@@ -23,9 +23,18 @@ def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -
         ParameterError: naming `owner`, if `site` or `rig` is neither one topic level nor `wildcard`.
     """
     for name, part in ("site", site), ("rig", rig):
-        if part != wildcard and (not part or not part.isprintable() or set(part) & set("/+#")):
+        if part != wildcard and not is_topic_level(part):
             raise ParameterError(owner, name, part, "printable text without '/', '+' and '#'")
     return f"slip/v1/{site}/{rig}"
+
+
+def is_topic_level(name: str) -> bool:
+    """Return True if `name` can be a site or a rig.
+
+    >>> is_topic_level("ur10"), is_topic_level(""), is_topic_level("a/b")
+    (True, False, False)
+    """
+    return name != "" and name.isprintable() and not set(name) & set("/+#")
 
 
 def replay_name(rig: str) -> str:

@@ -13,7 +13,7 @@ from connectors.mqtt.broker_link import connect
 from operators.batch import Slips
 from operators.errors import EndpointError
 from operators.ports import Run
-from tests.connectors.mqtt.broker_process import TestBroker
+from tests.connectors.mqtt.broker_process import TestBroker, deliver
 from tests.deploy.shipped import DEPLOY, login, shipped_broker
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
@@ -42,7 +42,7 @@ async def send(
     login(user)
     link = await connect(Broker.parse(broker.url), f"test-{user}")
     try:
-        await link.send(topic, payload, retain=retain)
+        await deliver(link, topic, payload, retain=retain)
     finally:
         await link.disconnect()
 
@@ -100,7 +100,7 @@ def test_a_rig_reads_only_its_own_requests(shipped: TestBroker) -> None:
         link = await connect(Broker.parse(shipped.url), "rig")
         try:
             await link.listen("#")
-            await link.send(f"{RIG}/0/event", b"{}")  # a reader would see it
+            await deliver(link, f"{RIG}/0/event", b"{}")  # a reader would see it
             await send(shipped, "reader", "slip/v1/lab/other/replay/request")
             await send(shipped, "reader", f"{RIG}/replay/request")
             async with asyncio.timeout(10):

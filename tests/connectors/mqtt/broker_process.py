@@ -14,6 +14,8 @@ from threading import Thread
 from typing import NamedTuple, Self
 from uuid import uuid4
 
+from connectors.mqtt.broker import Message
+from connectors.mqtt.broker_link import Link
 from operators.errors import EndpointError
 
 PATIENCE = 10.0  # s, timeout of tests that wait for another process
@@ -26,12 +28,24 @@ async def until(condition: Callable[[], bool]) -> None:
             await asyncio.sleep(0.01)
 
 
+async def deliver(link: Link, topic: str, payload: bytes = b"x", *, retain: bool = False) -> None:
+    """Publish a message on a link, and wait until the broker has it.
+
+    Raises:
+        EndpointError: if the broker refuses it.
+    """
+    [refusal] = await link.send_all([Message(topic, payload, retain)])
+    if refusal:
+        raise EndpointError(topic, refusal)
+
+
 class Received(NamedTuple):
     """A message received by a subscriber."""
 
     topic: str
     payload: str
     retained: bool  # True: the broker had stored it before
+    content_type: str = ""
 
 
 class TestListener:
@@ -44,7 +58,7 @@ class TestListener:
         self._port, self._marker = port, f"test/{uuid4()}"
         _publish(port, self._marker, "ready", "-r")
         filters = [word for topic in (self._marker, *topics) for word in ("-t", topic)]
-        command = ["mosquitto_sub", *_options(port), *filters, "-F", "%r %t %p"]
+        command = ["mosquitto_sub", *_options(port), *filters, "-F", "%r %C %t %p"]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self._received = Queue[Received]()
         self._reader = Thread(target=self._read)
@@ -76,8 +90,8 @@ class TestListener:
         assert self._process.stdout
         with self._process.stdout as lines:
             for line in lines:
-                retained, topic, payload = line.rstrip("\n").split(" ", 2)
-                self._received.put(Received(topic, payload, retained == "1"))
+                retained, content_type, topic, payload = line.rstrip("\n").split(" ", 3)
+                self._received.put(Received(topic, payload, retained == "1", content_type))
 
 
 class TestBroker:

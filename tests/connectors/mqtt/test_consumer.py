@@ -118,13 +118,16 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
     ]
     for place, payload in bad:
         broker.publish(f"{UR10}/{place}", payload, "-r")
+    broker.publish("slip/v1/lab//head", '{"epoch": "q", "last_seq": 9}', "-r")
+    bad.append(("", "the rig has no name"))
     async with Consumer(broker.url, report=reports.append) as events:
         await until(lambda: inside(events, "_link", "_queue").qsize() == len(bad))
         publish(broker, 1)
         assert await take(events, 1) == [1]
     assert len(reports) == len(bad)
     assert all(
-        report.startswith(f"ignoring malformed message: {UR10}/") and report.isprintable()
+        report.startswith(("ignoring malformed message: slip/v1/lab/", "ignoring malformed message: 'slip"))
+        and report.isprintable()
         for report in reports
     )
     assert f"ignoring malformed message: {UR10}/0/event: data is missing, must be an object" in reports
@@ -154,6 +157,20 @@ async def test_a_missed_event_is_fetched_and_arrives_late(
         await sink.write(slips(1, 0, 1, 0))
         assert sorted(await take(events, 4)) == [1, 2, 3, 4]
     assert not reports
+
+
+async def test_a_head_of_a_rig_without_a_name_stops_no_request(
+    broker: TestBroker, run: Run, tmp_path: Path
+) -> None:
+    broker.publish("slip/v1/lab//head", '{"epoch": "q", "last_seq": 9}', "-r")
+    async with publishing(broker, run) as sink:
+        for count in (2, 4):  # also with the position that the first consumer saved
+            await sink.write(slips(1, 0))
+            await until(lambda: not inside(sink, "_outbox").waiting)
+            position = tmp_path / "position"
+            async with Consumer(broker.url, since="start", position_file=position) as events:
+                assert await take(events, 2) == [count - 1, count]
+                await waiting(events, lambda: not inside(events, "_changed"))
 
 
 async def test_a_head_beyond_the_newest_event_is_a_gap(broker: TestBroker, run: Run, tmp_path: Path) -> None:

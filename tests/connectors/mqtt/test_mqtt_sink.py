@@ -15,9 +15,9 @@ import pytest
 from jsonschema import Draft202012Validator, validate
 
 from connectors import Event, Mqtt
-from connectors.events import Fault
+from connectors.events import CONTENT_TYPE, Fault
 from connectors.mqtt import broker_link as link
-from connectors.mqtt import mqtt_sink as mqtt
+from connectors.mqtt import sender
 from connectors.mqtt.broker_link import Link
 from connectors.mqtt.gap_replay import GapRequest
 from connectors.mqtt.outbox_file import OutboxFile
@@ -59,7 +59,7 @@ async def opened(sink: Mqtt, run: Run) -> AsyncGenerator[None]:
 def event(listener: TestListener, finger: str = "0") -> Event:
     """The next event, checked against the schema by an independent validator."""
     received = listener.next(f"{RIG}/{finger}/event")
-    assert not received.retained
+    assert (received.retained, received.content_type) == (False, CONTENT_TYPE)
     validate(json.loads(received.payload), SCHEMA, Draft202012Validator)
     return Event.decode(received.payload.encode())
 
@@ -108,7 +108,7 @@ async def test_a_late_subscriber_gets_the_retained_documents(broker: TestBroker,
     async with opened(sink, run):
         await sink.write(slips(1, 0, 1))
         await sent(sink)
-        await inside(sink, "_sender", "_idle").wait()
+        await until(lambda: not inside(sink, "_sender", "_changed"))
         listener = broker.listen("slip/#")
         for _ in range(5):
             received = listener.next()
@@ -184,7 +184,7 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
             await sink.write(slips(state))  # nobody waits for a broker
         await asyncio.to_thread(broker.start)
         await sent(sink)
-        await inside(sink, "_sender", "_idle").wait()
+        await until(lambda: not inside(sink, "_sender", "_changed"))
         listener = broker.listen("slip/#")
         found = {received.topic: read(received) for received in (listener.next() for _ in range(5))}
         assert found[f"{RIG}/status"]["state"] == "online"
@@ -269,7 +269,7 @@ async def test_two_runs_cannot_publish_as_one_rig(broker: TestBroker, run: Run) 
 async def test_events_continue_while_the_outbox_fails_and_the_health_reports_it(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.02)
     append, full = OutboxFile.append, [True]
 
     def fail(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
@@ -313,6 +313,7 @@ async def test_requested_events_go_only_to_the_reply_topic(broker: TestBroker, r
             broker.publish(f"{RIG}/replay/request", request.encode().decode())
         found = [await asyncio.to_thread(listener.next) for _ in range(3)]
         assert {(each.topic, each.retained) for each in found} == {(f"{RIG}/replay/me", False)}
+        assert [each.content_type for each in found] == [CONTENT_TYPE, CONTENT_TYPE, ""]
         assert [Event.decode(each.payload.encode()).seq for each in found[:2]] == [2, 3]
         assert read(found[2])["missing"] == []
 
@@ -320,7 +321,7 @@ async def test_requested_events_go_only_to_the_reply_topic(broker: TestBroker, r
 async def test_health_is_published_periodically(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.02)
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.02)
     run.sources["touch"] = SourceStatus(rows=1000, up=True, newest=NOW - 5 * ms)
     run.sinks["dataset"] = SinkStatus(rows=990, dropped=10, error="disk full")
     sink = Mqtt(broker.url)
@@ -340,7 +341,7 @@ async def test_health_is_published_periodically(
 async def test_an_idle_connection_is_restored_and_its_loss_logged_once(
     broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.01)
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.01)
     connect, failures = Link.connect, asyncio.Semaphore(0)
 
     async def counted(self: Link) -> None:
@@ -452,7 +453,7 @@ async def test_a_refused_topic_delays_no_other_and_is_sent_once_allowed(
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    monkeypatch.setattr(mqtt, "HEALTH_EVERY", 0.05)
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.05)
     rights, refused = tmp_path / "rights", f"{RIG}/1/event"
     allowed = ("status", "info", "head", "health", "0/event", "0/state", "1/state")
     some = "".join(f"topic readwrite {RIG}/{name}\n" for name in allowed)

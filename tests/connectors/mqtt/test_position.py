@@ -58,6 +58,36 @@ def test_a_new_epoch_of_a_known_rig_is_missed_from_its_first_event() -> None:
     assert gaps(position) == [("ab", 6, 6), ("cd", 1, 2)]
 
 
+@pytest.mark.parametrize(
+    "older", [{"ab": 5}, {"ab": 6, "cd": 2}, {"old": 4, "ab": 6, "cd": 3}, {"old": 4}], ids=str
+)
+def test_an_older_head_after_a_newer_one_changes_nothing(older: dict[str, int]) -> None:
+    position = Position()
+    position.announce(UR10, {"old": 4, "ab": 5})
+    position.announce(UR10, {"ab": 6, "cd": 2})
+    for number in range(1, 5):
+        assert position.take(event(number, "cd"))
+    position.announce(UR10, {"ab": 6, "cd": 4})
+    before = position.encode()
+    assert position.announce(UR10, older) == []
+    assert position.encode() == before
+    assert not position.take(event(3, "cd"))
+
+
+def test_a_new_rig_starts_with_its_next_event_in_all_epochs() -> None:
+    position = Position()
+    assert position.take(event(3, "cd"))
+    position.announce(UR10, {"ab": 9, "cd": 4})
+    assert gaps(position) == [("cd", 4, 4)]
+
+
+def test_an_epoch_of_which_nothing_was_missed_is_dropped_without_a_report() -> None:
+    position = Position()
+    position.announce(UR10, {"ab": 5})
+    position.announce(UR10, {"ab": 5, "cd": 1})
+    assert position.announce(UR10, {"cd": 2}) == []
+
+
 def test_missing_events_of_an_answer_are_reported_lost_once() -> None:
     position = Position(everything=True)
     position.announce(UR10, {"ab": 9})
@@ -93,6 +123,32 @@ def test_memory_is_bounded_and_given_up_gaps_are_reported(monkeypatch: pytest.Mo
     for rig in "abc":
         here.announce(("lab", rig), {"ab": 5})
     assert here.encode().count(b'"site"') == 2
+
+
+def test_a_position_keeps_within_the_limit_of_its_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(position, "FILE_MAX", 10_000)
+    here = Position(everything=True)
+    for rig in range(9):
+        for number in range(1, 400, 2):
+            here.take(replace(event(number), rig=f"rig{rig}"))
+    payload, forgotten = here.encode_limited()
+    assert len(payload) <= 10_000
+    assert forgotten[0].startswith("lab/rig0: ")
+    save(tmp_path / "position", payload)
+    assert load(tmp_path / "position").encode() == payload
+
+
+def test_names_that_no_rig_can_have_are_dropped_from_a_saved_position(tmp_path: Path) -> None:
+    here = Position()
+    here.announce(UR10, {"ab": 5})
+    here.announce(("lab", ""), {"ab": 5})
+    save(tmp_path / "position", here.encode())
+    here = load(tmp_path / "position")
+    here.announce(UR10, {"ab": 7})
+    assert gaps(here) == [("ab", 6, 7)]
+    assert here.encode().count(b'"site"') == 1
 
 
 def test_a_saved_position_is_loaded_unchanged(tmp_path: Path) -> None:

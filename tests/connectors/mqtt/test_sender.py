@@ -1,7 +1,8 @@
 import asyncio
 import logging
-from collections.abc import AsyncGenerator, Callable, Iterable, Iterator, Sequence
+from collections.abc import AsyncGenerator, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -50,38 +51,39 @@ class Peer:
         return [what for topic, what in self.got if topic.endswith("/event")]
 
     async def _connect(
-        self, broker: Broker, identifier: str, will: tuple[str, bytes] | None = None
+        self, broker: Broker, identifier: str, will: Message, changed: asyncio.Event
     ) -> "Connection":
         if self.away:
             raise EndpointError(str(broker), "cannot connect: nobody there")
-        self.connections.append(Connection(self))
+        self.connections.append(Connection(self, changed))
         return self.connections[-1]
 
 
 class Connection:
     """Stands for a Link."""
 
-    def __init__(self, peer: Peer) -> None:
-        self._peer = peer
+    def __init__(self, peer: Peer, changed: asyncio.Event) -> None:
+        self._peer, self._changed = peer, changed
         self.alive, self.got, self.disconnected = True, list[Message](), False
-        self.requests = asyncio.Queue[bytes]()
-        self.batches = list[int]()  # how many messages were sent together
-        self._lost = list[Callable[[], object]]()
-
-    def on_lost(self, call: Callable[[], object]) -> None:
-        self._lost.append(call)
+        self._requests = list[bytes]()
+        self.batches = list[list[str]]()  # topics of the messages sent together
 
     def lose(self) -> None:
         self.alive = False
-        for call in self._lost:
-            call()
+        self._changed.set()
+
+    def request(self, payload: bytes) -> None:
+        self._requests.append(payload)
+        self._changed.set()
 
     async def listen(self, *topics: str) -> None:
         if set(topics) & self._peer.refused:
             raise EndpointError("broker", f"refuses to subscribe to {topics[0]}")
 
-    async def receive(self) -> tuple[str, bytes]:
-        return f"{RIG}/replay/request", await self.requests.get()
+    def next_received(self) -> tuple[str, bytes] | None:
+        if not self.alive:
+            raise EndpointError("broker", "connection lost")
+        return (f"{RIG}/replay/request", self._requests.pop(0)) if self._requests else None
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
         self._peer.waiting += 1
@@ -89,12 +91,9 @@ class Connection:
         self._peer.waiting -= 1
         if not self.alive:
             raise EndpointError("broker", "connection lost")
-        self.batches.append(len(messages))
+        self.batches.append([message.topic for message in messages])
         self.got += [message for message in messages if message.topic not in self._peer.refused]
         return ["refuses" if message.topic in self._peer.refused else "" for message in messages]
-
-    async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
-        await self.send_all([Message(topic, payload, qos, retain)])
 
     async def disconnect(self) -> None:
         self.alive, self.disconnected = False, True
@@ -116,7 +115,14 @@ def follow(sent: Iterable[Entry]) -> Iterator[Message]:
 async def opened(tmp_path: Path) -> AsyncGenerator[tuple[Sender, Outbox]]:
     outbox = Outbox(tmp_path / "o.sqlite", keep=10_000, keep_for=1e9)
     await outbox.open()
-    sending = Sender(Broker.parse("mqtt://localhost"), RIG, outbox, follow)
+    health = count(1)
+    sending = Sender(
+        Broker.parse("mqtt://localhost"),
+        RIG,
+        outbox,
+        follow,
+        lambda: Message(f"{RIG}/health", str(next(health)).encode()),
+    )
     try:
         yield sending, outbox
     finally:
@@ -178,7 +184,7 @@ async def test_a_new_connection_gets_retained_documents_and_then_unacknowledged_
     assert [said(each) for each in second.got if each.topic.endswith("/event")] == [
         str(n) for n in range(3, 44)
     ]
-    assert max(second.batches) <= sender.WINDOW
+    assert max(batch.count(f"{RIG}/0/event") for batch in second.batches) <= sender.WINDOW
 
 
 async def test_without_a_required_connection_a_sender_starts_and_sends_later(
@@ -210,17 +216,17 @@ async def test_an_unreadable_password_is_an_error_even_without_a_required_connec
             await sending.start("me", WILL, ONLINE, connect_required=False)
 
 
-async def test_only_the_newest_retained_document_is_sent(tmp_path: Path, peer: Peer) -> None:
-    async with opened(tmp_path) as (sending, _):
+async def test_only_the_newest_retained_document_is_sent(
+    tmp_path: Path, peer: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sender, "HEALTH_EVERY", 0.01)
+    async with opened(tmp_path) as (sending, outbox):
         await sending.start("me", WILL, ONLINE)
-        peer.holds.clear()
-        sending.retain(Message(f"{RIG}/health", b"0"))
-        await until(lambda: bool(peer.waiting))
-        for number in range(1, 50):
-            sending.retain(Message(f"{RIG}/health", str(number).encode()))
-        peer.holds.set()
-        await until(lambda: ("health", "49") in peer.got)
-    assert [what for topic, what in peer.got if topic == "health"] == ["0", "49"]
+        await until(lambda: ("health", "3") in peer.got)
+        await outbox.append([DRAFT] * 50)
+        await until(lambda: ("head", "50") in peer.got)
+    heads = [what for topic, what in peer.got if topic == "head"]
+    assert len(heads) < 50 / 16 + 2
 
 
 async def test_a_refused_topic_delays_only_itself_and_is_sent_in_order_once_allowed(
@@ -229,20 +235,17 @@ async def test_a_refused_topic_delays_only_itself_and_is_sent_in_order_once_allo
     with caplog.at_level(logging.WARNING):
         async with opened(tmp_path) as (sending, outbox):
             await sending.start("me", WILL, ONLINE)
-            peer.refused |= {f"{RIG}/1/event", f"{RIG}/info"}
-            sending.retain(Message(f"{RIG}/info", b"old"))
+            peer.refused |= {f"{RIG}/1/event", f"{RIG}/head"}
             for number in range(40):
                 await outbox.append([draft(str(number % 2))])
             await until(lambda: outbox.waiting == 20 and len(sending.refused) == 2)
             assert peer.events() == [str(number) for number in range(1, 41, 2)]
-            sending.retain(Message(f"{RIG}/info", b"new"))
             peer.refused.clear()
-            await until(lambda: not outbox.waiting and not sending.refused and ("info", "new") in peer.got)
+            await until(lambda: not outbox.waiting and not sending.refused and ("head", "40") in peer.got)
             assert peer.events()[20:] == [str(number) for number in range(2, 41, 2)]
-            assert ("info", "old") not in peer.got
     assert sorted(caplog.messages) == [
         f"mqtt://localhost:1883: accepts {RIG}/1/event again",
-        f"mqtt://localhost:1883: accepts {RIG}/info again",
+        f"mqtt://localhost:1883: accepts {RIG}/head again",
         *["mqtt://localhost:1883: refuses; retrying"] * 2,
     ]
 
@@ -269,22 +272,23 @@ async def test_a_refused_request_topic_is_logged_once_and_events_are_sent(
     assert sum("consumers cannot request missed events" in message for message in caplog.messages) == 1
 
 
-async def test_events_wait_for_at_most_one_slice_of_a_reply(tmp_path: Path, peer: Peer) -> None:
+async def test_events_and_replies_get_a_share_of_each_turn(tmp_path: Path, peer: Peer) -> None:
     async with opened(tmp_path) as (sending, outbox):
         await sending.start("me", WILL, ONLINE)
         await outbox.append([DRAFT] * 100)
         await until(lambda: not outbox.waiting)
         peer.holds.clear()
         request = GapRequest(outbox.epoch, 1, 100, f"{RIG}/replay/you")
-        peer.connections[0].requests.put_nowait(request.encode())
-        await until(lambda: bool(vars(sending)["_replies"]))
-        await outbox.append([DRAFT] * 40)
+        peer.connections[0].request(request.encode())
+        await until(lambda: bool(peer.waiting))
+        await outbox.append([DRAFT] * 400)
+        begun = len(peer.connections[0].batches)
         peer.holds.set()
         await until(lambda: any('"missing"' in what for topic, what in peer.got if topic == "replay/you"))
-    kinds = [topic for topic, _ in peer.got if topic in ("0/event", "replay/you")][100:]
-    begun = kinds.index("0/event")
-    assert begun <= SLICE  # that was under way
-    assert kinds[begun:] == [*["0/event"] * 40, *["replay/you"] * (101 - begun)]
+        turns = peer.connections[0].batches[begun:][: 100 // SLICE + 1]
+    replies = [turn.count(f"{RIG}/replay/you") for turn in turns]
+    assert replies == [*[SLICE] * (100 // SLICE), 100 % SLICE + 1]
+    assert [turn.count(f"{RIG}/0/event") for turn in turns[1:]] == [sender.WINDOW] * (len(turns) - 1)
 
 
 async def test_closing_sends_pending_messages_within_its_timeout(tmp_path: Path, peer: Peer) -> None:
