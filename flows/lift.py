@@ -59,7 +59,7 @@ def lift(  # noqa: PLR0917 - flow parameters are passed by name
         if thing not in OBJECTS:
             raise ParameterError("lift", "thing", thing, f"one of {', '.join(OBJECTS)}")
         held = SimulatedGrasp(named(thing), seed)
-        source, hand = held.touch, held.hand
+        source, hand = held, held.hand
         rule = grip_controller(detector, force or least_force(held.held) / 2, max_force)
     scores, commands = declare_grip(flow, source, load_detector(detector), rule)
     (scores | (load_debounce(detector) or Debounce())).to(Console())

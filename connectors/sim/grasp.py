@@ -33,33 +33,22 @@ TEXTURE_LIMIT: Final = 0.95  # below 1, so that friction never vanishes
 
 
 def least_force(
-    held: Object,
-    parameters: Parameters | None = None,
-    *,
-    friction: float = 1.0,
-    mass: float = 1.0,
-    passive: float = PASSIVE_FRICTION,
-    acceleration: float = 0.0,
-    texture: float = 1.0,
+    held: Object, parameters: Parameters | None = None, *, friction: float = 1.0, mass: float = 1.0
 ) -> float:
-    """Return the minimum normal force (N) that holds an object: m (g + a) / (mu_pad + mu_passive).
+    """Return the minimum normal force (N) that holds an object: m g / (mu_pad + mu_passive).
 
     Args:
         held: The object.
         parameters: Parameters of the fingertip and the material (default `Parameters()`).
         friction: Factor of all friction coefficients (default 1).
         mass: Factor of the mass (default 1).
-        passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
-        acceleration: Upward acceleration of the hand (m/s2, default 0).
-        texture: Factor of the pad's friction at a point of the object (default 1, as at the first contact).
-            Along the path it varies from 1 - c to 1 + c, with c the `texture` of `material`.
 
     >>> from connectors.sim.objects import named
     >>> round(least_force(named("box")), 2)
     1.87
     """
-    mu = (parameters or Parameters()).static_friction * texture + passive
-    return held.mass * mass * (GRAVITY + acceleration) / (held.friction * friction * mu)
+    mu = (parameters or Parameters()).static_friction + PASSIVE_FRICTION
+    return held.mass * mass * GRAVITY / (held.friction * friction * mu)
 
 
 def material(held: Object, parameters: Parameters) -> Parameters:
@@ -143,7 +132,6 @@ class Grasp:
         grip: Position of the pad's centre relative to the object's centre (m, m).
         vibration: Vibration of the hand.
         faults: Faults of the barometers.
-        finger: Number of the fingertip (default 0).
 
     Raises:
         ParameterError: if a value is out of its range.
@@ -166,7 +154,6 @@ class Grasp:
         grip: tuple[float, float] = (0.0, 0.0),
         vibration: Vibration | None = None,
         faults: Faults | None = None,
-        finger: int = 0,
     ) -> None:
         for name, value in (("friction", friction), ("mass", mass), ("rate", rate)):
             check_above("Grasp", name, value, 0)
@@ -177,7 +164,7 @@ class Grasp:
         held = replace(held, friction=held.friction * friction, mass=held.mass * mass)
         scene = surface(held, parameters or Parameters(noise=NOISE))
         p = scene.parameters
-        self._step, self._finger, self._rate = p.step, finger, rate
+        self._step, self._rate = p.step, rate
         self._grip, self._pad = grip_model(held, scene, grip, passive), pad(scene)
         self._tip = FingerState.rest(p.columns * p.rows)
         self._held, self._taps, self._lift, self._vibration = held, tuple(taps), lift, vibration
@@ -185,7 +172,7 @@ class Grasp:
         self._body = body.BodyState.standing(-grip[0], -grip[1] - sunk)
         self._body.table[0] = held.mass * body.GRAVITY
         self._start = float(self._body.pose[1])
-        randoms = np.random.default_rng([seed, 2, finger]).spawn(4)  # as for a `Finger`
+        randoms = np.random.default_rng([seed, 2, 0]).spawn(4)  # as for a `Finger`
         self._cells = Barometers(p, faults or Faults(), randoms[0], randoms[2], randoms[3])
         self._creep_time = p.creep_time
         self._ticks = 0
@@ -230,8 +217,7 @@ class Grasp:
         self._ticks += steps
         t, aged = np.array([instant]), (instant - self._sensed) / self._creep_time
         self._sensed = instant
-        counts, temperature, valid = self._cells.read(t, tractions[None], aged)
-        touch = Touch(np.array([round(instant * s)]), counts, temperature, valid, finger=self._finger)
+        touch = Touch(np.array([round(instant * s)]), *self._cells.read(t, tractions[None], aged), finger=0)
         return touch, self._state(instant, speed, tractions)
 
     def _state(self, instant: float, speed: float, tractions: Reals) -> GraspState:

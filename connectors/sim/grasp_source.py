@@ -2,26 +2,25 @@
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator
 from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING, Final
 
-from connectors.sim.grasp_actions import Lift, Tap
+from connectors.sim.grasp_actions import Lift
 from connectors.sim.objects import Object
 from operators.batch import Commands, Touch, s
-from operators.errors import ParameterError
 from operators.ports import Clock, Description, Run, Sink, Source
 
 if TYPE_CHECKING:
-    from connectors.sim.grasp import Grasp, GraspState
+    from connectors.sim.grasp import Grasp
 
 PERIOD: Final = s // 100  # ns
 UP: Final = Lift(3.0)  # default lift; leaves time for the baseline
 
 
-class SimulatedGrasp:
-    """A simulated grasp with a source, `touch`, and a sink for commands, `hand`.
+class SimulatedGrasp(Source[Touch]):
+    """Touch of a simulated grasp, with a sink for commands, `hand`.
 
     The hand is open until a force is commanded. It moves up at the instant of its lift, even if it is empty.
 
@@ -29,50 +28,17 @@ class SimulatedGrasp:
         held: The object.
         seed: Random seed of the cells' rest levels and of all noise.
         lift: Lift of the hand (default 3 s after the start of the run).
-        taps: Mallet blows on the object.
-        seconds: Duration of the touch stream (s); None for no end.
 
     Attributes:
-        states: True state at each sample of the latest run.
-
-    Raises:
-        ParameterError: if `seconds` is not above 0.
+        hand: Sink of commands to the hand.
+        grasp: Grasp of the latest run; None before the first.
     """
 
-    def __init__(
-        self,
-        held: Object,
-        seed: int = 0,
-        *,
-        lift: Lift = UP,
-        taps: Sequence[Tap] = (),
-        seconds: float | None = None,
-    ) -> None:
-        if seconds is not None and not seconds > 0:
-            raise ParameterError("SimulatedGrasp", "seconds", seconds, "above 0, or None")
-        self.held, self.seed, self.lift, self.taps, self.seconds = held, seed, lift, tuple(taps), seconds
-        self.touch, self.hand = GraspTouch(self), Hand(self)
-        self.states: list[GraspState] = []
+    def __init__(self, held: Object, seed: int = 0, *, lift: Lift = UP) -> None:
+        self.held, self.seed, self.lift = held, seed, lift
+        self.hand = Hand(self)
+        self.grasp: Grasp | None = None
         self._origin = 0  # ns
-        self._grasp: Grasp | None = None
-
-    def begin(self, origin: int) -> "Grasp":
-        """Begin a run at `origin` (ns) and return its grasp, without commands."""
-        self._origin, self._grasp = origin, opened(self.held, self.seed, self.lift, self.taps)
-        self.states.clear()
-        return self._grasp
-
-    def command(self, commands: Commands) -> None:
-        """Apply commands from their own times on; without a run they have no effect."""
-        if self._grasp is not None:
-            press(self._grasp, commands, self._origin)
-
-
-class GraspTouch(Source[Touch]):
-    """Source of the touch of the fingertip."""
-
-    def __init__(self, grasping: SimulatedGrasp) -> None:
-        self._grasping = grasping
 
     @property
     def kind(self) -> type[Touch]:
@@ -86,30 +52,26 @@ class GraspTouch(Source[Touch]):
 
     async def prepare(self) -> None:
         """Compile the physics, which takes seconds the first time and less than one afterwards."""
-        grasping = self._grasping
-        await asyncio.to_thread(
-            lambda: opened(grasping.held, 0, grasping.lift, grasping.taps).sense(PERIOD / s)
-        )
+        await asyncio.to_thread(lambda: open_grasp(self.held, 0, self.lift).sense(PERIOD / s))
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
         """Yield a sample every 10 ms."""
-        grasping, origin = self._grasping, clock.now()
-        grasp = grasping.begin(origin)
-        for number in count() if grasping.seconds is None else range(round(grasping.seconds * s / PERIOD)):
+        origin = self._origin = clock.now()
+        grasp = self.grasp = open_grasp(self.held, self.seed, self.lift)
+        for number in count():
             await clock.sleep_until(origin + number * PERIOD)
-            touch, state = grasp.sense(number * PERIOD / s)
-            grasping.states.append(state)
+            touch, _ = grasp.sense(number * PERIOD / s)
             yield replace(touch, time=touch.time + origin)
 
     def describe(self) -> Description:
         """Return sensor, object and seed."""
-        grasping = self._grasping
-        return {
-            "sensor": "TakkTile 2x3, simulated",
-            "rate_hz": s / PERIOD,
-            "object": grasping.held.name,
-            "seed": grasping.seed,
-        }
+        sensor = "TakkTile 2x3, simulated"
+        return {"sensor": sensor, "rate_hz": s / PERIOD, "object": self.held.name, "seed": self.seed}
+
+    def command(self, commands: Commands) -> None:
+        """Apply commands from their own times on; without a run they have no effect."""
+        if self.grasp is not None:
+            press(self.grasp, commands, self._origin)
 
 
 class Hand(Sink[Commands]):
@@ -132,11 +94,11 @@ class Hand(Sink[Commands]):
         self._grasping.command(batch)
 
 
-def opened(held: Object, seed: int, lift: Lift, taps: Sequence[Tap] = ()) -> "Grasp":
+def open_grasp(held: Object, seed: int, lift: Lift) -> "Grasp":
     """Return a grasp whose hand is open until it is commanded."""
     from connectors.sim.grasp import Grasp  # noqa: PLC0415 - loads numba: only to run
 
-    return Grasp(held, seed=seed, force=0.0, closing=0.0, lift=lift, taps=taps)
+    return Grasp(held, seed=seed, force=0.0, closing=0.0, lift=lift)
 
 
 def press(grasp: "Grasp", commands: Commands, origin: int) -> None:

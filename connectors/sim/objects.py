@@ -1,7 +1,7 @@
 """The six objects of the robot tests in "Under Pressure" (2021), as rigid bodies.
 
-The paper names the objects with curvature, roughness and stiffness (*paper*), but without numbers. Sizes and
-masses are those of similar objects of the YCB set (Calli et al., 2015) where there is one, otherwise assumed.
+The paper names the objects with curvature, roughness and stiffness, but without numbers. Sizes and masses are
+those of similar objects of the YCB set (Calli et al., 2015) where there is one, otherwise assumed.
 Friction, roughness and stiffness are factors of the fitted values of the simulated scene (`Parameters`),
 whose material is smooth plastic. All factors are assumed, in the order of rubber friction in engineering
 tables: foam and leather above plastic, plastic above metal, paint and paper.
@@ -74,75 +74,52 @@ class Object:
         return self.radius / 2 if self.curvature == "sphere" else self.length / 2
 
 
-OBJECTS: Final[Mapping[str, Object]] = MappingProxyType(
-    {
-        thing.name: thing
-        for thing in (
-            Object(
-                "box",
-                "plane",  # paper: planar, smooth, rigid
-                radius=math.inf,
-                width=0.089,  # YCB 004, a box of sugar
-                length=0.175,  # YCB 004
-                mass=0.514,  # YCB 004
-                friction=1.0,  # smooth plastic: the scene's own material
-                texture=SMOOTH,
-            ),
-            Object(
-                "ball",
-                "sphere",  # paper: spherical, smooth, rigid
-                radius=0.048,  # YCB 054, a softball
-                width=0.096,
-                length=0.096,
-                mass=0.191,  # YCB 054
-                friction=0.8,  # assumed: lacquer
-                texture=SMOOTH,
-            ),
-            Object(
-                "cardboard_can",
-                "cylinder_y",  # paper: cylindrical, smooth, rigid
-                radius=0.0375,  # YCB 001, a tube of crisps
-                width=0.075,
-                length=0.25,  # YCB 001
-                mass=0.205,  # YCB 001
-                friction=0.8,  # assumed: coated paper
-                texture=SMOOTH,
-            ),
-            Object(
-                "football_sleeve",
-                "sphere",  # paper: spherical, rough, deformable
-                radius=0.05,  # assumed
-                width=0.1,
-                length=0.1,
-                mass=0.15,  # assumed; YCB 053, a small football, has 0.123
-                friction=1.2,  # assumed: grained leather
-                texture=ROUGH,
-                stiffness=0.4,  # assumed
-            ),
-            Object(
-                "foam_sleeve",
-                "cylinder_y",  # paper: cylindrical, smooth, deformable
-                radius=0.037,  # assumed: a 0.33 l can, radius 0.033, in 4 mm of foam
-                width=0.074,
-                length=0.115,  # a 0.33 l can
-                mass=0.355,  # assumed: the can is full
-                friction=1.1,  # assumed: neoprene
-                texture=SMOOTH,
-                stiffness=0.25,  # assumed
-            ),
-            Object(
-                "metal_can",
-                "cylinder_y",  # paper: cylindrical, rough, rigid
-                radius=0.033,  # YCB 005, a can of soup
-                width=0.066,
-                length=0.101,  # YCB 005
-                mass=0.349,  # YCB 005
-                friction=0.9,  # assumed: ribbed steel
-                texture=ROUGH,
-            ),
-        )
-    }
+_SIX: Final = (
+    # like YCB 004, a box of sugar; its friction is the scene's own: smooth plastic
+    Object("box", "plane", math.inf, width=0.089, length=0.175, mass=0.514, texture=SMOOTH),
+    # like YCB 054, a softball; friction assumed: lacquer
+    Object("ball", "sphere", 0.048, width=0.096, length=0.096, mass=0.191, friction=0.8, texture=SMOOTH),
+    # like YCB 001, a tube of crisps; friction assumed: coated paper
+    Object(
+        "cardboard_can",
+        "cylinder_y",
+        0.0375,
+        width=0.075,
+        length=0.25,
+        mass=0.205,
+        friction=0.8,
+        texture=SMOOTH,
+    ),
+    # assumed: size, mass (YCB 053, a small football, has 0.123 kg), friction of grained leather, stiffness
+    Object(
+        "football_sleeve",
+        "sphere",
+        0.05,
+        width=0.1,
+        length=0.1,
+        mass=0.15,
+        friction=1.2,
+        texture=ROUGH,
+        stiffness=0.4,
+    ),
+    # a full 0.33 l can, radius 0.033, in 4 mm of foam: all assumed, friction of neoprene
+    Object(
+        "foam_sleeve",
+        "cylinder_y",
+        0.037,
+        width=0.074,
+        length=0.115,
+        mass=0.355,
+        friction=1.1,
+        texture=SMOOTH,
+        stiffness=0.25,
+    ),
+    # like YCB 005, a can of soup; friction assumed: ribbed steel
+    Object(
+        "metal_can", "cylinder_y", 0.033, width=0.066, length=0.101, mass=0.349, friction=0.9, texture=ROUGH
+    ),
 )
+OBJECTS: Final[Mapping[str, Object]] = MappingProxyType({each.name: each for each in _SIX})
 
 
 def named(name: str) -> Object:

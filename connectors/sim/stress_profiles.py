@@ -10,7 +10,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from operators.batch import BAROMETERS
 from operators.checks import check_choice
 from operators.errors import ParameterError
 
-Stream: TypeAlias = Literal["touch", "motion"]
 Change: TypeAlias = Callable[[Scene, float], Scene]
 Join: TypeAlias = Callable[[float, float], float]
 
@@ -28,7 +27,6 @@ Join: TypeAlias = Callable[[float, float], float]
 class StressField:
     """One quantity that makes a scene harder."""
 
-    unit: str  # "1" for a factor or a fraction
     nominal: float  # value without effect
     change: Change
 
@@ -58,23 +56,21 @@ def stressed(scene: Scene, field: str, value: float) -> Scene:
     return scene if value == FIELDS[field].nominal else FIELDS[field].change(scene, value)
 
 
-def _noise(scene: Scene, value: float) -> Scene:
-    noise = math.hypot(scene.parameters.noise, value)
-    return replace(scene, parameters=replace(scene.parameters, noise=noise))
+def _changed(scene: Scene, part: str, **values: Any) -> Scene:  # noqa: ANN401 - as `replace`
+    changes: dict[str, Any] = {part: replace(getattr(scene, part), **values)}
+    return replace(scene, **changes)
 
 
 def _friction(scene: Scene, value: float) -> Scene:
     p = scene.parameters
-    scaled = replace(
-        p, static_friction=value * p.static_friction, kinetic_friction=value * p.kinetic_friction
-    )
-    return replace(scene, parameters=scaled)
+    static, kinetic = value * p.static_friction, value * p.kinetic_friction
+    return _changed(scene, "parameters", static_friction=static, kinetic_friction=kinetic)
 
 
 def _stick_slip(scene: Scene, value: float) -> Scene:
     p = scene.parameters
     static = value * p.static_friction + (1 - value) * p.kinetic_friction  # exact at 1
-    return replace(scene, parameters=replace(p, static_friction=static))
+    return _changed(scene, "parameters", static_friction=static)
 
 
 def _vibration(scene: Scene, value: float) -> Scene:
@@ -82,30 +78,28 @@ def _vibration(scene: Scene, value: float) -> Scene:
     return replace(scene, vibration=replace(vibration, amplitude=vibration.amplitude + value))
 
 
-def _every_cell(fault: Literal["gain", "offset", "drift"], join: Join, neutral: float) -> Change:
+def _joined(part: str, name: str, join: Join) -> Change:
     def change(scene: Scene, value: float) -> Scene:
-        before: tuple[float, ...] = getattr(scene.faults, fault) or (neutral,) * BAROMETERS
-        changed: dict[str, Any] = {fault: tuple(join(x, value) for x in before)}
-        return replace(scene, faults=replace(scene.faults, **changed))
+        before: float = getattr(getattr(scene, part), name)
+        return _changed(scene, part, **{name: join(before, value)})
 
     return change
 
 
-def _first_cells(fault: Literal["dead", "stuck", "floored"]) -> Change:
+def _every_cell(fault: str, join: Join, neutral: float) -> Change:
+    def change(scene: Scene, value: float) -> Scene:
+        before: tuple[float, ...] = getattr(scene.faults, fault) or (neutral,) * BAROMETERS
+        return _changed(scene, "faults", **{fault: tuple(join(x, value) for x in before)})
+
+    return change
+
+
+def _first_cells(fault: str) -> Change:
     def change(scene: Scene, value: float) -> Scene:
         if value not in range(BAROMETERS + 1):
             raise ParameterError("stressed", fault, value, f"a number of cells, 0 to {BAROMETERS}")
         cells: set[int] = {*getattr(scene.faults, fault), *range(int(value))}
-        return replace(scene, faults=replace(scene.faults, **{fault: tuple(sorted(cells))}))
-
-    return change
-
-
-def _timing(stream: Stream, part: Literal["jitter", "dropped", "offset", "drift"], join: Join) -> Change:
-    def change(scene: Scene, value: float) -> Scene:
-        timing = scene.touch if stream == "touch" else scene.motion
-        timing = replace(timing, **{part: join(getattr(timing, part), value)})
-        return replace(scene, touch=timing) if stream == "touch" else replace(scene, motion=timing)
+        return _changed(scene, "faults", **{fault: tuple(sorted(cells))})
 
     return change
 
@@ -114,37 +108,33 @@ def _either(a: float, b: float) -> float:
     return 1 - (1 - a) * (1 - b)
 
 
-def _stream(stream: Stream) -> dict[str, StressField]:
+def _stream(stream: str) -> dict[str, StressField]:
     return {
-        f"{stream}_jitter": StressField("s", 0, _timing(stream, "jitter", math.hypot)),
-        f"{stream}_dropped": StressField("1", 0, _timing(stream, "dropped", _either)),
-        f"{stream}_clock_offset": StressField("s", 0, _timing(stream, "offset", operator.add)),
-        f"{stream}_clock_rate": StressField("s/s", 0, _timing(stream, "drift", operator.add)),
+        f"{stream}_jitter": StressField(0, _joined(stream, "jitter", math.hypot)),
+        f"{stream}_dropped": StressField(0, _joined(stream, "dropped", _either)),
+        f"{stream}_clock_offset": StressField(0, _joined(stream, "offset", operator.add)),
+        f"{stream}_clock_rate": StressField(0, _joined(stream, "drift", operator.add)),
     }
 
 
 FIELDS: Final[Mapping[str, StressField]] = MappingProxyType(
     {
         # barometers
-        "noise": StressField("count", 0, _noise),  # standard deviation
-        "gain": StressField("1", 1, _every_cell("gain", operator.mul, 1.0)),
-        "offset": StressField("count", 0, _every_cell("offset", operator.add, 0.0)),
-        "drift": StressField("count/s", 0, _every_cell("drift", operator.add, 0.0)),
-        "dead": StressField("cells", 0, _first_cells("dead")),
-        "stuck": StressField("cells", 0, _first_cells("stuck")),
-        "floored": StressField("cells", 0, _first_cells("floored")),
+        "noise": StressField(0, _joined("parameters", "noise", math.hypot)),  # standard deviation
+        "gain": StressField(1, _every_cell("gain", operator.mul, 1.0)),
+        "offset": StressField(0, _every_cell("offset", operator.add, 0.0)),
+        "drift": StressField(0, _every_cell("drift", operator.add, 0.0)),
+        "dead": StressField(0, _first_cells("dead")),
+        "stuck": StressField(0, _first_cells("stuck")),
+        "floored": StressField(0, _first_cells("floored")),
         # streams: standard deviation of stamps, fraction of lost samples, clock offset and clock rate error
         **_stream("touch"),
         **_stream("motion"),
         # contact and plan
-        "vibration": StressField("m", 0, _vibration),
-        "friction": StressField("1", 1, _friction),
-        "stick_slip": StressField("1", 1, _stick_slip),  # excess of static over kinetic friction
-        "force": StressField("1", 1, lambda scene, x: replace(scene, plan=Scaled(scene.plan, x))),
-        "slip_speed": StressField(
-            "1",
-            1,
-            lambda scene, x: replace(scene, plan=Scaled(scene.plan, 1.0, x)),
-        ),
+        "vibration": StressField(0, _vibration),
+        "friction": StressField(1, _friction),
+        "stick_slip": StressField(1, _stick_slip),  # excess of static over kinetic friction
+        "force": StressField(1, lambda scene, x: replace(scene, plan=Scaled(scene.plan, x))),
+        "slip_speed": StressField(1, lambda scene, x: replace(scene, plan=Scaled(scene.plan, 1.0, x))),
     }
 )

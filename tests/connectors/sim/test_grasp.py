@@ -43,9 +43,8 @@ def test_the_least_force_scales_as_weight_over_friction() -> None:
     least = least_force(can)
     assert least_force(can, mass=2.0) == pytest.approx(2 * least)
     assert least_force(can, friction=0.5) == pytest.approx(2 * least)
-    assert least_force(can, acceleration=GRAVITY) == pytest.approx(2 * least)
     only_passive = can.mass * GRAVITY / (can.friction * PASSIVE_FRICTION)
-    assert least_force(can, texture=0.0) == pytest.approx(only_passive)
+    assert least_force(can, Parameters(static_friction=0.0)) == pytest.approx(only_passive)
 
 
 def test_rough_and_soft_objects_are_another_material() -> None:

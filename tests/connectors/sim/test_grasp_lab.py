@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.grasp_actions import Lift
-from connectors.sim.grasp_source import opened
+from connectors.sim.grasp_source import open_grasp
 from connectors.sim.objects import named
 from operators import Commands, s
 from tests.connectors.sim.grasp_lab import GraspLab
@@ -13,7 +13,7 @@ START = 1_700_000_000 * s
 
 def test_a_lab_feels_on_the_hosts_clock_and_obeys_from_a_commands_time_on() -> None:
     now = [START]
-    lab = GraspLab(opened(BOX, 0, Lift(5.0)), now=lambda: now[0])
+    lab = GraspLab(open_grasp(BOX, 0, Lift(5.0)), now=lambda: now[0])
     lab.command(Commands(np.array([START + s // 2]), np.array([5.0]), np.full((1, 6), np.nan)))
     before, _ = lab.touch(0, START + s // 2)
     after, temperature = lab.touch(0, START + 2 * s)
@@ -23,7 +23,7 @@ def test_a_lab_feels_on_the_hosts_clock_and_obeys_from_a_commands_time_on() -> N
 
 
 def test_a_lab_gives_the_newest_reading_to_who_asks_too_soon_or_for_the_past() -> None:
-    lab = GraspLab(opened(BOX, 0, Lift(5.0)), now=lambda: START)
+    lab = GraspLab(open_grasp(BOX, 0, Lift(5.0)), now=lambda: START)
     newest, _ = lab.touch(0, START + s)
     for time in (START + s + 100, START):
         again, _ = lab.touch(0, time)
