@@ -18,7 +18,7 @@ Delivery: TypeAlias = tuple[Node, Batch]  # a sink's node and a batch for it
 
 
 @dataclass(eq=False)
-class _Stage:
+class Stage:
     """One node for one fingertip; `index` is the position of its output among the values of a push."""
 
     index: int
@@ -95,6 +95,7 @@ class CompiledFlow:
 
     Attributes:
         entries: Source nodes with their fingertips.
+        operator_stages: Operators and joins, one per fingertip, in topological order.
         sink_types: Batch types that each sink can receive, by its destination.
 
     Raises:
@@ -104,8 +105,8 @@ class CompiledFlow:
     def __init__(self, flow: Flow, only: Collection[int] | None = None) -> None:
         validate(flow)
         self._flow = flow.name
-        self._stages: list[_Stage] = []
-        self._stage_of: dict[Entry, int] = {}
+        self._stages: list[Stage] = []
+        self._stage_of: dict[Entry, int] = {}  # of each node and fingertip
         fingers = {
             node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
             for node in flow.nodes
@@ -124,11 +125,15 @@ class CompiledFlow:
             for node in flow.nodes
             if isinstance(node.part, Sink)
         }
-        self._operator_stages = [stage for stage in self._stages if stage.operator is not None]
+        self.operator_stages = [stage for stage in self._stages if stage.operator is not None]
         indices = {entry: self._stage_of[entry] for entry in self.entries}
         self._entered = {
             entry: (self._stages[index], self._downstream(index)) for entry, index in indices.items()
         }
+
+    def stage(self, entry: Entry) -> Stage:
+        """Return the stage of a source and fingertip."""
+        return self._entered[entry][0]
 
     def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
         """Run the operators on batches that arrived together, and return the batches for the sinks, in order.
@@ -140,9 +145,17 @@ class CompiledFlow:
             BatchError: if a source yields a fingertip that it does not declare.
             OperatorError: if an operator fails or returns another type than it declares.
         """
+        return [(sink, batch) for stage, batch in self.outputs(batches) for sink in stage.sinks]
+
+    def flush(self) -> list[Delivery]:
+        """End all streams, and return the last batches for the sinks, in order."""
+        return [(sink, batch) for stage, batch in self.last_outputs() for sink in stage.sinks]
+
+    def outputs(self, batches: Mapping[Entry, Batch]) -> list[tuple[Stage, Batch]]:
+        """Do what `push` does, but return the output of each stage, sources included."""
         values: list[Batch | None] = [None] * len(self._stages)
-        deliveries: list[Delivery] = []
-        stages = self._operator_stages
+        outputs: list[tuple[Stage, Batch]] = []
+        stages = self.operator_stages
         for entry, batch in batches.items():
             try:
                 stage, downstream = self._entered[entry]
@@ -152,7 +165,7 @@ class CompiledFlow:
                 raise BatchError(type(batch).__name__, "finger", reason) from None
             if batch.time.size:
                 values[stage.index] = batch
-                deliveries += [(sink, batch) for sink in stage.sinks]
+                outputs.append((stage, batch))
             if len(batches) == 1:
                 stages = downstream
         for stage in stages:
@@ -162,15 +175,14 @@ class CompiledFlow:
                 raise self._failure(stage, error) from error
             if out is not None:
                 values[stage.index] = out
-                if stage.sinks:
-                    deliveries += [(sink, out) for sink in stage.sinks]
-        return deliveries
+                outputs.append((stage, out))
+        return outputs
 
-    def flush(self) -> list[Delivery]:
-        """End all streams, and return the last batches for the sinks, in order."""
+    def last_outputs(self) -> list[tuple[Stage, Batch]]:
+        """Do what `flush` does, but return the last output of each operator."""
         values: list[Batch | None] = [None] * len(self._stages)
-        deliveries: list[Delivery] = []
-        for stage in self._operator_stages:
+        outputs: list[tuple[Stage, Batch]] = []
+        for stage in self.operator_stages:
             try:
                 pushed = stage.push(values)
                 last = stage.checked(cast("Operator[Any, Any]", stage.operator).flush())
@@ -179,8 +191,8 @@ class CompiledFlow:
             out = concat(stage.gives, [batch for batch in (pushed, last) if batch is not None])
             if len(out):
                 values[stage.index] = out
-                deliveries += [(sink, out) for sink in stage.sinks]
-        return deliveries
+                outputs.append((stage, out))
+        return outputs
 
     def snapshot(self) -> bytes:
         """Pickle the state of all operators, for `restore` in this or another process.
@@ -189,7 +201,7 @@ class CompiledFlow:
             OperatorError: if an operator's state does not pickle.
         """
         states = list[bytes]()
-        for stage in self._operator_stages:
+        for stage in self.operator_stages:
             try:
                 states.append(pickle.dumps(stage.operator, pickle.HIGHEST_PROTOCOL))
             except (pickle.PicklingError, AttributeError, TypeError) as error:
@@ -198,10 +210,10 @@ class CompiledFlow:
 
     def restore(self, snapshot: bytes) -> None:
         """Restore the state from a snapshot of the same flow; it is a pickle, so load only trusted ones."""
-        for stage, state in zip(self._operator_stages, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
+        for stage, state in zip(self.operator_stages, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
             stage.resume(pickle.loads(state))  # noqa: S301 - the same
 
-    def _failure(self, stage: _Stage, error: Exception) -> OperatorError:
+    def _failure(self, stage: Stage, error: Exception) -> OperatorError:
         reason = str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"
         return OperatorError(self._flow, stage.node.name, reason)
 
@@ -212,11 +224,11 @@ class CompiledFlow:
         operator = node.part.reset_copy() if isinstance(node.part, Operator | Join) else None
         kind = cast("type[Batch]", node.gives)
         self._stage_of[node, finger] = len(self._stages)
-        self._stages.append(_Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind))
+        self._stages.append(Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind))
 
-    def _downstream(self, index: int) -> list[_Stage]:
-        reached, stages = {index}, list[_Stage]()
-        for stage in self._operator_stages:
+    def _downstream(self, index: int) -> list[Stage]:
+        reached, stages = {index}, list[Stage]()
+        for stage in self.operator_stages:
             if reached.intersection(stage.inputs):
                 reached.add(stage.index)
                 stages.append(stage)

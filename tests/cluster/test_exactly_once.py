@@ -61,7 +61,7 @@ def test_a_kill_changes_nothing(victim: str, world: World) -> None:
         ended = pool.submit(cluster.run, "job", load(str(world.flow)), settings, [world.source])
         until(lambda: ended.done() or bool(cluster.job))
         assert cluster.job, ended.exception()
-        until(lambda: any((world.out / ".jobs").rglob("*.npz")))
+        until(lambda: any((world.out / ".jobs").rglob("*.result")))
         until(lambda: local.ask(f"/jobs/{cluster.job}/checkpoints").get("counts", {}).get("completed", 0) > 0)
         workers = local.workers()
         os.kill((local.task_managers() if victim == "task manager" else workers)[0], signal.SIGKILL)
@@ -120,7 +120,7 @@ def test_parts_that_appear_in_any_order_and_repeatedly_are_processed_once(
 
     with ThreadPoolExecutor() as pool:
         ended = pool.submit(run)
-        until(lambda: ended.done() or any((world.out / ".jobs").rglob("*.npz")))
+        until(lambda: ended.done() or any((world.out / ".jobs").rglob("*.result")))
         assert not ended.done(), ended.exception()
         assert not written("growing").exists()
         recorder.record(100)

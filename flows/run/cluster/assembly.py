@@ -6,19 +6,17 @@ byte-identical.
 
 import asyncio
 import os
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from pathlib import Path
 from shutil import rmtree
-from typing import Any, Final, TypeAlias, cast
+from typing import Any, Final
 from uuid import uuid4
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
+from flows.graph.compiled_flow import CompiledFlow, Entry, Stage
 from flows.graph.node import Node, Part
-from flows.run.cluster.cluster_segment import result_nodes
-from flows.run.cluster.unit_results import UnitResult, read_results
 from flows.run.cluster.work_units import RecordingEnd, ShareResult
+from flows.run.cluster.worker import SliceResult, read_results
 from flows.run.replay_runner import ReplayRunner
 from operators.batch import Batch
 from operators.errors import EndpointError, InputError, os_error_reason
@@ -28,25 +26,6 @@ from storage.files import make_folder, sync
 from storage.layout import MANIFEST, SESSIONS, session_folder
 
 JOBS: Final = ".jobs"  # folder in a dataset
-_Key: TypeAlias = tuple[int, int]  # an operator's index in the flow, and the fingertip
-
-
-@dataclass
-class _SliceReader:
-    """Reader of one share's results, slice by slice."""
-
-    results: Iterator[UnitResult]
-    _ahead: dict[int, dict[_Key, Batch]] = field(default_factory=dict[int, dict[_Key, Batch]], init=False)
-
-    def read(self, number: int) -> dict[_Key, Batch]:
-        """Return the results for a slice; slices are read in order."""
-        while max(self._ahead, default=-1) < number:
-            result = next(self.results, None)
-            if result is None:
-                break
-            for (each, operator, finger), batch in result.items():
-                self._ahead.setdefault(each, {})[operator, finger] = batch
-        return self._ahead.pop(number, {})
 
 
 class StoredResults(CompiledFlow):
@@ -61,37 +40,23 @@ class StoredResults(CompiledFlow):
     def __init__(self, flow: Flow, folder: Path, end: RecordingEnd) -> None:
         super().__init__(flow)
         self._index = {node: number for number, node in enumerate(flow.nodes)}
-        kinds = {self._index[node]: cast("type[Batch]", node.gives) for node in result_nodes(flow)}
-        self._shares = [
-            _SliceReader(read_results(folder / str(share), end.units, kinds))
-            for share in range(len(end.shares))
-        ]
+        self._shares = [read_results(folder / str(share), end.units) for share in range(len(end.shares))]
         self.slices = 0  # pushed so far
 
-    def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
-        """Return the deliveries of the next slice."""
-        deliveries = [
-            (sink, batch)
-            for entry, batch in batches.items()
-            for sink in self._stages[self._stage_of[entry]].sinks
-        ]
+    def outputs(self, batches: Mapping[Entry, Batch]) -> list[tuple[Stage, Batch]]:
+        """Return the next slice's batches and results."""
         self.slices += 1
-        return deliveries + self._read(self.slices - 1)
+        return [(self.stage(entry), batch) for entry, batch in batches.items()] + self.last_outputs()
 
-    def flush(self) -> list[Delivery]:
-        """Return the deliveries at the end of all streams."""
-        return self._read(self.slices)
-
-    def _read(self, number: int) -> list[Delivery]:
-        results = dict[_Key, Batch]()
+    def last_outputs(self) -> list[tuple[Stage, Batch]]:
+        """Return the results of the next slice; after the last one, those at the end of all streams."""
+        results = SliceResult()
         for share in self._shares:
-            results |= share.read(number)
-        deliveries = list[Delivery]()
-        for stage in self._operator_stages:
-            batch = results.get((self._index[stage.node], stage.finger))
-            if batch is not None:
-                deliveries += [(sink, batch) for sink in stage.sinks]
-        return deliveries
+            results |= next(share, {})
+        found = [
+            (stage, results.get((self._index[stage.node], stage.finger))) for stage in self.operator_stages
+        ]
+        return [(stage, batch) for stage, batch in found if batch is not None]
 
 
 def assemble(flow: Flow, datasets: Mapping[str, str], job: str, results: Path, share: ShareResult) -> None:

@@ -12,13 +12,13 @@ from typing import Final
 
 from flows.graph import Flow
 from flows.graph.loading import Declaration
-from flows.run.cluster.cluster_segment import check_flow
 from flows.run.cluster.job_folder import JobFolder
 from flows.run.cluster.job_manager import ENDED, JobManager
-from flows.run.cluster.splitting import Splitter
+from flows.run.cluster.splitting import Splitter, check_flow
+from flows.run.parallel_replay import recordings
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError, os_error_reason
 from operators.ports import Sink
-from storage.layout import SESSION, SESSIONS, session_folder, session_names
+from storage.layout import SESSION, session_folder, session_names
 
 PYTHON: Final = Path(".cluster/bin/python")  # created by deploy/cluster
 _SHARES: Final = 2  # of a session's fingertips, per worker
@@ -212,15 +212,12 @@ class UnitFeed:
 
 
 def _sessions(path: Path, *, follow: bool) -> list[Path]:
-    if (path / SESSION).exists():
-        return [path]
-    if (path / SESSIONS).is_dir():
-        return [session_folder(path, name) for name in session_names(path)]
-    if follow and not path.exists():
-        return []
-    raise InputError(
-        str(path), "is neither a session nor a dataset" if path.exists() else "there is no such folder"
-    )
+    """Return a session, or all sessions of a dataset, which may not exist yet if `follow` is set."""
+    if follow and not (path / SESSION).exists():
+        return [session_folder(path, name) for name in session_names(path)] if path.exists() else []
+    if not path.exists():
+        raise InputError(str(path), "there is no such folder")
+    return recordings([path])
 
 
 def _submit(python: Path, url: str, folder: JobFolder, workers: int, *, follow: bool) -> str:

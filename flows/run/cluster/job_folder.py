@@ -4,8 +4,8 @@
 
     job.json               the flow, its parameters and the folders of its datasets
     flow/<name>.py         the flow's file when the job began
-    units/<name>.jsonl     work units; a file appears when it is complete
-    results/<session>/<generation>/<share>/<unit>.npz
+    units/<name>.lines     work units; a file appears when it is complete
+    results/<session>/<generation>/<share>/<unit>.result
     done/<session>.json    error of a session; empty if it was written
 """
 
@@ -114,7 +114,7 @@ class JobFolder:
         scratch = self.path / f"{name}.{uuid4().hex}"
         try:
             scratch.write_text("".join(f"{unit.to_line()}\n" for unit in units))
-            scratch.replace(self.units / f"{name}.jsonl")
+            scratch.replace(self.units / f"{name}.lines")
         except OSError as error:
             raise _write_error(self.path, error) from error
 

@@ -5,16 +5,27 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
 
+import numpy as np
+
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Entry
-from flows.run.cluster.cluster_segment import needed_sources, result_nodes
-from flows.run.cluster.part_files import RowTimes, read_row_times
-from flows.run.cluster.work_units import RecordingEnd, RowRange, Slice, WorkUnit
+from flows.graph.node import Node
+from flows.run.cluster.work_units import RecordingEnd, RowRange, WorkUnit
+from flows.run.cluster.worker import checked_type
 from flows.run.replay_runner import in_slices, replayed
-from operators.batch import EVERY, Batch
-from operators.errors import InputError
-from operators.ports import Description, SomeBatch
-from storage import Session
+from operators.batch import EVERY, Batch, Times, column
+from operators.errors import FlowError, InputError
+from operators.ports import Description, SomeBatch, Source
+from storage import Dataset, Session
+from storage.layout import TABLE_OF, inside
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _RowTimes(Batch):
+    """Times of rows and their positions in the files: enough to split a recording."""
+
+    part: Times = field(metadata=column(np.int64))  # (n,) number of the file in its table
+    row: Times = field(metadata=column(np.int64))  # (n,) position among the file's rows of the fingertip
 
 
 class _IncompleteError(Exception):
@@ -41,7 +52,9 @@ class Splitter:
     shares: int = 8
     partition: int = 0
     ended: bool = field(default=False, init=False)  # the last units were returned
-    _times: dict[str, dict[int, RowTimes]] = field(default_factory=dict[str, dict[int, RowTimes]], init=False)
+    _times: dict[str, dict[int, _RowTimes]] = field(
+        default_factory=dict[str, dict[int, _RowTimes]], init=False
+    )
     _generation: int = field(default=0, init=False)
     _done: int = field(default=0, init=False)  # units of each share in this generation
     _sources: Mapping[str, tuple[int, ...]] = field(default_factory=dict[str, tuple[int, ...]], init=False)
@@ -81,18 +94,18 @@ class Splitter:
 
     def _cut(
         self, recording: "_RowTimesRecording", flow: Flow, *, closed: bool
-    ) -> Iterator[dict[Entry, RowTimes]]:
+    ) -> Iterator[dict[Entry, _RowTimes]]:
         streams: dict[Entry, Iterator[Batch]] = {}
         for node, finger in CompiledFlow(flow).entries:
             stream = recording.read(cast("type[Batch]", node.gives), finger, self.rows)
             streams[node, finger] = stream if closed else _incomplete(stream)
         try:
-            yield from cast("Iterator[dict[Entry, RowTimes]]", in_slices(streams))
+            yield from cast("Iterator[dict[Entry, _RowTimes]]", in_slices(streams))
         except _IncompleteError:
             return
 
     def _new_units(
-        self, session: Session, flow: Flow, slices: list[dict[Entry, RowTimes]], *, closed: bool
+        self, session: Session, flow: Flow, slices: list[dict[Entry, _RowTimes]], *, closed: bool
     ) -> list[WorkUnit]:
         files = {
             node.name: list(session.files(cast("type[Batch]", node.gives)).items()) for node in flow.sources()
@@ -102,14 +115,17 @@ class Splitter:
         units = list[WorkUnit]()
         for number in range(self._done, last + 1):
             first = number * self.slices
-            group = list(enumerate(slices[first : first + self.slices], first))
+            group = slices[first : first + self.slices]
             end = RecordingEnd(len(slices), last + 1, shares) if closed and number == last else None
             for share, fingers in enumerate(shares):
-                own = [
-                    (k, tuple(_row_range(entry, times, files) for entry, times in each.items()
-                              if entry[0].name in needed and entry[1] in (*fingers, EVERY)))
-                    for k, each in group
-                ]  # fmt: skip
+                own = tuple(
+                    tuple(
+                        _row_range(entry, times, files)
+                        for entry, times in each.items()
+                        if entry[0].name in needed and entry[1] in (*fingers, EVERY)
+                    )
+                    for each in group
+                )
                 units.append(
                     WorkUnit(
                         session.name,
@@ -120,12 +136,45 @@ class Splitter:
                         self.partition + share,
                         number,
                         self._sources,
-                        tuple(Slice(k, rows) for k, rows in own if rows),
+                        own,
                         end,
                     )
                 )
         self._done = max(self._done, last + 1)
         return units
+
+
+def check_flow(flow: Flow) -> None:
+    """Require that a flow can run on a cluster.
+
+    Raises:
+        FlowError: if a sink is not a dataset, or no dataset takes the rows of an operator.
+    """
+    for node in flow.sinks():
+        if not isinstance(node.part, Dataset):
+            reason = "a cluster writes datasets only: remove this sink, or set the parameter that adds it"
+            raise FlowError(flow.name, node.name, reason)
+    if not _result_nodes(flow):
+        raise FlowError(
+            flow.name, "datasets", "none takes the rows of an operator: add a dataset after an operator"
+        )
+
+
+def _result_nodes(flow: Flow) -> list[Node]:
+    """Return the operators whose rows go to sinks."""
+    inputs = {parent for node in flow.sinks() for parent in node.inputs}
+    return [node for node in inputs if not isinstance(node.part, Source)]
+
+
+def needed_sources(flow: Flow) -> set[str]:
+    """Return the names of the sources whose rows operators take."""
+    found, rest = set[str](), _result_nodes(flow)
+    while rest:
+        node = rest.pop()
+        rest += node.inputs
+        if isinstance(node.part, Source):
+            found.add(node.name)
+    return found
 
 
 def split_fingers(flow: Flow, most: int) -> tuple[tuple[int, ...], ...]:
@@ -134,12 +183,12 @@ def split_fingers(flow: Flow, most: int) -> tuple[tuple[int, ...], ...]:
     Rows that belong to every fingertip are read for each share, so few large shares cost less than many
     small ones.
     """
-    fingers = sorted({finger for node in result_nodes(flow) for finger in node.fingers})
+    fingers = sorted({finger for node in _result_nodes(flow) for finger in node.fingers})
     count = min(most, len(fingers))
     return tuple(tuple(fingers[share::count]) for share in range(count))
 
 
-def _row_range(entry: Entry, times: RowTimes, files: Mapping[str, list[tuple[str, str | None]]]) -> RowRange:
+def _row_range(entry: Entry, times: _RowTimes, files: Mapping[str, list[tuple[str, str | None]]]) -> RowRange:
     name = entry[0].name
     path, sha256 = files[name][times.part.item(0)]
     return RowRange(name, entry[1], path, sha256, times.row.item(0), times.row.item(-1) + 1)
@@ -155,7 +204,7 @@ class _RowTimesRecording:
     """Session as a recording that reads times only."""
 
     session: Session
-    times: dict[str, dict[int, RowTimes]]  # by file; kept between calls
+    times: dict[str, dict[int, _RowTimes]]  # by file; kept between calls
 
     @property
     def name(self) -> str:
@@ -168,13 +217,29 @@ class _RowTimesRecording:
         for part in self._parts(kind):
             batch = part.get(finger)
             for start in range(0, 0 if batch is None else len(batch), rows):
-                yield cast("SomeBatch", cast("RowTimes", batch)[start : start + rows])
+                yield cast("SomeBatch", cast("_RowTimes", batch)[start : start + rows])
 
     def describe(self) -> Description:
         return self.session.about
 
-    def _parts(self, kind: type[Batch]) -> Iterator[dict[int, RowTimes]]:
+    def _parts(self, kind: type[Batch]) -> Iterator[dict[int, _RowTimes]]:
         for number, (path, sha256) in enumerate(self.session.files(kind).items()):
             if path not in self.times:
-                self.times[path] = read_row_times(self.session.folder, kind, path, sha256, number)
+                self.times[path] = _read_row_times(self.session.folder, kind, path, sha256, number)
             yield self.times[path]
+
+
+def _read_row_times(
+    folder: Path, kind: type[Batch], path: str, sha256: str | None, part: int
+) -> dict[int, _RowTimes]:
+    """Return the times of a file's rows by fingertip; empty if they are not of type `kind`."""
+    from storage import parts, schema  # noqa: PLC0415 - import pyarrow
+
+    table = TABLE_OF[kind]
+    rows = parts.read_part(inside(folder, folder / path), schema.time_schema(table), sha256)
+    if not issubclass(checked_type(folder / path, schema.batch_type(rows), table.kind), kind):
+        return {}
+    return {
+        finger: _RowTimes(time, np.full(len(time), part), np.arange(len(time)), finger=finger)
+        for finger, time in schema.times(table, rows).items()
+    }

@@ -1,19 +1,16 @@
 """Work units: messages that name rows of a recording, which the worker reads.
 
-Units and results travel as lines of text: the partition, a tab, and JSON. All machines share the storage that
-holds the named Parquet files.
+Units and results travel as lines of text: the partition, a tab, and a pickle in base64. All machines share
+the storage that holds the named Parquet files, and trust it: the flow to run is on it too.
 """
 
-import json
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager
+import pickle
+from base64 import b64decode, b64encode
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self, TypeAlias, cast
 
-from operators.errors import InputError
-
-LIMIT: Final = 4_000_000  # characters of a line
-_TAB: Final = "\t"  # never occurs in JSON
+_TAB: Final = "\t"
 
 
 class RowRange(NamedTuple):
@@ -27,11 +24,9 @@ class RowRange(NamedTuple):
     stop: int  # end of the range, exclusive
 
 
-class Slice(NamedTuple):
-    """Rows of all streams within one time span, as a replay cuts them."""
-
-    number: int
-    rows: tuple[RowRange, ...]  # at most one per stream
+Slice: TypeAlias = tuple[
+    RowRange, ...
+]  # rows of a time span, as a replay cuts it; at most one range per stream
 
 
 class RecordingEnd(NamedTuple):
@@ -49,14 +44,19 @@ class _Line:
 
     def to_line(self) -> str:
         """Return the line, without a line break."""
-        return f"{self.partition}{_TAB}{json.dumps(vars(self), separators=(',', ':'))}"
+        return f"{self.partition}{_TAB}{b64encode(pickle.dumps(self)).decode()}"
+
+    @classmethod
+    def from_line(cls, line: str) -> Self:
+        """Read a line that `to_line` has written."""
+        return cast("Self", pickle.loads(b64decode(line.partition(_TAB)[2])))  # noqa: S301 - our own
 
 
 @dataclass(frozen=True)
 class WorkUnit(_Line):
     """Consecutive slices of a recording for one share of its fingertips.
 
-    >>> unit = WorkUnit("one", "/data/one", 0, 1, (2,), 5, 0, {"touch": (0, 1, 2)}, (Slice(0, ()),))
+    >>> unit = WorkUnit("one", "/data/one", 0, 1, (2,), 5, 0, {"touch": (0, 1, 2)}, ())
     >>> WorkUnit.from_line(unit.to_line()) == unit
     True
     """
@@ -76,26 +76,6 @@ class WorkUnit(_Line):
     def key(self) -> str:
         """Key of the share's state, which is also a relative path."""
         return f"{self.session}/{self.generation}/{self.share}"
-
-    @classmethod
-    def from_line(cls, line: str) -> Self:
-        """Read a unit.
-
-        Raises:
-            InputError: if the line is not a work unit.
-        """
-        with _parsed("work unit", line) as fields:
-            slices: list[Any] = fields.pop("slices")
-            fingers: list[int] = fields.pop("fingers")
-            sources: dict[str, list[int]] = fields.pop("sources")
-            return cls(
-                **fields,
-                fingers=tuple(fingers),
-                sources={name: tuple(each) for name, each in sources.items()},
-                slices=tuple(
-                    Slice(number, tuple(RowRange(*each) for each in rows)) for number, rows in slices
-                ),
-            )
 
 
 @dataclass(frozen=True)
@@ -121,16 +101,6 @@ class ShareResult(_Line):
         end, partition = None if error else unit.end, unit.partition - unit.share
         return cls(unit.session, unit.folder, unit.generation, unit.share, partition, end, error)
 
-    @classmethod
-    def from_line(cls, line: str) -> Self:
-        """Read a result.
-
-        Raises:
-            InputError: if the line is not a result.
-        """
-        with _parsed("result", line) as fields:
-            return cls(**fields)
-
 
 def partition_of(line: str) -> int:
     """Return the partition of a line without reading the rest.
@@ -139,17 +109,3 @@ def partition_of(line: str) -> int:
     7
     """
     return int(line.partition(_TAB)[0])
-
-
-@contextmanager
-def _parsed(kind: str, line: str) -> Generator[dict[str, Any]]:
-    """Yield the fields of a line; errors in the block count as errors of the line."""
-    if len(line) > LIMIT:
-        raise InputError(kind, f"is longer than {LIMIT} characters")
-    try:
-        fields: dict[str, Any] = json.loads(line.partition(_TAB)[2])
-        if end := fields["end"]:
-            fields["end"] = RecordingEnd(end[0], end[1], tuple(tuple(share) for share in end[2]))
-        yield fields
-    except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(kind, f"cannot be read: {error!r} in {line[:80]!r}") from error

@@ -75,8 +75,8 @@ def test_a_file_of_units_appears_when_it_is_complete(file: Path, tmp_path: Path)
     folder = created(file, str(tmp_path / "out"))
     unit = WorkUnit("one", "/one", 0, 0, (0,), 0, 0, {}, ())
     folder.add_units("first", [unit, unit])
-    assert [path.name for path in folder.units.iterdir()] == ["first.jsonl"]
-    assert (folder.units / "first.jsonl").read_text() == 2 * f"{unit.to_line()}\n"
+    assert [path.name for path in folder.units.iterdir()] == ["first.lines"]
+    assert (folder.units / "first.lines").read_text() == 2 * f"{unit.to_line()}\n"
 
 
 def test_a_failure_is_noted_and_the_results_are_removed(file: Path, tmp_path: Path) -> None:

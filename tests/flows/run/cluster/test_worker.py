@@ -117,7 +117,7 @@ def test_a_damaged_result_is_named(harm: str, number: int, folder: Path, tmp_pat
     done = processed(flow, tmp_path / "results", Splitter(flow, folder, slices=2).units())[-1]
     assert done.end
     assert done.end.units == 10
-    file = tmp_path / "results" / done.key / "1" / f"{number:06d}.npz"
+    file = tmp_path / "results" / done.key / "1" / f"{number:06d}.result"
     if harm == "cut":
         file.write_bytes(file.read_bytes()[:-100])
     else:
