@@ -63,7 +63,12 @@ async def execute(
     if recording is not None and pace is None:
         replay, show = ReplayRunner(flow, recording, session), _replay_status(recording)
         with stopping() as stopped, logged(replay.run):
-            return await replay.execute(lambda run: replay.stop() if stopped() else show(run))
+
+            def show_or_stop(run: Run) -> bool:
+                show(run)
+                return stopped()
+
+            return await replay.execute(show_or_stop)
     clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
     flow = flow if recording is None else replayed(flow, recording)
     live = LiveRunner(flow, session, clock=clock, duration=limit, signals=False)

@@ -43,7 +43,7 @@ def replay_all(
         for each in replays.run(
             jobs,
             stopped=stopped,
-            progress=lambda number, rows: update(number, len(recordings), f"{rows:,} rows"),
+            progress=lambda number: update(number, len(recordings)),
         ):
             if each.printed or not (each.error or as_json):
                 typer.echo(_line(each), err=as_json)

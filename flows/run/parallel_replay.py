@@ -12,11 +12,11 @@ from pathlib import Path
 from flows.graph import Flow
 from flows.graph.loading import load
 from flows.graph.validation import validate
-from flows.run.processes import Watch, WorkerPool
+from flows.run.processes import Stopped, WorkerPool
 from flows.run.replay_runner import ReplayRunner, log_replay_destinations
 from flows.run.run_summary import Summary
 from operators.errors import InputError, ParameterError, SlipflowError
-from operators.ports import Recording, Run, Sink
+from operators.ports import Recording, Sink
 from storage import Dataset, Session
 from storage.layout import SESSION, SESSIONS, session_folder, session_names
 
@@ -63,8 +63,8 @@ class Replays:
         self,
         jobs: int | None = None,
         *,
-        stopped: Callable[[], bool] = lambda: False,
-        progress: Callable[[int, int], object] = lambda _done, _rows: None,
+        stopped: Stopped = lambda: False,
+        progress: Callable[[int], object] = lambda _done: None,
     ) -> Generator[Replayed]:
         """Replay all recordings and yield the results in order; they do not depend on `jobs`.
 
@@ -73,7 +73,7 @@ class Replays:
         Args:
             jobs: Number of processes; None: one per core, or one if a sink is exclusive.
             stopped: Returns True to stop; sessions are then committed as incomplete.
-            progress: Called with the number of finished recordings and of source rows.
+            progress: Called with the number of finished recordings.
 
         Raises:
             ParameterError: if `jobs` is below 1, or above 1 with an exclusive sink.
@@ -147,14 +147,16 @@ def _exclusive_sinks(flow: Flow) -> list[str]:
     return [node.name for node in flow.sinks() if isinstance(node.part, Sink) and not node.part.shared]
 
 
-def _replay(target: str, settings: Mapping[str, str], task: tuple[Path, str], watch: Watch) -> Replayed:
+def _replay(
+    target: str, settings: Mapping[str, str], task: tuple[Path, str], stopped: Stopped
+) -> Replayed:
     """Replay one recording; any error becomes part of the result."""
     path, session = task
     runner, printed, error = None, StringIO(), ""
     try:
         with redirect_stdout(printed):
             runner = ReplayRunner(load(target).flow(settings), open_recording(path, log.warning), session)
-            asyncio.run(runner.execute(partial(_report, runner, watch)))
+            asyncio.run(runner.execute(lambda _: stopped()))
         error = runner.run.error
     except SlipflowError as failure:
         error = str(failure)
@@ -163,11 +165,6 @@ def _replay(target: str, settings: Mapping[str, str], task: tuple[Path, str], wa
         error = f"{type(failure).__name__}: {failure}"
     summary = None if runner is None else Summary.of(runner.run)
     return Replayed(str(path), summary, printed.getvalue(), error)
-
-
-def _report(runner: ReplayRunner, watch: Watch, run: Run) -> None:
-    if watch(sum(source.rows for source in run.sources.values())):
-        runner.stop()
 
 
 def _lost(task: tuple[Path, str], reason: str) -> Replayed:

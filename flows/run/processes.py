@@ -1,7 +1,6 @@
 """Process pool: results are in order, a process that dies loses only its item, workers end with their parent.
 
-Parent and worker share one pipe. The worker receives items one by one, reports progress and sends one result
-per item. It ends when its end of the pipe closes, which also happens when the parent is killed.
+Parent and worker share one pipe. The worker receives items one by one and sends one result per item. It ends when its end of the pipe closes, which also happens when the parent is killed.
 """
 
 import os
@@ -18,7 +17,6 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.resource_tracker import ensure_running
-from time import monotonic
 from typing import Any, Final, Generic, Never, TypeAlias, TypeVar, cast
 
 from operators.checks import check_at_least
@@ -27,9 +25,8 @@ from operators.errors import SlipflowError
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 Pipe: TypeAlias = "Connection[Any, Any]"
-Watch: TypeAlias = Callable[[int], bool]  # takes the progress of an item, such as rows; returns True to stop
+Stopped: TypeAlias = Callable[[], bool]  # returns True to stop
 
-_REPORT_INTERVAL: Final = 0.2  # s, shortest time between two progress reports of a worker
 _POLL_INTERVAL: Final = 0.2  # s, between two checks for a request to stop
 _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")  # of numpy's libraries
 _NOT_STARTED: Final = "was not started: interrupted"
@@ -51,17 +48,7 @@ def process_map(
         ParameterError: if `jobs` is below 1.
         SlipflowError: if a process died.
     """
-    return WorkerPool(partial(_without_watch, work), items, _raise_lost).results(jobs)
-
-
-@dataclass(eq=False)
-class _Worker:
-    """Process and its current item."""
-
-    process: BaseProcess
-    number: int = -1  # of the item
-    steps: int = 0  # progress of the item
-    stopping: bool = False  # has received the request to stop
+    return WorkerPool(partial(_without_stop, work), items, _raise_lost).results(jobs)
 
 
 @dataclass(frozen=True)
@@ -76,23 +63,26 @@ class WorkerPool(Generic[Item, Result]):
     """Processes that work on items.
 
     Args:
-        work: Function of a module. It returns soon after its `Watch` returns True, with a partial result.
+        work: Function of a module. It returns soon after its second argument, a function, returns True, with
+            a partial result.
         items: Items; they and the results are pickled.
         lost: Returns the result of an item whose process died or that was not started, given the reason.
         stopped: Returns True to stop: items in progress return early, the rest is lost.
-        progress: Called with the number of finished items and the sum of their progress.
+        progress: Called with the number of finished items.
     """
 
-    work: Callable[[Item, Watch], Result]
+    work: Callable[[Item, Stopped], Result]
     items: Sequence[Item]
     lost: Callable[[Item, str], Result]
-    stopped: Callable[[], bool] = lambda: False
-    progress: Callable[[int, int], object] = lambda _done, _steps: None
+    stopped: Stopped = lambda: False
+    progress: Callable[[int], object] = lambda _done: None
     _waiting: deque[int] = field(default_factory=deque[int], init=False)
-    _workers: dict[Pipe, _Worker] = field(default_factory=dict[Pipe, _Worker], init=False)  # by our pipe end
+    _workers: dict[Pipe, tuple[BaseProcess, int]] = field(  # process and its item, by our end of the pipe
+        default_factory=dict["Pipe", tuple[BaseProcess, int]], init=False
+    )
     _results: dict[int, Result | _Raised] = field(default_factory=dict[int, Result | _Raised], init=False)
     _done: int = field(default=0, init=False)
-    _steps: int = field(default=0, init=False)
+    _stopping: bool = field(default=False, init=False)
 
     def results(self, jobs: int | None = None) -> Generator[Result]:
         """Yield the result of each item, in order.
@@ -109,21 +99,10 @@ class WorkerPool(Generic[Item, Result]):
         return self._in_processes(count) if count > 1 else self._in_this_process()
 
     def _in_this_process(self) -> Generator[Result]:
-        for item in self.items:
-            result = self.lost(item, _NOT_STARTED) if self.stopped() else self.work(item, self._watch())
-            self._done += 1
-            self.progress(self._done, self._steps)
+        for done, item in enumerate(self.items, 1):
+            result = self.lost(item, _NOT_STARTED) if self.stopped() else self.work(item, self.stopped)
+            self.progress(done)
             yield result
-
-    def _watch(self) -> Watch:
-        before = self._steps
-
-        def watch(steps: int) -> bool:
-            self._steps = before + steps
-            self.progress(self._done, self._steps)
-            return self.stopped()
-
-        return watch
 
     def _in_processes(self, count: int) -> Generator[Result]:
         self._waiting += range(len(self.items))
@@ -136,26 +115,22 @@ class WorkerPool(Generic[Item, Result]):
                     raise result.error
                 yield result
         finally:
-            for pipe in self._workers:
+            for pipe in list(self._workers):
                 pipe.close()  # workers stop after their current item
-            for worker in self._workers.values():
-                worker.process.join()
+            for process, _ in self._workers.values():
+                process.join()
 
     def _advance(self, count: int) -> None:
-        """Start workers, pass on a request to stop, and receive messages for a short time."""
-        if self.stopped():
-            for pipe, worker in self._workers.items():
-                if not worker.stopping:
-                    worker.stopping = True
-                    with suppress(OSError):  # it died: its pipe reports that
-                        pipe.send(None)
+        """Start workers, pass on a request to stop, and receive results for a short time."""
+        if not self._stopping and self.stopped():
+            self._stopping = True
+            for pipe in self._workers:
+                _send(pipe, None)
             while self._waiting:
                 self._finish(number := self._waiting.popleft(), self.lost(self.items[number], _NOT_STARTED))
-            if not self._workers:
-                return
         while self._waiting and len(self._workers) < count:
             self._start()
-        for pipe in cast("list[Pipe]", wait(self._workers, _POLL_INTERVAL)):
+        for pipe in cast("list[Pipe]", wait(self._workers, _POLL_INTERVAL)) if self._workers else []:
             self._receive(pipe)
 
     def _start(self) -> None:
@@ -165,49 +140,43 @@ class WorkerPool(Generic[Item, Result]):
         with _worker_environment():
             process.start()
         theirs.close()  # so that the end of the process closes the pipe
-        self._workers[ours] = _Worker(process)
-        self._assign(ours)
+        self._assign(ours, process)
 
-    def _assign(self, pipe: Pipe) -> None:
+    def _assign(self, pipe: Pipe, process: BaseProcess) -> None:
         """Send a worker its next item, or end it."""
-        worker = self._workers[pipe]
-        if not self._waiting:
-            self._end(pipe)
-            return
-        worker.number, worker.steps = self._waiting.popleft(), 0
-        with suppress(OSError):  # it died: its pipe reports that
-            pipe.send(self.items[worker.number])
-
-    def _end(self, pipe: Pipe) -> _Worker:
-        worker = self._workers.pop(pipe)
-        pipe.close()
-        worker.process.join()
-        return worker
+        if self._waiting:
+            number = self._waiting.popleft()
+            self._workers[pipe] = process, number
+            _send(pipe, self.items[number])
+        else:
+            pipe.close()
+            process.join()
 
     def _receive(self, pipe: Pipe) -> None:
+        process, number = self._workers.pop(pipe)
         try:
-            steps, result = cast("tuple[int, list[Result | _Raised]]", pipe.recv())
+            result = cast("Result | _Raised", pipe.recv())
         except (EOFError, OSError):
-            worker = self._end(pipe)
-            reason = f"its process died with exit code {worker.process.exitcode} (-9: perhaps out of memory)"
-            self._finish(worker.number, self.lost(self.items[worker.number], reason))
-            return
-        worker = self._workers[pipe]
-        self._steps += steps - worker.steps
-        worker.steps = steps
-        if result:
-            self._finish(worker.number, result[0])
-            self._assign(pipe)
+            pipe.close()
+            process.join()
+            reason = f"its process died with exit code {process.exitcode} (-9: perhaps out of memory)"
+            result = self.lost(self.items[number], reason)
         else:
-            self.progress(self._done, self._steps)
+            self._assign(pipe, process)
+        self._finish(number, result)
 
     def _finish(self, number: int, result: Result | _Raised) -> None:
         self._results[number] = result
         self._done += 1
-        self.progress(self._done, self._steps)
+        self.progress(self._done)
 
 
-def _without_watch(work: Callable[[Item], Result], item: Item, _watch: Watch) -> Result:
+def _send(pipe: Pipe, item: object) -> None:
+    with suppress(OSError):  # the worker died: its pipe reports that
+        pipe.send(item)
+
+
+def _without_stop(work: Callable[[Item], Result], item: Item, _stopped: Stopped) -> Result:
     return work(item)
 
 
@@ -215,31 +184,22 @@ def _raise_lost(_item: object, reason: str) -> Never:
     raise SlipflowError(f"an item was lost: {reason}; use fewer jobs")
 
 
-def _serve(work: Callable[[Any, Watch], Any], pipe: Pipe) -> None:
+def _serve(work: Callable[[Any, Stopped], Any], pipe: Pipe) -> None:
     """Run in a worker: process items until the pipe closes or the parent requests a stop."""
-    steps, reported, stopping = 0, monotonic(), False
+    stopping = False
 
-    def watch(now: int) -> bool:
-        nonlocal steps, reported, stopping
-        steps = now
-        if monotonic() - reported >= _REPORT_INTERVAL and not stopping:
-            reported = monotonic()
-            with suppress(OSError):  # the parent died: seen below
-                pipe.send((steps, []))
-        if (
-            not stopping and pipe.poll()
-        ):  # during an item only a request to stop, or the end of the pipe, can arrive
-            stopping = True
+    def stopped() -> bool:
+        nonlocal stopping
+        stopping = stopping or pipe.poll()  # during an item only a request to stop or the pipe's end can arrive
         return stopping
 
     with suppress(EOFError, OSError):  # the parent closed the pipe
         while not stopping and (item := pipe.recv()) is not None:
-            steps = 0
             try:
-                result = work(item, watch)
+                result = work(item, stopped)
             except Exception as error:  # noqa: BLE001 - raised again in the parent
                 result = _Raised(error)
-            pipe.send((steps, [result]))
+            pipe.send(result)
 
 
 @contextmanager

@@ -96,7 +96,6 @@ class ReplayRunner:
         self._flow = replayed(flow, recording, paced=False)
         self.compiled = compile_flow(self._flow)
         self._recording, self._rows = recording, rows
-        self._stopping = False
         self._clock = EventClock(0)
         self.run = Run(
             session,
@@ -114,12 +113,10 @@ class ReplayRunner:
         for node in self._flow.sinks():
             self.run.sinks[node.name] = SinkStatus(records=cast("Sink[Any]", node.part).records)
 
-    def stop(self) -> None:
-        """End after the current slice; the run is marked as interrupted."""
-        self._stopping = True
+    async def execute(self, stopped: Callable[[Run], bool] = lambda _: False) -> Run:
+        """Run to the end of the recording, or until `stopped` returns True after a slice.
 
-    async def execute(self, progress: Callable[[Run], object] = lambda _: None) -> Run:
-        """Run to the end of the recording and call `progress` after each slice.
+        A run that was stopped is marked as interrupted.
 
         Raises:
             SlipflowError: if an operator, a sink or the recording fails; earlier output is committed.
@@ -149,8 +146,7 @@ class ReplayRunner:
                     status.late = sum(each.late for (node, _), each in filters.items() if node is entry[0])
                     self._clock.newest = max(self._clock.newest, status.newest)
                 await self._write(sinks, self.compiled.push(batches))
-                progress(self.run)
-                if self._stopping:
+                if stopped(self.run):
                     self.run.error = "was interrupted"
                     break
             await self._write(sinks, self.compiled.flush())

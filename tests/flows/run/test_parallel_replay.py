@@ -1,4 +1,5 @@
 import json
+from itertools import count
 from pathlib import Path
 from shutil import copytree
 
@@ -135,12 +136,12 @@ def test_a_flow_that_cannot_be_built_is_reported_before_any_replay(felt: str, fo
 
 
 def test_stopped_replays_are_committed_as_incomplete(felt: str, four: list[Path], tmp_path: Path) -> None:
-    rows = list[int]()
+    calls = count()
     replays = Replays(felt, {"out": str(tmp_path / "out")}, four, "again")
-    found = list(replays.run(1, stopped=lambda: bool(rows), progress=lambda _, taken: rows.append(taken)))
+    found = list(replays.run(1, stopped=lambda: next(calls) > 0))  # after the first slice
     assert [each.error for each in found] == ["was interrupted", *["was not started: interrupted"] * 3]
     assert found[0].summary
-    assert found[0].summary.rows_in == rows[0] > 0
+    assert found[0].summary.rows_in > 0
     [name] = session_names(tmp_path / "out")
     folder = session_folder(tmp_path / "out", name)
     about = json.loads((folder / "session.json").read_text())

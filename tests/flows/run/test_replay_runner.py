@@ -111,7 +111,12 @@ def test_a_replay_counts_rows_and_shows_event_time() -> None:
 def test_the_sources_of_a_replay_are_up_while_it_lasts() -> None:
     flow, _ = labelling()
     runner, seen = ReplayRunner(flow, recording(2), "x", rows=50), set[bool]()
-    run = asyncio.run(runner.execute(lambda run: seen.update(each.up for each in run.sources.values())))
+
+    def look(run: Run) -> bool:
+        seen.update(each.up for each in run.sources.values())
+        return False
+
+    run = asyncio.run(runner.execute(look))
     assert seen == {True}
     assert not any(source.up for source in run.sources.values())
 
@@ -165,7 +170,7 @@ def test_a_failing_sink_ends_a_replay_and_is_closed() -> None:
 def test_a_stopped_replay_commits_its_output_and_is_marked() -> None:
     flow, sink = labelling()
     runner = ReplayRunner(flow, recording(), "x", rows=100)
-    run = asyncio.run(runner.execute(lambda _: runner.stop()))
+    run = asyncio.run(runner.execute(lambda _: True))
     assert run.error == "was interrupted"
     assert run.sources["touch"].rows < 101
     assert 0 < len(sink.rows(Labelled, 0)) <= run.sources["touch"].rows
