@@ -61,14 +61,9 @@ async def execute(
         log_replay_destinations(flow)
     session = session_name(flow)
     if recording is not None and pace is None:
-        replay, show = ReplayRunner(flow, recording, session), _replay_status(recording)
+        replay = ReplayRunner(flow, recording, session)
         with stopping() as stopped, logged(replay.run):
-
-            def show_or_stop(run: Run) -> bool:
-                show(run)
-                return stopped()
-
-            return await replay.execute(show_or_stop)
+            return await replay.execute(_replay_status(recording, stopped))
     clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
     flow = flow if recording is None else replayed(flow, recording)
     live = LiveRunner(flow, session, clock=clock, duration=limit, signals=False)
@@ -98,8 +93,8 @@ def report_run(run: "Run", *, replayed: Path | None, seconds: float, log: Format
         raise typer.Exit(1)
 
 
-def _replay_status(recording: "Recording") -> "Callable[[Run], None]":
-    """Return a callback that shows the progress of a replay if stderr is a terminal."""
+def _replay_status(recording: "Recording", stopped: "Callable[[], bool]") -> "Callable[[Run], bool]":
+    """Return a callback that shows the progress of a replay if stderr is a terminal, and stops it."""
     from rich.console import Console
     from rich.status import Status
 
@@ -107,8 +102,9 @@ def _replay_status(recording: "Recording") -> "Callable[[Run], None]":
     if sys.stderr.isatty():
         status.start()
 
-    def show(run: "Run") -> None:
+    def show(run: "Run") -> bool:
         rows = sum(source.rows for source in run.sources.values())
         status.update(f"replaying {recording.name}: {(run.clock.now() - run.start) / 1e9:.1f} s, {rows} rows")
+        return stopped()
 
     return show

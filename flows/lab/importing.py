@@ -116,8 +116,12 @@ class TraceImport:
             ParameterError: if the session's name is not a valid file name.
             InputError: if the folder has files but is not a valid dataset.
         """
-        runner = ReplayRunner(self.flow(), self.trace, self.session)
-        return await runner.execute(lambda run: progress(run.sources["touch"].rows))
+
+        def report(run: Run) -> bool:
+            progress(run.sources["touch"].rows)
+            return False
+
+        return await ReplayRunner(self.flow(), self.trace, self.session).execute(report)
 
     def summary(self) -> dict[str, Any]:
         """Return the interpretation of the file as JSON data."""

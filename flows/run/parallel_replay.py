@@ -147,9 +147,7 @@ def _exclusive_sinks(flow: Flow) -> list[str]:
     return [node.name for node in flow.sinks() if isinstance(node.part, Sink) and not node.part.shared]
 
 
-def _replay(
-    target: str, settings: Mapping[str, str], task: tuple[Path, str], stopped: Stopped
-) -> Replayed:
+def _replay(target: str, settings: Mapping[str, str], task: tuple[Path, str], stopped: Stopped) -> Replayed:
     """Replay one recording; any error becomes part of the result."""
     path, session = task
     runner, printed, error = None, StringIO(), ""

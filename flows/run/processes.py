@@ -1,6 +1,7 @@
 """Process pool: results are in order, a process that dies loses only its item, workers end with their parent.
 
-Parent and worker share one pipe. The worker receives items one by one and sends one result per item. It ends when its end of the pipe closes, which also happens when the parent is killed.
+Parent and worker share one pipe. The worker receives items one by one and sends one result per item. It ends
+when its end of the pipe closes, which also happens when the parent is killed.
 """
 
 import os
@@ -190,7 +191,9 @@ def _serve(work: Callable[[Any, Stopped], Any], pipe: Pipe) -> None:
 
     def stopped() -> bool:
         nonlocal stopping
-        stopping = stopping or pipe.poll()  # during an item only a request to stop or the pipe's end can arrive
+        stopping = (
+            stopping or pipe.poll()
+        )  # during an item only a request to stop or the pipe's end can arrive
         return stopping
 
     with suppress(EOFError, OSError):  # the parent closed the pipe

@@ -21,6 +21,7 @@ from operators import (
     Label,
     Labelled,
     Motion,
+    Run,
     Touch,
     Zero,
     ms,
