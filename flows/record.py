@@ -4,6 +4,7 @@ from connectors import SimulatedRig
 from flows.graph import Flow, Stream
 from flows.graph.quantity import Duration, Speed
 from operators import Align, Label, Zero, Zeroed, ms
+from operators.checks import check_at_least
 from storage import Dataset
 
 ARM_LATENCY = 70 * ms  # ns, lag of the simulated arm velocity behind the touch
@@ -19,7 +20,11 @@ def record(
         seed: Random seed of the simulation.
         speed: Arm speed above which a sample is slip.
         delay: Lag of the arm's velocity relative to the touch.
+
+    Raises:
+        ParameterError: if the delay is below 0.
     """
+    check_at_least("record", "delay", delay, 0, "ns")
     flow = Flow("record")
     declare_recording(flow, SimulatedRig(seed=seed), Label(speed=speed, delay=delay), Dataset(out))
     return flow

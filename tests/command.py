@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-SLIPFLOW: Final = (sys.executable, "-c", "from flows.cli.main import main; main()")
+SLIPFLOW: Final = (sys.executable, "-m", "flows.cli")
 
 
 def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from connectors.files.csv_columns import COUNTS, LABEL, SPEED, TIME, VELOCITY, ColumnMap
 from operators.batch import EVERY, SLIP, UNKNOWN, Batch, Codes, Flags, Motion, Reals, Touch, Zeroed, s
+from operators.checks import check_between
 from operators.errors import InputError, ParameterError
 from operators.ports import Description, Json
 
@@ -44,7 +45,7 @@ class CsvTrace:
 
     Raises:
         InputError: if the file cannot be read or has an invalid value; it names line and column.
-        ParameterError: on an invalid rate.
+        ParameterError: on an invalid rate or fingertip.
     """
 
     columns: ColumnMap
@@ -63,6 +64,7 @@ class CsvTrace:
     ) -> None:
         if rate is not None and not 0 < rate <= s:
             raise ParameterError("CsvTrace", "rate", rate, f"above 0 and at most {s:.0e} Hz")
+        check_between("CsvTrace", "finger", finger, 0, _INT16.max)
         self._path = path
         from connectors.files.csv_table import CsvTable  # noqa: PLC0415 - polars is slow to import
 

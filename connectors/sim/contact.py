@@ -33,30 +33,20 @@ Steps are semi-implicit (symplectic) Euler. Frame rotation terms (m O w < 0.02 N
 """
 
 import math
-from collections.abc import Callable
-from typing import Any, Final, NamedTuple, TypeVar, cast
+from typing import Final, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from operators.batch import Reals, Times
+from operators.compilation import compile_function
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 TINY: Final = 1e-300  # m, so that a bristle at rest has a direction
 
 
-def compiled(function: Function) -> Function:
-    """Compile a function without the GIL and cache the machine code on disk."""
-    return cast("Function", njit(cache=True, nogil=True, error_model="numpy")(function))
-
-
-def vectorized(function: Function) -> Function:
-    """Compile a function inline, with sums in any order so that they run on vector units."""
-    relaxed = {"reassoc", "nsz", "nnan"}
-    return cast(
-        "Function",
-        njit(cache=True, nogil=True, error_model="numpy", forceinline=True, fastmath=relaxed)(function),
-    )
+compiled = compile_function()
+vectorized = compile_function(  # inline, with sums in any order so that they run on vector units
+    forceinline=True, fastmath={"reassoc", "nsz", "nnan"}
+)
 
 
 class ContactModel(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 
 from connectors.sim.scene import Move, Scene, Timing
 from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Episodes, Motion, Touch, Truth, s
-from operators.checks import check_above
+from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 from operators.ports import Clock, Description, Source
 
@@ -32,7 +32,7 @@ class SimulatedRig:
         fingers: Fingertips that share one motion, each with its own noise and cells.
 
     Raises:
-        ParameterError: if the pace is not above 0, or there is no fingertip.
+        ParameterError: if the pace is not above 0, the seed is below 0, or there is no fingertip.
 
     >>> rig = SimulatedRig(seed=1)
     >>> rig.touch.kind.__name__, rig.motion.kind.__name__, rig.touch.fingers
@@ -43,6 +43,7 @@ class SimulatedRig:
         self, scene: Scene | None = None, seed: int = 0, *, pace: float = 1.0, fingers: tuple[int, ...] = (0,)
     ) -> None:
         check_above("SimulatedRig", "pace", pace, 0)
+        check_at_least("SimulatedRig", "seed", seed, 0)
         if not fingers:
             raise ParameterError("SimulatedRig", "fingers", fingers, "at least one fingertip")
         self.scene = scene if scene is not None else Scene()

@@ -2,10 +2,8 @@
 
 import asyncio
 import json
-import logging
 import os
 import signal
-import sys
 from contextlib import AsyncExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from flows.cli.event_log import begin_log
 from flows.cli.options import AsJson
 from flows.cli.terminal import note
 
@@ -108,7 +107,7 @@ def collect(
         chosen = _on_virtual_lab(chosen)
     with suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # else it ends the process before and after the strokes
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    begin_log()
     if dry_run:
         _print_path(chosen, robot, seed, virtual=virtual, as_json=as_json)
     else:

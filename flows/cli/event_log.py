@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from operators.ports import Json, Run, SinkStatus, SourceStatus
 
 _SECRET: Final = re.compile(r"""(?<=://)[^/\s"'@]+(?=@)|(?<=[?&]token=)[^&\s"']+""")  # in URLs
+_REPEAT_AFTER: Final = 10.0  # s
 
 log = logging.getLogger("slipflow")
 
@@ -73,15 +74,33 @@ class PipeHandler(logging.StreamHandler[TextIO]):
             super().handleError(record)
 
 
-def begin_log(form: Format, stream: TextIO | None = None) -> None:
+class RepeatFilter:
+    """Filter of log records that passes records with the same first line at most once in 10 s."""
+
+    def __init__(self) -> None:
+        self._passed: dict[str, float] = {}  # time (s) of the newest record that passed, by first line
+
+    def __call__(self, record: logging.LogRecord) -> bool:
+        """Return True to pass a record; an event of a run always passes."""
+        if hasattr(record, "event"):
+            return True
+        self._passed = {
+            line: time for line, time in self._passed.items() if record.created - time < _REPEAT_AFTER
+        }
+        first = record.getMessage().partition("\n")[0]
+        return self._passed.setdefault(first, record.created) == record.created
+
+
+def begin_log(form: Format = Format.TEXT, stream: TextIO | None = None) -> None:
     """Send log records to stderr as text, or to `stream` (default stdout) as JSON."""
-    if form is Format.TEXT:
-        logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
-        return
-    handler = PipeHandler(stream or sys.stdout)
-    handler.setFormatter(JsonFormatter())
+    handler: logging.Handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
+    if form is Format.JSON:
+        handler = PipeHandler(stream or sys.stdout)
+        handler.setFormatter(JsonFormatter())
+        log.setLevel(logging.INFO)
+    handler.addFilter(RepeatFilter())
     logging.basicConfig(handlers=[handler])
-    log.setLevel(logging.INFO)
 
 
 def with_json_console(flow: "Flow") -> "Flow":

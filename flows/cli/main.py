@@ -1,7 +1,10 @@
 """The command line: `slipflow`."""
 
+import errno
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from types import MappingProxyType
 from typing import Annotated, Final
 
@@ -38,6 +41,7 @@ _PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
         "Data": (verify, recover, import_, export, simulate),
     }
 )
+_OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
 _debug = False
 
 
@@ -64,28 +68,51 @@ def _options(
 def main() -> None:
     """Run the command line; an error that the user can fix is one line and exit code 2."""
     try:
-        sys.exit(app(standalone_mode=False, prog_name="slipflow"))
-    except typer.TyperException as error:
-        if _debug:
-            raise
-        typer.echo(usage_error(error), err=True)
-        sys.exit(2)
-    except OSError as error:
-        if _debug or error.filename is None:
-            raise
-        from operators.errors import os_error_reason
-
-        typer.echo(f"error: {error.filename}: {os_error_reason(error)}", err=True)
-        sys.exit(2)
-    except Exception as error:
-        from operators.errors import SlipflowError
-
-        if _debug or not isinstance(error, SlipflowError):
-            raise
-        typer.echo(f"error: {error}", err=True)
-        sys.exit(2)
+        code = app(standalone_mode=False, prog_name="slipflow")
+        if sys.stdout:
+            sys.stdout.flush()
     except KeyboardInterrupt:
-        sys.exit(130)
+        code = 130
+    except Exception as error:
+        code, text = _explanation(error)
+        if _debug or not code:
+            raise
+        if text:
+            with suppress(OSError):
+                typer.echo(text, err=True)
+    _close_output()
+    sys.exit(code)
+
+
+def _explanation(error: Exception) -> tuple[int, str]:
+    """Return the exit code and the line that explain an error to the user; 0 for an error in slipflow."""
+    from operators.errors import SlipflowError, os_error_reason
+
+    if isinstance(error, typer.Abort) or _interrupted(error):
+        return 130, ""
+    if isinstance(error, typer.TyperException):
+        return 2, usage_error(error)
+    if isinstance(error, BrokenPipeError):  # `slipflow ... | head`
+        return 1, ""
+    if isinstance(error, SlipflowError) or (type(error) is RuntimeError and "Symlink loop" in str(error)):
+        return 2, f"error: {error}"
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in _OUTPUT_ERRORS):
+        return 2, f"error: {error.filename or 'standard output'}: {os_error_reason(error)}"
+    return 0, ""
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Return True if Ctrl-C caused an error, such as an ImportError of an extension that it interrupted."""
+    return error is not None and (isinstance(error, KeyboardInterrupt) or _interrupted(error.__context__))
+
+
+def _close_output() -> None:
+    """Discard output that cannot be written, so that Python does not try again at exit."""
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        try:
+            stream.flush()
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 for panel, commands in _PANELS.items():

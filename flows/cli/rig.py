@@ -1,12 +1,12 @@
 """The command `slipflow rig`."""
 
 import asyncio
-import logging
 import sys
 from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
+from flows.cli.event_log import begin_log
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def rig(
     from flows.graph.quantity import parse_time
     from operators.checks import check_choice
 
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    begin_log()
     check_choice("rig", "--surface", surface, get_args(Curvature))
     seconds = None if duration is None else parse_time("rig", "--for", duration) / 1e9
     ports, port = Ports(rtde, script, dashboard), None if gripper < 0 else gripper

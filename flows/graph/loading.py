@@ -39,7 +39,7 @@ class Declaration:
 
         Raises:
             ParameterError: if a setting does not have the type of its parameter.
-            InputError: if a setting names no parameter, or the code of the file fails.
+            InputError: if a setting names no parameter, the code of the file fails, or it returns no `Flow`.
         """
         values: dict[str, object] = {}
         for name, text in (settings or {}).items():
@@ -47,7 +47,11 @@ class Declaration:
                 raise InputError(self.name, f"has no parameter {name!r}; {self._suggestion(name)}")
             values[name] = self.parameters[name].value(self.name, text)
         with _errors_of(self.file):
-            return self.build(**values)
+            flow: object = self.build(**values)
+        if not isinstance(flow, Flow):
+            reason = f"flow {self.name!r} must return a Flow, but returned {type(flow).__name__}"
+            raise InputError(str(self.file), reason)
+        return flow
 
     def _suggestion(self, name: str) -> str:
         if not self.parameters:
@@ -133,8 +137,9 @@ def _errors_of(file: Path) -> Generator[None]:
         raise
     except SyntaxError as error:
         raise InputError(f"{error.filename or file}:{error.lineno}", error.msg) from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
         lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
         where = f"{file}:{lines[-1]}" if lines else str(file)
-        raise InputError(where, f"{type(error).__name__}: {error}") from error
+        reason = "calls sys.exit" if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
+        raise InputError(where, reason) from error

@@ -10,22 +10,18 @@ The result of a sample depends neither on the number of samples nor on the numbe
 """
 
 import math
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
 from operators.batch import BAROMETERS, Counts, Reals, Times
 from operators.checks import check_at_least
+from operators.compilation import compile_function
 from operators.detectors.causal_layer import CausalLayer
 from operators.detectors.weights import Floats
 from operators.errors import ParameterError
-
-if TYPE_CHECKING:
-    from numba.core.typing.templates import Signature
-
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 _TAPS, _CHANNELS, _DILATION, _RINGS, _KERNEL, _SKIP = range(6)  # columns of the table of layers
 _SIGNATURES: Final = [
@@ -41,14 +37,10 @@ _SIGNATURES: Final = [
 ]
 
 
-def _compiled(signatures: "list[Signature] | None" = None) -> Callable[[Function], Function]:
-    """Return a decorator that compiles to cached machine code, without the GIL and with vectorised sums."""
-    sums = {"reassoc", "contract", "nsz"}
-    decorate = njit(signatures, cache=True, nogil=True, error_model="numpy", fastmath=sums)
-    return cast("Callable[[Function], Function]", decorate)
+_VECTORIZED: Final = {"reassoc", "contract", "nsz"}  # sums in any order
 
 
-@_compiled()
+@compile_function(fastmath=_VECTORIZED)
 def _slot(layers: Times, layer: int, time: int) -> int:
     """Return the memory slot of a layer's input at a time; its copy is taps * channels later."""
     taps, dilation = layers[layer, _TAPS], layers[layer, _DILATION]
@@ -57,7 +49,7 @@ def _slot(layers: Times, layer: int, time: int) -> int:
     return index
 
 
-@_compiled()
+@compile_function(fastmath=_VECTORIZED)
 def _product(row: Floats, run: Floats) -> np.float32:
     """Return the dot product; faster than np.dot, whose BLAS call takes longer than the sum."""
     value = np.float32(0)
@@ -66,7 +58,7 @@ def _product(row: Floats, run: Floats) -> np.float32:
     return value
 
 
-@_compiled(_SIGNATURES)  # compile at import, before the first sample
+@compile_function(_SIGNATURES, fastmath=_VECTORIZED)  # compile at import, before the first sample
 def advance(  # noqa: PLR0917 - a compiled function takes no keywords
     counts: Counts | Reals, probability: Reals, memory: Floats, seen: int, weights: Floats, layers: Times
 ) -> bool:

@@ -14,7 +14,7 @@ from typing import Final
 PATIENCE: Final = 60.0  # s, for anything that a process must do
 PAUSE: Final = 0.1  # s, before what ended by itself is started again
 ROOT: Final = Path(__file__).parents[2]
-SLIPFLOW: Final = ("-c", "from flows.cli.main import main; main()")
+SLIPFLOW: Final = ("-m", "flows.cli")
 
 
 class Child:

@@ -18,7 +18,7 @@ from flows.record import record
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from flows.run.replay_runner import ReplayRunner, first_time, replayed
-from operators import Debounce, Run, Score, Slips, Touch, Zero, s
+from operators import Debounce, ParameterError, Run, Score, Slips, Touch, Zero, s
 from storage import Session, load_detector
 
 MAT = Path(__file__).parents[3] / "shared" / "real" / "mat_trace.csv"
@@ -104,3 +104,10 @@ def test_the_real_trace_gives_the_same_events_live_paced_and_at_full_speed(detec
     assert len(full) > 0
     for column in ("time", "state", "start", "probability"):
         assert getattr(full, column).tobytes() == getattr(paced, column).tobytes()
+
+
+def test_a_negative_delay_or_seed_is_rejected(tmp_path: Path) -> None:
+    with pytest.raises(ParameterError, match="record: delay is -1, must be at least 0 ns"):
+        record(str(tmp_path), delay=-1)
+    with pytest.raises(ParameterError, match="SimulatedRig: seed is -5, must be at least 0"):
+        live(seed=-5)

@@ -344,3 +344,9 @@ def test_the_real_trace_is_read_whole() -> None:
     assert (len(trace.touch), trace.kind, trace.touch.time[0]) == (377, Zeroed, 6_569_355_000)
     assert set(trace.labels.tolist()) == {0, 1}
     assert trace.touch.counts[0].tolist() == [-10, -142, -475, -167, -3, -2]
+
+
+@pytest.mark.parametrize("finger", [-1, 32768, 99_999_999])
+def test_a_fingertip_that_cannot_be_stored_is_rejected(tmp_path: Path, finger: int) -> None:
+    with pytest.raises(ParameterError, match=f"finger is {finger}, must be from 0 to 32767"):
+        CsvTrace(tmp_path / "trace.csv", finger=finger)

@@ -51,6 +51,25 @@ def test_a_usage_error_names_the_help_to_read() -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("run live --fr 5s", "no such option: --fr. Did you mean --for? See slipflow run --help"),
+        ("run", "missing argument 'FILE[:FLOW]'. See slipflow run --help"),
+        (
+            "run live --log xml",
+            "invalid value for '--log': 'xml' is not one of 'text', 'json'. See slipflow run",
+        ),
+        ("rum live", "no such command 'rum'. Did you mean 'run'? See slipflow --help"),
+        ("experiment lit", "no such command 'lit'. Did you mean 'lift'? See slipflow experiment --help"),
+        ("demo --seed x", "invalid value for '--seed': must be a valid integer. See slipflow demo --help"),
+        ("simulate", "missing argument 'OUT'. See slipflow simulate --help"),
+    ],
+)
+def test_wrong_usage_is_one_line_with_the_fix(words: str, line: str) -> None:
+    assert usage(*words.split()).startswith(f"error: {line}")
+
+
 def test_a_number_out_of_range_is_reported_without_the_validators_words() -> None:
     line = usage("run", "live", "--pace", "0")
     assert line == (

@@ -23,7 +23,7 @@ SCHEMA = json.loads((Path(__file__).parents[3] / "connectors" / "slip-event.sche
 def demo_with_broker(broker: str | None) -> list[str]:
     """Return the command for a machine with this broker, or none."""
     found = f"from flows.cli import demo_summary; demo_summary.local_broker = lambda: {broker!r}"
-    return [sys.executable, "-c", f"{found}; {SLIPFLOW[-1]}", "demo"]
+    return [sys.executable, "-c", f"{found}; from flows.cli.main import main; main()", "demo"]
 
 
 def summary(output: str) -> dict[str, Any]:

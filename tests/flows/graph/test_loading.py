@@ -1,3 +1,4 @@
+import re
 from pathlib import Path
 
 import pytest
@@ -124,3 +125,21 @@ def test_an_error_while_building_names_the_line_of_the_flow_file(tmp_path: Path)
     code = "from flows.graph import Flow\ndef f() -> Flow:\n    return undefined\n"
     with pytest.raises(InputError, match=r"mine\.py:3: NameError"):
         load(_file(tmp_path, code)).flow()
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        ("return 5", "mine.py: flow 'f' must return a Flow, but returned int"),
+        ("import sys; sys.exit(3)", "mine.py:3: calls sys.exit"),
+    ],
+)
+def test_a_function_that_returns_no_flow_is_an_error(tmp_path: Path, body: str, message: str) -> None:
+    code = f"from flows.graph import Flow\ndef f() -> Flow:\n    {body}\n"
+    with pytest.raises(InputError, match=f"{re.escape(message)}$"):
+        load(_file(tmp_path, code)).flow()
+
+
+def test_sys_exit_in_a_flow_file_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"mine\.py:2: calls sys\.exit$"):
+        load(_file(tmp_path, "import sys\nsys.exit()\n"))

@@ -1,0 +1,17 @@
+"""Entry point of `slipflow`, also as `python -m flows.cli`."""
+
+import os
+import signal
+
+
+def main() -> None:
+    """Import the command line and run it; Ctrl-C during the import ends the process with exit code 130."""
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+    from flows.cli.main import main as run
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    run()
+
+
+if __name__ == "__main__":
+    main()

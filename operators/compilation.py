@@ -1,0 +1,27 @@
+"""Compilation of functions with numba; machine code is cached on disk where that is possible."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compile_function(signatures: Any = None, **options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - numba's
+    """Return a decorator that compiles without the GIL; `options` are those of `numba.njit`.
+
+    Without signatures a function is compiled on its first call, else when it is defined. If neither the
+    folder of the code nor a cache folder of the user can be written, each process compiles it again.
+    """
+
+    def decorate(function: Function) -> Function:
+        try:
+            result = njit(signatures, cache=True, nogil=True, error_model="numpy", **options)(function)
+        except RuntimeError as error:
+            if "no locator available" not in str(error):
+                raise
+            result = njit(signatures, nogil=True, error_model="numpy", **options)(function)
+        return cast("Function", result)
+
+    return decorate
