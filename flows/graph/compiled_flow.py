@@ -1,4 +1,4 @@
-"""Compilation of a flow: one new operator per node and fingertip, in topological order."""
+"""Compilation of a flow: one new operator per node and fingertip, in the order of declaration."""
 
 import pickle
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -95,7 +95,7 @@ class CompiledFlow:
 
     Attributes:
         entries: Source nodes with their fingertips.
-        operator_stages: Operators and joins, one per fingertip, in topological order.
+        operator_stages: Operators and joins, one per fingertip, in the order of declaration.
         sink_types: Batch types that each sink can receive, by its destination.
 
     Raises:
@@ -111,14 +111,14 @@ class CompiledFlow:
             node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
             for node in flow.nodes
         }
-        for node in _topological_order(flow):
-            if isinstance(node.part, Sink):
-                for parent in node.inputs:
-                    for finger in fingers[parent]:
-                        self._stages[self._stage_of[parent, finger]].sinks.append(node)
-            else:
+        for node in flow.nodes:  # declared after its inputs, unless it is a sink
+            if not isinstance(node.part, Sink):
                 for finger in fingers[node]:
                     self._add_stage(node, finger)
+        for node in flow.sinks():
+            for parent in node.inputs:
+                for finger in fingers[parent]:
+                    self._stages[self._stage_of[parent, finger]].sinks.append(node)
         self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
         self.sink_types = {
             node.part.destination: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
@@ -233,17 +233,3 @@ class CompiledFlow:
                 reached.add(stage.index)
                 stages.append(stage)
         return stages
-
-
-def _topological_order(flow: Flow) -> list[Node]:
-    ordered: dict[Node, None] = {}
-
-    def visit(node: Node) -> None:
-        if node not in ordered:
-            for parent in node.inputs:
-                visit(parent)
-            ordered[node] = None
-
-    for node in flow.nodes:
-        visit(node)
-    return list(ordered)

@@ -35,7 +35,6 @@ def problems(flow: Flow) -> list[FlowError]:
         *_no_source(flow),
         *_foreign_nodes(flow),
         *_unconnected(flow),
-        *_cycles(flow),
         *_shared_parts(flow),
         *_shared_state(flow),
     ]
@@ -72,23 +71,6 @@ def _unconnected(flow: Flow) -> Iterator[FlowError]:
                 f"{node.name} -> ?",
                 f"its stream of {kind} is unconnected: connect it to a sink with .to(...)",
             )
-
-
-def _cycles(flow: Flow) -> Iterator[FlowError]:
-    done: set[Node] = set()
-
-    def visit(node: Node, path: list[Node]) -> Iterator[FlowError]:
-        if node in path:
-            cycle = [*path[path.index(node) :], node]
-            names = " -> ".join(n.name for n in reversed(cycle))
-            yield FlowError(flow.name, names, "is a cycle: remove one of these edges")
-        elif node not in done:
-            for parent in node.inputs:
-                yield from visit(parent, [*path, node])
-            done.add(node)
-
-    for node in flow.nodes:
-        yield from visit(node, [])
 
 
 def _shared_parts(flow: Flow) -> Iterator[FlowError]:

@@ -9,13 +9,13 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node
-from flows.run import log_events
 from flows.run.clocks import STEP, LoopClock
+from flows.run.log_events import reason_of, warn
 from flows.run.replay_runner import replayed_recording
 from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
 from flows.run.stop_signals import signals_to
-from operators.batch import Batch, ms
+from operators.batch import Batch, ms, s
 from operators.ports import Clock, ClockStep, Run, Sink, Source, SourceStatus
 
 CHECK_INTERVAL: Final = 1.0  # s, between two checks of the host's clock and of silent sources
@@ -113,7 +113,7 @@ class LiveRunner:
                 await self._read_all()
                 await self._deliver(self.compiled.flush())
             except Exception as error:
-                self.run.error = log_events.reason_of(error)
+                self.run.error = reason_of(error)
                 raise
             finally:
                 await self._end_sinks(writers)
@@ -179,13 +179,9 @@ class LiveRunner:
                 _, waiting = await asyncio.wait(waiting, timeout=REPORT_INTERVAL)
                 if not waiting:
                     break
-                log_events.sinks_awaited(
-                    {
-                        queue.name: (queue.status.queued, queue.sink.pending)
-                        for queue, writer in zip(self._queues.values(), writers, strict=True)
-                        if writer in waiting
-                    }
-                )
+                late = [q for q, w in zip(self._queues.values(), writers, strict=True) if w in waiting]
+                text = f"waiting for {'; '.join(q.backlog for q in late)}; a second signal drops them"
+                warn("sinks_awaited", text, sinks=[q.name for q in late])
         finally:
             for error in await _cancelled(writers):
                 raise error
@@ -249,7 +245,8 @@ class LiveRunner:
         known = self.run.clock_steps[-1].offset if self.run.clock_steps else 0
         if offset is not None and abs(offset - known) >= STEP:
             self.run.clock_steps.append(ClockStep(self.clock.now(), offset))
-            log_events.clock_set(offset, known)
+            step = f"the host's clock stepped by {(offset - known) / s:+.3f} s"
+            warn("clock_set", f"{step}; time stamps are not affected", offset_ns=offset)
 
 
 async def _cancelled(tasks: Sequence[asyncio.Task[Any]]) -> list[Exception]:

@@ -11,8 +11,8 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, Part
-from flows.run import log_events
 from flows.run.clocks import EventClock
+from flows.run.log_events import warn
 from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.operator import LateRowFilter
@@ -62,7 +62,8 @@ def log_replay_destinations(flow: Flow) -> None:
     for node in flow.sinks():
         sink = cast("Sink[Any]", node.part)
         if sink.replay_destination != sink.destination:
-            log_events.replay_destination(node.name, sink.replay_destination)
+            text = f"{node.name}: the replay is written to {sink.replay_destination}"
+            warn("replay_destination", text, sink=node.name, destination=sink.replay_destination)
 
 
 class ReplayRunner:

@@ -6,7 +6,7 @@ from contextlib import suppress
 from math import inf
 from typing import Any, Final
 
-from flows.run import log_events
+from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch
 from operators.errors import EndpointError
@@ -38,6 +38,11 @@ class SinkQueue:
         self._write_start: float | None = None  # loop time, s; None: no write in progress
         self._dropped_before = 0  # rows, before the current failure
         self._task: asyncio.Task[None] | None = None
+
+    @property
+    def backlog(self) -> str:
+        """Text about the rows that the sink has not stored yet."""
+        return f"{self.name} ({self.status.queued} batches queued, {self.sink.pending} rows not stored)"
 
     def try_put(self, batch: Batch) -> bool:
         """Queue or drop a batch by the sink's policy; return False if the caller must wait for room."""
@@ -137,14 +142,16 @@ class SinkQueue:
     def _wrote(self, batch: Batch) -> None:
         """Count a written batch; log if the sink works again."""
         if self.status.error:
-            log_events.sink_restored(self.name, self.status.dropped - self._dropped_before)
+            dropped = self.status.dropped - self._dropped_before
+            lost = f"; {dropped} rows were dropped" if dropped else ""
+            warn("sink_restored", f"{self.name} works again{lost}", sink=self.name, dropped=dropped)
             self.status.error = ""
         self.status.rows += len(batch)
 
     def _drop(self, batch: Batch) -> None:
         """Count the rows of a dropped batch; log it once per failure."""
         if self.status.error and self.status.dropped == self._dropped_before:
-            log_events.sink_drops(self.name)
+            warn("sink_drops", f"{self.name} drops rows until it works again", sink=self.name)
         self.status.dropped += len(batch)
 
     def _drop_waiting(self) -> None:
@@ -163,9 +170,9 @@ class SinkQueue:
         return stuck
 
     def _failed(self, error: Exception) -> None:
-        reason = log_events.reason_of(error)
+        reason = reason_of(error)
         if not self.status.error:
-            log_events.sink_failed(self.name, reason)
+            warn("sink_failed", f"{self.name} failed: {reason}", sink=self.name, reason=reason)
             self._dropped_before = self.status.dropped
         self.status.error = reason
         self.status.failures += 1

@@ -3,9 +3,10 @@
 import asyncio
 from collections import defaultdict
 from collections.abc import AsyncGenerator
+from dataclasses import asdict
 from typing import Any, cast
 
-from flows.run import log_events
+from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
@@ -50,8 +51,8 @@ class SourceReader:
                         if not len(self._checked(batch)):
                             continue
                         if self._gap_start:
-                            self._end_gap()
-                            log_events.source_restarted(self.name, self.status.gaps[-1])
+                            gap = asdict(self._end_gap())
+                            warn("source_restarted", f"{self.name} works again", source=self.name, gap=gap)
                             retry.reset()
                         self._count(batch)
                         yield batch
@@ -59,7 +60,7 @@ class SourceReader:
                     if isinstance(error, SlipflowError) and not isinstance(error, EndpointError):
                         self.status.error = str(error)
                         raise  # it would fail again
-                    self._failed(log_events.reason_of(error))
+                    self._failed(reason_of(error))
                 else:
                     return
                 finally:
@@ -110,12 +111,14 @@ class SourceReader:
 
     def _failed(self, reason: str) -> None:
         if self.status.stale or not self.status.error:
-            log_events.source_failed(self.name, reason)
+            text = f"{self.name} failed, retrying: {reason}"
+            warn("source_failed", text, source=self.name, reason=reason)
         self.status.failures += 1
         self._begin_gap(reason, stale=False)
 
     def _is_silent(self, reason: str) -> None:
-        log_events.source_stale(self.name, reason)
+        text = f"{self.name} {reason}: check that it is connected and switched on"
+        warn("source_stale", text, source=self.name, reason=reason)
         self._begin_gap(reason, stale=True)
 
     def _begin_gap(self, reason: str, *, stale: bool) -> None:
@@ -123,7 +126,8 @@ class SourceReader:
         if not self._gap_start:
             self._gap_start, self._gap_reason = self.status.newest or self._run.start, reason
 
-    def _end_gap(self) -> None:
+    def _end_gap(self) -> Gap:
         gap = Gap(self._gap_start, self._run.clock.now(), self._gap_reason)
         self.status.gaps.append(gap)
         self._gap_start = 0
+        return gap

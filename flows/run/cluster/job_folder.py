@@ -20,7 +20,7 @@ from typing import Any, Final, Self
 from uuid import uuid4
 
 from flows.graph import Flow
-from flows.graph.loading import SHIPPED, Declaration, load
+from flows.graph.loading import Declaration, load
 from flows.run.cluster.assembly import JOBS, assemble
 from flows.run.cluster.work_units import ShareResult, WorkUnit
 from operators.errors import EndpointError, InputError, os_error_reason
@@ -52,18 +52,16 @@ class JobFolder:
         """
         datasets = {node.name: node.part.destination for node in flow.sinks() if isinstance(node.part, Sink)}
         path = Path(next(iter(datasets.values()))) / JOBS / job
-        folder, target = cls(path), f"{declaration.file.stem}:{declaration.name}"
+        folder = cls(path)
         try:
             for each in (folder.units, folder.results, path / "done", path / "flow"):
                 each.mkdir(parents=True)
-            if declaration.file.parent != SHIPPED:
-                target = f"flow/{declaration.file.name}:{declaration.name}"
-                copyfile(declaration.file, path / "flow" / declaration.file.name)
+            copyfile(declaration.file, path / "flow" / declaration.file.name)
             files.put_json(
                 path / _JOB,
                 {
                     "job": job,
-                    "target": target,
+                    "target": f"flow/{declaration.file.name}:{declaration.name}",
                     "settings": dict(settings),
                     "directory": str(Path.cwd()),
                     "datasets": datasets,
@@ -99,11 +97,9 @@ class JobFolder:
             SlipflowError: if it cannot be built.
         """
         about = self.about
-        target, directory = about["target"], Path(about["directory"])
-        if target.startswith("flow/"):
-            target = str(self.path / target)
+        directory = Path(about["directory"])
         with _LOADING, chdir(directory if directory.is_dir() else self.path):
-            return _load_once(target).flow(about["settings"])
+            return _load_once(str(self.path / about["target"])).flow(about["settings"])
 
     def add_units(self, name: str, units: Iterable[WorkUnit]) -> None:
         """Send work units to the cluster, as a file with this name.
@@ -124,7 +120,7 @@ class JobFolder:
         Raises:
             EndpointError: if a dataset cannot be written to; nothing is stored then.
         """
-        if self.error(share.session) == "":
+        if self.done().get(share.session) == "":
             return
         error = share.error
         if not error:
@@ -141,19 +137,14 @@ class JobFolder:
         with suppress(OSError):
             rmtree(self.results / share.session)
 
-    def error(self, session: str) -> str | None:
-        """Return the error of a session; empty: it is written; None: it is not done yet.
+    def done(self) -> dict[str, str]:
+        """Return the finished sessions with their errors; empty: no error.
 
         Raises:
-            InputError: if its file is damaged.
+            InputError: if a file is damaged.
         """
-        path = self.path / "done" / f"{session}.json"
-        return str(files.read_json(path)["error"]) if path.exists() else None
-
-    def done(self) -> dict[str, str]:
-        """Return the finished sessions with their errors; empty: no error."""
-        names = sorted(path.stem for path in (self.path / "done").glob("*.json"))
-        return {name: self.error(name) or "" for name in names}
+        names = sorted((self.path / "done").glob("*.json"))
+        return {path.stem: str(files.read_json(path)["error"]) for path in names}
 
     def remove(self) -> None:
         """Remove the folder, and the folder of all jobs if it is empty then."""

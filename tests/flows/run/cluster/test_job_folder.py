@@ -63,14 +63,6 @@ def test_relative_paths_refer_to_the_directory_where_the_job_began(
     assert folder.path == tmp_path / "out" / ".jobs" / "job"
 
 
-def test_a_shipped_flow_is_stored_by_name(tmp_path: Path) -> None:
-    declaration = load("relabel")
-    settings = {"out": str(tmp_path)}
-    folder = JobFolder.create("job", declaration, settings, declaration.flow(settings))
-    assert folder.about["target"] == "relabel:relabel"
-    assert folder.flow().name == "relabel"
-
-
 def test_a_file_of_units_appears_when_it_is_complete(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
     unit = WorkUnit("one", "/one", 0, 0, (0,), 0, 0, {}, ())
@@ -82,7 +74,7 @@ def test_a_file_of_units_appears_when_it_is_complete(file: Path, tmp_path: Path)
 def test_a_failure_is_noted_and_the_results_are_removed(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
     (folder.results / "one" / "0").mkdir(parents=True)
-    assert folder.error("one") is None
+    assert folder.done() == {}
     folder.finish(ShareResult("one", "/one", 0, 0, 0, None, "is damaged"))
     assert folder.done() == {"one": "is damaged"}
     assert not (folder.results / "one").exists()
