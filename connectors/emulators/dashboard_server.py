@@ -11,7 +11,7 @@ from connectors.emulators.ur_control_box import ControlBox, RuntimeState
 
 GREETING: Final = "Connected: Universal Robots Dashboard Server"
 FAREWELL: Final = "Disconnected"
-SERIAL_NUMBER: Final = "20195501234"
+SERIAL_NUMBER: Final = "20195501234"  # ur-rtde requires one
 
 
 def answer(box: ControlBox, line: str) -> str:
@@ -37,12 +37,8 @@ def _stop(box: ControlBox) -> str:
 
 
 def _unlock(box: ControlBox) -> str:
-    if box.unlock():
-        return "Protective stop releasing"
-    return (
-        "Cannot unlock protective stop until 5s after occurrence. "
-        "Always inspect cause of protective stop before unlocking"
-    )
+    box.unlock()
+    return "Protective stop releasing"
 
 
 def _state(box: ControlBox) -> str:
@@ -53,18 +49,13 @@ _COMMANDS: Final[Mapping[str, Callable[[ControlBox], str]]] = MappingProxyType(
     {
         "polyscopeversion": lambda box: f"URSoftware {box.version} (Jan 01 2022)",
         "get serial number": lambda _: SERIAL_NUMBER,
-        "get robot model": lambda _: "UR10",
         "is in remote control": lambda _: "true",
         "running": lambda box: f"Program running: {str(box.runtime_state == RuntimeState.PLAYING).lower()}",
         "programstate": _state,
-        "play": lambda box: "Starting program" if box.play() else "Failed to execute: play",
-        "pause": lambda box: "Pausing program" if box.pause() else "Failed to execute: pause",
         "stop": _stop,
         "robotmode": lambda box: f"Robotmode: {box.robot_mode.name}",
-        "safetymode": lambda box: f"Safetymode: {box.safety_mode.name}",
         "safetystatus": lambda box: f"Safetystatus: {box.safety_mode.name}",
         "unlock protective stop": _unlock,
-        "close safety popup": lambda _: "closing safety popup",
         "quit": lambda _: FAREWELL,
     }
 )

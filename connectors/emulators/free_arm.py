@@ -1,11 +1,24 @@
-"""Arm without contact that follows velocity commands."""
+"""Arms that follow velocity commands: the interface, and an arm without contact."""
 
 from math import inf
+from typing import Protocol
 
 import numpy as np
 
 from operators.batch import Commands, Reals, s
 from operators.rotation import compose
+
+
+class Arm(Protocol):
+    """An arm that follows commands, such as a `connectors.emulators.shared_scene.SharedScene`."""
+
+    def motion(self, time: int) -> tuple[Reals, Reals]:
+        """Return pose (6,) m, rad and velocity (6,) m/s, rad/s of the TCP at a host time (ns)."""
+        ...
+
+    def command(self, commands: Commands) -> None:
+        """Follow commands from their own times on."""
+        ...
 
 
 class FreeArm:

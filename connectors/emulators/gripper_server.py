@@ -4,7 +4,6 @@ import asyncio
 from collections.abc import Callable
 from contextlib import suppress
 from time import time_ns
-from types import TracebackType
 from typing import TYPE_CHECKING, Final, Self
 
 from connectors.emulators.gripper_mechanism import ForceReceiver, Mechanism, encode_status
@@ -26,7 +25,7 @@ IN_USE: Final = "cannot listen: end the program that uses the port, or give anot
 
 
 class GripperServer:
-    """Gripper that serves clients between `start` and `close`, or as a context manager.
+    """Gripper that serves clients in an `async with` block.
 
     Clients write the request from register 0 on (function 16) and read the status (function 4); other
     functions and other units are refused. Modbus has no authentication: if `host` is not a loopback address,
@@ -44,7 +43,7 @@ class GripperServer:
 
     Attributes:
         mechanism: Emulated mechanism.
-        port: Actual port, once started.
+        port: Actual port inside the block.
 
     Raises:
         ParameterError: if the unit is not from 0 to 255.
@@ -70,7 +69,7 @@ class GripperServer:
         self._server: ModbusTcpServer | None = None
         self._running: asyncio.Task[None] | None = None
 
-    async def start(self) -> None:
+    async def __aenter__(self) -> Self:
         """Listen, and start the mechanism.
 
         Raises:
@@ -94,8 +93,9 @@ class GripperServer:
         if isinstance(server.transport, asyncio.Server):
             self.port = server.transport.sockets[0].getsockname()[1]
         self._running = asyncio.create_task(self._run())
+        return self
 
-    async def close(self) -> None:
+    async def __aexit__(self, *_: object) -> None:
         """Close all connections and stop listening."""
         if self._running:
             self._running.cancel()
@@ -105,15 +105,6 @@ class GripperServer:
             self._server.close()
             await asyncio.sleep(0)  # lets the sockets close
         self._server = self._running = None
-
-    async def __aenter__(self) -> Self:
-        await self.start()
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
 
     async def _run(self) -> None:
         while True:

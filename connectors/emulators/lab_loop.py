@@ -3,6 +3,7 @@
 import asyncio
 import selectors
 from collections.abc import Callable, Coroutine
+from math import inf
 from time import monotonic
 from typing import Any, Final, TypeVar
 
@@ -29,19 +30,18 @@ class _SlowSelector(selectors.DefaultSelector):
         return time + min(max(0.0, monotonic() - host), limit)
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        if held := self.held() and self._checks < PATIENCE:
-            timeout = POLL if timeout is None else min(timeout, POLL)
-        elif not self.held():
+        """Wait for input; begin an iteration of the loop, in which time advances by a limited step."""
+        held = self.held()
+        if not held:
             self._checks = 0
-        self._begin_step(0.0 if held else float("inf") if timeout is None else max(0.0, timeout) + STEP)
-        ready = super().select(timeout)
-        self._checks += held and not ready
-        self._begin_step(0.0 if held else STEP)
-        return ready
-
-    def _begin_step(self, limit: float) -> None:
+        elif held := self._checks < PATIENCE:
+            timeout = POLL if timeout is None else min(timeout, POLL)
+        limit = 0.0 if held else inf if timeout is None else max(0.0, timeout) + STEP
         host = monotonic()
         self._progress = self.time(), host, limit
+        ready = super().select(timeout)
+        self._checks += held and not ready
+        return ready
 
 
 class LabLoop(asyncio.SelectorEventLoop):

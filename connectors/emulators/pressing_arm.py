@@ -4,29 +4,17 @@ The simulated scene has a normal force instead of a height. The normal force her
 of the TCP below the flat or curved surface.
 """
 
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
-from connectors.emulators.free_arm import FreeArm
+from connectors.emulators.free_arm import Arm, FreeArm
 from connectors.sim.scene import surface_drop
 from operators.batch import Commands, Reals
 
 STIFFNESS: Final = 1000.0  # N/m of fingertip, arm and surface in series; assumed
 FORCE_TOLERANCE: Final = 0.01  # N; smaller changes are not commanded
 _Z: Final = 2
-
-
-class PlanarArm(Protocol):
-    """An arm that moves along the surface, such as `connectors.emulators.shared_scene.SharedScene`."""
-
-    def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Return pose (6,) and velocity (6,) of the TCP at a host time (ns)."""
-        ...
-
-    def command(self, commands: Commands) -> None:
-        """Apply force and velocity from the commands' own times on."""
-        ...
 
 
 class PressingArm:
@@ -46,7 +34,7 @@ class PressingArm:
 
     def __init__(
         self,
-        plane: PlanarArm,
+        plane: Arm,
         height: float,
         stiffness: float = STIFFNESS,
         acceleration: float = 1.0,

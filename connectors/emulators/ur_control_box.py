@@ -5,10 +5,12 @@ import re
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from math import inf, nan
-from typing import Final, Protocol, cast, runtime_checkable
+from typing import Final, cast
 
 import numpy as np
 
+from connectors.emulators.free_arm import Arm
+from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.ur_drive import Drive
 from connectors.emulators.ur_program import Program, Registers
 from connectors.emulators.ur_variables import OUTPUTS
@@ -18,30 +20,7 @@ from operators.batch import Commands, Reals
 log = logging.getLogger("slipflow")
 
 CB3: Final = 3  # major version of the controllers that run at 125 Hz; later ones run at 500 Hz
-UNLOCK_AFTER: Final = 5.0  # s from a protective stop until it can be unlocked; dashboard manual
 VELOCITY_TOLERANCE: Final = 1e-5  # m/s, rad/s; smaller changes are not commanded
-
-
-class Arm(Protocol):
-    """An arm that the control box drives, such as a `connectors.emulators.shared_scene.SharedScene`."""
-
-    def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Return pose (6,) m, rad and velocity (6,) m/s, rad/s of the TCP at a host time (ns)."""
-        ...
-
-    def command(self, commands: Commands) -> None:
-        """Follow commands from their own times on."""
-        ...
-
-
-@runtime_checkable
-class ForceSensing(Protocol):
-    """An arm that measures the force on its tool, such as `connectors.emulators.pressing_arm.PressingArm`."""
-
-    @property
-    def wrench(self) -> Reals:
-        """Force (N) and torque (N m) on the tool at the latest motion, (6,), base frame."""
-        ...
 
 
 class RobotMode(IntEnum):
@@ -64,7 +43,6 @@ class RuntimeState(IntEnum):
 
     STOPPED = 1
     PLAYING = 2
-    PAUSED = 4
 
 
 SAFETY_BITS: Final = {  # RTDE guide, safety_status_bits
@@ -104,7 +82,6 @@ class ControlBox:
     def __init__(self, arm: Arm, version: Version) -> None:
         self.version, self.rate = version, 125.0 if version.major <= CB3 else 500.0
         self._arm = arm
-        self._force_sensor = arm if isinstance(arm, ForceSensing) else None
         self._commanded: Reals = np.zeros(6)  # velocity
         self.power_up()
 
@@ -114,7 +91,6 @@ class ControlBox:
         self.robot_mode, self.safety_mode = RobotMode.RUNNING, SafetyMode.NORMAL
         self.runtime_state = RuntimeState.STOPPED
         self.drive, self._running = Drive(1 / self.rate), cast("Program | None", None)
-        self._stopped = 0  # cycle of the latest protective stop
         self._values = {name: _placeholder(kind) for name, kind in OUTPUTS.items()}
         self._values.update(speed_scaling=1.0, target_speed_fraction=1.0)
 
@@ -134,8 +110,7 @@ class ControlBox:
         pose, velocity = self._arm.motion(time)
         if self.runtime_state == RuntimeState.PLAYING and self._running and not self._running.step():
             self.stop_program()
-        if self.runtime_state != RuntimeState.PAUSED:
-            self.drive.step(pose, velocity)
+        self.drive.step(pose, velocity)
         if self.drive.lost and self.safety_mode == SafetyMode.NORMAL:
             self.stop_protectively("the arm does not follow its path")
         target = self.drive.velocity
@@ -176,36 +151,18 @@ class ControlBox:
         self._running, self.runtime_state = None, RuntimeState.STOPPED
         self.drive.stop(inf)
 
-    def play(self) -> bool:
-        """Resume a paused program; return False if none is paused or a stop is active."""
-        if self.runtime_state != RuntimeState.PAUSED or self.safety_mode != SafetyMode.NORMAL:
-            return False
-        self.runtime_state = RuntimeState.PLAYING
-        return True
-
-    def pause(self) -> bool:
-        """Pause the program and stop the arm; return False if no program is running."""
-        if self.runtime_state != RuntimeState.PLAYING:
-            return False
-        self.runtime_state = RuntimeState.PAUSED
-        self.drive.hold()
-        return True
-
     def stop_protectively(self, reason: str) -> None:
-        """Stop the arm and pause the program until the stop is unlocked."""
+        """Stop the arm and its program; no program runs until `unlock`."""
         if self.safety_mode == SafetyMode.NORMAL:
             log.warning("protective stop: %s", reason)
-            self.safety_mode, self._stopped = SafetyMode.PROTECTIVE_STOP, self.cycles
-            self.pause()
-            self.drive.hold()
+            self.safety_mode = SafetyMode.PROTECTIVE_STOP
+            self.stop_program()
+            self.drive.halt()
 
-    def unlock(self) -> bool:
-        """Release a protective stop; return False if it is too early."""
+    def unlock(self) -> None:
+        """Release a protective stop; the emulator needs no waiting time before."""
         if self.safety_mode == SafetyMode.PROTECTIVE_STOP:
-            if self.cycles - self._stopped < UNLOCK_AFTER * self.rate:
-                return False
             self.safety_mode = SafetyMode.NORMAL
-        return True
 
     def _update(self, pose: Reals, velocity: Reals) -> None:
         powered, playing = self.robot_mode != RobotMode.POWER_OFF, self.runtime_state == RuntimeState.PLAYING
@@ -220,8 +177,8 @@ class ControlBox:
             robot_status_bits=powered + 2 * playing,
             safety_status_bits=SAFETY_BITS[self.safety_mode],
         )
-        if self._force_sensor:
-            self._values["actual_TCP_force"] = tuple(self._force_sensor.wrench.tolist())
+        if isinstance(self._arm, PressingArm):
+            self._values["actual_TCP_force"] = tuple(self._arm.wrench.tolist())
 
     def _value(self, name: str) -> Value:
         kind, _, index = name.rpartition("_register_")

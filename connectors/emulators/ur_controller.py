@@ -10,10 +10,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from time import time_ns
-from types import TracebackType
 from typing import Final, NamedTuple, Self
 
-from connectors.emulators.ur_control_box import Arm, ControlBox
+from connectors.emulators.free_arm import Arm
+from connectors.emulators.ur_control_box import ControlBox
 from connectors.emulators.ur_ports import (
     Connection,
     DashboardConnection,
@@ -41,10 +41,10 @@ E_SERIES: Final = Version(5, 11, 0, 0)
 
 
 class UrController:
-    """A controller that serves clients between `start` and `close`, or as a context manager.
+    """A controller that serves clients in an `async with` block.
 
-    Cycles run on the host's clock. A cycle that the host delays still reports the arm at the instant when the
-    cycle was due; its packages arrive late, as if delayed by the network.
+    Cycles run on the clock `now`. A late cycle reports the arm at the instant when it was due; its packages
+    arrive late, as if delayed by the network.
 
     Args:
         arm: Arm to control.
@@ -55,7 +55,7 @@ class UrController:
 
     Attributes:
         box: The control box.
-        ports: Actual ports, once started.
+        ports: Actual ports inside the block.
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class UrController:
         self._running: asyncio.Task[None] | None = None
         self._origin = self._cycles = 0  # host time of power-up (ns), and cycles since
 
-    async def start(self) -> None:
+    async def __aenter__(self) -> Self:
         """Listen, and start the cycles.
 
         Raises:
@@ -88,7 +88,7 @@ class UrController:
                 accept = partial(listener, self.box, self.connections)
                 server = await loop.create_server(accept, self.host, port)
             except OSError as error:
-                await self.close()
+                await self._close()
                 reason = f"cannot listen: {os_error_reason(error)}"
                 raise EndpointError(f"{self.host}:{port}", reason) from error
             self._servers.append(server)
@@ -96,9 +96,13 @@ class UrController:
         self.ports = Ports(*ports)
         self._origin, self._cycles = self._now(), 0
         self._running = asyncio.create_task(self._run())
+        return self
 
-    async def close(self) -> None:
+    async def __aexit__(self, *_: object) -> None:
         """Close all connections and stop listening; raise the error of an arm that failed."""
+        await self._close()
+
+    async def _close(self) -> None:
         for server in self._servers:
             server.close()
         self._servers.clear()
@@ -109,15 +113,6 @@ class UrController:
             self._running.cancel()
             with suppress(asyncio.CancelledError):
                 await self._running
-
-    async def __aenter__(self) -> Self:
-        await self.start()
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
 
     async def _run(self) -> None:
         try:

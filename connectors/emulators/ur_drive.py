@@ -56,10 +56,6 @@ class Drive:
         """Decelerate to rest (m/s2 and rad/s2)."""
         self._begin("stop", np.zeros(6), 0.0, deceleration)
 
-    def hold(self) -> None:
-        """Stop until the next step, which continues the task."""
-        self.velocity = np.zeros(6)
-
     def halt(self) -> None:
         """Abort the task and stop as fast as the arm can."""
         self._begin("stop", np.zeros(6), 0.0, self._highest)

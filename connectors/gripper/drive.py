@@ -3,8 +3,9 @@
 import asyncio
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import inf
+from typing import Final
 
 from connectors.gripper.modbus_link import GripperLink
 from connectors.gripper.robotiq import Request, Status
@@ -12,14 +13,8 @@ from operators.errors import EndpointError
 
 log = logging.getLogger("slipflow")
 
-
-@dataclass(frozen=True)
-class DriveLimits:
-    """Times in s; see `connectors.gripper.gripper_sink.Gripper`."""
-
-    timeout: float
-    activation: float
-    poll: float
+ACTIVATION: Final = 30.0  # s, longest time until the gripper is ready
+POLL: Final = 0.1  # s between two status requests
 
 
 class GripperDrive:
@@ -29,7 +24,7 @@ class GripperDrive:
         new_link: Returns a link that is not yet connected.
         target: Request that sets the target; it is not sent before `go` is set.
         counted: Counters; ``sent`` and ``restarts`` are incremented.
-        limits: Longest waits, and the time between two status requests.
+        timeout: Longest wait for the echo of a request, s.
 
     Attributes:
         target: Request that sets the target.
@@ -43,10 +38,10 @@ class GripperDrive:
         new_link: Callable[[], GripperLink],
         target: Request,
         counted: dict[str, int],
-        limits: DriveLimits,
+        timeout: float,
     ) -> None:
         self.target, self.target_sent = target, True
-        self._new_link, self._counted, self._limits = new_link, counted, limits
+        self._new_link, self._counted, self._timeout = new_link, counted, timeout
         self._changed = asyncio.Event()
         self._was_ready = False  # the gripper was ready when it last answered
         self._link: GripperLink | None = None
@@ -135,25 +130,25 @@ class GripperDrive:
         if status.needs_reset:
             raise EndpointError(link.endpoint, status.reason)
         if status.active and self._sent and status.echo != self._sent.position:
-            if now - self._requested > self._limits.timeout:
-                reason = f"does not accept a request within {self._limits.timeout} s"
+            if now - self._requested > self._timeout:
+                reason = f"does not accept a request within {self._timeout} s"
                 raise EndpointError(link.endpoint, f"{reason}: does another program command it?")
             return 0.0
         self.status = status
         if status.ready:
             self.ready = self._was_ready = True
-            return self._limits.poll
+            return POLL
         if self._was_ready:
             log.warning("%s has restarted: activating it again", link.endpoint)
             self._counted["restarts"] += 1
             self.ready = self._was_ready = False
             self._sent, self._waiting = None, now
-        if now - self._waiting > self._limits.activation:
-            reason = f"is not ready within {self._limits.activation} s: does something obstruct its fingers?"
+        if now - self._waiting > ACTIVATION:
+            reason = f"is not ready within {ACTIVATION} s: does something obstruct its fingers?"
             raise EndpointError(link.endpoint, reason)
         if not status.active:
             await self._send(link, Request(active=True))
-        return self._limits.poll
+        return POLL
 
     async def _send(self, link: GripperLink, request: Request) -> None:
         on_target = request == self.target

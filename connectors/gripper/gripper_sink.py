@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from connectors.gripper.drive import DriveLimits, GripperDrive
+from connectors.gripper.drive import GripperDrive
 from connectors.gripper.grip_force import ForceScale
 from connectors.gripper.modbus_link import GripperLink
 from connectors.gripper.robotiq import FULL, PORT, UNIT, Request, Status
@@ -34,7 +34,7 @@ class Gripper(Sink[Commands]):
     force outside `limits` is clipped. A lower force may not loosen the grip: according to the manual, stopped
     fingers move again only for a higher force or another position.
 
-    The status is read every `poll` seconds. A restarted gripper is activated and grips again. A gripper that
+    The status is read every 0.1 s. A restarted gripper is activated and grips again. A gripper that
     fails (silent, lost, or with a fault) is retried with back-off; meanwhile `write` raises, and the newest
     command is sent afterwards. Faults that need a reset are left to the user during a run.
 
@@ -47,8 +47,6 @@ class Gripper(Sink[Commands]):
         speed: Speed of the fingers, 0 to 255.
         scale: Scale of the force register.
         timeout: Longest wait for the connection, for each answer, and for the echo of a request, s.
-        activation: Longest time until the gripper is ready, s.
-        poll: Time between two status requests, s.
 
     Raises:
         ParameterError: on an invalid value.
@@ -66,8 +64,6 @@ class Gripper(Sink[Commands]):
     speed: int = FULL
     scale: ForceScale = field(default_factory=ForceScale)
     timeout: float = 1.0
-    activation: float = 30.0
-    poll: float = 0.1
 
     lossless = False  # only the newest command matters
 
@@ -77,8 +73,7 @@ class Gripper(Sink[Commands]):
         for name, highest in (("port", 65535), ("unit", FULL), ("position", FULL), ("speed", FULL)):
             if not (isinstance(value := getattr(self, name), int) and 0 <= value <= highest):
                 raise ParameterError("Gripper", name, value, f"a whole number from 0 to {highest}")
-        for name in ("timeout", "activation", "poll"):
-            check_above("Gripper", name, getattr(self, name), 0, "s")
+        check_above("Gripper", "timeout", self.timeout, 0, "s")
         low, high = self.limits
         if not self.scale.weakest <= low <= high <= self.scale.strongest:
             must_be = f"two increasing forces from {self.scale.weakest} to {self.scale.strongest} N"
@@ -94,8 +89,7 @@ class Gripper(Sink[Commands]):
         target = Request(active=True, position=self.position, speed=self.speed)
         if self.force is not None:
             target = replace(target, go=True, force=self.scale.register(self.force))
-        limits = DriveLimits(self.timeout, self.activation, self.poll)
-        self._drive = GripperDrive(self._new_link, target, self._counted, limits)
+        self._drive = GripperDrive(self._new_link, target, self._counted, self.timeout)
         self._batch: Commands | None = None  # newest batch
         self._failure = ""
         self._serving: asyncio.Task[None] | None = None  # None: not open

@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 from typing import Final
 
-from connectors.ur.control_process import Command, End, KeepAlive, Reply, serve
+from connectors.ur.control_process import Command, Reply, Signal, serve
 
 START_TIMEOUT: Final = 30.0  # s; the process imports ur-rtde and uploads a program
 HUNG: Final = 2.0  # s without a reply, after which the process counts as hung
@@ -63,7 +63,7 @@ class ControlClient:
         """Send keep-alive messages to the process, and check its replies, until it ends."""
         loop = asyncio.get_running_loop()
         while not self.ended.is_set():
-            self.send(KeepAlive())
+            self.send(Signal.KEEP_ALIVE)
             if loop.time() - self._replied > HUNG:
                 self._failed(f"the process that commands it has not replied for {HUNG} s")
             await asyncio.sleep(_KEEP_ALIVE)
@@ -73,7 +73,7 @@ class ControlClient:
         if not (process := self.process):
             return
         self._closing = True
-        self.send(End())
+        self.send(Signal.END)
         with suppress(TimeoutError):
             async with asyncio.timeout(HUNG):
                 await self.ended.wait()

@@ -5,7 +5,7 @@ controller's watchdog ends the control script, which stops the arm.
 
 A velocity and a kick are written to the same register, which the controller reads once per cycle: if two
 writes fall into one cycle, the first is lost. So this process never kicks during velocity control. Instead it
-repeats the velocity, including 0, until `Release`: each write counts as a kick, and replaces a lost one.
+repeats the velocity, including 0, until `RELEASE`: each write counts as a kick, and replaces a lost one.
 
 A controller accepts one such client at a time. ur-rtde supports RTDE port 30004 only.
 """
@@ -13,6 +13,7 @@ A controller accepts one such client at a time. ur-rtde supports RTDE port 30004
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum, auto
 from importlib import import_module
 from importlib.util import find_spec
 from math import hypot
@@ -49,29 +50,18 @@ class Move:
     acceleration: float  # m/s2, rad/s2
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """Command to come to rest at once."""
+class Signal(Enum):
+    """Command without parameters."""
 
-
-@dataclass(frozen=True, slots=True)
-class Release:
-    """Command to end velocity control once the arm stands still."""
-
-
-@dataclass(frozen=True, slots=True)
-class KeepAlive:
-    """Command without effect; it shows that the commanding process is alive."""
-
-
-@dataclass(frozen=True, slots=True)
-class End:
-    """Command to stop the arm and end the process."""
+    STOP = auto()  # come to rest at once
+    RELEASE = auto()  # end velocity control once the arm stands still
+    KEEP_ALIVE = auto()  # no effect; it shows that the commanding process is alive
+    END = auto()  # stop the arm and end the process
 
 
 _STANDSTILL: Final = Move((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), STOP_DECELERATION)
 
-Command: TypeAlias = MoveTo | Move | Stop | Release | KeepAlive | End
+Command: TypeAlias = MoveTo | Move | Signal
 
 
 class Reply(NamedTuple):
@@ -124,7 +114,7 @@ def connect(host: str) -> Control:
 def serve(
     pipe: Connection, host: str, watchdog: float = WATCHDOG, connect: Callable[[str], Control] = connect
 ) -> None:
-    """Execute commands from a pipe until `End`, an error or silence; main function of the process."""
+    """Execute commands from a pipe until `Signal.END`, an error or silence; main function of the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C: the commanding process ends this one
     try:
         control = connect(host)
@@ -155,7 +145,7 @@ class _Commander:
         self._velocity = _STANDSTILL  # newest command in velocity mode
 
     def run(self, pipe: Connection, watchdog: float) -> None:
-        """Execute commands until `End`; write to the controller at least three times per watchdog period.
+        """Execute commands until `END`; write to the controller at least three times per watchdog period.
 
         Raises:
             RuntimeError: if the controller rejects a command, or no command arrives.
@@ -167,7 +157,7 @@ class _Commander:
             if pipe.poll(_POLL):
                 command: Command = pipe.recv()
                 received = monotonic()
-                if isinstance(command, End):
+                if command is Signal.END:
                     return
                 self._execute(command)
             now = monotonic()
@@ -190,7 +180,7 @@ class _Commander:
             self._control.stopL(STOP_DECELERATION, True)  # noqa: FBT003 - positional in ur-rtde
             self._mode = "rest"
         elif self._mode == "velocity":
-            self._move(_STANDSTILL)  # repeated until `Release`
+            self._move(_STANDSTILL)  # repeated until `Signal.RELEASE`
 
     def _execute(self, command: Command) -> None:
         done = True
@@ -202,9 +192,9 @@ class _Commander:
             case Move(velocity, acceleration):
                 used = acceleration if hypot(*velocity) else max(acceleration, 0.1)
                 done = self._move(Move(velocity, used))
-            case Stop():
+            case Signal.STOP:
                 self.stop()
-            case Release():
+            case Signal.RELEASE:
                 self._end_velocity()
                 self._mode = "rest"
             case _:

@@ -18,9 +18,9 @@ from typing import Any, Final, Self
 from connectors.ur import dashboard_client
 from connectors.ur.contact_search import ContactSearch, mean_force
 from connectors.ur.control_client import START_TIMEOUT, ControlClient
-from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Pose, Release, Stop
+from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Pose, Signal
 from connectors.ur.path_follower import PathFollower, Point
-from connectors.ur.ur_state import ArmState, ArmStateReader, Bounds
+from connectors.ur.ur_state import ArmState, Bounds, decode_states, state_client
 from operators.errors import EndpointError
 from operators.ports import Clock
 
@@ -61,7 +61,7 @@ class UrArm:
         self.state = ArmState(_REST, _REST)
         self.control = ControlClient(host, watchdog, self._notify, self.fail)
         self._endpoint, self._path_tolerance = f"ur://{host}", path_tolerance
-        self._reader = ArmStateReader(clock, host)
+        self._client = state_client(clock, host)
         self._state_known = True  # the controller sends the state
         self._changed, self._dashboard_used = asyncio.Event(), False
         self._force_offset: Point = (0.0, 0.0, 0.0)  # N, reported without contact
@@ -76,7 +76,9 @@ class UrArm:
             EndpointError: if the controller sends no state, or the arm must not move or cannot be commanded.
         """
         try:
-            self.state = await self._reader.open()
+            await self._client.connect()
+            _, packages = await self._client.receive()
+            self.state = decode_states(packages)[-1]
             self.fault = self.fault or self.bounds.violation(self.state)
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
@@ -103,7 +105,7 @@ class UrArm:
                 lambda: self._at(pose, speed, acceleration), 2 * seconds + 2, "to reach the target"
             )
         except asyncio.CancelledError:
-            self.control.send(Stop())
+            self.control.send(Signal.STOP)
             raise
 
     async def slide(self, velocity: Pose, seconds: float, acceleration: float) -> None:
@@ -199,7 +201,7 @@ class UrArm:
         if self.fault:
             return
         self.fault = reason
-        self.control.send(Stop())
+        self.control.send(Signal.STOP)
         log.error("%s is stopped: %s", self._endpoint, reason)
         self._changed.set()
         if self.control.process:
@@ -207,13 +209,13 @@ class UrArm:
 
     async def stop(self) -> None:
         """Stop the arm by all available stops; return when it stands or all stops were tried."""
-        self.control.send(Stop())
+        self.control.send(Signal.STOP)
         if self.control.ended.is_set() or not await self._stands():
             await self._stop_by_dashboard()
             if not await self._stands():
                 log.error("%s may still move: press its emergency stop", self._endpoint)
                 return
-        self.control.send(Release())
+        self.control.send(Signal.RELEASE)
 
     async def close(self) -> None:
         """Stop the arm, and end the process and the connections."""
@@ -223,7 +225,7 @@ class UrArm:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        await self._reader.close()
+        await self._client.close()
 
     async def __aenter__(self) -> Self:
         await self.open()
@@ -262,11 +264,11 @@ class UrArm:
             self.control.send(Move(_REST, acceleration))
             await self._until(lambda: self.state.still, 2 * speed / acceleration + 2, "to come to rest")
         except asyncio.CancelledError:
-            self.control.send(Stop())
+            self.control.send(Signal.STOP)
             raise
         finally:
             self._guard = None
-        self.control.send(Release())
+        self.control.send(Signal.RELEASE)
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> None:
         task = asyncio.create_task(work)
@@ -277,7 +279,8 @@ class UrArm:
         """Check each state."""
         try:
             while True:
-                for state in await self._reader.read():
+                _, packages = await self._client.receive()
+                for state in decode_states(packages):
                     self.state = state
                     if reason := self.bounds.violation(state) or (self._guard(state) if self._guard else ""):
                         self.fail(reason)

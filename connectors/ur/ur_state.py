@@ -22,6 +22,7 @@ OUTPUTS: Final = {
     "safety_mode": "INT32",
 }
 RATE: Final = 125.0  # Hz; every controller supports it
+TIMEOUT: Final = 1.0  # s, for the connection and between packages
 RUNNING: Final = 7  # robot mode; RTDE guide
 SAFETY: Final = {  # RTDE guide
     1: "",
@@ -109,43 +110,32 @@ class Bounds:
         return ""
 
 
-class ArmStateReader:
-    """Reader of an arm's states from its controller.
+def state_client(clock: Clock, host: str) -> RtdeClient:
+    """Return a client for the packages that `decode_states` reads."""
+    return RtdeClient(clock, host, PORT, OUTPUTS, rate=RATE, timeout=TIMEOUT)
 
-    Args:
-        clock: Clock of the run.
-        host: Address of the controller.
-        port: RTDE port.
-        timeout: Longest wait for the connection and between packages, s.
+
+def decode_states(packages: bytes) -> list[ArmState]:
+    """Return the states in the packages that a client received, at least one."""
+    rows = np.frombuffer(packages, _ROW)
+    force = rows["force"][:, :3]  # (n, 3)
+    fields = rows["pose"], rows["velocity"], force, rows["robot_mode"], rows["safety_mode"]
+    return [
+        ArmState(tuple(pose), tuple(velocity), tuple(push), mode, safety)
+        for pose, velocity, push, mode, safety in zip(*(each.tolist() for each in fields), strict=True)
+    ]
+
+
+async def read_state(clock: Clock, host: str) -> ArmState:
+    """Return the newest state of an arm.
+
+    Raises:
+        EndpointError: if its controller sends no state.
     """
-
-    def __init__(self, clock: Clock, host: str, port: int = PORT, timeout: float = 1.0) -> None:
-        self._client = RtdeClient(clock, host, port, OUTPUTS, rate=RATE, timeout=timeout)
-
-    async def open(self) -> ArmState:
-        """Connect, and return the newest state.
-
-        Raises:
-            EndpointError: if the controller sends no state.
-        """
-        await self._client.connect()
-        return (await self.read())[-1]
-
-    async def read(self) -> list[ArmState]:
-        """Return the states received since the last call; wait if there are none.
-
-        Raises:
-            EndpointError: if the controller sends no state.
-        """
-        _, packages = await self._client.receive()
-        rows = np.frombuffer(packages, _ROW)
-        force = rows["force"][:, :3]  # (n, 3)
-        fields = rows["pose"], rows["velocity"], force, rows["robot_mode"], rows["safety_mode"]
-        return [
-            ArmState(tuple(pose), tuple(velocity), tuple(push), mode, safety)
-            for pose, velocity, push, mode, safety in zip(*(each.tolist() for each in fields), strict=True)
-        ]
-
-    async def close(self) -> None:
-        """Close the connection."""
-        await self._client.close()
+    client = state_client(clock, host)
+    try:
+        await client.connect()
+        _, packages = await client.receive()
+    finally:
+        await client.close()
+    return decode_states(packages)[-1]

@@ -15,7 +15,7 @@ from connectors.takktile.i2c_access import I2cBus
 from connectors.ur.control_process import Pose
 from connectors.ur.path_follower import Point
 from connectors.ur.ur_arm import UrArm
-from connectors.ur.ur_state import ArmStateReader, Bounds
+from connectors.ur.ur_state import Bounds, read_state
 from flows.graph import Flow
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.episode_source import EpisodeSource
@@ -148,11 +148,7 @@ async def read_pose(robot: str, clock: Clock) -> Pose:
     Raises:
         EndpointError: if its controller sends no state.
     """
-    reader = ArmStateReader(clock, robot)
-    try:
-        x, y, z, a, b, c = (await reader.open()).pose
-    finally:
-        await reader.close()
+    x, y, z, a, b, c = (await read_state(clock, robot)).pose
     return x, y, z, a, b, c
 
 

@@ -3,7 +3,7 @@
 import asyncio
 import socket
 import struct
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 from connectors.emulators.gripper_mechanism import Mechanism
 from connectors.emulators.gripper_server import GripperServer
@@ -26,10 +26,11 @@ class FaultyGripperServer(GripperServer):
 
     refusing = silent = False
 
-    async def start(self) -> None:
-        await super().start()
+    async def __aenter__(self) -> Self:
+        await super().__aenter__()
         assert self._server
         self._server.trace_packet = self._trace
+        return self
 
     def restart(self, *, drop: bool = True) -> None:
         """Power it down and up: its registers are 0; with `drop` its clients lose their connections."""

@@ -185,7 +185,7 @@ def test_a_port_that_is_taken_is_said_to_be() -> None:
             other.listen()
             port = other.getsockname()[1]
             with pytest.raises(EndpointError, match=f"{HOST}:{port}: cannot listen"):
-                await FaultyGripperServer(Hand(), port=port).start()
+                await FaultyGripperServer(Hand(), port=port).__aenter__()
 
     asyncio.run(test())
 
@@ -193,10 +193,10 @@ def test_a_port_that_is_taken_is_said_to_be() -> None:
 def test_it_listens_on_loopback_only_and_again_after_it_was_closed() -> None:
     async def test() -> None:
         async with served() as (server, _):
-            await server.close()
+            await server.__aexit__()
             with pytest.raises(ConnectionError):
                 await asyncio.open_connection(HOST, server.port)
-            await server.start()
+            await server.__aenter__()
             _, writer = await asyncio.open_connection(HOST, server.port)
             assert writer.get_extra_info("peername")[0] == HOST
             writer.close()

@@ -271,24 +271,23 @@ def test_an_arm_that_does_not_follow_is_stopped(caplog: pytest.LogCaptureFixture
 # --- stops -----------------------------------------------------------------------------------------------
 
 
-def test_a_protective_stop_pauses_until_it_is_unlocked_and_the_line_then_goes_on(cell: Cell) -> None:
+def test_after_a_protective_stop_nothing_moves_or_runs_until_it_is_unlocked(cell: Cell) -> None:
     cell.ask(Command.MOVE_LINE, *TARGET, 0.1, 1.0)
     cell.run(0.5)
     cell.box.stop_protectively("for a test")
     cell.run(0.5)
     assert cell.speed < 1e-3
     assert cell.value("safety_status_bits") == 1 << 2 | 1 << 10
-    assert cell.value("runtime_state") == RuntimeState.PAUSED
     where = cell.pose
     assert answer(cell.box, "safetystatus") == "Safetystatus: PROTECTIVE_STOP"
-    assert answer(cell.box, "unlock protective stop").startswith("Cannot unlock")
-    assert answer(cell.box, "play") == "Failed to execute: play"
+    cell.box.run_script(SCRIPT)
     cell.run(5.0)
-    assert cell.pose == pytest.approx(where)
+    assert cell.value("runtime_state") == RuntimeState.STOPPED
+    assert cell.pose == pytest.approx(where, abs=1e-9)
     assert answer(cell.box, "unlock protective stop") == "Protective stop releasing"
-    assert answer(cell.box, "play") == "Starting program"
-    assert cell.run(10.0, cell.done) < 2.0
-    assert cell.pose == pytest.approx(TARGET, abs=1e-4)
+    assert cell.value("safety_mode") == SafetyMode.PROTECTIVE_STOP  # until the next cycle
+    cell.box.run_script(SCRIPT)
+    assert cell.run(10.0, cell.done) < 2.0  # the line that is still in the register
     assert cell.value("safety_status_bits") == 1
 
 
@@ -296,9 +295,6 @@ def test_a_program_may_stop_itself_protectively(cell: Cell) -> None:
     cell.ask(Command.STOP_PROTECTIVELY)
     cell.run(0.1)
     assert cell.value("safety_mode") == SafetyMode.PROTECTIVE_STOP
-    cell.box.run_script(SCRIPT)
-    cell.run(0.1)
-    assert cell.value("runtime_state") == RuntimeState.PAUSED  # nothing new runs meanwhile
 
 
 def test_an_emergency_stop_takes_the_power_until_the_arm_is_switched_on_again(cell: Cell) -> None:
@@ -349,12 +345,9 @@ def test_commands_bear_the_time_of_their_cycle_and_leave_the_force_alone(cell: C
         ("running", "Program running: true"),
         ("programState", "PLAYING rtde_control"),
         ("robotmode", "Robotmode: RUNNING"),
-        ("safetymode", "Safetymode: NORMAL"),
         ("is in remote control", "true"),
-        ("pause", "Pausing program"),
         ("stop", "Stopped"),
         ("unlock protective stop", "Protective stop releasing"),
-        ("close safety popup", "closing safety popup"),
         ("quit", "Disconnected"),
         ("dance", "could not understand: dance"),
         ("", "could not understand: "),
@@ -362,4 +355,3 @@ def test_commands_bear_the_time_of_their_cycle_and_leave_the_force_alone(cell: C
 )
 def test_the_dashboard_answers_each_line(cell: Cell, asked: str, answered: str) -> None:
     assert answer(cell.box, asked) == answered
-    assert answer(cell.box, "get serial number").isdigit()

@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import logging
 import os
 import socket
 import sys
@@ -15,13 +14,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.emulators import ur_control_box
 from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur.rtde import Version
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
-from operators import EndpointError, s
+from operators import EndpointError
 from operators.batch import Commands, Reals
 from tests.connectors.emulators.faulty_ur import FaultyUrController, release_emergency, stop_in_emergency
 
@@ -39,24 +37,10 @@ def controller(now: Callable[[], int], drift: float = 0.0) -> FaultyUrController
 def test_its_clock_runs_fast_by_its_drift() -> None:
     async def main() -> float:
         async with controller(LoopClock(0).now, drift=0.01) as running:
-            await asyncio.sleep(100.0)
+            await asyncio.sleep(10.0)
             return running.box.timestamp
 
-    assert run_virtually(main()) == pytest.approx(101.0, abs=0.01)
-
-
-def test_a_host_that_was_away_for_long_is_not_made_up_for(caplog: pytest.LogCaptureFixture) -> None:
-    now = [10 * s]
-
-    async def main() -> None:
-        async with controller(lambda: now[0]) as running:
-            now[0] += 3600 * s
-            while running.box.timestamp < 3600:  # noqa: ASYNC110 - virtual time
-                await asyncio.sleep(0.001)
-
-    with caplog.at_level(logging.WARNING):
-        run_virtually(main())
-    assert len(caplog.records) == 1
+    assert run_virtually(main()) == pytest.approx(10.1, abs=0.01)
 
 
 def test_an_arm_that_fails_is_no_silence(caplog: pytest.LogCaptureFixture) -> None:
@@ -86,7 +70,7 @@ def test_a_port_that_is_taken_is_an_error_and_nothing_keeps_listening() -> None:
         async with controller(time_ns) as running:
             ports = Ports(port, 0, running.ports.script)
             with pytest.raises(EndpointError, match="cannot listen"):
-                await UrController(FreeArm(np.zeros(6)), host=HOST, ports=ports).start()
+                await UrController(FreeArm(np.zeros(6)), host=HOST, ports=ports).__aenter__()
             with pytest.raises(OSError, match="Connect call failed"):
                 await asyncio.open_connection(HOST, port)
 
@@ -224,8 +208,7 @@ def test_the_real_control_moves_and_stops_the_arm(version: Version) -> None:
 
 
 @real
-def test_the_real_control_sees_stops_and_comes_back_after_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ur_control_box, "UNLOCK_AFTER", 0.5)
+def test_the_real_control_sees_stops_and_comes_back_after_them() -> None:
     script = """
         control, dashboard = RTDEControlInterface(host), DashboardClient(host)
         dashboard.connect()

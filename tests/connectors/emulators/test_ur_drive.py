@@ -111,18 +111,3 @@ def test_an_arm_that_does_not_follow_is_given_up() -> None:
     assert drive.lost
     assert not drive.velocity.any()
     assert len(path) * 0.008 == pytest.approx(PROGRESS_TIMEOUT, abs=0.05)
-
-
-def test_a_task_that_is_held_goes_on_from_where_it_stood() -> None:
-    drive, arm = Drive(0.008), FreeArm(np.zeros(6))
-    drive.line(np.array([0.1, 0, 0, 0, 0, 0]), 0.1, 1.0)
-    list(cycles(drive, arm, 125.0, 0.5))
-    drive.hold()
-    assert not drive.velocity.any()
-    halfway = arm.motion(s // 2)[0][0]
-    assert 0.01 < halfway < 0.09
-    arm.command(Commands(np.array([s // 2]), np.array([np.nan]), np.zeros((1, 6))))
-    pose, velocity = arm.motion(9 * s)
-    drive.step(pose, velocity)
-    assert 0 < drive.velocity[0] <= 0.008 + 1e-9
-    assert drive.task == "line"

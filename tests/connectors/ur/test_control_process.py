@@ -11,13 +11,10 @@ import pytest
 from connectors.ur import control_process
 from connectors.ur.control_process import (
     Command,
-    End,
-    KeepAlive,
     Move,
     MoveTo,
-    Release,
     Reply,
-    Stop,
+    Signal,
     serve,
 )
 from operators import InputError
@@ -131,7 +128,14 @@ def served(pipe: tuple[Connection, Connection], control: TestControl, *commands:
 def test_commands_become_asynchronous_calls(pipe: tuple[Connection, Connection]) -> None:
     control = TestControl()
     replies = served(
-        pipe, control, MoveTo(POSE, 0.1, 0.5), KeepAlive(), Move(FORWARD, 0.5), Stop(), Release(), End()
+        pipe,
+        control,
+        MoveTo(POSE, 0.1, 0.5),
+        Signal.KEEP_ALIVE,
+        Move(FORWARD, 0.5),
+        Signal.STOP,
+        Signal.RELEASE,
+        Signal.END,
     )
     assert replies == [Reply("ready")]
     assert calls(control) == [
@@ -157,10 +161,10 @@ def test_no_velocity_is_lost_to_a_kick_in_the_same_cycle(
         reached = control.writes + 4
         while control.writes < reached:  # stay alive
             assert ours.recv()
-            ours.send(KeepAlive())
+            ours.send(Signal.KEEP_ALIVE)
         assert control.velocity == [*velocity]
-    ours.send(Stop())
-    ours.send(End())
+    ours.send(Signal.STOP)
+    ours.send(Signal.END)
     thread.join(10)
     assert not thread.is_alive()
 
@@ -170,13 +174,13 @@ def test_a_stop_is_repeated_until_release(pipe: tuple[Connection, Connection]) -
     thread = Thread(target=begin, args=(theirs, control))
     thread.start()
     ours.send(Move(FORWARD, 0.5))
-    ours.send(Stop())
+    ours.send(Signal.STOP)
     stopped = ("speedL", [0.0] * 6, control_process.STOP_DECELERATION, 0.0)
     while control.sent.count(stopped) < 3:
         assert ours.recv()
-        ours.send(KeepAlive())
-    ours.send(Release())
-    ours.send(End())
+        ours.send(Signal.KEEP_ALIVE)
+    ours.send(Signal.RELEASE)
+    ours.send(Signal.END)
     thread.join(10)
     assert control.sent[-3:] == [("speedStop",), ("stopScript",), ("disconnect",)]
 
@@ -193,7 +197,7 @@ def test_an_ended_program_is_reported_with_possible_causes(pipe: tuple[Connectio
 
 def test_a_line_is_stopped_and_a_velocity_ended_before_a_line(pipe: tuple[Connection, Connection]) -> None:
     control = TestControl()
-    served(pipe, control, Move(FORWARD, 0.5), MoveTo(POSE, 0.1, 0.5), Stop(), End())
+    served(pipe, control, Move(FORWARD, 0.5), MoveTo(POSE, 0.1, 0.5), Signal.STOP, Signal.END)
     assert [call[0] for call in calls(control)[1:-2]] == ["speedL", "speedStop", "moveL", "stopL"]
 
 

@@ -1,4 +1,4 @@
-"""The real RTDEControlInterface, in its process, against the emulated controller."""
+"""An arm on the emulated controller: in virtual time, and commanded by the real RTDEControlInterface."""
 
 import asyncio
 import importlib.util
@@ -9,28 +9,30 @@ import signal
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from connectors.emulators.free_arm import FreeArm
+from connectors.emulators.free_arm import Arm, FreeArm
+from connectors.emulators.lab_loop import LabLoop, run_lab
 from connectors.emulators.pressing_arm import PressingArm
-from connectors.emulators.ur_control_box import Arm, RuntimeState
+from connectors.emulators.ur_control_box import RuntimeState
 from connectors.emulators.ur_program import Program
 from connectors.ur.control_process import Command, Move
 from connectors.ur.rtde import Version
 from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import ArmState, Bounds
+from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
 from operators import EndpointError
 from operators.batch import Reals
 from tests.connectors.emulators.faulty_ur import FaultyUrController, stop_in_emergency
+from tests.connectors.ur.direct_control import DirectControl
 
-pytestmark = pytest.mark.skipif(
-    importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
-)
+real = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
 
 HOST = f"127.0.{os.getpid() % 250 + 1}.2"  # of this process: ur-rtde knows one port only
 BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
@@ -59,15 +61,24 @@ class Leaning(PressingArm):
 
 @asynccontextmanager
 async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator[Lab]:
-    clock, arm = LoopClock(), arm or FreeArm(np.array(BEGIN), 1.0)
-    async with (
-        FaultyUrController(arm, host=HOST, version=CB3, now=clock.now) as controller,
-        UrArm(HOST, bounds, clock, watchdog=1.0) as moved,
-    ):
-        yield Lab(controller, moved)
+    """Serve an arm; in a `LabLoop` ur-rtde commands it, else `DirectControl` does."""
+    clock, arm, loop = LoopClock(), arm or FreeArm(np.array(BEGIN), 1.0), asyncio.get_running_loop()
+    async with FaultyUrController(arm, host=HOST, version=CB3, now=clock.now) as controller:
+        with pytest.MonkeyPatch.context() as patch:
+            if isinstance(loop, LabLoop):
+                loop.hold_while(lambda: controller.box.command_overdue)
+            else:
+                patch.setattr("connectors.ur.ur_arm.ControlClient", partial(DirectControl, controller.box))
+            moved = UrArm(HOST, bounds, clock, watchdog=0.1)
+        async with moved:
+            yield Lab(controller, moved)
 
 
-def refused(act: Callable[[Lab], None] | None, move: Callable[[UrArm], Coroutine[Any, Any, None]]) -> Lab:
+def refused(
+    act: Callable[[Lab], None] | None,
+    move: Callable[[UrArm], Coroutine[Any, Any, None]],
+    execute: Callable[[Coroutine[Any, Any, Lab]], Lab] = run_virtually,
+) -> Lab:
     """Return a lab whose arm was stopped during a move, because of what `act` does after 0.3 s, if given."""
 
     async def main() -> Lab:
@@ -82,13 +93,14 @@ def refused(act: Callable[[Lab], None] | None, move: Callable[[UrArm], Coroutine
                 await here.arm.line(BEGIN, 0.1, 0.5, 1.0)
         return here
 
-    return asyncio.run(main())
+    return execute(main())
 
 
 def away(arm: UrArm) -> Coroutine[Any, Any, None]:
     return arm.slide((0.0, 0.02, 0.0, 0.0, 0.0, 0.0), 4.0, 0.5)
 
 
+@real
 def test_it_moves_along_lines_slides_and_turns() -> None:
     async def main() -> list[tuple[float, ...]]:
         poses = list[tuple[float, ...]]()
@@ -103,12 +115,13 @@ def test_it_moves_along_lines_slides_and_turns() -> None:
             assert not arm.fault
         return poses
 
-    first, second = asyncio.run(main())
+    first, second = run_lab(main())
     np.testing.assert_allclose(first, (0.42, 0.05, 0.12, math.pi, 0, 0), atol=6e-4)
     assert second[0] - first[0] > 0.015
     assert abs(second[4]) > 0.1  # turned about the vertical
 
 
+@real
 def test_it_stops_though_its_controller_reads_commands_slowly(monkeypatch: pytest.MonkeyPatch) -> None:
     step, turns = Program.step, count()
 
@@ -116,18 +129,14 @@ def test_it_stops_though_its_controller_reads_commands_slowly(monkeypatch: pytes
         return step(program) if next(turns) % 25 == 0 else True  # every 0.2 s; writes come every 0.05 s
 
     async def main() -> None:
-        clock = LoopClock()
-        async with (
-            FaultyUrController(FreeArm(np.array(BEGIN), 1.0), host=HOST, version=CB3, now=clock.now),
-            UrArm(HOST, BOUNDS, clock) as arm,
-        ):
+        async with lab() as here:
             monkeypatch.setattr(Program, "step", seldom)
-            await arm.slide((0.0, 0.04, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0)
-            assert arm.state.still
-            assert arm.state.pose[1] > 0.02
+            await here.arm.slide((0.0, 0.04, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0)
+            assert here.arm.state.still
+            assert here.arm.state.pose[1] > 0.02
             monkeypatch.undo()
 
-    asyncio.run(main())
+    run_lab(main())
 
 
 def test_it_follows_an_arc_at_its_speed_and_height() -> None:
@@ -151,7 +160,7 @@ def test_it_follows_an_arc_at_its_speed_and_height() -> None:
             await here.arm.line(BEGIN, 0.2, 0.5, 0.5)  # a line after it
         return seen
 
-    seen = asyncio.run(main())
+    seen = run_virtually(main())
     off = [math.dist(state.pose[1:3], (centre[1], 0.1)) - radius for state in seen]
     assert max(map(abs, off)) < 1e-3
     assert math.dist(seen[-1].pose[:3], points[-1]) < 5e-3
@@ -168,7 +177,7 @@ def test_it_moves_down_until_the_force_beyond_that_in_the_air_is_reached() -> No
             await here.arm.touch((0.0, 0.0, -0.008), 2.0, 0.002, 0.5)
             return here.arm.state, leaning.wrench.item(2) - 6.0
 
-    state, force = asyncio.run(main())
+    state, force = run_virtually(main())
     assert state.still
     assert 2.0 <= force < 3.0
     assert state.pose[2] == pytest.approx(-0.001 * force, abs=1e-6)
@@ -184,7 +193,7 @@ def test_it_is_stopped_without_contact() -> None:
             assert here.arm.state.still
             return here.arm.fault
 
-    assert "no contact" in asyncio.run(main())
+    assert "no contact" in run_virtually(main())
 
 
 def test_it_is_stopped_when_it_overruns_the_contact_search() -> None:
@@ -207,7 +216,7 @@ def test_it_is_stopped_when_it_overruns_the_contact_search() -> None:
             assert here.arm.state.still
             return here.arm.fault, here.arm.state.pose[2]
 
-    fault, height = asyncio.run(main())
+    fault, height = run_virtually(main())
     assert fault.startswith("it moved 1.")
     assert -0.002 < height < 0.0
 
@@ -236,7 +245,7 @@ def test_pressed_too_deep_it_is_stopped() -> None:
             assert here.arm.state.still
             return here.arm.fault
 
-    assert re.fullmatch(r"a force of 10\.\d N, more than 10 N", asyncio.run(main()))
+    assert re.fullmatch(r"a force of 10\.\d N, more than 10 N", run_virtually(main()))
 
 
 def test_a_protective_stop_ends_its_moves() -> None:
@@ -267,6 +276,7 @@ def test_a_target_outside_its_workspace_is_refused() -> None:
     assert here.arm.state.pose == pytest.approx(BEGIN)
 
 
+@real
 def test_a_process_that_dies_leaves_no_arm_moving() -> None:
     def kill(here: Lab) -> None:
         process = here.arm.control.process
@@ -274,7 +284,7 @@ def test_a_process_that_dies_leaves_no_arm_moving() -> None:
         assert process.pid
         os.kill(process.pid, signal.SIGSEGV)
 
-    here = refused(kill, away)
+    here = refused(kill, away, run_lab)
     assert "died" in here.arm.fault
     assert here.controller.box.runtime_state == RuntimeState.STOPPED
 
@@ -287,7 +297,7 @@ def test_a_missing_state_stops_it() -> None:
                 await away(here.arm)
             return here.arm.fault
 
-    assert "sent nothing" in asyncio.run(main())
+    assert "sent nothing" in run_virtually(main())
 
 
 def test_a_cancelled_move_stops_the_arm() -> None:
@@ -302,7 +312,7 @@ def test_a_cancelled_move_stops_the_arm() -> None:
             assert here.arm.state.still
             return not here.arm.fault
 
-    assert asyncio.run(main())
+    assert run_virtually(main())
 
 
 def test_an_arm_that_may_not_move_is_not_opened() -> None:
@@ -314,7 +324,7 @@ def test_an_arm_that_may_not_move_is_not_opened() -> None:
                 pass
 
     with pytest.raises(EndpointError, match="emergency stop"):
-        asyncio.run(main())
+        run_virtually(main())
 
 
 def test_a_missing_controller_is_an_error() -> None:
@@ -323,4 +333,4 @@ def test_a_missing_controller_is_an_error() -> None:
             pass
 
     with pytest.raises(EndpointError, match=HOST):
-        asyncio.run(main())
+        run_virtually(main())

@@ -257,7 +257,7 @@ def live(body: Callable[[Lab], None], seconds: int) -> tuple[Any, TestSink, Lab]
     """Run the source, raw and in the host's time, with faults that `body` schedules."""
 
     async def main() -> tuple[Any, TestSink, Lab]:
-        async with lab(drift=50e-6) as here:
+        async with lab(CB3, drift=50e-6) as here:
             flow, sink = Flow("arm"), TestSink()
             motion = flow.source(here.source)
             (motion | DeviceClock()).to(sink)
