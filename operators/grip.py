@@ -73,11 +73,6 @@ class GripController(Operator[Scores, Commands]):
         check_at_least(name, "settle", self.settle, 0, "ns")
         check_at_least(name, "give_up_after", self.give_up_after, 0, "ns")
 
-    @property
-    def given_up(self) -> bool:
-        """True after the controller has released an object that slips at the upper limit."""
-        return self._given_up
-
     def process(self, batch: Scores) -> Commands:
         """Return the commands that follow from the decisions."""
         rows: list[int] = []

@@ -6,8 +6,7 @@ from contextlib import suppress
 from time import time_ns
 from typing import TYPE_CHECKING, Final, Self
 
-from connectors.emulators.gripper_mechanism import ForceReceiver, Mechanism, encode_status
-from connectors.gripper.grip_force import ForceScale
+from connectors.emulators.gripper_mechanism import Mechanism, encode_status
 from connectors.gripper.modbus_link import check_pymodbus
 from connectors.gripper.robotiq import PORT, STATUS, UNIT, Request, octets, registers
 from operators.checks import check_between
@@ -32,17 +31,13 @@ class GripperServer:
     any host can move the gripper.
 
     Args:
-        scene: Receiver of the grip force, such as a `SharedScene`.
+        mechanism: Emulated mechanism.
         host: Address on which to listen (default 127.0.0.1).
         port: Port on which to listen; 0 for any free one (default 502).
         unit: Modbus unit (default 2); 0 answers requests to any unit.
-        now: Clock of the scene (ns since 1970 UTC).
-        contact: Position, 0 to 255, at which the fingers meet an object (default 120); None for no object.
-        activation: Duration of an activation (s, default 2).
-        scale: Force of the force register's values.
+        now: Clock of the mechanism (ns since 1970 UTC).
 
     Attributes:
-        mechanism: Emulated mechanism.
         port: Actual port inside the block.
 
     Raises:
@@ -51,19 +46,15 @@ class GripperServer:
 
     def __init__(
         self,
-        scene: ForceReceiver,
+        mechanism: Mechanism,
         *,
         host: str = "127.0.0.1",
         port: int = PORT,
         unit: int = UNIT,
         now: Callable[[], int] = time_ns,
-        contact: int | None = 120,
-        activation: float = 2.0,
-        scale: ForceScale | None = None,
     ) -> None:
         check_between("GripperServer", "unit", unit, 0, MAX_UNIT)
-        self.host, self.port, self.unit = host, port, unit
-        self.mechanism = Mechanism(scene, now(), contact=contact, activation=activation, scale=scale)
+        self.mechanism, self.host, self.port, self.unit = mechanism, host, port, unit
         self._now = now
         self._written = bytearray(2 * STATUS)
         self._server: ModbusTcpServer | None = None

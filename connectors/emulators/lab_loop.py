@@ -4,8 +4,10 @@ import asyncio
 import selectors
 from collections.abc import Callable, Coroutine
 from math import inf
-from time import monotonic
+from time import monotonic, time_ns
 from typing import Any, Final, TypeVar
+
+from operators.batch import s
 
 STEP: Final = 0.008  # s by which an iteration of the loop may exceed its planned wait; one cycle of a CB3
 POLL: Final = 0.005  # s between checks of the condition for which time waits
@@ -68,3 +70,10 @@ def run_lab(main: Coroutine[Any, Any, T]) -> T:
     """Run a coroutine in a `LabLoop`, as `asyncio.run` does in a common loop."""
     with asyncio.Runner(loop_factory=LabLoop) as runner:
         return runner.run(main)
+
+
+def loop_clock() -> Callable[[], int]:
+    """Return a clock (ns since 1970 UTC) that runs on the time of the event loop."""
+    loop = asyncio.get_running_loop()
+    start = time_ns() - round(loop.time() * s)
+    return lambda: start + round(loop.time() * s)

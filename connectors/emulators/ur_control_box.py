@@ -111,8 +111,6 @@ class ControlBox:
         if self.runtime_state == RuntimeState.PLAYING and self._running and not self._running.step():
             self.stop_program()
         self.drive.step(pose, velocity)
-        if self.drive.lost and self.safety_mode == SafetyMode.NORMAL:
-            self.stop_protectively("the arm does not follow its path")
         target = self.drive.velocity
         change = np.abs(target - self._commanded).max()
         if change > VELOCITY_TOLERANCE or target.any() != self._commanded.any():

@@ -19,7 +19,6 @@ Task: TypeAlias = Literal["none", "line", "speed", "stop"]
 
 POSE_TOLERANCE: Final = 5e-5  # m, rad; a UR10 has a repeatability of 1e-4 m
 STANDSTILL: Final = 1e-3  # m/s, rad/s
-PROGRESS_TIMEOUT: Final = 1.0  # s
 
 
 class Drive:
@@ -32,17 +31,14 @@ class Drive:
     Attributes:
         velocity: Commanded velocity (6,) m/s and rad/s, base frame.
         task: Current task; "none" when it is done.
-        lost: True if the task was aborted because the arm did not follow.
     """
 
     def __init__(self, period: float, acceleration: float = 1.0) -> None:
         self._period, self._highest = period, acceleration
         self.velocity: Reals = np.zeros(6)
         self.task: Task = "none"
-        self.lost = False
         self._target: Reals = np.zeros(6)  # pose of a line task, else velocity
         self._speed = self._acceleration = 0.0
-        self._nearest, self._stalled = np.inf, 0.0  # smallest distance, and s since it decreased
 
     def line(self, pose: Reals, speed: float, acceleration: float) -> None:
         """Move straight to a pose (6,) m and rotation vector, at a speed (m/s) and acceleration (m/s2)."""
@@ -70,19 +66,15 @@ class Drive:
         resting = not self.velocity.any() and float(np.abs(velocity).max()) < STANDSTILL
         if self.task == "stop" and resting:
             self.task = "none"
-        if self.task in ("line", "stop") and self._stalled > PROGRESS_TIMEOUT:
-            self.lost, self.task, self.velocity = True, "none", np.zeros(6)
 
     def _begin(self, task: Task, target: Reals, speed: float, acceleration: float) -> None:
         self.task, self._target, self._speed = task, target.copy(), speed
         self._acceleration = min(acceleration, self._highest)
-        self._nearest, self._stalled, self.lost = np.inf, 0.0, False
 
     def _follow(self, pose: Reals) -> None:
         turn = rotation_difference(tuple(pose[3:].tolist()), tuple(self._target[3:].tolist()))
         remaining = np.concatenate((self._target[:3] - pose[:3], turn))  # (6,)
         distance = _extent(remaining)
-        self._progress(distance, POSE_TOLERANCE / 10)
         if distance < POSE_TOLERANCE:
             self.halt()
             return
@@ -93,18 +85,11 @@ class Drive:
         self.velocity = remaining * (speed / distance)
 
     def _approach(self) -> None:
-        self._progress(_extent(self._target - self.velocity), 0.0)
         self.velocity = self.velocity.copy()
         for part in (slice(0, 3), slice(3, 6)):  # separate ramps for translation and rotation
             change = self._target[part] - self.velocity[part]
             fraction = self._acceleration * self._period / max(float(np.linalg.norm(change)), 1e-12)
             self.velocity[part] += change * min(1.0, fraction)
-
-    def _progress(self, distance: float, least: float) -> None:
-        if distance < self._nearest - least:
-            self._nearest, self._stalled = distance, 0.0
-        else:
-            self._stalled += self._period
 
 
 def _extent(change: Reals) -> float:

@@ -5,15 +5,15 @@ highest point of the surface, its middle, is the origin of the arm's base frame.
 """
 
 import asyncio
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
-from time import time_ns
 from typing import Final
 
+from connectors.emulators.gripper_mechanism import Mechanism
 from connectors.emulators.gripper_server import GripperServer
 from connectors.emulators.i2c_bus import EmulatedI2cBus
-from connectors.emulators.lab_loop import LabLoop
+from connectors.emulators.lab_loop import LabLoop, loop_clock
 from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.shared_scene import SharedScene
 from connectors.emulators.ur_controller import PORTS, Ports, UrController
@@ -84,12 +84,14 @@ async def virtual_lab(
         InputError: if a gripper is requested and pymodbus is not installed.
         ParameterError: if a finger is not from 0 to 7.
     """
-    now = _loop_clock()
+    now = loop_clock()
     shared = await asyncio.to_thread(lambda: SharedScene(scene, seed, fingers=fingers, now=now))
     bus = EmulatedI2cBus(shared, {finger: finger for finger in fingers}, now=now)
     arm = PressingArm(shared, HEIGHT, curvatures=shared.scene.curvatures)
     controller = UrController(arm, host=host, ports=ports, version=UR10_CB3, now=now)
-    server = None if gripper is None else GripperServer(shared, host=host, port=gripper, now=now)
+    server = None
+    if gripper is not None:
+        server = GripperServer(Mechanism(shared, now()), host=host, port=gripper, now=now)
     async with AsyncExitStack() as running:
         await running.enter_async_context(controller)
         if server:
@@ -100,13 +102,6 @@ async def virtual_lab(
         finally:
             advancing.cancel()
             await asyncio.gather(advancing, return_exceptions=True)
-
-
-def _loop_clock() -> Callable[[], int]:
-    """Return a clock (ns since 1970 UTC) that runs on the time of the event loop."""
-    loop = asyncio.get_running_loop()
-    start = time_ns() - round(loop.time() * s)
-    return lambda: start + round(loop.time() * s)
 
 
 async def _advance(scene: SharedScene) -> None:

@@ -11,33 +11,13 @@ class I2cConnection(Protocol):
     """An open bus: the methods of `smbus2.SMBus` that `Scanner` uses. They raise OSError."""
 
     @property
-    def funcs(self) -> int:
-        """Bits of `smbus2.I2cFunc` that the adapter supports."""
-        ...
-
-    def write_quick(self, i2c_addr: int, /) -> None:
-        """Send an address with the write bit and no data."""
-        ...
-
-    def read_byte(self, i2c_addr: int, /) -> int:
-        """Read one byte."""
-        ...
-
-    def write_byte(self, i2c_addr: int, value: int, /) -> None:
-        """Write one byte."""
-        ...
-
-    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]:
-        """Read bytes from a register on."""
-        ...
-
-    def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None:
-        """Write bytes from a register on."""
-        ...
-
-    def close(self) -> None:
-        """Close the bus."""
-        ...
+    def funcs(self) -> int: ...  # noqa: D102 - bits of `smbus2.I2cFunc` that the adapter supports
+    def write_quick(self, i2c_addr: int, /) -> None: ...  # noqa: D102
+    def read_byte(self, i2c_addr: int, /) -> int: ...  # noqa: D102
+    def write_byte(self, i2c_addr: int, value: int, /) -> None: ...  # noqa: D102
+    def read_i2c_block_data(self, i2c_addr: int, register: int, length: int, /) -> list[int]: ...  # noqa: D102
+    def write_i2c_block_data(self, i2c_addr: int, register: int, data: Sequence[int], /) -> None: ...  # noqa: D102
+    def close(self) -> None: ...  # noqa: D102
 
 
 class I2cBus(Protocol):

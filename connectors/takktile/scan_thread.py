@@ -3,16 +3,13 @@
 import asyncio
 import logging
 from collections import deque
-from collections.abc import AsyncGenerator, Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import AsyncGenerator, Callable
 from errno import ENODEV, EREMOTEIO
 from os import strerror
 from threading import Event, Thread
 from typing import Final
 
-from connectors.takktile.i2c_access import I2cBus
-from connectors.takktile.scanner import Scan, Scanner, i2c_reason
-from connectors.takktile.takktile_protocol import Coefficients
+from connectors.takktile.scanner import Scan, Scanner, Schedule, i2c_reason
 from operators.batch import ms, s
 from operators.errors import EndpointError
 
@@ -22,28 +19,6 @@ LOST_AFTER: Final = 250 * ms  # ns without a sample, at least three scans
 TIMEOUT: Final = 3.0  # s, for a scan and for the end of the thread
 SHORTEST_WAIT: Final = ms // 5  # ns, between looks at a slow clock
 BACKLOG: Final = 1000  # maximum of scans that wait for the event loop
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """Fingertips to scan, and the times of the scans.
-
-    Attributes:
-        bus: The bus.
-        rows: Rows of the fingertips.
-        conversion: Waiting time for a conversion, ns.
-        period: Time between two scans, ns.
-        counted: Counters, incremented by the thread: scans made, of these silent (no cell answered) and late
-            (by more than a tenth of the period), and missed.
-        coefficients: Coefficients of each cell, filled by the thread as in `Scanner`.
-    """
-
-    bus: I2cBus
-    rows: Sequence[int]
-    conversion: int
-    period: int
-    counted: dict[str, int]
-    coefficients: Sequence[list[Coefficients | None]]
 
 
 class ScanThread:
@@ -105,9 +80,7 @@ class ScanThread:
     def _run(self) -> None:
         schedule, scanner = self._schedule, None
         try:
-            scanner = Scanner(
-                schedule.bus, schedule.rows, schedule.conversion, self._now, schedule.coefficients
-            )
+            scanner = Scanner(schedule, self._now)
             self._scan(scanner)
         except OSError as error:
             self._error = EndpointError(self._path, i2c_reason(error))

@@ -3,6 +3,7 @@
 import errno
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from time import sleep
 from typing import Final, NamedTuple
 
@@ -37,6 +38,28 @@ _REASONS: Final = {
 }
 
 
+@dataclass(frozen=True)
+class Schedule:
+    """Fingertips to scan, and the times of the scans.
+
+    Attributes:
+        bus: The bus.
+        rows: Rows of the fingertips.
+        conversion: Waiting time for a conversion, ns.
+        period: Time between two scans, ns.
+        counted: Counters, incremented by the thread: scans made, of these silent (no cell answered) and late
+            (by more than a tenth of the period), and missed.
+        coefficients: Coefficients of the 6 cells of each fingertip, filled by the thread; None: not read yet.
+    """
+
+    bus: I2cBus
+    rows: Sequence[int]
+    conversion: int
+    period: int
+    counted: dict[str, int]
+    coefficients: Sequence[list[Coefficients | None]]
+
+
 class Scan(NamedTuple):
     """Samples of all cells of all fingertips, converted at the same time."""
 
@@ -66,27 +89,18 @@ class Scanner:
     time, and the result looks like data. After every error all cells are disconnected.
 
     Args:
-        bus: The bus, not yet open.
-        rows: Rows of the fingertips, 0 to 7.
-        conversion: Waiting time for a conversion, ns.
+        schedule: Bus, rows, conversion time and coefficients.
         now: Clock of the samples, ns.
-        coefficients: List of the 6 cells' coefficients for each fingertip, filled here; None: not read yet.
 
     Raises:
         OSError: if the bus cannot be used, or no fingertip answers.
     """
 
-    def __init__(
-        self,
-        bus: I2cBus,
-        rows: Sequence[int],
-        conversion: int,
-        now: Callable[[], int],
-        coefficients: Sequence[list[Coefficients | None]],
-    ) -> None:
-        self._rows, self._conversion, self._now, self._coefficients = rows, conversion, now, coefficients
+    def __init__(self, schedule: Schedule, now: Callable[[], int]) -> None:
+        rows, self._conversion, self._coefficients = schedule.rows, schedule.conversion, schedule.coefficients
+        self._rows, self._now = rows, now
         self._overload = [[OverloadDetector() for _ in range(BAROMETERS)] for _ in rows]
-        self._bus = bus.open()
+        self._bus = schedule.bus.open()
         try:
             self._quick = bool(self._bus.funcs & I2cFunc.SMBUS_QUICK)
             self._disconnect_all()

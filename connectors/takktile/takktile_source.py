@@ -9,8 +9,8 @@ from typing import Final, cast
 import numpy as np
 
 from connectors.takktile.i2c_access import I2cBus, LinuxI2cBus
-from connectors.takktile.scan_thread import ScanThread, Schedule
-from connectors.takktile.scanner import Scan
+from connectors.takktile.scan_thread import ScanThread
+from connectors.takktile.scanner import Scan, Schedule
 from connectors.takktile.takktile_protocol import ROWS, Coefficients, compensate
 from operators.batch import BAROMETERS, Reals, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_choice

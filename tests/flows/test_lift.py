@@ -2,11 +2,14 @@
 
 import asyncio
 from collections.abc import Sequence
+from contextlib import ExitStack
 
 import pytest
 
 from connectors import Gripper, TakkTile
+from connectors.emulators.gripper_mechanism import Mechanism
 from connectors.emulators.gripper_server import GripperServer
+from connectors.emulators.lab_loop import loop_clock, run_lab
 from connectors.gripper.grip_force import ForceScale
 from connectors.sim.grasp import GraspState, least_force
 from connectors.sim.grasp_actions import Lift
@@ -76,31 +79,33 @@ def test_the_flow_holds_an_object_that_is_lost_without_it(*, ruled: bool) -> Non
     assert (len(commands.rows(Commands, 0)) > 1) is ruled
 
 
-async def _lifted(number: int, name: str) -> GraspLab:
-    """One lift in real time: I2C bytes in, Modbus requests out."""
+async def _lifted(number: int, name: str, buses: ExitStack) -> GraspLab:
+    """One lift over the devices' protocols: I2C bytes in, Modbus requests out."""
     from tests.connectors.emulators.i2c_device import served  # noqa: PLC0415 - needs smbus2
 
     thing = named(name)
-    lab = await asyncio.to_thread(lambda: GraspLab(open_grasp(thing, number, UP)))
+    now = loop_clock()
+    lab = await asyncio.to_thread(lambda: GraspLab(open_grasp(thing, number, UP), now))
     path = f"/dev/i2c-{70 + number}"
-    server = GripperServer(lab, port=0, now=lab.now, activation=0.2, scale=SMALL)
+    server = GripperServer(Mechanism(lab, lab.now(), activation=0.2, scale=SMALL), port=0, now=lab.now)
     rule = grip_controller(DETECTOR, 0.6 * least_force(thing), settle=round(1.5 * s))
-    with served(FaultyI2cBus(lab, now=lab.now), path):
-        async with server:
-            flow = Flow("lift")
-            hand = Gripper(server.host, server.port, limits=(0.05, 10.0), scale=SMALL)
-            _, commands = declare_grip(flow, TakkTile(bus=path), load_detector(DETECTOR), rule)
-            commands.to(hand)
-            run = await LiveRunner(flow, "lift", duration=SECONDS * s).execute()
+    buses.enter_context(served(FaultyI2cBus(lab, now=lab.now), path))
+    async with server:
+        flow = Flow("lift")
+        hand = Gripper(server.host, server.port, limits=(0.05, 10.0), scale=SMALL)
+        _, commands = declare_grip(flow, TakkTile(bus=path), load_detector(DETECTOR), rule)
+        commands.to(hand)
+        run = await LiveRunner(flow, "lift", duration=SECONDS * s).execute()
     assert not any(status.error for status in run.sinks.values())
     return lab
 
 
 def _together(names: Sequence[str]) -> dict[str, GraspLab]:
     async def main() -> list[GraspLab]:
-        return await asyncio.gather(*(_lifted(number, name) for number, name in enumerate(names)))
+        with ExitStack() as buses:  # closed in the reverse order
+            return await asyncio.gather(*(_lifted(number, name, buses) for number, name in enumerate(names)))
 
-    return dict(zip(names, asyncio.run(main()), strict=True))
+    return dict(zip(names, run_lab(main()), strict=True))
 
 
 def _check(labs: dict[str, GraspLab]) -> None:
@@ -118,5 +123,4 @@ def test_over_i2c_and_modbus_the_ball_and_the_box_are_lifted_and_held() -> None:
 @pytest.mark.slow
 def test_over_i2c_and_modbus_every_object_is_lifted_and_held() -> None:
     pytest.importorskip("pymodbus")
-    for name in OBJECTS:
-        _check(_together([name]))
+    _check(_together(list(OBJECTS)))

@@ -99,15 +99,13 @@ def test_an_object_that_slips_at_the_upper_limit_is_released_once() -> None:
     grip = _soon(max_force=1.3, min_force=0.1, give_up_after=200 * ms)
     force = _pushed(grip, [0.0] + [1.0] * 60).force
     assert force[-2:].tolist() == [1.3, 0.1]
-    assert grip.given_up
     assert not len(_pushed(grip, [1.0] * 50, since=61))
-    assert not grip.reset_copy().given_up
+    assert _pushed(grip.reset_copy(), [0.0] + [1.0] * 60).force.tolist() == force.tolist()
 
 
 def test_a_pause_in_the_slip_restarts_the_time_to_giving_up() -> None:
     grip = _soon(max_force=1.1, give_up_after=200 * ms)
-    _pushed(grip, [0.0] + ([1.0] * 15 + [0.0]) * 20)
-    assert not grip.given_up
+    assert _pushed(grip, [0.0] + ([1.0] * 15 + [0.0]) * 20).force.min() > 0  # never released
 
 
 def test_a_gap_in_the_scores_is_no_time_of_slip() -> None:

@@ -3,11 +3,12 @@
 import asyncio
 import socket
 import struct
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self, cast
 
-from connectors.emulators.gripper_mechanism import Mechanism
+from connectors.emulators.gripper_mechanism import ForceReceiver, Mechanism
 from connectors.emulators.gripper_server import GripperServer
-from connectors.gripper.robotiq import Phase
+from connectors.gripper.robotiq import PORT, UNIT, Phase
 
 RELEASED = 0x0F  # fault: automatic release completed
 
@@ -25,6 +26,18 @@ class FaultyGripperServer(GripperServer):
     """A gripper that can restart, drop its clients, refuse (`refusing`) or not answer (`silent`)."""
 
     refusing = silent = False
+
+    def __init__(
+        self,
+        scene: ForceReceiver,
+        *,
+        now: Callable[[], int],
+        host: str = "127.0.0.1",
+        port: int = PORT,
+        unit: int = UNIT,
+        **mechanism: Any,  # noqa: ANN401 - those of a mechanism
+    ) -> None:
+        super().__init__(Mechanism(scene, now(), **mechanism), host=host, port=port, unit=unit, now=now)
 
     async def __aenter__(self) -> Self:
         await super().__aenter__()

@@ -185,7 +185,7 @@ def test_a_port_that_is_taken_is_said_to_be() -> None:
             other.listen()
             port = other.getsockname()[1]
             with pytest.raises(EndpointError, match=f"{HOST}:{port}: cannot listen"):
-                await FaultyGripperServer(Hand(), port=port).__aenter__()
+                await FaultyGripperServer(Hand(), port=port, now=int).__aenter__()
 
     asyncio.run(test())
 
@@ -206,7 +206,7 @@ def test_it_listens_on_loopback_only_and_again_after_it_was_closed() -> None:
 
 def test_a_unit_that_cannot_be_is_refused() -> None:
     with pytest.raises(ParameterError, match="GripperServer: unit is 256"):
-        FaultyGripperServer(Hand(), unit=256)
+        FaultyGripperServer(Hand(), unit=256, now=int)
 
 
 def test_the_grip_reaches_the_scene_and_its_fingertip_feels_it() -> None:

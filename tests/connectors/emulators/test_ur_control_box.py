@@ -254,20 +254,6 @@ def test_the_watchdog_stops_an_arm_that_nobody_tends(cell: Cell) -> None:
     assert cell.speed < 1e-3
 
 
-def test_an_arm_that_does_not_follow_is_stopped(caplog: pytest.LogCaptureFixture) -> None:
-    class Stuck(FreeArm):
-        def command(self, commands: Commands) -> None:
-            del commands
-
-    cell = Cell()
-    cell.box = ControlBox(Stuck(np.zeros(6)), Version(3, 15, 0, 0))
-    cell.box.run_script(SCRIPT)
-    cell.ask(Command.MOVE_LINE, *TARGET, 0.1, 1.0)
-    assert cell.run(9.0, lambda: cell.value("safety_mode") == SafetyMode.PROTECTIVE_STOP) < 1.5
-    assert not cell.done()
-    assert "does not follow" in caplog.text
-
-
 # --- stops -----------------------------------------------------------------------------------------------
 
 

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors.takktile.i2c_access import LinuxI2cBus
-from connectors.takktile.scan_thread import ScanThread, Schedule, next_scan
-from connectors.takktile.scanner import Scan, Scanner
+from connectors.takktile.scan_thread import ScanThread, next_scan
+from connectors.takktile.scanner import Scan, Scanner, Schedule
 from connectors.takktile.takktile_protocol import Coefficients
 from operators import ms, us
 from operators.batch import Counts

@@ -12,7 +12,7 @@ from smbus2 import SMBus
 
 from connectors.emulators.i2c_barometer import Barometer
 from connectors.takktile.i2c_access import LinuxI2cBus
-from connectors.takktile.scanner import Scan, Scanner, i2c_reason
+from connectors.takktile.scanner import Scan, Scanner, Schedule, i2c_reason
 from connectors.takktile.takktile_protocol import Coefficients
 from operators.batch import Counts, us
 from tests.connectors.emulators.faulty_i2c import (
@@ -62,7 +62,8 @@ class Rig:
         self.coefficients: list[list[Coefficients | None]] = [[None] * 6, [None] * 6]
 
     def open(self) -> Scanner:
-        return Scanner(LinuxI2cBus(PATH), self.rows, 100 * us, time_ns, self.coefficients)
+        schedule = Schedule(LinuxI2cBus(PATH), self.rows, 100 * us, 0, {}, self.coefficients)
+        return Scanner(schedule, time_ns)
 
     def right(self, scan: Scan) -> None:
         """Check that valid cells have the counts of the last conversion."""

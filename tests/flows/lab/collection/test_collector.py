@@ -46,7 +46,6 @@ from operators import (
     s,
 )
 from storage import Session
-from tests.connectors.emulators.faulty_ur import stop_in_emergency
 from tests.connectors.emulators.observed_scene import ObservedScene
 
 pytestmark = pytest.mark.skipif(
@@ -300,12 +299,6 @@ def interrupted(done: Made, why: str) -> None:
     assert touch.time[-1] - touch.time[0] > 2 * s
     ends = [each["end"] for each in done.session.frame("episodes").to_dicts()]
     assert ends[-1] <= done.about["end_ns"]
-
-
-def test_an_emergency_stop_ends_the_collection(tmp_path: Path) -> None:
-    interrupted(
-        made(tmp_path / "data", act=lambda lab: stop_in_emergency(lab.controller.box)), "emergency stop"
-    )
 
 
 def test_a_lost_sensor_stops_the_arm(tmp_path: Path) -> None:
