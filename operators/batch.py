@@ -78,25 +78,39 @@ class Batch:
         return empty
 
     def check(self) -> Self:
-        """Return this batch if the type and shape of each column are valid.
+        """Return this batch if the type and shape of each column are valid; fast for batches of one row.
 
         Raises:
             BatchError: if a column is invalid.
         """
-        expected, rows = layout(type(self)), len(self.time)
-        shapes = expected.single if rows == 1 else [(rows, *shape) for shape in expected.shapes]
-        for value, dtype, shape in zip(expected.take(self), expected.dtypes, shapes, strict=True):
-            if type(value) is not np.ndarray or value.dtype is not dtype or value.shape != shape:
-                return self._check_each()
+        expected = layout(type(self))
+        try:
+            if expected.traits(self) == expected.single:
+                return self
+        except AttributeError:  # a column is not an array
+            pass
+        return self._check_each()
+
+    def check_order(self) -> Self:
+        """Return this batch if its time never decreases.
+
+        Raises:
+            BatchError: if it does.
+        """
+        if self.time.size > 1 and (earlier := self.time[1:] < self.time[:-1]).any():
+            row = int(earlier.argmax()) + 1
+            reason = f"decreases at row {row}, must be in order: sort the rows, or yield them one by one"
+            raise BatchError(type(self).__name__, "time", reason)
         return self
 
     def _check_each(self) -> Self:
         """Check the columns one by one; the error names the invalid one."""
-        kind, length = type(self).__name__, len(self.time)
+        kind, length = type(self).__name__, next(iter(np.shape(self.time)), 0)
         for name, expected in columns(type(self)).items():
             value: NDArray[Any] = getattr(self, name)
-            found = getattr(value, "dtype", type(value).__name__)
-            if found != expected.dtype:
+            is_array: bool = isinstance(getattr(self, name), np.ndarray)
+            if not is_array or value.dtype != expected.dtype:
+                found = value.dtype if is_array else type(value).__name__
                 raise BatchError(kind, name, f"is {found}, must be an array of {expected.dtype}")
             shape = value.shape
             if (
@@ -117,9 +131,9 @@ class Layout:
 
     def __init__(self, kind: type[Batch]) -> None:
         expected = columns(kind)
-        self.dtypes = [each.dtype for each in expected.values()]
-        self.shapes = [each.shape for each in expected.values()]  # of a row
-        self.single = [(1, *shape) for shape in self.shapes]  # of a batch of one row
+        # type and shape of each column, of a batch and as expected of one row
+        self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in ("dtype", "shape")))
+        self.single = tuple(trait for each in expected.values() for trait in (each.dtype, (1, *each.shape)))
         getter = attrgetter(*expected)
         self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
             getter if len(expected) > 1 else lambda batch: (batch.time,)

@@ -31,6 +31,8 @@ class Stage:
     sinks: list[Node] = field(default_factory=list[Node])
     _push: Callable[..., Batch] = field(init=False)
     _empty: tuple[Batch, ...] = field(init=False)
+    _nothing: Batch = field(init=False)  # usual output without rows
+    _tested: bool = field(init=False)  # an operator of slipflow: its tests check the columns
     _first: int = field(init=False)
     _second: int | None = field(init=False)  # None: an operator, not a join
 
@@ -40,6 +42,8 @@ class Stage:
             self._first, *second = self.inputs
             self._second = second[0] if second else None
         self._empty = tuple(kind.empty() for kind in self.takes)
+        self._nothing = self.gives.empty()
+        self._tested = type(self.operator).__module__.startswith("operators.")
 
     def push(self, values: Sequence[Batch | None]) -> Batch | None:
         """Run the operator on its inputs; return None if there is no input or no output."""
@@ -54,7 +58,7 @@ class Stage:
                 return None
             empty = self._empty
             out = self._push(empty[0] if left is None else left, empty[1] if right is None else right)
-        if type(out) is self.gives and out.finger == self.finger and out.time.size:
+        if self._tested and type(out) is self.gives and out.finger == self.finger and out.time.size:
             return out
         return self.checked(out)
 
@@ -63,16 +67,18 @@ class Stage:
         self.operator, self._push = operator, operator.push
 
     def checked(self, out: Batch) -> Batch | None:
-        """Return the output, or None if it is empty; check its type and fingertip."""
+        """Return the output, or None if it is empty; check its type, columns, fingertip and order."""
+        if out is self._nothing:
+            return None
         if type(out) is not self.gives and not isinstance(out, self.gives):
             raise TypeError(f"returned {type(out).__name__}, but declares {self.gives.__name__}")
-        if not out.time.size:
+        if not out.check().time.size:
             return None
         if out.finger != self.finger:
             raise ValueError(
                 f"returned rows of fingertip {out.finger}, not {self.finger}: pass on finger=batch.finger"
             )
-        return out
+        return out if out.time.size == 1 else out.check_order()
 
 
 class CompiledFlow:

@@ -96,7 +96,8 @@ class SourceReader:
             reason = f"yielded {type(batch).__name__}, but declares {self._kind.__name__}"
             raise OperatorError(self._run.flow, self.name, reason)
         try:
-            return batch.check()
+            batch.check()
+            return batch if self._source.recording else batch.check_order()  # recordings keep late rows
         except BatchError as error:
             raise OperatorError(self._run.flow, self.name, f"yielded {error}") from error
 

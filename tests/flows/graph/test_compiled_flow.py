@@ -1,6 +1,7 @@
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -161,16 +162,43 @@ class Wrong(Operator[Scores, Scores]):
         return cast("Scores", None)
 
 
+ONE = np.array([0])
+
+
+@dataclass
+class Returning(Operator[Scores, Scores]):
+    """Returns columns of its own."""
+
+    columns: Callable[[], tuple[Any, Any]]
+
+    def process(self, batch: Scores) -> Scores:
+        return Scores(*self.columns(), finger=batch.finger)
+
+
 @pytest.mark.parametrize(
     ("operator", "message"),
     [
+        (
+            Returning(lambda: (ONE, np.ones(1, np.float32))),
+            "Returning: Scores.probability: is float32, must be an array of float64",
+        ),
+        (
+            Returning(lambda: (ONE, [0.5])),
+            "Returning: Scores.probability: is list, must be an array of float64",
+        ),
+        (Returning(lambda: (ONE, np.ones(2))), "Returning: Scores.probability: has shape (2,), must be (1)"),
+        (Returning(lambda: (5, np.ones(1))), "Returning: Scores.time: is int, must be an array of int64"),
+        (
+            Returning(lambda: (np.array([3, 4, 2]), np.ones(3))),
+            "Returning: Scores.time: decreases at row 2, must be",
+        ),
         (
             Forgetful(),
             "flow 'f': Forgetful: ValueError: returned rows of fingertip -1, not 2: pass on finger=",
         ),
         (Wrong(), "flow 'f': Wrong: TypeError: returned NoneType, but declares Scores"),
     ],
-    ids=["finger", "type"],
+    ids=["dtype", "list", "length", "time", "order", "finger", "type"],
 )
 def test_an_operator_that_breaks_its_contract_is_named(
     operator: Operator[Scores, Scores], message: str

@@ -143,12 +143,16 @@ OTHER_TYPE: Any = Slips.empty()
         ),
         (Scores(np.arange(2), np.ones(1)), r"yielded Scores.probability: has shape \(1,\), must be \(2\)"),
         (
+            Scores(np.array([3, 4, 2]), np.ones(3)),
+            "scores: yielded Scores.time: decreases at row 2, must be in order",
+        ),
+        (
             OTHER_TYPE,
             "scores: yielded Slips, but declares Scores",
         ),
         (ParameterError("Fingertip", "seed", -5, "at least 0"), "Fingertip: seed is -5, must be at least 0"),
     ],
-    ids=["dtype", "shape", "type", "parameter"],
+    ids=["dtype", "shape", "order", "type", "parameter"],
 )
 def test_a_source_that_breaks_its_contract_ends_the_run_at_once(
     wrong: Scores | Exception, message: str
