@@ -23,27 +23,27 @@ class Onsets:
 
 
 def match_onsets(
-    onsets: Times, slips: Sequence[tuple[int, int]], *, before: int = BEFORE, after: int = AFTER
+    onsets: Times, slips: Times | Sequence[tuple[int, int]], *, before: int = BEFORE, after: int = AFTER
 ) -> Onsets:
     """Match each slip with the first onset from `before` its start to `after` its end.
 
     Args:
         onsets: (n,) times of onsets, ns, increasing.
-        slips: Start and end of each true slip, ns, increasing.
+        slips: (k, 2) start and end of each true slip, ns.
         before: Time that an onset may precede its slip, ns.
         after: Time after the end of a slip in which an onset still belongs to it, ns.
 
     >>> match_onsets(np.array([30 * ms, 900 * ms]), [(0, 200 * ms), (400 * ms, 500 * ms)])
     Onsets(delays=array([30000000]), missed=1, false=1)
     """
-    delays: list[int] = []
-    explained = np.zeros(len(onsets), np.bool_)  # (n,)
-    for start, end in slips:
-        within = (onsets >= start - before) & (onsets <= end + after)  # (n,)
-        if within.any():
-            delays.append(int(onsets[within][0]) - start)
-        explained |= within
-    return Onsets(np.array(delays, np.int64), len(slips) - len(delays), int((~explained).sum()))
+    starts, ends = np.asarray(slips, np.int64).reshape(-1, 2).T  # (k,) each
+    first, past = onsets.searchsorted(starts - before), onsets.searchsorted(ends + after, "right")
+    found = first < past
+    nesting = np.zeros(len(onsets) + 1, np.int64)  # change of the number of slips that an onset belongs to
+    np.add.at(nesting, first[found], 1)
+    np.add.at(nesting, past[found], -1)
+    false = int((nesting.cumsum()[:-1] == 0).sum())
+    return Onsets(onsets[first[found]] - starts[found], int((~found).sum()), false)
 
 
 def runs(flags: Flags) -> NDArray[np.intp]:

@@ -85,7 +85,7 @@ def learn(
         parts["train"] + hard * REPEATS,
         parts["validation"],
         recipe,
-        progress=lambda done, check: progress(done, recipe.steps, check),
+        progress,
     )
     card = {
         **_data_card(kinds, seed),

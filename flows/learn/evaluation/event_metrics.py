@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from connectors.sim.truth import STICK
 from flows.learn.evaluation.sample_metrics import percent
@@ -17,7 +18,7 @@ PAUSE: Final = 100 * ms  # ns; a slip continues through shorter static stretches
 BRIEF: Final = 50 * ms  # ns; uncertainty of the labels (paper, Fig. 6)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Slips:
     """True slips of a recording; ns from its first sample.
 
@@ -25,8 +26,8 @@ class Slips:
     warm-up need not be detected. An onset in such a slip, or where there is no label, is not a false alarm.
     """
 
-    found: tuple[tuple[int, int], ...]  # start and end of each slip that must be detected
-    excused: tuple[tuple[int, int], ...]  # start and end of other stretches in which onsets are not false
+    found: Times  # (k, 2) start and end of each slip that must be detected
+    tolerated: Times  # (j, 2) start and end of all stretches in which onsets are not false
     static: int  # ns outside of all these, after the warm-up
 
     @classmethod
@@ -44,39 +45,35 @@ class Slips:
     def of(cls, slip: Flags, pause: int, unknown: Flags | None = None) -> Self:
         """Return the slips of samples (n,); those that are `unknown` (n,) are neither slip nor static.
 
-        >>> slip = np.arange(300) // 50 == 3
-        >>> Slips.of(slip, PAUSE).found == ((1500 * ms, 1990 * ms),)
-        True
+        >>> Slips.of(np.arange(300) // 50 == 3, PAUSE).found / ms
+        array([[1500., 1990.]])
         """
-        starts, ends = bridged(slip, pause)
-        found = (ends - starts >= BRIEF // PERIOD - 1) & (starts >= WARM_UP)  # (k,)
         if unknown is None:
             unknown = np.zeros(len(slip), np.bool_)
-        excused = [*_stretches(starts[~found], ends[~found]), *_stretches(*bridged(unknown, 0))]
+        slips = bridged(slip, pause)  # (m, 2)
+        found = (np.diff(slips)[:, 0] >= BRIEF // PERIOD - 1) & (slips[:, 0] >= WARM_UP)  # (m,)
+        tolerated = np.concatenate([slips, bridged(unknown, 0)])
         static = int((~filled(slip, pause) & ~unknown)[WARM_UP:].sum()) * PERIOD
-        return cls(_stretches(starts[found], ends[found]), tuple(sorted(excused)), static)
+        return cls(slips[found] * PERIOD, tolerated * PERIOD, static)
 
 
-def bridged(flags: Flags, pause: int) -> tuple[Times, Times]:
-    """Return first and last sample of each run of True, runs closer than `pause` ns joined; (k,), (k,)."""
+def bridged(flags: Flags, pause: int) -> NDArray[np.intp]:
+    """Return first and last sample of each run of True, runs closer than `pause` ns joined; (k, 2)."""
     starts, ends = runs(flags).T
-    if not len(starts):
-        return starts, ends
     separate = (starts[1:] - ends[:-1]) * PERIOD >= max(pause, 1)
-    return starts[np.append(True, separate)], ends[np.append(separate, True)] - 1
+    return np.stack(
+        [starts[np.append(True, separate)[: len(starts)]], ends[np.append(separate, True)[: len(ends)]] - 1],
+        axis=1,
+    )
 
 
 def filled(flags: Flags, pause: int) -> Flags:
     """Return the flags (n,) with pauses shorter than `pause` ns filled."""
     steps = np.zeros(len(flags) + 1, np.int8)
-    starts, ends = bridged(flags, pause)
+    starts, ends = bridged(flags, pause).T
     steps[starts], steps[ends + 1] = 1, -1
     joined: Flags = np.cumsum(steps)[:-1] > 0
     return joined
-
-
-def _stretches(starts: Times, ends: Times) -> tuple[tuple[int, int], ...]:
-    return tuple(zip((starts * PERIOD).tolist(), (ends * PERIOD).tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,14 +93,18 @@ class EventMetrics:
     @classmethod
     def of(cls, probabilities: Sequence[Reals], slips: Sequence[Slips], debounce: Debounce) -> Self:
         """Debounce the probabilities (n,) of each recording and match the onsets with its slips."""
+        return cls.of_onsets([onsets(each, debounce) for each in probabilities], slips)
+
+    @classmethod
+    def of_onsets(cls, raised: Sequence[Times], slips: Sequence[Slips]) -> Self:
+        """Match the onsets (k,) of each recording with its slips."""
         delays, missed, false, repeats = list[Times](), 0, 0, 0
-        for probability, true in zip(probabilities, slips, strict=True):
-            raised = onsets(probability, debounce)
-            matched = match_onsets(raised, true.found)
+        for each, true in zip(raised, slips, strict=True):
+            matched = match_onsets(each, true.found)
             delays.append(matched.delays)
             missed += matched.missed
-            false += match_onsets(raised, (*true.found, *true.excused)).false
-            repeats += len(raised) - matched.false - len(matched.delays)
+            false += match_onsets(each, true.tolerated).false
+            repeats += len(each) - matched.false - len(matched.delays)
         minutes = sum(true.static for true in slips) / (60 * s)
         return cls(np.concatenate([np.empty(0), *delays]) / ms, missed, false, repeats, minutes)
 

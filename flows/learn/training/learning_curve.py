@@ -10,7 +10,7 @@ from flows.report.figures import CELLS, FAINT, Figure, grid, styled
 class Check:
     """Evaluation on the validation split during training."""
 
-    done: int  # steps of dense training, epochs of windowed training
+    done: int  # steps
     seconds: float
     loss: float  # mean since the last check, nats
     accuracy: float  # on the validation split, %

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, Final, TypeAlias
+from typing import Final
 
 import numpy as np
 import torch
@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
+from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe
+from flows.learn.training.training_loop import Arrays, Network, set_seed
 from operators.batch import BAROMETERS, Reals
+from operators.checks import check_choice
 from operators.detectors.frequency_cnn import BINS, PARTS, PIXELS
-
-Arrays: TypeAlias = dict[str, NDArray[Any]]
 
 _TAPS: Final = 8
 _FILTERS: Final = 12
@@ -24,7 +25,39 @@ _MOMENTUM: Final = 0.01  # weight of a batch in the running mean and variance
 _TRUNCATED: Final = 0.87962566103423978  # standard deviation of a unit normal that is cut off at 2
 
 
-class Network(nn.Module):
+def paper_network(name: str, mean: Reals, std: Reals, recipe: PaperRecipe) -> "PaperNetwork":
+    """Return one of `PAPER_NETWORKS` with initial weights; this seeds torch's random numbers.
+
+    Kernels are He normal as Keras draws them (cut off at two standard deviations), biases are zero.
+
+    Args:
+        name: Name of the network.
+        mean: (6,) mean of the training counts.
+        std: (6,) standard deviation of the training counts.
+        recipe: Dropout and seed.
+
+    Raises:
+        ParameterError: if there is no such network.
+    """
+    check_choice("paper_network", "name", name, PAPER_NETWORKS)
+    network: PaperNetwork
+    if name == "paper_tcn":
+        network = PaperTcnNetwork(mean, std, recipe.dropout)
+    else:
+        network = FrequencyCnnNetwork(
+            mean, std, recipe.dropout, interleaved=name == "frequency_cnn_interleaved"
+        )
+    set_seed(recipe.seed)
+    for each, values in network.named_parameters():
+        if values.ndim > 1:
+            deviation = (2 / values[0].numel()) ** 0.5 / _TRUNCATED
+            nn.init.trunc_normal_(values, 0, deviation, -2 * deviation, 2 * deviation)
+        elif each.endswith("bias"):
+            nn.init.zeros_(values)
+    return network
+
+
+class PaperNetwork(Network):
     """Base class of the networks: standardised counts to logits of static and slip.
 
     Args:
@@ -48,36 +81,48 @@ class Network(nn.Module):
     def logits(self, inputs: Tensor) -> Tensor:
         """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
 
-    @abstractmethod
     def arrays(self) -> Arrays:
         """Return the arrays that the detector of this network takes; float32."""
+        state: dict[str, Tensor] = self.state_dict()
+        found = self.layers({name: values.cpu().numpy().astype(np.float64) for name, values in state.items()})
+        found |= {"mean": self.mean.cpu().numpy(), "std": self.std.cpu().numpy()}
+        return {name: np.ascontiguousarray(array, np.float32) for name, array in found.items()}
+
+    @abstractmethod
+    def layers(self, state: "_State") -> "_Layers":
+        """Return kernels, biases and norms of the layers from the state of this module."""
 
 
-class PaperTcnNetwork(Network):
+_Array = NDArray[np.float64]
+_State = Mapping[str, _Array]
+_Layers = dict[str, _Array]
+
+
+class PaperTcnNetwork(PaperNetwork):
     """Temporal convolutional network of the paper; `PaperTcn` describes the computation.
 
     As in `PaperTcn`, only the steps that the last step depends on are computed. That is exact: layer norm
     treats each step by itself, and dropout drops a channel at all steps.
 
     Args:
-        mean: (6,) of the counts in training
-        std: (6,) of the counts in training
-        dropout: Probability that a channel or a dense unit is dropped
-        generator: Source of the initial weights and of the dropout
+        mean: (6,) mean of the training counts.
+        std: (6,) standard deviation of the training counts.
+        dropout: Probability that a channel or a dense unit is dropped.
     """
 
-    def __init__(self, mean: Reals, std: Reals, *, dropout: float, generator: torch.Generator) -> None:
+    def __init__(self, mean: Reals, std: Reals, dropout: float) -> None:
         super().__init__(mean, std)
         layers = range(2 * _BLOCKS)
-        self.convolutions = nn.ModuleList(_Causal(_FILTERS if i else BAROMETERS, 1 + i % 2) for i in layers)
+        self.convolutions = nn.ModuleList(
+            nn.Conv2d(_FILTERS if i else BAROMETERS, _FILTERS, (1, _TAPS), stride=(1, 1 + i % 2))
+            for i in layers
+        )
         self.norms = nn.ModuleList(nn.LayerNorm(_FILTERS, _EPSILON) for _ in layers)
         self.match = nn.Linear(BAROMETERS, _FILTERS)
         self.dense = nn.ModuleList(nn.Linear(inputs, _UNITS) for inputs in (_FILTERS, _UNITS))
         self.dense_norms = nn.ModuleList(nn.LayerNorm(_UNITS, _EPSILON) for _ in range(2))
         self.out = nn.Linear(_UNITS, 2)
-        self.drop_channels = _Dropout(dropout, generator, shared=(1,))
-        self.drop = _Dropout(dropout, generator)
-        _initialise(self, generator)
+        self.drop_channels, self.drop = nn.Dropout1d(dropout), nn.Dropout(dropout)
 
     def logits(self, inputs: Tensor) -> Tensor:
         """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
@@ -87,8 +132,8 @@ class PaperTcnNetwork(Network):
             if block == 0:
                 residual = self.match(residual)
             for layer in (2 * block, 2 * block + 1):
-                normed = self.norms[layer](self.convolutions[layer](values))
-                values = self.drop_channels(functional.selu(normed))  # (n, steps, 12)
+                values = functional.selu(self.norms[layer](self._convolve(layer, values)))
+                values = self.drop_channels(values.transpose(1, 2)).transpose(1, 2)  # (n, steps, 12)
             values = functional.selu(residual + values)
         values = values[:, -1]  # (n, 12)
         for dense, norm in zip(self.dense, self.dense_norms, strict=True):
@@ -96,39 +141,41 @@ class PaperTcnNetwork(Network):
         logits: Tensor = self.out(values)
         return logits
 
-    def arrays(self) -> Arrays:
-        """Return the arrays that `PaperTcn` takes."""
-        state = _state(self)
-        result: Arrays = {"mean": state["mean"], "std": state["std"]}
+    def _convolve(self, layer: int, values: Tensor) -> Tensor:
+        """Map (n, steps, channels) to (n, steps / stride, 12), counted from the last step; zeros before."""
+        first = (values.shape[1] - 1) % (1 + layer % 2)
+        padded = functional.pad(values, (0, 0, _TAPS - 1 - first, 0))
+        image = padded[:, None].permute(0, 3, 1, 2)  # (n, channels, 1, steps); in memory channels are last
+        outputs: Tensor = self.convolutions[layer](image)
+        return outputs.permute(0, 2, 3, 1)[:, 0]
+
+    def layers(self, state: _State) -> _Layers:
+        """Return the layers of `PaperTcn`."""
+        found = _linear("block0/match", state["match.weight"].T[None], state["match.bias"])
         for layer in range(2 * _BLOCKS):
             block, conv = divmod(layer, 2)
-            kernel = state[f"convolutions.{layer}.taps.weight"][:, :, 0].transpose(2, 1, 0)  # (taps, in, out)
-            result |= _linear(f"block{block}/conv{conv}", kernel, state[f"convolutions.{layer}.taps.bias"])
-            result |= _layer_norm(f"block{block}/ln{conv}", state, f"norms.{layer}")
-        result |= _linear("block0/match", state["match.weight"].T[None], state["match.bias"])
+            kernel = state[f"convolutions.{layer}.weight"][:, :, 0].transpose(2, 1, 0)  # (taps, in, out)
+            found |= _linear(f"block{block}/conv{conv}", kernel, state[f"convolutions.{layer}.bias"])
+            found |= _layer_norm(f"block{block}/ln{conv}", state, f"norms.{layer}")
         for layer in range(2):
-            kernel = state[f"dense.{layer}.weight"].T
-            result |= _linear(f"dense{layer}", kernel, state[f"dense.{layer}.bias"])
-            result |= _layer_norm(f"dense{layer}_ln", state, f"dense_norms.{layer}")
-        return _single(result | _linear("out", state["out.weight"].T, state["out.bias"]))
+            found |= _linear(f"dense{layer}", state[f"dense.{layer}.weight"].T, state[f"dense.{layer}.bias"])
+            found |= _layer_norm(f"dense{layer}_ln", state, f"dense_norms.{layer}")
+        return found | _linear("out", state["out.weight"].T, state["out.bias"])
 
 
-class FrequencyCnnNetwork(Network):
+class FrequencyCnnNetwork(PaperNetwork):
     """Frequency CNN of the paper; `FrequencyCnn` describes the computation.
 
     Args:
-        mean: (6,) of the counts in training
-        std: (6,) of the counts in training
-        interleaved: True for the image of `InterleavedFrequencyCnn`
-        dropout: Probability that a bin of the image, a channel or a dense unit is dropped
-        generator: Source of the initial weights and of the dropout
+        mean: (6,) mean of the training counts.
+        std: (6,) standard deviation of the training counts.
+        dropout: Probability that a bin of the image, a channel or a dense unit is dropped.
+        interleaved: True for the image of `InterleavedFrequencyCnn`.
     """
 
     parts: Tensor  # (100, 102) of the DFT
 
-    def __init__(
-        self, mean: Reals, std: Reals, *, interleaved: bool, dropout: float, generator: torch.Generator
-    ) -> None:
+    def __init__(self, mean: Reals, std: Reals, dropout: float, *, interleaved: bool) -> None:
         super().__init__(mean, std)
         self.interleaved = interleaved
         self.register_buffer("parts", torch.as_tensor(PARTS.astype(np.float32)), persistent=False)
@@ -137,9 +184,7 @@ class FrequencyCnnNetwork(Network):
         self.dense = nn.ModuleList([nn.Linear(40, 40), nn.Linear(40, 20)])
         self.dense_norms = nn.ModuleList(nn.BatchNorm1d(size, _EPSILON, _MOMENTUM) for size in (40, 20))
         self.out = nn.Linear(20, 2)
-        self.drop_channels = _Dropout(dropout, generator, shared=(2, 3))
-        self.drop = _Dropout(dropout, generator)
-        _initialise(self, generator)
+        self.drop_channels, self.drop = nn.Dropout2d(dropout), nn.Dropout(dropout)
 
     def logits(self, inputs: Tensor) -> Tensor:
         """Return the logits (n, 2) of standardised counts (n, 100, 6)."""
@@ -156,104 +201,38 @@ class FrequencyCnnNetwork(Network):
         logits: Tensor = self.out(values)
         return logits
 
-    def arrays(self) -> Arrays:
-        """Return the arrays that `FrequencyCnn` takes.
+    def layers(self, state: _State) -> _Layers:
+        """Return the layers of `FrequencyCnn`.
 
         Batch norm after ReLU is folded into the next layer, which has no padding; other batch norm into its
         own layer.
         """
-        state = _state(self)
-        result: Arrays = {"mean": state["mean"], "std": state["std"]}
+        found: _Layers = {}
         factor, offset = np.ones(BINS), np.zeros(BINS)  # of the norm before a layer
         for layer in range(2):
             kernel = state[f"convolutions.{layer}.weight"].transpose(2, 3, 1, 0)  # (rows, columns, in, out)
             bias = state[f"convolutions.{layer}.bias"] + (kernel * offset[:, None]).sum(axis=(0, 1, 2))
-            result |= _linear(f"conv{layer}", kernel * factor[:, None], bias)
+            found |= _linear(f"conv{layer}", kernel * factor[:, None], bias)
             factor, offset = _batch_norm(state, f"norms.{layer}")
         factor, offset = np.tile(factor, 2), np.tile(offset, 2)  # for both pixels of the second convolution
         for layer in range(2):
             kernel = state[f"dense.{layer}.weight"].T  # (in, out)
             bias = state[f"dense.{layer}.bias"] + offset @ kernel
             after, added = _batch_norm(state, f"dense_norms.{layer}")
-            result |= _linear(f"dense{layer}", kernel * factor[:, None] * after, bias * after + added)
+            found |= _linear(f"dense{layer}", kernel * factor[:, None] * after, bias * after + added)
             factor, offset = np.ones(len(bias)), np.zeros(len(bias))
-        return _single(result | _linear("out", state["out.weight"].T, state["out.bias"]))
+        return found | _linear("out", state["out.weight"].T, state["out.bias"])
 
 
-class _Causal(nn.Module):
-    """Causal, zero-padded convolution in time at every `stride`-th step, counted from the last.
-
-    Args:
-        channels: Channels of the input
-        stride: 1 or 2
-    """
-
-    def __init__(self, channels: int, stride: int) -> None:
-        super().__init__()
-        self.stride = stride
-        self.taps = nn.Conv2d(channels, _FILTERS, (1, _TAPS), stride=(1, stride))
-
-    def forward(self, values: Tensor) -> Tensor:
-        """Map (n, steps, channels) to (n, steps / stride, 12)."""
-        first = (values.shape[1] - 1) % self.stride
-        padded = functional.pad(values, (0, 0, _TAPS - 1 - first, 0))
-        image = padded[:, None].permute(0, 3, 1, 2)  # (n, channels, 1, steps); in memory channels are last
-        outputs: Tensor = self.taps(image)
-        return outputs.permute(0, 2, 3, 1)[:, 0]
-
-
-class _Dropout(nn.Module):
-    """Dropout with its own generator, so that training is reproducible.
-
-    Args:
-        rate: Probability of being dropped.
-        generator: Source of the random numbers.
-        shared: Axes along which all values are dropped together.
-    """
-
-    def __init__(self, rate: float, generator: torch.Generator, shared: tuple[int, ...] = ()) -> None:
-        super().__init__()
-        self.kept, self.generator, self.shared = 1 - rate, generator, shared
-
-    def forward(self, values: Tensor) -> Tensor:
-        """Return values of any shape with dropout; in evaluation, unchanged."""
-        if not self.training or self.kept == 1:
-            return values
-        shape = [1 if axis in self.shared else size for axis, size in enumerate(values.shape)]
-        mask = torch.empty(shape, device=values.device).bernoulli_(self.kept, generator=self.generator)
-        return values * mask.div_(self.kept)
-
-
-def _initialise(network: nn.Module, generator: torch.Generator) -> None:
-    """Set He normal kernels as Keras draws them (cut off at two standard deviations), and zero biases."""
-    for name, values in network.named_parameters():
-        if values.ndim > 1:
-            deviation = (2 / values[0].numel()) ** 0.5 / _TRUNCATED
-            nn.init.trunc_normal_(values, 0, deviation, -2 * deviation, 2 * deviation, generator)
-        elif name.endswith("bias"):
-            nn.init.zeros_(values)
-
-
-def _state(network: nn.Module) -> Mapping[str, NDArray[np.float64]]:
-    state: dict[str, Tensor] = network.state_dict()
-    return {name: values.cpu().numpy().astype(np.float64) for name, values in state.items()}
-
-
-def _linear(name: str, kernel: NDArray[np.float64], bias: NDArray[np.float64]) -> Arrays:
+def _linear(name: str, kernel: _Array, bias: _Array) -> _Layers:
     return {f"{name}/kernel": kernel, f"{name}/bias": bias}
 
 
-def _layer_norm(name: str, state: Mapping[str, NDArray[np.float64]], norm: str) -> Arrays:
+def _layer_norm(name: str, state: _State, norm: str) -> _Layers:
     return {f"{name}/gamma": state[f"{norm}.weight"], f"{name}/beta": state[f"{norm}.bias"]}
 
 
-def _batch_norm(
-    state: Mapping[str, NDArray[np.float64]], norm: str
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _batch_norm(state: _State, norm: str) -> tuple[_Array, _Array]:
     """Return the factor and the offset of batch norm in evaluation; (channels,) each."""
     factor = state[f"{norm}.weight"] / np.sqrt(state[f"{norm}.running_var"] + _EPSILON)
     return factor, state[f"{norm}.bias"] - state[f"{norm}.running_mean"] * factor
-
-
-def _single(arrays: Arrays) -> Arrays:
-    return {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}

@@ -1,162 +1,142 @@
-"""Training of the paper's networks on windows by the paper's recipe (its section V)."""
+"""Training of the paper's networks on windows."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.training.learning_curve import Check, best
-from operators.checks import check_at_least, check_choice
+from flows.learn.training.augmentation import MIRROR_X, MIRROR_Y
+from flows.learn.training.paper_networks import paper_network
+from flows.learn.training.recipe import PaperRecipe
+from flows.learn.training.training_crops import Crops
+from flows.learn.training.training_loop import Course, Progress, Trained, fit, training_device
+from operators.batch import BAROMETERS, SLIP, UNKNOWN, Flags, Reals
+from operators.errors import InputError
 
-if TYPE_CHECKING:
-    import torch
-
-    from flows.learn.training.paper_networks import Network
-    from flows.learn.training.training_windows import Windows
-
-Arrays: TypeAlias = dict[str, NDArray[Any]]
-Step: TypeAlias = Callable[[int, int], object]
-
-WINDOWED: Final = ("frequency_cnn", "frequency_cnn_interleaved", "paper_tcn")
+LENGTH: Final = 100  # samples of a window
+# source of each cell's counts, for each symmetry of the pad
+MIRRORED: Final = (
+    MIRROR_X,
+    MIRROR_Y,
+    tuple(MIRROR_X[cell] for cell in MIRROR_Y),  # turned by 180 degrees
+    tuple(range(BAROMETERS)),  # unchanged
+)
 _BLOCK: Final = 1024  # windows evaluated at once
 _ADAM_EPSILON: Final = 1e-7  # Keras's
-
-
-@dataclass(frozen=True, slots=True)
-class PaperRecipe:
-    """Settings of the paper's training: Adam, cross-entropy, augmentation.
-
-    Each epoch uses all windows of the smaller class and as many random windows of the other. A window is
-    flipped or turned by at most one of the three symmetries of the pad.
-    """
-
-    rate: float = 0.002  # learning rate
-    clip: float = 1.0  # maximum norm of the gradient of one array
-    batch: int = 256  # windows
-    dropout: float = 0.2  # probability
-    mirror: float = 0.25  # probability of each: x flip, y flip, turn by 180 degrees
-    noise: float = 0.5  # counts, standard deviation
-
-
-_PAPER: Final = PaperRecipe()
 
 
 def train_windowed(
     name: str,
     train: Sequence[LabelledRecording],
     validation: Sequence[LabelledRecording],
-    *,
-    seed: int,
-    epochs: int,
-    recipe: PaperRecipe = _PAPER,
-    progress: Callable[[Check], object] = lambda _epoch: None,
-    step: Step = lambda _done, _all: None,
-) -> tuple[Arrays, list[Check]]:
-    """Train one of the paper's networks; keep the epoch with the best balanced accuracy on validation.
+    recipe: PaperRecipe,
+    progress: Progress = lambda _done, _all, _check: None,
+) -> Trained:
+    """Train one of the paper's networks by the paper's recipe, with a check after each epoch.
 
     Args:
-        name: One of `WINDOWED`.
+        name: One of `PAPER_NETWORKS`.
         train: Recordings of the train split; their counts also determine the standardisation.
         validation: Recordings that choose the epoch.
-        seed: Random seed.
-        epochs: Number of epochs.
         recipe: Course of the training.
-        progress: Called after each epoch.
-        step: Called after each step with the number of steps done and of all steps in the epoch.
-
-    Returns:
-        Weights for the detector of this name, and the check of each epoch.
+        progress: Called after each step.
 
     Raises:
-        ParameterError: if there is no such network, or `epochs` is below 1.
+        ParameterError: if there is no such network.
         InputError: if the recordings of a split have no slip or no static samples.
     """
-    import torch  # noqa: PLC0415 - an extra, and slow to import
-
-    from flows.learn.training.training_windows import Windows  # noqa: PLC0415 - imports torch
-
-    check_choice("train_windowed", "name", name, WINDOWED)
-    check_at_least("train_windowed", "epochs", epochs, 1)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    windows, unseen = Windows.of(train, device), Windows.of(validation, device)
-    rng, generator = np.random.default_rng(seed), torch.Generator(device).manual_seed(seed)
-    network = _network(name, windows, recipe, generator)
-    optimizer = torch.optim.Adam(network.parameters(), recipe.rate, eps=_ADAM_EPSILON, foreach=True)
-    began, curve, weights = perf_counter(), list[Check](), Arrays()
-    for number in range(1, epochs + 1):
-        loss = _epoch(network, optimizer, windows, recipe, rng=rng, generator=generator, step=step)
-        check = Check(number, perf_counter() - began, loss, *_evaluate(network, unseen))
-        curve.append(check)
-        if best(curve) is check:
-            weights = network.arrays()
-        progress(check)
-    return weights, curve
+    return fit(_WindowedCourse(name, train, validation, recipe), progress)
 
 
-def _network(name: str, windows: "Windows", recipe: PaperRecipe, generator: "torch.Generator") -> "Network":
-    from flows.learn.training.paper_networks import FrequencyCnnNetwork, PaperTcnNetwork  # noqa: PLC0415 - torch
+class Windows:
+    """Windows that end at the evaluated samples of recordings with a known label.
 
-    mean, std = windows.spread()
-    with generator.device:  # its random numbers are drawn there
-        network: Network
-        if name == "paper_tcn":
-            network = PaperTcnNetwork(mean, std, dropout=recipe.dropout, generator=generator)
-        else:
-            interleaved = name == "frequency_cnn_interleaved"
-            network = FrequencyCnnNetwork(
-                mean, std, interleaved=interleaved, dropout=recipe.dropout, generator=generator
-            )
-    return network.to(generator.device)
+    Raises:
+        InputError: if there is no window of slip, or none of static.
+    """
 
+    def __init__(self, recordings: Sequence[LabelledRecording], device: torch.device) -> None:
+        self._crops = Crops(recordings, LENGTH, device)
+        label = self._crops.label[self._crops.first + LENGTH - 1]
+        self._first = self._crops.first[label != UNKNOWN]
+        self.slip: Flags = label[label != UNKNOWN] == SLIP  # (n,) label at the newest sample
+        if not 0 < self.slip.sum() < len(self.slip):
+            raise InputError("the recordings to train on", "must hold windows of slip and of static")
 
-def _epoch(
-    network: "Network",
-    optimizer: "torch.optim.Optimizer",
-    windows: "Windows",
-    recipe: PaperRecipe,
-    *,
-    rng: np.random.Generator,
-    generator: "torch.Generator",
-    step: Step,
-) -> float:
-    """Train on as many windows of slip as of static; return the mean loss in nats."""
-    import torch  # noqa: PLC0415
+    def __len__(self) -> int:
+        return len(self.slip)
 
-    from flows.learn.training.training_windows import varied  # noqa: PLC0415
+    def take(self, picked: NDArray[np.intp]) -> Tensor:
+        """Return the counts of some windows (k,), newest last; (k, 100, 6) float32."""
+        first = torch.as_tensor(self._first[picked]).to(self._crops.counts.device)
+        return self._crops.counts[self._crops.rows(first)].float()
 
-    network.train()
-    device, parameters = generator.device, list(network.parameters())
-    picked = windows.balanced(rng)
-    slip = torch.as_tensor(windows.slip[picked].astype(np.int64), device=device)
-    steps = max(len(picked) // recipe.batch, 1)  # an incomplete batch is left out
-    total = torch.zeros((), device=device)
-    for number in range(steps):
-        rows = slice(number * recipe.batch, (number + 1) * recipe.batch)
-        counts = windows.take(picked[rows])
-        counts = varied(counts, mirror=recipe.mirror, noise=recipe.noise, rng=rng, generator=generator)
-        loss = torch.nn.functional.cross_entropy(network(counts), slip[rows])
-        optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        for parameter in parameters:
-            torch.nn.utils.clip_grad_norm_(parameter, recipe.clip)  # each array by itself, as Keras does
-        optimizer.step()
-        total += loss.detach()
-        step(number + 1, steps)
-    return total.item() / steps
+    def balanced(self, rng: np.random.Generator) -> NDArray[np.intp]:
+        """Return as many windows of slip as of static, shuffled; the larger class is sampled."""
+        slip, static = np.flatnonzero(self.slip), np.flatnonzero(~self.slip)
+        fewer = min(len(slip), len(static))
+        picked = np.concatenate([rng.permutation(slip)[:fewer], rng.permutation(static)[:fewer]])
+        return rng.permutation(picked)
+
+    def spread(self) -> tuple[Reals, Reals]:
+        """Return mean and standard deviation (at least 1) of each cell's counts; (6,) each."""
+        counts = self._crops.counts.cpu().numpy()
+        return counts.mean(axis=0, dtype=np.float64), np.maximum(counts.std(axis=0, dtype=np.float64), 1)
 
 
-def _evaluate(network: "Network", windows: "Windows") -> tuple[float, float]:
-    """Return accuracy and balanced accuracy of a network on windows, %."""
-    import torch  # noqa: PLC0415
+class _WindowedCourse(Course):
+    """Course of training on windows."""
 
-    network.eval()
-    blocks = np.split(np.arange(len(windows)), range(_BLOCK, len(windows), _BLOCK))
-    with torch.inference_mode():
-        predicted = torch.cat([network(windows.take(block)).argmax(1) for block in blocks])
-    right = predicted.cpu().numpy() == windows.slip
-    balanced = (right[windows.slip].mean() + right[~windows.slip].mean()) / 2
-    return 100 * float(right.mean()), 100 * float(balanced)
+    def __init__(
+        self,
+        name: str,
+        train: Sequence[LabelledRecording],
+        validation: Sequence[LabelledRecording],
+        recipe: PaperRecipe,
+    ) -> None:
+        self._recipe, self._device = recipe, training_device()
+        self._windows, self._unseen = Windows(train, self._device), Windows(validation, self._device)
+        self._rng = np.random.default_rng(recipe.seed)
+        self._picked = np.empty(0, np.intp)  # windows of the epoch
+        slip = int(self._windows.slip.sum())
+        balanced = 2 * min(slip, len(self._windows) - slip)
+        self.check_every = max(balanced // recipe.batch, 1)  # an incomplete batch is left out
+        self.steps = recipe.epochs * self.check_every
+        self.network = paper_network(name, *self._windows.spread(), recipe).to(self._device)
+        self.optimiser = torch.optim.Adam(
+            self.network.parameters(), recipe.rate, eps=_ADAM_EPSILON, foreach=True
+        )
+
+    def loss(self, step: int) -> Tensor:
+        """Return the mean loss of the next batch."""
+        recipe, number = self._recipe, (step - 1) % self.check_every
+        if number == 0:
+            self._picked = self._windows.balanced(self._rng)
+        picked = self._picked[number * recipe.batch : (number + 1) * recipe.batch]
+        counts = varied(self._windows.take(picked), recipe, self._rng)
+        slip = torch.as_tensor(self._windows.slip[picked].astype(np.int64)).to(self._device)
+        return torch.nn.functional.cross_entropy(self.network(counts), slip)
+
+    def clip(self) -> None:
+        """Limit the norm of the gradient of each array by itself, as Keras does."""
+        for parameter in self.network.parameters():
+            torch.nn.utils.clip_grad_norm_(parameter, self._recipe.clip)
+
+    def predict(self) -> tuple[Flags, Flags]:
+        """Return the predicted and the labelled slip of the validation windows; (n,) each."""
+        blocks = np.split(np.arange(len(self._unseen)), range(_BLOCK, len(self._unseen), _BLOCK))
+        predicted = torch.cat([self.network(self._unseen.take(block)).argmax(1) for block in blocks])
+        return predicted.cpu().numpy() == 1, self._unseen.slip
+
+
+def varied(windows: Tensor, recipe: PaperRecipe, rng: np.random.Generator) -> Tensor:
+    """Mirror or turn some of the windows (k, 100, 6), and add noise to all."""
+    chances = [recipe.mirror] * 3
+    symmetries = rng.choice(len(MIRRORED), len(windows), p=[*chances, 1 - sum(chances)])
+    order = torch.as_tensor(np.array(MIRRORED)[symmetries]).to(windows.device)  # (k, 6)
+    mirrored = windows.gather(2, order[:, None].expand(windows.shape))
+    return mirrored + recipe.noise * torch.randn(windows.shape, device=windows.device)

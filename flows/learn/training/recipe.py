@@ -1,4 +1,4 @@
-"""Settings of dense training, in which every sample of a sequence is a training label."""
+"""Settings of the training of our network and of the paper's."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -7,6 +7,7 @@ from typing import Final
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 
+PAPER_NETWORKS: Final = ("frequency_cnn", "frequency_cnn_interleaved", "paper_tcn")
 LONGEST: Final = 100  # samples, maximum receptive field: one window
 
 
@@ -68,3 +69,27 @@ class Recipe:
     def receptive_field(self) -> int:
         """Samples that one score depends on, with the sample before the oldest feature."""
         return 2 + 2 * (self.taps - 1) * sum(self.dilations)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperRecipe:
+    """Settings of the paper's training (its section V): Adam, cross-entropy, augmentation.
+
+    Each epoch uses all windows of the smaller class and as many random windows of the other. A window is
+    flipped or turned by at most one of the three symmetries of the pad.
+
+    Raises:
+        ParameterError: if `epochs` is below 1.
+    """
+
+    rate: float = 0.002  # learning rate
+    clip: float = 1.0  # maximum norm of the gradient of one array
+    batch: int = 256  # windows
+    dropout: float = 0.2  # probability
+    mirror: float = 0.25  # probability of each: x flip, y flip, turn by 180 degrees
+    noise: float = 0.5  # counts, standard deviation
+    epochs: int = 20
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_at_least("PaperRecipe", "epochs", self.epochs, 1)

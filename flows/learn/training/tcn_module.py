@@ -9,13 +9,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from flows.learn.training.recipe import Recipe
+from flows.learn.training.training_loop import Arrays, Network
 from operators.batch import BAROMETERS
 from operators.detectors.tcn import Tcn
 
 _DENSE: Final = 3  # number of dense layers at the end
 
 
-class DenseTcn(nn.Module):
+class DenseTcn(Network):
     """Network that computes the logit of slip at every sample of a sequence.
 
     Features of a sample are asinh(x / position_scale) and asinh(dx / step_scale) of each barometer, dx the
@@ -67,11 +68,7 @@ class DenseTcn(nn.Module):
     def forward(self, counts: Tensor) -> Tensor:
         """Return the logit of slip (b, n) of counts (b, 6, n); the first ones depend on the padding."""
         before = torch.cat([counts[..., :1], counts[..., :-1]], 2)
-        x = self._features(counts, before)  # (b, 12, n)
-        for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
-            y = functional.dropout1d(second(first(x)), self.recipe.dropout, self.training)
-            x = y + x if y.shape == x.shape else y  # (b, filters, n)
-        return self._head(x)
+        return self._logits(self._features(counts, before), padded=True)
 
     def newest(self, windows: Tensor) -> Tensor:
         """Return the probability of slip (b,) at the newest sample of windows (b, length, 6) of counts.
@@ -79,24 +76,27 @@ class DenseTcn(nn.Module):
         Convolutions without padding compute only the steps that the newest sample depends on.
         """
         counts = windows.transpose(1, 2)
-        x = self._features(counts[..., 1:], counts[..., :-1])  # (b, 12, length - 1)
-        for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
-            y = second.without_padding(first.without_padding(x))
-            skip = first.conv.in_channels == second.conv.out_channels
-            x = y + x[..., first.past + second.past :] if skip else y  # (b, filters, fewer)
-        return torch.sigmoid(self._head(x)[:, -1])
+        features = self._features(counts[..., 1:], counts[..., :-1])  # (b, 12, length - 1)
+        return torch.sigmoid(self._logits(features, padded=False)[:, -1])
 
     def _features(self, counts: Tensor, before: Tensor) -> Tensor:
         positions = torch.asinh(counts / self.recipe.position_scale)
         return torch.cat([positions, torch.asinh((counts - before) / self.recipe.step_scale)], 1)
 
-    def _head(self, x: Tensor) -> Tensor:
+    def _logits(self, x: Tensor, *, padded: bool) -> Tensor:
+        """Return the logits (b, n) of features (b, 12, n); fewer without padding."""
+        for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
+            y = second(first(x, padded=padded), padded=padded)
+            y = functional.dropout1d(y, self.recipe.dropout, self.training)
+            same = first.conv.in_channels == second.conv.out_channels
+            skipped = 0 if padded else first.past + second.past
+            x = y + x[..., skipped:] if same else y  # (b, filters, n)
         for layer in self._dense:
-            x = layer.without_padding(x)
+            x = layer(x)
         logit: Tensor = self.out(x)[:, 0]
         return logit
 
-    def arrays(self) -> dict[str, NDArray[Any]]:
+    def arrays(self) -> Arrays:
         """Return the weights as `operators.detectors.Tcn` takes them, batch norm folded in."""
         arrays: dict[str, NDArray[Any]] = {
             "dilations": np.array(self.recipe.dilations, np.int64),
@@ -122,13 +122,9 @@ class _Layer(nn.Module):
         self.norm = nn.BatchNorm1d(outputs)
         self.past = (taps - 1) * dilation
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map (b, inputs, n) to (b, outputs, n), with zeros before the first step."""
-        return self.without_padding(functional.pad(x, (self.past, 0)))
-
-    def without_padding(self, x: Tensor) -> Tensor:
-        """Map (b, inputs, n) to (b, outputs, n - past)."""
-        y: Tensor = self.norm(self.conv(x))
+    def forward(self, x: Tensor, *, padded: bool = False) -> Tensor:
+        """Map (b, inputs, n) to (b, outputs, n), with zeros before the first step, or n - past without."""
+        y: Tensor = self.norm(self.conv(functional.pad(x, (self.past, 0)) if padded else x))
         return functional.relu(y)
 
     def folded(self) -> tuple[NDArray[Any], NDArray[Any]]:

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -14,20 +15,22 @@ from flows.learn.labelled_recordings import LabelledRecording, by_split, load
 from flows.learn.train_extra import require_train_extra
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
-from flows.learn.training.paper_training import WINDOWED, PaperRecipe, train_windowed
-from flows.learn.training.recipe import Recipe
-from flows.learn.training.trained_model import Arrays, Model, label_scores, provenance, write_model
+from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
+from flows.learn.training.trained_model import Model, label_scores, provenance, write_model
 from operators.checks import check_at_least, check_between, check_choice
 from operators.detectors import TRAINED, Detector
 from operators.errors import InputError, ParameterError
 from storage import load_weights
 
+if TYPE_CHECKING:
+    from flows.learn.training.training_loop import Trained
+
 Progress: TypeAlias = Callable[
-    [str, int, int, "Check | None"], object
-]  # part, steps done, all steps, new check
+    [str, int, int, Check | None], object
+]  # seed, steps done, all steps, new check
 
 OURS: Final = "tcn"
-METHODS: Final = (OURS, *WINDOWED)
+METHODS: Final = (OURS, *PAPER_NETWORKS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ def train(
         epochs: Epochs of the paper's networks.
         seeds: Number of seeds, from the recipe's seed on.
         lag: Delay of labels after the signal to which each recording is shifted, s; None: no shift.
-        progress: Called with the part (seed and epoch), the numbers of steps done and of all steps, and a new
+        progress: Called with the seed as text, the numbers of steps done and of all steps, and a new
             check or None.
 
     Raises:
@@ -103,16 +106,11 @@ def train(
     models: list[Model] = []
     for seed in range(recipe.seed, recipe.seed + seeds):
         path = out if seeds == 1 else out.with_stem(f"{out.stem}-seed{seed}")
-        own = replace(recipe, seed=seed)
-        if method == OURS:
-            arrays, curve = _train_dense(shifted, own, progress)
-            settings: dict[str, Any] = asdict(own)
-        else:
-            arrays, curve = _train_windowed(method, shifted, seed, epochs, progress)
-            settings = {**asdict(PaperRecipe()), "epochs": epochs, "seed": seed}
-        results = {"seed": seed, "recipe": settings, **_results(TRAINED[method](arrays), parts)}
-        card = {**about, **results, "curve": [asdict(check) for check in curve]}
-        models.append(write_model(path, arrays, card, curve))
+        own = replace(recipe, seed=seed) if method == OURS else PaperRecipe(epochs=epochs, seed=seed)
+        trained = _train(method, shifted, own, progress)
+        results = {"seed": seed, "recipe": asdict(own), **_results(TRAINED[method](trained.arrays), parts)}
+        card = {**about, **results, "curve": [asdict(check) for check in trained.curve]}
+        models.append(write_model(path, trained.arrays, card, trained.curve))
     models.sort(key=lambda model: -model.card["scores"]["validation"]["balanced"])
     if seeds > 1:
         first = models[0]
@@ -132,38 +130,21 @@ def _check(out: Path, method: str, seeds: int, lag: float | None) -> None:
         check_between("train", "lag", lag, 0, LATEST, unit="s")
 
 
-def _train_dense(
-    parts: Mapping[str, Sequence[LabelledRecording]], recipe: Recipe, progress: Progress
-) -> tuple[Arrays, Sequence[Check]]:
-    from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
-
-    def step(done: int, check: Check | None) -> None:
-        progress(f"seed {recipe.seed}", done, recipe.steps, check)
-
-    trained = train_dense(parts["train"], parts["validation"], recipe, progress=step)
-    return trained.arrays, trained.curve
-
-
-def _train_windowed(
+def _train(
     method: str,
     parts: Mapping[str, Sequence[LabelledRecording]],
-    seed: int,
-    epochs: int,
+    recipe: Recipe | PaperRecipe,
     progress: Progress,
-) -> tuple[Arrays, Sequence[Check]]:
-    number = 1
+) -> "Trained":
+    """Train one model; `progress` gets the part (the seed) as well."""
+    from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
+    from flows.learn.training.paper_training import train_windowed  # noqa: PLC0415 - imports torch
 
-    def epoch(check: Check) -> None:
-        nonlocal number
-        number = check.done + 1
-        progress(f"seed {seed}", check.done, epochs, check)
-
-    def step(done: int, of: int) -> None:
-        progress(f"seed {seed}, epoch {number}", done, of, None)
-
-    return train_windowed(
-        method, parts["train"], parts["validation"], seed=seed, epochs=epochs, progress=epoch, step=step
-    )
+    step = partial(progress, f"seed {recipe.seed}")
+    train, validation = parts["train"], parts["validation"]
+    if isinstance(recipe, Recipe):
+        return train_dense(train, validation, recipe, step)
+    return train_windowed(method, train, validation, recipe, step)
 
 
 def _results(detector: Detector, parts: Mapping[str, Sequence[LabelledRecording]]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from flows.cli.report_output import prepare_report
 from flows.cli.train import train as train_command
 from flows.learn import train_extra
 from flows.learn.train_extra import require_train_extra
-from flows.learn.training import dense_training
+from flows.learn.training import training_loop
 from flows.report import figures
 from operators.errors import InputError
 from storage.models import shipped
@@ -88,7 +88,7 @@ def test_interrupted_training_stops_without_a_model(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(dense_training, "_step", interrupt)
+    monkeypatch.setattr(training_loop, "_step", interrupt)
     with pytest.raises(KeyboardInterrupt):
         train_command([tiny], out=tmp_path / "m.safetensors")
     assert "stopped: the training in progress wrote no model" in capsys.readouterr().err

@@ -8,21 +8,19 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
-from flows.learn.training import paper_training as paper
+from flows.learn.training import training_loop
 from flows.learn.training.learning_curve import Check
-from flows.learn.training.paper_networks import PaperTcnNetwork
-from flows.learn.training.paper_training import (
-    WINDOWED,
-    Arrays,
-    PaperRecipe,
-    train_windowed,
-)
-from flows.learn.training.training_windows import Windows
+from flows.learn.training.paper_networks import PaperTcnNetwork, paper_network
+from flows.learn.training.paper_training import MIRRORED, Windows, train_windowed, varied
+from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe
+from flows.learn.training.training_loop import Arrays, Trained
 from operators import ParameterError
-from operators.batch import Flags
+from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector, PaperTcn
 from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
+from operators.errors import InputError
 
 DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
     "frequency_cnn": FrequencyCnn,
@@ -30,9 +28,9 @@ DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
     "paper_tcn": PaperTcn,
 }
 CPU = torch.device("cpu")
-SMALL = PaperRecipe(batch=64)
+TWICE = PaperRecipe(batch=64, epochs=2)
 
-every = pytest.mark.parametrize("name", WINDOWED)
+every = pytest.mark.parametrize("name", PAPER_NETWORKS)
 
 
 def _recording(seed: int, samples: int = 700) -> LabelledRecording:
@@ -45,36 +43,38 @@ def _recording(seed: int, samples: int = 700) -> LabelledRecording:
     return LabelledRecording(counts.round().astype(np.int16), slip.astype(np.int8), "plane")
 
 
-def _accuracy(detector: Detector, recordings: Sequence[LabelledRecording]) -> float:
-    """Balanced."""
-    windows = Windows.of(recordings, CPU)
-    called: Flags = detector.score(windows.take(np.arange(len(windows))).numpy().astype(np.int16)) > 0.5
-    right = called == windows.slip
-    return float(right[windows.slip].mean() + right[~windows.slip].mean()) / 2
+SHORT = [_recording(seed, 300) for seed in range(2)]
+
+
+def _noise(seed: int, samples: int) -> LabelledRecording:
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(-500, 100, (samples, 6)).astype(np.int16)
+    return LabelledRecording(counts, rng.integers(0, 2, samples).astype(np.int8), "plane")
+
+
+def _balanced(detector: Detector, recordings: Sequence[LabelledRecording]) -> float:
+    windows = Windows(recordings, CPU)
+    score = detector.score(windows.take(np.arange(len(windows))).numpy().astype(np.int16))
+    return Confusion.of(score > 0.5, windows.slip).balanced
 
 
 @every
 def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) -> None:
     train, validation, test = ([_recording(seed) for seed in seeds] for seeds in (range(4), (5, 6), (7, 8)))
-    seen: list[Check] = []
-    weights, history = train_windowed(
-        name, train, validation, seed=0, epochs=5, recipe=SMALL, progress=seen.append
-    )
-    assert seen == history
-    assert [epoch.done for epoch in history] == [1, 2, 3, 4, 5]
-    assert history[-1].loss < 0.8 * history[0].loss
-    assert _accuracy(DETECTORS[name](weights), test) > 0.8
-    best = max(epoch.balanced for epoch in history)
-    assert 100 * _accuracy(DETECTORS[name](weights), validation) == pytest.approx(best, abs=0.2)
+    trained = train_windowed(name, train, validation, replace(TWICE, epochs=5))
+    assert len(trained.curve) == 5
+    assert trained.curve[-1].loss < 0.8 * trained.curve[0].loss
+    detector = DETECTORS[name](trained.arrays)
+    assert _balanced(detector, test) > 80
+    best = max(epoch.balanced for epoch in trained.curve)
+    assert _balanced(detector, validation) == pytest.approx(best, abs=0.2)
 
 
 @every
 def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_others(name: str) -> None:
-    recordings = [_recording(seed, 300) for seed in range(2)]
-
     def weights(seed: int) -> Arrays:
         torch.rand(seed + 3)
-        return train_windowed(name, recordings, recordings, seed=seed, epochs=2, recipe=SMALL)[0]
+        return train_windowed(name, SHORT, SHORT, replace(TWICE, seed=seed)).arrays
 
     first, again, other = weights(0), weights(0), weights(1)
     for array, value in first.items():
@@ -84,18 +84,21 @@ def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_other
 
 
 def test_the_best_epoch_on_validation_is_kept_the_first_of_equals(monkeypatch: pytest.MonkeyPatch) -> None:
-    recordings = [_recording(seed, 300) for seed in range(2)]
-    scores = [(50.0, 60.0), (70.0, 80.0), (90.0, 80.0), (60.0, 70.0)]
-    monkeypatch.setattr(paper, "_evaluate", Mock(side_effect=[*scores[:2], *scores]))
-    two, _ = train_windowed("frequency_cnn", recordings, recordings, seed=0, epochs=2)
-    weights, history = train_windowed("frequency_cnn", recordings, recordings, seed=0, epochs=4)
-    assert [(epoch.accuracy, epoch.balanced) for epoch in history] == scores
-    for array, value in weights.items():
-        np.testing.assert_array_equal(value, two[array])
+    def trained(epochs: int) -> Trained:
+        scores = [(50.0, 60.0), (70.0, 80.0), (90.0, 80.0), (60.0, 70.0)][:epochs]
+        found = [Mock(accuracy=accuracy, balanced=balanced) for accuracy, balanced in scores]
+        monkeypatch.setattr(training_loop, "_evaluate", Mock(side_effect=found))
+        result = train_windowed("frequency_cnn", SHORT, SHORT, PaperRecipe(epochs=epochs))
+        assert [(epoch.accuracy, epoch.balanced) for epoch in result.curve] == scores
+        return result
+
+    two, four = trained(2), trained(4)
+    for array, value in four.arrays.items():
+        np.testing.assert_array_equal(value, two.arrays[array])
 
 
 def test_dropout_is_on_in_steps_and_off_on_validation(monkeypatch: pytest.MonkeyPatch) -> None:
-    recordings, seen = [_recording(seed, 300) for seed in range(2)], list[tuple[bool, bool]]()
+    seen = list[tuple[bool, bool]]()
     logits = PaperTcnNetwork.logits
 
     def watched(network: PaperTcnNetwork, inputs: Tensor) -> Tensor:
@@ -103,59 +106,101 @@ def test_dropout_is_on_in_steps_and_off_on_validation(monkeypatch: pytest.Monkey
         return logits(network, inputs)
 
     monkeypatch.setattr(PaperTcnNetwork, "logits", watched)
-    train_windowed("paper_tcn", recordings, recordings, seed=0, epochs=2)
+    train_windowed("paper_tcn", SHORT, SHORT, PaperRecipe(epochs=2))
     assert seen == [(True, True), (False, False)] * 2  # a step and a block each
 
 
-def test_each_step_is_reported() -> None:
-    recordings, seen = [_recording(seed, 300) for seed in range(2)], list[tuple[int, int]]()
-    windows = Windows.of(recordings, CPU)
-    steps = len(windows.balanced(np.random.default_rng(0))) // SMALL.batch
-    train_windowed(
-        "frequency_cnn",
-        recordings,
-        recordings,
-        seed=0,
-        epochs=2,
-        recipe=SMALL,
-        step=lambda done, of: seen.append((done, of)),
-    )
+def test_each_step_is_reported_and_each_epoch_is_checked() -> None:
+    seen = list[tuple[int, int, Check | None]]()
+    steps = len(Windows(SHORT, CPU).balanced(np.random.default_rng(0))) // TWICE.batch
+    trained = train_windowed("frequency_cnn", SHORT, SHORT, TWICE, lambda *step: seen.append(step))
     assert steps > 1
-    assert seen == 2 * [(done, steps) for done in range(1, steps + 1)]
+    assert [(done, of) for done, of, _ in seen] == [(done, 2 * steps) for done in range(1, 2 * steps + 1)]
+    assert tuple(check for _, _, check in seen if check) == trained.curve
+    assert [check.done for check in trained.curve] == [steps, 2 * steps]
 
 
 def test_fewer_windows_than_a_batch_make_one_step() -> None:
-    recordings = [_recording(0, 230)]
-    seen: list[tuple[int, int]] = []
-    train_windowed(
-        "paper_tcn", recordings, recordings, seed=0, epochs=1, step=lambda done, of: seen.append((done, of))
-    )
-    assert seen == [(1, 1)]
+    trained = train_windowed("paper_tcn", [_recording(0, 230)], SHORT, PaperRecipe(epochs=1))
+    assert trained.curve[0].done == 1
 
 
 def test_the_longest_gradient_of_an_array_bounds_its_step() -> None:
-    recordings = [_recording(seed, 300) for seed in range(2)]
-    free, bound = (
-        train_windowed(
-            "paper_tcn", recordings, recordings, seed=0, epochs=1, recipe=replace(SMALL, clip=clip)
-        )[0]
-        for clip in (1.0, 1e-12)  # so short that Adam's epsilon outweighs it
-    )
-    at_rest = _rest("out/kernel")
-    assert np.abs(bound["out/kernel"] - at_rest).max() < 1e-6 < np.abs(free["out/kernel"] - at_rest).max()
+    def kernel(clip: float) -> NDArray[np.float32]:
+        recipe = replace(TWICE, epochs=1, clip=clip)
+        return train_windowed("paper_tcn", SHORT, SHORT, recipe).arrays["out/kernel"]
+
+    at_rest = paper_network("paper_tcn", np.zeros(6), np.ones(6), TWICE).arrays()["out/kernel"]
+    free, bound = kernel(1.0), kernel(1e-12)  # so short that Adam's epsilon outweighs it
+    assert np.abs(bound - at_rest).max() < 1e-6 < np.abs(free - at_rest).max()
 
 
-def _rest(name: str) -> NDArray[np.float32]:
-    """An array before any step; mean and standard deviation do not enter the first weights."""
-    generator = torch.Generator().manual_seed(0)
-    return PaperTcnNetwork(np.zeros(6), np.ones(6), dropout=0.2, generator=generator).arrays()[name]
-
-
-def test_an_unknown_network_is_refused() -> None:
+def test_an_unknown_network_and_zero_epochs_are_refused() -> None:
     with pytest.raises(ParameterError, match=r"name is 'lstm', must be one of frequency_cnn, "):
-        train_windowed("lstm", [_recording(0)], [_recording(1)], seed=0, epochs=1)
-
-
-def test_zero_epochs_are_refused() -> None:
+        train_windowed("lstm", SHORT, SHORT, TWICE)
     with pytest.raises(ParameterError, match="epochs is 0, must be at least 1"):
-        train_windowed("paper_tcn", [_recording(0)], [_recording(1)], seed=0, epochs=0)
+        PaperRecipe(epochs=0)
+
+
+def test_a_window_ends_at_its_label_and_stays_within_its_noise() -> None:
+    recordings = [_noise(0, 150), _noise(1, 99), _noise(2, 230)]
+    windows = Windows(recordings, CPU)
+    expected = [
+        (recording.counts[end - 99 : end + 1], recording.slip[end])
+        for recording in recordings
+        for end in recording.evaluated(1)
+    ]
+    assert len(windows) == 51 + 131
+    np.testing.assert_array_equal(windows.take(np.arange(len(windows))), [counts for counts, _ in expected])
+    np.testing.assert_array_equal(windows.slip, [slip for _, slip in expected])
+
+
+def test_samples_without_a_label_are_left_out() -> None:
+    recording = _noise(0, 400)
+    label = recording.label.copy()
+    label[200:300] = UNKNOWN
+    windows = Windows([replace(recording, label=label)], CPU)
+    assert len(windows) == 301 - 100
+    assert windows.slip.sum() == (label[99:] == SLIP).sum()
+
+
+@pytest.mark.parametrize("rarer", [0, 1])
+def test_as_many_windows_of_slip_as_of_static_are_drawn_and_anew_each_time(rarer: int) -> None:
+    label = np.where(np.arange(400) < 330, 1 - rarer, rarer).astype(np.int8)
+    windows, rng = Windows([replace(_noise(0, 400), label=label)], CPU), np.random.default_rng(0)
+    first, second = windows.balanced(rng), windows.balanced(rng)
+    for picked in (first, second):
+        assert len(picked) == len(set(picked.tolist())) == 140
+        assert windows.slip[picked].sum() == 70
+        assert 20 < windows.slip[picked][:70].sum() < 50  # shuffled
+    assert set(first.tolist()) != set(second.tolist())
+
+
+def test_each_symmetry_is_applied_to_a_quarter_of_the_windows_and_noise_is_added() -> None:
+    cells = 100 * torch.arange(6).expand(4000, 100, 6).float()
+    counts = varied(cells, PaperRecipe(mirror=0.25, noise=0.5), np.random.default_rng(0)).numpy()
+    cell = np.rint(counts / 100)
+    assert (cell == cell[:, :1]).all()  # a window moves as a whole
+    pad = np.array([[5, 4, 3], [0, 1, 2]])  # as it lies
+    for symmetry, expected in zip(MIRRORED, (pad[:, ::-1], pad[::-1], pad[::-1, ::-1], pad), strict=True):
+        assert np.array_equal(np.array(symmetry)[pad], expected)
+        assert 0.22 < (cell[:, 0] == symmetry).all(axis=1).mean() < 0.28
+    assert (counts - 100 * cell).std() == pytest.approx(0.5, abs=0.01)
+
+
+def test_the_counts_of_the_recordings_give_mean_and_standard_deviation() -> None:
+    recordings = [_noise(0, 150), _noise(1, 230)]
+    for recording in recordings:
+        recording.counts[:, 3] = 7
+    mean, std = Windows(recordings, CPU).spread()
+    counts = np.concatenate([recording.counts for recording in recordings])
+    np.testing.assert_allclose(mean, counts.mean(axis=0))
+    np.testing.assert_allclose(np.delete(std, 3), np.delete(counts.std(axis=0), 3))
+    assert std[3] == 1  # a cell that never moved divides nothing by 0
+
+
+@pytest.mark.parametrize("slip", [True, False])
+def test_recordings_of_one_class_are_refused(slip: bool) -> None:  # noqa: FBT001
+    recording = replace(_noise(0, 400), label=np.full(400, slip, np.int8))
+    with pytest.raises(InputError, match="must hold windows of slip and of static"):
+        Windows([recording], CPU)

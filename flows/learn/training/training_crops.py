@@ -1,0 +1,34 @@
+"""Crops of labelled recordings on the device that a network is trained on."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from flows.learn.labelled_recordings import LabelledRecording
+from operators.batch import Codes
+
+
+class Crops:
+    """Recordings joined on a device, and the crops of one length that lie within a recording.
+
+    Args:
+        recordings: Recordings; those shorter than a crop are left out.
+        length: Samples of a crop.
+        device: Device of the counts.
+    """
+
+    def __init__(self, recordings: Sequence[LabelledRecording], length: int, device: torch.device) -> None:
+        usable = [recording for recording in recordings if len(recording) >= length]
+        counts = np.concatenate([np.empty((0, 6), np.int16), *(recording.counts for recording in usable)])
+        ends = np.cumsum([len(recording) for recording in usable], dtype=np.intp)
+        first = [np.arange(end - len(each), end - length + 1) for each, end in zip(usable, ends, strict=True)]
+        self.counts = torch.as_tensor(counts).to(device)  # (n, 6) int16
+        self.label: Codes = np.concatenate([np.empty(0, np.int8), *(each.label for each in usable)])  # (n,)
+        self.first = np.concatenate([np.empty(0, np.intp), *first])  # (m,) first row of each crop
+        self._offsets = torch.arange(length, device=device)
+
+    def rows(self, first: Tensor) -> Tensor:
+        """Return the rows (k, length) of crops that begin at rows `first` (k,), on the device."""
+        return first[:, None] + self._offsets

@@ -1,0 +1,108 @@
+"""Training loop of all networks: steps of an optimiser, and regular checks on the validation split."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from time import perf_counter
+from typing import Any, TypeAlias, cast
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.training.learning_curve import Check, best
+from operators.batch import Flags
+
+Arrays: TypeAlias = Mapping[str, NDArray[Any]]  # weights as a detector takes them
+Progress: TypeAlias = Callable[[int, int, Check | None], object]  # steps done, all steps, new check
+
+
+class Network(nn.Module):
+    """Torch module whose weights a detector takes."""
+
+    @abstractmethod
+    def arrays(self) -> Arrays:
+        """Return the weights."""
+
+
+class Course(ABC):
+    """Course of the training of one network."""
+
+    network: Network
+    optimiser: torch.optim.Optimizer
+    steps: int  # of the optimiser
+    check_every: int  # steps
+    patience: int | None = None  # checks without a better score before training ends; None: no limit
+
+    @abstractmethod
+    def loss(self, step: int) -> Tensor:
+        """Return the loss of a batch, nats; the first step is 1."""
+
+    @abstractmethod
+    def clip(self) -> None:
+        """Limit the gradient."""
+
+    @abstractmethod
+    def predict(self) -> tuple[Flags, Flags]:
+        """Return the predicted and the labelled slip of the validation split; (n,) each."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """Trained network at its best check."""
+
+    arrays: Arrays
+    curve: tuple[Check, ...]
+
+
+def training_device() -> torch.device:
+    """Return the GPU if there is one, otherwise the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def set_seed(seed: int) -> None:
+    """Seed torch's random numbers."""
+    cast("Any", torch).manual_seed(seed)  # has no type annotations
+
+
+def fit(course: Course, progress: Progress) -> Trained:
+    """Train a network, and keep the weights with the best balanced accuracy on validation.
+
+    Args:
+        course: Course of the training.
+        progress: Called after each step.
+    """
+    began, curve, losses = perf_counter(), list[Check](), list[Tensor]()
+    arrays: Arrays = {}
+    for step in range(1, course.steps + 1):
+        losses.append(_step(course, step))
+        check = None
+        if step % course.check_every == 0 or step == course.steps:
+            found, loss = _evaluate(course), float(np.mean([each.item() for each in losses]))
+            check = Check(step, perf_counter() - began, loss, found.accuracy, found.balanced)
+            losses.clear()
+            curve.append(check)
+            if best(curve) is check:
+                arrays = course.network.arrays()
+        progress(step, course.steps, check)
+        if check and course.patience and len(curve) - 1 - curve.index(best(curve)) >= course.patience:
+            break
+    return Trained(arrays, tuple(curve))
+
+
+def _step(course: Course, step: int) -> Tensor:
+    course.network.train()
+    loss = course.loss(step)
+    course.optimiser.zero_grad()
+    torch.autograd.backward(loss)
+    course.clip()
+    course.optimiser.step()
+    return loss.detach()
+
+
+def _evaluate(course: Course) -> Confusion:
+    course.network.eval()
+    with torch.no_grad():
+        return Confusion.of(*course.predict())
