@@ -1,6 +1,6 @@
 """Labelled recordings: counts and labels of one fingertip, which detectors are trained and evaluated on."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
+from connectors.sim.simulated_rig import episode
 from connectors.sim.truth import SLIDING
-from flows.graph.flow import Flow
-from flows.learn.in_memory import BatchSink, BatchSource, run_in_memory
 from flows.learn.splits import SPLITS, TURNS
 from operators import Align, Health, Label, Zero, ms
 from operators.batch import (
@@ -30,11 +29,12 @@ from operators.batch import (
     Labelled,
     Motion,
     Reals,
+    Sample,
     Times,
     Touch,
     Truth,
+    Zeroed,
     concat,
-    s,
 )
 from operators.errors import InputError
 from operators.forward_fill import forward_fill
@@ -89,26 +89,13 @@ def simulated_recordings(
 
 
 def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = "") -> LabelledRecording:
-    """Simulate one scene; zero, align and label its samples in a compiled flow."""
+    """Simulate one scene; zero, align and label its samples."""
     touch, motion, truth = simulate_scene(scene, seed)
     labelled, faults = _label(touch, motion)
-    strokes = [(start, move) for start, move in scene.moves(seed) if move.motion in _STROKES]
-    starts = np.array([start for start, _ in strokes]) * s
-    speeds = [move.speed for _, move in strokes if move.motion == "translation"]
-    return LabelledRecording(
-        _filled(labelled),
-        labelled.label,
-        scene.curvature,
-        speeds[0] if speeds else None,
-        _latest([move.oblique for _, move in strokes], starts, truth.time),
-        labelled.valid,
-        truth.force,
-        truth.sliding > SLIDING,
-        Zero().scans,
-        name,
-        split,
-        _degraded(faults, touch.time),
-    )
+    moves = [episode(move, start, 0, scene) for start, move in scene.moves(seed)]
+    recording = _recording(labelled, concat(Episodes, moves), truth, truth.time)
+    degraded = _degraded(faults, touch.time)
+    return replace(recording, zeroing=Zero().scans, name=name, split=split, degraded=degraded)
 
 
 def load(dataset: Path) -> list[LabelledRecording]:
@@ -145,34 +132,37 @@ def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[Labelled
 
 def _of_session(session: Session, finger: int) -> LabelledRecording:
     labelled = concat(Labelled, list(session.read(Labelled, finger)))
-    truth = concat(Truth, list(session.read(Truth, finger)))
-    known = len(truth) == len(labelled)  # a simulation has one row per touch row
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
+    truth = concat(Truth, list(session.read(Truth, finger)))
+    recording = _recording(labelled, episodes, truth, labelled.time)
+    return replace(recording, name=session.name, split=str(session.about.get("split") or ""))
+
+
+def _recording(labelled: Labelled, episodes: Episodes, truth: Truth, time: Times) -> LabelledRecording:
+    """Return the samples, which were taken at `time` (n,) by the clock of the episodes."""
+    known = len(truth) == len(labelled)  # a simulation has one row per touch row
     strokes = episodes[np.isin(episodes.motion, [MOTIONS.index(each) for each in _STROKES])]
     speeds = strokes.speed[strokes.motion == MOTIONS.index("translation")]
-    oblique = np.abs(np.sin(2 * strokes.direction)) > _ALONG
+    oblique = np.append(np.abs(np.sin(2 * strokes.direction)) > _ALONG, False)  # before the first stroke
     return LabelledRecording(
         _filled(labelled),
         labelled.label,
         SURFACES[int(episodes.surface[0])] if len(episodes) else "",
         float(speeds[0]) if len(speeds) else None,
-        _latest(oblique.tolist(), strokes.time, labelled.time) if len(episodes) else None,
+        oblique[np.searchsorted(strokes.time, time, "right") - 1] if len(episodes) else None,
         labelled.valid,
         truth.force if known else None,
         truth.sliding > SLIDING if known else None,
-        name=session.name,
-        split=str(session.about.get("split") or ""),
     )
 
 
 def _label(touch: Touch, motion: Motion) -> tuple[Labelled, Faults]:
-    flow, sink = Flow("label"), BatchSink()
-    raw = flow.source(BatchSource(touch))
-    samples = (raw | Zero()) & flow.source(BatchSource(motion)) | Align(within=20 * ms)
-    (samples | Label(rotation=0.2)).to(sink)
-    (raw | Health()).to(sink)
-    run_in_memory(flow, sink)
-    return sink.rows(Labelled), sink.rows(Faults)
+    """Run the operators that label a recording and watch its health, as a flow does."""
+    zero, align, label, health = Zero(), Align(within=20 * ms), Label(rotation=0.2), Health()
+    zeroed = concat(Zeroed, [zero.push(touch), zero.flush()])
+    samples = concat(Sample, [align.push(zeroed, motion), align.flush()])
+    labelled = concat(Labelled, [label.push(samples), label.flush()])
+    return labelled, concat(Faults, [health.push(touch), health.flush()])
 
 
 def _degraded(faults: Faults, time: Times) -> Flags:
@@ -184,8 +174,3 @@ def _degraded(faults: Faults, time: Times) -> Flags:
 
 def _filled(labelled: Labelled) -> Counts:
     return forward_fill(labelled.counts, labelled.valid, np.zeros(BAROMETERS, np.int16))
-
-
-def _latest(flags: Sequence[bool], starts: Reals | NDArray[np.int64], time: NDArray[np.int64]) -> Flags:
-    """Return the flag of the latest stroke at each instant; False before the first stroke; (n,)."""
-    return np.array([*flags, False])[np.searchsorted(starts, time, "right") - 1]

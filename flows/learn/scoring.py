@@ -5,11 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from flows.graph.flow import Flow
-from flows.learn.in_memory import BatchSink, BatchSource, run_in_memory
 from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from operators import Score
-from operators.batch import Counts, Flags, Reals, Scores, Zeroed
+from operators.batch import Counts, Flags, Reals, Zeroed
 from operators.detectors.detector import Detector
 
 
@@ -22,10 +20,7 @@ def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
     found = np.full(len(recording), np.nan)
     if not len(recording):
         return found
-    flow, sink = Flow("evaluation"), BatchSink()
-    (flow.source(BatchSource(_zeroed(recording))) | Score(detector)).to(sink)
-    run_in_memory(flow, sink)
-    scores = sink.rows(Scores)
+    scores = Score(detector).push(_zeroed(recording))
     found[len(found) - len(scores) :] = scores.probability
     found[:WARM_UP] = np.nan
     return found

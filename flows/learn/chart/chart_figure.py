@@ -1,8 +1,7 @@
 """Figure of speed against accuracy, and of delay against false alarms."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 import numpy as np
@@ -17,16 +16,8 @@ _LINE: Final = 11.0  # points from one name to the next below it
 _LETTER: Final = 4.6  # points, wide
 _PANEL: Final = (400.0, 330.0)  # points, about
 _TICKS: Final = (50, 60, 70, 80, 85, 90, 92, 94, 96, 98, 99)  # %
+_LEADER: Final = {"arrowstyle": "-", "color": FAINT, "linewidth": 0.6, "shrinkA": 0, "relpos": (0, 0.5)}
 _ZERO: Final = 0.2  # false alarms that stand for 0 on the logarithmic axis
-
-
-@dataclass(frozen=True, slots=True)
-class _Mark:
-    """Mark of a point; x and y are fractions of the panel's width and height."""
-
-    point: Point
-    x: float
-    y: float
 
 
 @styled
@@ -70,7 +61,7 @@ def _speed(axis: Axes, points: Sequence[Point]) -> None:
                       xycoords=("axes fraction", "data"), textcoords="offset points", ha="right")  # fmt: skip
     heights = (_stretch([point.performance.accuracy for point in points]) - bottom) / (top - bottom)
     positions = [math.log(point.us / low) / math.log(high / low) for point in points]
-    _draw(axis, [_Mark(*each) for each in zip(points, positions, heights.tolist(), strict=True)])
+    _draw(axis, zip(points, positions, heights.tolist(), strict=True))
     for marker, text in (("o", "sample by sample"), ("s", "on windows")):
         axis.plot([], [], marker, color=INK, markerfacecolor="white", label=text)
 
@@ -94,41 +85,31 @@ def _onsets(axis: Axes, points: Sequence[Point]) -> None:
     )
     heights = np.log(alarms / low) / np.log(high / low)
     positions = (delays - left) / (right - left)
-    _draw(axis, [_Mark(*each) for each in zip(points, positions.tolist(), heights.tolist(), strict=True)])
+    _draw(axis, zip(points, positions.tolist(), heights.tolist(), strict=True))
 
 
-def _draw(axis: Axes, marks: Sequence[_Mark]) -> None:
-    """Draw marks with their names to the right, moved down where they would overlap."""
+def _draw(axis: Axes, marks: Iterable[tuple[Point, float, float]]) -> None:
+    """Draw points with their names to the right, moved down where they would overlap.
+
+    Args:
+        axis: Panel.
+        marks: Each point with its position, as fractions of the panel's width and height.
+    """
     axis.grid(visible=True)
     axis.set_axisbelow(True)
     taken = list[tuple[float, float, float]]()  # left, right and height of names, points
-    for mark in sorted(marks, key=lambda mark: (-mark.y, mark.x)):
-        point, x, y = mark.point, mark.x * _PANEL[0], mark.y * _PANEL[1]
+    for point, across, up in sorted(marks, key=lambda mark: (-mark[2], mark[1])):
+        x, y = across * _PANEL[0], up * _PANEL[1]
         left, right = x + 9, x + 9 + _LETTER * len(point.name)
         height = y
         while any(a < right and left < b and abs(height - c) < _LINE for a, b, c in taken):
             height -= 1
         taken.append((left, right, height))
         colour = MAIN if point.pareto else SECOND if point.same else INK
-        axis.plot(mark.x, mark.y, "o" if point.streams else "s", color=colour, markersize=6,
+        axis.plot(across, up, "o" if point.streams else "s", color=colour, markersize=6,
                   markerfacecolor=colour if point.pareto else "white", transform=axis.transAxes)  # fmt: skip
-        axis.annotate(
-            point.name,
-            (mark.x, mark.y),
-            (9, height - y),
-            xycoords="axes fraction",
-            textcoords="offset points",
-            color=colour,
-            fontsize=8,
-            va="center",
-            arrowprops={
-                "arrowstyle": "-",
-                "color": FAINT,
-                "linewidth": 0.6,
-                "shrinkA": 0,
-                "relpos": (0, 0.5),
-            },
-        )
+        axis.annotate(point.name, (across, up), (9, height - y), xycoords="axes fraction", color=colour,
+                      textcoords="offset points", fontsize=8, va="center", arrowprops=_LEADER)  # fmt: skip
 
 
 def _stretch(accuracy: Sequence[float] | NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,12 +1,10 @@
 """Report of speed against accuracy: the chart, its points and the goals."""
 
-from collections.abc import Sequence
-
 from flows.learn.chart import chart_figure
-from flows.learn.chart.chart_study import DEFAULT, Chart, Point
+from flows.learn.chart.chart_study import DEFAULT, Chart
 from flows.learn.evaluation import published
 from flows.report.report_page import Report, Section
-from flows.report.table import Table
+from flows.report.table import Table, Value
 
 
 def chart_report(of: Chart, command: str) -> Report:
@@ -24,7 +22,12 @@ def points(of: Chart) -> Section:
     """Return the section with all detectors, from fast to slow, and the chart."""
     ordered = sorted(of.points, key=lambda point: point.us)
     front = ", ".join(point.name for point in ordered if point.pareto)
-    rows = [_row(point) for point in ordered]
+    rows: list[list[Value]] = [
+        [each.name, "samples" if each.streams else "windows", each.us, each.performance.accuracy,
+         each.performance.balanced, each.performance.false_alarms_per_min, each.performance.missed,
+         each.performance.onset_ms, each.core_64, "yes" if each.pareto else None]
+        for each in ordered
+    ]  # fmt: skip
     rows += [
         [f"paper's {name}", None, None, share, *[None] * 6] for name, share in published.ACCURACY.items()
     ]
@@ -39,13 +42,7 @@ def points(of: Chart) -> Section:
         "with the settings of the model card or those tuned on the validation split. The paper publishes no "
         "speed; its accuracy is of its own, real test set."
         + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items()),
-        [
-            Table(
-                head,
-                rows,
-                decimals={"us/sample": None, "delay ms": 0, "64 fingertips, % of a core": None},
-            )
-        ],
+        [Table(head, rows, decimals={"us/sample": None, "delay ms": 0, "64 fingertips, % of a core": None})],
         lambda: chart_figure.chart(of.points),
     )
 
@@ -55,7 +52,7 @@ def goals(of: Chart) -> list[Section]:
     reached = of.goals()
     if not reached:
         return []
-    rows = [
+    rows: list[list[Value]] = [
         [goal.text, f"{'at least' if goal.at_least else 'at most'} {goal.wanted:g}", goal.reached,
          "yes" if goal.met else "no"]
         for goal in reached
@@ -68,20 +65,4 @@ def goals(of: Chart) -> list[Section]:
             "window at a time on one thread.",
             [Table(["goal", "wanted", "reached", "met"], rows, decimals={"reached": None})],
         )
-    ]
-
-
-def _row(point: Point) -> Sequence[str | float | None]:
-    performance = point.performance
-    return [
-        point.name,
-        "samples" if point.streams else "windows",
-        point.us,
-        performance.accuracy,
-        performance.balanced,
-        performance.false_alarms_per_min,
-        performance.missed,
-        performance.onset_ms,
-        point.core_64,
-        "yes" if point.pareto else None,
     ]

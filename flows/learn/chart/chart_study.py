@@ -10,8 +10,8 @@ from typing import Final
 
 from flows.learn.chart.detector_speed import costs
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
+from flows.learn.evaluation.event_metrics import Performance
 from flows.learn.evaluation.methods import methods
-from flows.learn.evaluation.performance import Performance
 from flows.learn.labelled_recordings import by_split, load
 from flows.learn.scoring import probabilities
 from flows.learn.train_extra import require_train_extra

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from flows.learn.evaluation.evaluation_study import MethodResult
-from flows.learn.evaluation.label_changes import EDGES
 from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
 from flows.learn.evaluation.published import SPEEDS, SURFACES, TABLE_3
+from flows.learn.evaluation.sample_metrics import EDGES
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, Axes, Figure, grid, styled
 
 _LINES: Final = ("-", "--", ":")

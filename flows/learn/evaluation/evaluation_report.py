@@ -10,10 +10,9 @@ import numpy as np
 from flows.learn.evaluation import evaluation_figures as figures
 from flows.learn.evaluation.evaluation_study import Evaluation
 from flows.learn.evaluation.event_metrics import EventMetrics
-from flows.learn.evaluation.label_changes import EDGES
 from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
-from flows.learn.evaluation.sample_metrics import Confusion
+from flows.learn.evaluation.sample_metrics import EDGES, Confusion
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, show
 
@@ -273,7 +272,7 @@ def _motion_head() -> list[str]:
 
 
 def _shares(confusion: Confusion) -> Sequence[float]:
-    return confusion.accuracy, confusion.precision, confusion.recall, confusion.f1
+    return confusion.accuracy, confusion.precision, confusion.accuracy, confusion.f1
 
 
 def _against(confusion: Confusion) -> Sequence[float]:

@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 
 from connectors.sim.truth import STICK
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
-from flows.learn.evaluation.event_metrics import EventMetrics, Slips, filled
-from flows.learn.evaluation.label_changes import LabelChanges
+from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, filled
 from flows.learn.evaluation.methods import Method, methods
 from flows.learn.evaluation.motion_metrics import MotionConfusions
-from flows.learn.evaluation.performance import DECISION
-from flows.learn.evaluation.sample_metrics import Confusion, Reliability, Roc
+from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
 from flows.learn.train_extra import require_train_extra
@@ -60,9 +58,6 @@ class Evaluation:
     missing: Mapping[str, str]  # reasons by method
     label: Confusion | None  # the label itself against true sliding; None: unknown
 
-    def __getitem__(self, name: str) -> MethodResult:
-        return next(result for result in self.results if result.method.name == name)
-
     @property
     def leader(self) -> MethodResult:
         """Method that the findings are about: the default detector, or the most accurate one."""
@@ -105,18 +100,19 @@ def evaluate(
         for method in chosen:
             log(f"evaluating {method.name}")
             results.append(evaluator.result(method))
-    labels = np.concatenate([each.label[at] for each, at in zip(recordings, evaluator.known, strict=True)])
+    slip = [each.slip[at] for each, at in zip(recordings, evaluator.known, strict=True)]
+    labels = np.concatenate(slip)
     return Evaluation(
         dataset.resolve().name,
         split,
         len(recordings),
         len(labels),
-        100 * float((labels == STATIC).mean()) if len(labels) else float("nan"),
+        100 * float((~labels).mean()) if len(labels) else float("nan"),
         sum(map(len, recordings)) / 6000,
         budget,
         tuple(sorted(results, key=lambda result: -result.confusion.accuracy)),
         missing,
-        evaluator.label(),
+        evaluator.against_sliding(evaluator.known, slip),
     )
 
 
@@ -145,47 +141,38 @@ class _Evaluator:
         self.recordings, self.validation, self.budget = recordings, validation, budget
         self.known = [_known(recording) for recording in recordings]
         self.slips = [Slips.labelled(recording) for recording in recordings]
-        slid = [(each.sliding, Slips.slid(each)) for each in recordings]
-        self.sliding = [filled(sliding, STICK) for sliding, _ in slid if sliding is not None]
-        self.slid = [slips for _, slips in slid if slips is not None]
+        sliding = [each.sliding for each in recordings if each.sliding is not None]
+        self.truth_known = len(sliding) == len(recordings)
+        self.sliding = [filled(each, STICK) for each in sliding]
+        self.slid = [Slips.of(each, STICK) for each in sliding]
 
     def result(self, method: Method) -> MethodResult:
         scores = [probabilities(method.detector, recording) for recording in self.recordings]
         at = [known[np.isfinite(score[known])] for known, score in zip(self.known, scores, strict=True)]
-        predicted = [score[each] >= DECISION for score, each in zip(scores, at, strict=True)]
+        probability = [score[each] for score, each in zip(scores, at, strict=True)]
+        predicted = [each >= DECISION for each in probability]
         truth = [recording.slip[each] for recording, each in zip(self.recordings, at, strict=True)]
-        probability = np.concatenate([score[each] for score, each in zip(scores, at, strict=True)])
-        slip = np.concatenate(truth)
         wrong = [one != other for one, other in zip(predicted, truth, strict=True)]
+        slip = np.concatenate(truth)
         debounce, chosen_on = self._debounce(method)
         return MethodResult(
             method,
             Confusion.of(np.concatenate(predicted), slip),
-            Roc.of(probability, slip),
-            Reliability.of(probability, slip),
-            LabelChanges.of([recording.label for recording in self.recordings], at, wrong),
+            Roc.of(np.concatenate(probability), slip),
+            Reliability.of(np.concatenate(probability), slip),
+            LabelChanges.of([each.label for each in self.recordings], at, wrong),
             MotionConfusions.of(self.recordings, at, predicted),
             debounce,
             chosen_on,
             EventMetrics.of(scores, self.slips, debounce),
             EventMetrics.of(scores, self.slips, PAPER_RULE),
-            self._against_sliding(at, predicted),
-            EventMetrics.of(scores, self.slid, debounce) if self._truth_known else None,
+            self.against_sliding(at, predicted),
+            EventMetrics.of(scores, self.slid, debounce) if self.truth_known else None,
         )
 
-    def label(self) -> Confusion | None:
-        """Compare the label with true sliding, as for a method; None if that is unknown."""
-        labels = [recording.slip[at] for recording, at in zip(self.recordings, self.known, strict=True)]
-        return self._against_sliding(self.known, labels)
-
-    @property
-    def _truth_known(self) -> bool:
-        return len(self.sliding) == len(self.recordings)
-
-    def _against_sliding(
-        self, at: Sequence[NDArray[np.intp]], predicted: Sequence[Flags]
-    ) -> Confusion | None:
-        if not self._truth_known:
+    def against_sliding(self, at: Sequence[NDArray[np.intp]], predicted: Sequence[Flags]) -> Confusion | None:
+        """Compare predictions (j,) at samples (j,) of each recording with true sliding."""
+        if not self.truth_known:
             return None
         truth = [sliding[each] for sliding, each in zip(self.sliding, at, strict=True)]
         return Confusion.of(np.concatenate(predicted), np.concatenate(truth))

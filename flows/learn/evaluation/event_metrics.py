@@ -1,21 +1,24 @@
-"""Metrics of slip events: false alarms, missed slips and onset delay."""
+"""Metrics of slip events (false alarms, missed slips, onset delay), and the performance of a detector."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Final, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from connectors.sim.truth import STICK
-from flows.learn.evaluation.sample_metrics import percent
+from flows.learn.evaluation.sample_metrics import Confusion, percent
 from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from flows.learn.onsets import match_onsets, runs
 from operators import Debounce, ms, s
-from operators.batch import SLIP, STATIC, Flags, Reals, Scores, Times
+from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
 
 PAUSE: Final = 100 * ms  # ns; a slip continues through shorter static stretches of the label
 BRIEF: Final = 50 * ms  # ns; uncertainty of the labels (paper, Fig. 6)
+Reference: TypeAlias = Literal["label", "sliding"]  # arm speed; true sliding of the contact, sticks filled
+REFERENCES: Final[tuple[Reference, ...]] = ("label", "sliding")
+DECISION: Final = 0.5  # probability from which on a sample counts as slip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,13 +36,7 @@ class Slips:
     @classmethod
     def labelled(cls, recording: LabelledRecording) -> Self:
         """Return the slips by arm speed, as in the paper."""
-        unknown = (recording.label != SLIP) & (recording.label != STATIC)
-        return cls.of(recording.slip, PAUSE, unknown)
-
-    @classmethod
-    def slid(cls, recording: LabelledRecording) -> Self | None:
-        """Return the slips by true sliding, sticks shorter than `STICK` included; None if it is unknown."""
-        return None if recording.sliding is None else cls.of(recording.sliding, STICK)
+        return cls.of(recording.slip, PAUSE, recording.label == UNKNOWN)
 
     @classmethod
     def of(cls, slip: Flags, pause: int, unknown: Flags | None = None) -> Self:
@@ -149,3 +146,49 @@ def onsets(probability: Reals, debounce: Debounce) -> Times:
     slips = debounce.reset_copy().push(scores[WARM_UP:])
     raised: Times = slips.time[slips.state == SLIP]
     return raised
+
+
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """Performance of one detector against one reference.
+
+    Samples without a score do not count. Every slip without an onset is missed.
+    """
+
+    accuracy: float  # %, of the samples that have a score
+    balanced: float  # balanced accuracy, %
+    false_alarms_per_min: float  # per static minute
+    missed: float  # % of slips
+    onset_ms: float  # median delay
+
+    @classmethod
+    def of(
+        cls,
+        recordings: Sequence[LabelledRecording],
+        probabilities: Sequence[Reals],
+        debounce: Debounce,
+        reference: Reference = "label",
+    ) -> Self:
+        """Compare the probabilities (n,) of each recording with a reference.
+
+        Args:
+            recordings: Recordings; the reference "sliding" needs simulated ones.
+            probabilities: Probability of slip, (n,) for each recording.
+            debounce: Debounce of the slip events.
+            reference: Reference for true slip.
+        """
+        counts, slips = np.zeros((2, 2)), list[Slips]()
+        for recording, probability in zip(recordings, probabilities, strict=True):
+            known = np.isfinite(probability)  # (n,)
+            if reference == "sliding":
+                assert recording.sliding is not None, "simulated recordings have it"
+                slip = filled(recording.sliding, STICK)
+                slips.append(Slips.of(recording.sliding, STICK))
+            else:
+                slip, known = recording.slip, known & (recording.label != UNKNOWN)
+                slips.append(Slips.labelled(recording))
+            counts += Confusion.of(probability[known] >= DECISION, slip[known]).counts
+        samples, events = Confusion(counts), EventMetrics.of(probabilities, slips, debounce)
+        return cls(
+            samples.accuracy, samples.balanced, events.false_alarms_per_min, events.missed, events.onset_ms
+        )

@@ -1,16 +1,20 @@
-"""Metrics of decisions sample by sample: confusion, ROC, reliability."""
+"""Metrics of decisions sample by sample: confusion, ROC, reliability, errors near changes of the label."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from flows.learn.train_extra import sklearn
-from operators.batch import Flags, Reals
+from operators.batch import Codes, Flags, Reals
 
 BINS: Final = 10  # of the reliability curve
 _POINTS: Final = 201  # of a stored ROC curve
+EDGES: Final = (0, 20, 40, 60, 80, 100, 150, 200, 300, 400)  # ms, of the bins; the last has no end
+_PERIOD_MS: Final = 10  # ms, from one sample to the next
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,30 +51,25 @@ class Confusion:
 
     @property
     def precision(self) -> float:
-        """Precision averaged over the classes by their share, as in the paper's tables; %."""
-        return self._weighted()[0]
+        """Precision averaged over the classes by their share, as in the paper's tables; %.
 
-    @property
-    def recall(self) -> float:
-        """Recall averaged over the classes by their share, which equals the accuracy; %."""
-        return self._weighted()[1]
+        The recall averaged in this way equals the accuracy.
+        """
+        return self._weighted()[0]
 
     @property
     def f1(self) -> float:
         """F1 averaged over the classes by their share, as in the paper's tables; %."""
-        return self._weighted()[2]
+        return self._weighted()[1]
 
-    def _weighted(self) -> tuple[float, float, float]:
+    def _weighted(self) -> tuple[float, float]:
         if not self.counts.any():
-            return np.nan, np.nan, np.nan
-        precision, recall, f1, _ = sklearn("metrics").precision_recall_fscore_support(
-            [0, 0, 1, 1],
-            [0, 1, 0, 1],
-            sample_weight=self.counts.ravel(),
-            average="weighted",
-            zero_division=0,
-        )
-        return 100 * float(precision), 100 * float(recall), 100 * float(f1)
+            return np.nan, np.nan
+        precision, _, f1, _ = sklearn("metrics").precision_recall_fscore_support(
+            [0, 0, 1, 1], [0, 1, 0, 1],
+            sample_weight=self.counts.ravel(), average="weighted", zero_division=0,
+        )  # fmt: skip
+        return 100 * float(precision), 100 * float(f1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +117,58 @@ class Reliability:
         """Expected calibration error: mean distance of a bin's share from its probability, by samples; %."""
         distance = np.where(self.number, np.abs(self.probability - self.slip), 0)
         return percent(float(distance @ self.number), self.number.sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LabelChanges:
+    """Samples and errors by distance from the nearest change of the label."""
+
+    samples: NDArray[np.intp]  # (10,) in each bin of `EDGES`
+    errors: NDArray[np.intp]  # (10,) number of these that are wrong
+
+    @classmethod
+    def of(
+        cls, labels: Sequence[Codes], evaluated: Sequence[NDArray[np.intp]], wrong: Sequence[Flags]
+    ) -> Self:
+        """Count errors (j,) at the evaluated samples (j,) of each recording with labels (n,)."""
+        samples, errors = np.zeros((2, len(EDGES)), np.intp)
+        for label, at, error in zip(labels, evaluated, wrong, strict=True):
+            bins = np.searchsorted(EDGES, distance(label)[at], "right") - 1
+            samples += np.bincount(bins, minlength=len(EDGES))
+            errors += np.bincount(bins[error], minlength=len(EDGES))
+        return cls(samples, errors)
+
+    @property
+    def accuracy(self) -> Reals:
+        """Share of correct predictions in each bin, %; (10,), NaN where there are no samples."""
+        right = self.samples - self.errors
+        return np.array([percent(*counts) for counts in zip(right, self.samples, strict=True)])
+
+    def near(self, within: int) -> float:
+        """Return the share of all errors within `within` ms (one of `EDGES`) of a change; %."""
+        return percent(self.errors[: EDGES.index(within)].sum(), self.errors.sum())
+
+    def far(self, beyond: int) -> float:
+        """Return the accuracy at `beyond` ms (one of `EDGES`) or more from any change; %."""
+        part = slice(EDGES.index(beyond), None)
+        samples = self.samples[part].sum()
+        return percent(samples - self.errors[part].sum(), samples)
+
+
+def distance(label: Codes) -> Reals:
+    """Return the distance of each sample (n,) from the nearest change of the label; (n,) ms.
+
+    It is 0 for the two samples at a change, and infinite if the label never changes.
+
+    >>> distance(np.array([0, 0, 1, 1, 1], np.int8)).tolist()
+    [10.0, 0.0, 0.0, 10.0, 20.0]
+    """
+    same = np.diff(label) == 0
+    within = np.append(same, True) & np.insert(same, 0, True)  # (n,) not at a change
+    if within.all():
+        return np.full(len(label), np.inf)
+    steps: Reals = distance_transform_edt(within)
+    return steps * _PERIOD_MS
 
 
 def percent(part: float, whole: float) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Final
 
-from flows.learn.evaluation.performance import Reference
+from flows.learn.evaluation.event_metrics import Reference
 from flows.learn.stress.stress_fields import GRIDS, Grid
 from flows.learn.stress.stress_study import Stress
 from flows.report.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled

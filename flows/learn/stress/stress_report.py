@@ -3,7 +3,7 @@
 from math import isnan, nan
 from typing import Final
 
-from flows.learn.evaluation.performance import Performance, Reference
+from flows.learn.evaluation.event_metrics import Performance, Reference
 from flows.learn.stress import stress_figure
 from flows.learn.stress.stress_fields import FALL, GOALS, GRIDS
 from flows.learn.stress.stress_figure import MEASURES

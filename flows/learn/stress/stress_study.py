@@ -8,18 +8,19 @@ changes the label alone.
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from connectors.sim.paper_plan import PaperPlan as Plan
 from connectors.sim.stress_profiles import stressed
 from flows.learn.evaluation.debounce_tuning import tuned_on
+from flows.learn.evaluation.event_metrics import REFERENCES, Performance, Reference
 from flows.learn.evaluation.methods import methods
-from flows.learn.evaluation.performance import REFERENCES, Performance, Reference
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import WARM_UP, LabelledRecording, simulated_recordings
+from flows.learn.labelled_recordings import WARM_UP, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import GRIDS, breaking_point, plan_of
 from flows.learn.train_extra import require_train_extra
@@ -35,15 +36,8 @@ SEED: Final = 4000
 _FITTING: Final = 1000  # added to the seed for the recordings that baselines are fitted to
 _TUNING: Final = 2000  # added to the seed for the recordings that the debounce is tuned on
 
-Progress = Callable[[int, int], object]
-
-
-@dataclass(frozen=True, slots=True)
-class Condition:
-    """One stress field at one value."""
-
-    field: str
-    value: float
+Progress: TypeAlias = Callable[[int, int], object]
+Condition: TypeAlias = tuple[str, float]  # stress field and its value
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +66,7 @@ class Stress:
 
     def outcome(self, field: str, value: float) -> Outcome:
         """Return the performance of all detectors under one condition."""
-        return self.outcomes[Condition(field, value)]
+        return self.outcomes[field, value]
 
     def breaking(self, name: str, field: str, reference: Reference = "label") -> dict[str, float | None]:
         """Return the breaking point on each side of nominal; None: not reached."""
@@ -143,11 +137,11 @@ def run_stress(
     progress: Progress = lambda _done, _all: None,
 ) -> Stress:
     """Evaluate detectors with their debounce under every stress; see `stress`."""
-    conditions = [Condition(field, value) for field, grid in GRIDS.items() for value in grid.values]
+    conditions = [(field, value) for field, grid in GRIDS.items() for value in grid.values]
     distinct = list(dict.fromkeys(map(_distinct, conditions)))
     progress(0, len(distinct))
     outcomes: dict[Condition, Outcome] = {}
-    with closing(process_map(_Evaluator(detectors, plan, seed), distinct, jobs)) as each:
+    with closing(process_map(partial(_outcome, detectors, plan, seed), distinct, jobs)) as each:
         for done, (condition, outcome) in enumerate(zip(distinct, each, strict=True), 1):
             outcomes[condition] = outcome
             progress(done, len(distinct))
@@ -161,45 +155,29 @@ def run_stress(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Evaluator:
-    """Evaluator of all detectors under a simulated condition; processes receive a copy."""
-
-    detectors: Mapping[str, tuple[Detector, Debounce]]
-    plan: Plan
-    seed: int
-
-    def __call__(self, condition: Condition) -> Outcome:
-        with one_thread():
-            return self._outcome(condition)
-
-    def _outcome(self, condition: Condition) -> Outcome:
-        field, value = condition.field, condition.value
-        recordings = simulated_recordings(
-            plan_of(field, self.plan), self.seed, lambda scene: stressed(scene, field, value)
-        )
-        unscored, performance = dict[str, float](), dict[tuple[str, Reference], Performance]()
-        for name, (detector, debounce) in self.detectors.items():
-            scores = [probabilities(detector, recording) for recording in recordings]
-            unscored[name] = _share([np.isnan(score)[WARM_UP:] for score in scores])
-            for reference in REFERENCES:
-                performance[name, reference] = Performance.of(recordings, scores, debounce, reference)
-        degraded = [_degraded(recording)[WARM_UP:] for recording in recordings]
-        return Outcome(_share(degraded), unscored, performance)
+@one_thread()
+def _outcome(
+    detectors: Mapping[str, tuple[Detector, Debounce]], plan: Plan, seed: int, condition: Condition
+) -> Outcome:
+    field, value = condition
+    recordings = simulated_recordings(plan_of(field, plan), seed, lambda scene: stressed(scene, field, value))
+    unscored, performance = dict[str, float](), dict[tuple[str, Reference], Performance]()
+    for name, (detector, debounce) in detectors.items():
+        scores = [probabilities(detector, recording) for recording in recordings]
+        unscored[name] = _share([np.isnan(score)[WARM_UP:] for score in scores])
+        for reference in REFERENCES:
+            performance[name, reference] = Performance.of(recordings, scores, debounce, reference)
+    degraded = [each.degraded[WARM_UP:] for each in recordings if each.degraded is not None]
+    return Outcome(_share(degraded), unscored, performance)
 
 
 def _distinct(condition: Condition) -> Condition:
     """Return the condition that gives the same recordings: the nominal value is the same in every field."""
-    grid = GRIDS[condition.field]
-    if condition.value != grid.values[0] or condition.field == "slip_speed":
+    field, value = condition
+    if value != GRIDS[field].values[0] or field == "slip_speed":
         return condition
     first = next(iter(GRIDS))
-    return Condition(first, GRIDS[first].values[0])
-
-
-def _degraded(recording: LabelledRecording) -> Flags:
-    assert recording.degraded is not None, "simulated recordings have it"
-    return recording.degraded
+    return first, GRIDS[first].values[0]
 
 
 def _share(flags: Sequence[Flags]) -> float:

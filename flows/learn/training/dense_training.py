@@ -97,11 +97,9 @@ class _DenseCourse(Course):
         return (each * weight).sum() / weight.sum().clamp(min=1)
 
     def clip(self) -> None:
-        """Limit the norm of the whole gradient."""
         utils.clip_grad_norm_(self.network.parameters(), _CLIP)
 
     def predict(self) -> tuple[Flags, Flags]:
-        """Return the predicted and the labelled slip of the validation recordings; (n,) each."""
         logits = [self.network(counts)[0, WARM_UP:].cpu().numpy() for counts in self._unseen]
         known = self._unseen_label != UNKNOWN
         return np.concatenate(logits)[known] > 0, self._unseen_label[known] == SLIP

@@ -112,7 +112,6 @@ class _WindowedCourse(Course):
         )
 
     def loss(self, step: int) -> Tensor:
-        """Return the mean loss of the next batch."""
         recipe, number = self._recipe, (step - 1) % self.check_every
         if number == 0:
             self._picked = self._windows.balanced(self._rng)
@@ -127,7 +126,6 @@ class _WindowedCourse(Course):
             torch.nn.utils.clip_grad_norm_(parameter, self._recipe.clip)
 
     def predict(self) -> tuple[Flags, Flags]:
-        """Return the predicted and the labelled slip of the validation windows; (n,) each."""
         blocks = np.split(np.arange(len(self._unseen)), range(_BLOCK, len(self._unseen), _BLOCK))
         predicted = torch.cat([self.network(self._unseen.take(block)).argmax(1) for block in blocks])
         return predicted.cpu().numpy() == 1, self._unseen.slip

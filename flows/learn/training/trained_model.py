@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from flows.learn.evaluation.performance import DECISION
+from flows.learn.evaluation.event_metrics import DECISION
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import probabilities

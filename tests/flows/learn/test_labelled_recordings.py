@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ import pytest
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Faults, Move, Moves, Scene
 from connectors.sim.stress_profiles import stressed
-from flows.lab.simulation import planned_recordings, simulate
+from flows.lab.simulation import planned_recordings
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
@@ -76,13 +77,12 @@ def test_a_fault_degrades_a_trial_from_when_it_can_be_told(faults: Faults, after
     assert found[found.argmax() :].all()
 
 
-def test_recordings_without_splits_take_turns_by_session(tmp_path: Path) -> None:
-    simulate(tmp_path / "tiny", "tiny", seed=0, jobs=1)
-    told = [each.split for each in load(tmp_path / "tiny")]
-    for path in (tmp_path / "tiny").glob("sessions/*/session.json"):
+def test_recordings_without_splits_take_turns_by_session(tiny: Path, tmp_path: Path) -> None:
+    copy = copytree(tiny, tmp_path / "tiny")
+    for path in copy.glob("sessions/*/session.json"):
         put_checked(path, {**read_checked(path), "split": None})
-    turns = [each.split for each in load(tmp_path / "tiny")]
-    assert turns == list((TURNS * 2)[: len(turns)]) != told
+    turns = [each.split for each in load(copy)]
+    assert turns == list((TURNS * 2)[: len(turns)]) != [each.split for each in load(tiny)]
 
 
 def test_a_small_plan_repeats_no_recording_of_a_large_one() -> None:

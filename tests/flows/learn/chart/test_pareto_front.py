@@ -1,7 +1,7 @@
 import pytest
 
 from flows.learn.chart.chart_study import Point, SpeedGoal, with_front
-from flows.learn.evaluation.performance import Performance
+from flows.learn.evaluation.event_metrics import Performance
 
 
 def point(name: str, us: float, accuracy: float, onset_ms: float = 30.0) -> Point:

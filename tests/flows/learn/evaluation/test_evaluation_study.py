@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from flows.learn.evaluation import evaluation_study as module
-from flows.learn.evaluation.evaluation_study import Evaluation, evaluate
+from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult, evaluate
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
@@ -14,14 +14,14 @@ from operators.batch import Codes
 from operators.errors import InputError
 
 
-@pytest.fixture(scope="module")
-def found(tiny: Path) -> Evaluation:
-    return evaluate(tiny, names=["psd", "logistic"])
+def psd(found: Evaluation) -> MethodResult:
+    [result] = [result for result in found.results if result.method.name == "psd"]
+    return result
 
 
 def test_the_scores_are_those_of_the_test_split(found: Evaluation, tiny: Path) -> None:
     recordings = [recording for recording in load(tiny) if recording.split == "test"]
-    result = found["psd"]
+    result = psd(found)
     called = [probabilities(result.method.detector, recording)[99:] >= 0.5 for recording in recordings]
     truth = [recording.slip[99:] for recording in recordings]
     expected = Confusion.of(np.concatenate(called), np.concatenate(truth))
@@ -35,7 +35,7 @@ def test_the_scores_are_those_of_the_test_split(found: Evaluation, tiny: Path) -
 def test_the_most_accurate_comes_first(found: Evaluation) -> None:
     accuracy = [result.confusion.accuracy for result in found.results]
     assert accuracy == sorted(accuracy, reverse=True)
-    assert {result.method.name for result in found.results} == {"psd", "logistic"}
+    assert {result.method.name for result in found.results} == {"psd", "logistic", "tcn"}
 
 
 def test_a_simulated_dataset_is_compared_with_the_truth_too(found: Evaluation) -> None:
@@ -57,8 +57,8 @@ def test_true_sliding_is_unknown_if_the_dataset_does_not_have_it(
     monkeypatch.setattr(module, "load", unknown)
     found = evaluate(tiny, names=["psd"])
     assert found.label is None
-    assert found["psd"].sliding is None
-    assert found["psd"].sliding_events is None
+    assert psd(found).sliding is None
+    assert psd(found).sliding_events is None
 
 
 def test_without_a_validation_split_the_papers_debounce_is_used(
@@ -70,7 +70,7 @@ def test_without_a_validation_split_the_papers_debounce_is_used(
         ]
 
     monkeypatch.setattr(module, "load", some)
-    result = evaluate(tiny, names=["psd"])["psd"]
+    result = psd(evaluate(tiny, names=["psd"]))
     assert result.debounce == Debounce(0.5, 2, 2)
     assert result.chosen_on.startswith("the paper")
     assert result.events.false_alarms == result.paper_rule.false_alarms

@@ -68,15 +68,6 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
     assert felt.false_alarms == 0
 
 
-def test_true_sliding_is_known_only_of_simulated_recordings() -> None:
-    sliding = label(400, (150, 170), (180, 200)) == 1
-    recording = LabelledRecording(np.zeros((400, 6), np.int16), label(400), "plane", sliding=sliding)
-    slid = Slips.slid(recording)
-    assert slid is not None
-    assert slid.found.tolist() == seconds((150, 199))
-    assert Slips.slid(LabelledRecording(recording.counts, recording.label, "plane")) is None
-
-
 def test_pauses_are_bridged_from_end_to_start() -> None:
     flags = label(30, (3, 5), (8, 10), (20, 30)) == 1
     assert bridged(flags, 50 * ms).tolist() == [[3, 9], [20, 29]]

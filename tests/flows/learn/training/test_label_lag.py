@@ -1,18 +1,17 @@
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from connectors.sim.paper_plan import PaperPlan
-from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
+from flows.lab.simulation import planned_recordings
+from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.training.label_lag import lags, relabelled
-
-PLAN = PaperPlan(speeds=(0.05, 0.1), repeats=1, rotations=0)
 
 
 @pytest.fixture(scope="module")
-def recordings() -> list[LabelledRecording]:
-    return simulated_recordings(PLAN, seed=5)
+def recordings(tiny: Path) -> list[LabelledRecording]:
+    return load(tiny)
 
 
 def _later(recording: LabelledRecording, samples: int) -> LabelledRecording:
@@ -20,8 +19,8 @@ def _later(recording: LabelledRecording, samples: int) -> LabelledRecording:
 
 
 def test_the_latency_of_the_arm_is_found_in_its_recordings(recordings: list[LabelledRecording]) -> None:
-    latency = np.array([scene.motion.latency for scene in PLAN.scenes(5)])
-    error = lags(recordings) - latency
+    latency = {each.session: each.scene.motion.latency for each in planned_recordings("tiny", 0)}
+    error = lags(recordings) - np.array([latency[recording.name] for recording in recordings])
     assert np.median(np.abs(error - np.median(error))) < 0.015  # s; latencies spread over 84 ms
 
 

@@ -14,23 +14,22 @@ from flows.learn.training import training_loop
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.paper_networks import PaperTcnNetwork, paper_network
 from flows.learn.training.paper_training import MIRRORED, Windows, train_windowed, varied
-from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe
+from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.training_loop import Arrays, Trained
 from operators import ParameterError
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector, PaperTcn
-from operators.detectors.frequency_cnn import FrequencyCnn, InterleavedFrequencyCnn
+from operators.detectors.frequency_cnn import FrequencyCnn
 from operators.errors import InputError
 
 DETECTORS: dict[str, Callable[[Arrays], Detector]] = {
     "frequency_cnn": FrequencyCnn,
-    "frequency_cnn_interleaved": InterleavedFrequencyCnn,
     "paper_tcn": PaperTcn,
 }
 CPU = torch.device("cpu")
 TWICE = PaperRecipe(batch=64, epochs=2)
 
-every = pytest.mark.parametrize("name", PAPER_NETWORKS)
+both = pytest.mark.parametrize("name", ["frequency_cnn", "paper_tcn"])
 
 
 def _recording(seed: int, samples: int = 700) -> LabelledRecording:
@@ -58,11 +57,11 @@ def _balanced(detector: Detector, recordings: Sequence[LabelledRecording]) -> fl
     return Confusion.of(score > 0.5, windows.slip).balanced
 
 
-@every
+@both
 def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) -> None:
     train, validation, test = ([_recording(seed) for seed in seeds] for seeds in (range(4), (5, 6), (7, 8)))
-    trained = train_windowed(name, train, validation, replace(TWICE, epochs=5))
-    assert len(trained.curve) == 5
+    trained = train_windowed(name, train, validation, replace(TWICE, epochs=4))
+    assert len(trained.curve) == 4
     assert trained.curve[-1].loss < 0.8 * trained.curve[0].loss
     detector = DETECTORS[name](trained.arrays)
     assert _balanced(detector, test) > 80
@@ -70,7 +69,7 @@ def test_the_loss_falls_and_what_it_learns_holds_on_other_recordings(name: str) 
     assert _balanced(detector, validation) == pytest.approx(best, abs=0.2)
 
 
-@every
+@both
 def test_a_seed_gives_the_same_weights_whatever_else_runs_and_another_seed_others(name: str) -> None:
     def weights(seed: int) -> Arrays:
         torch.rand(seed + 3)

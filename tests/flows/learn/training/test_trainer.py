@@ -1,11 +1,14 @@
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 
 import numpy as np
 import pytest
 
-from flows.lab.simulation import simulate
+from flows.learn.labelled_recordings import LabelledRecording, by_split, load
+from flows.learn.training import trainer
 from flows.learn.training.learning_curve import Check, best, draw
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import provenance
@@ -18,21 +21,14 @@ from storage.description import describe_dataset
 SMALL = Recipe(filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2)
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    root = tmp_path_factory.mktemp("train") / "tiny"
-    simulate(root, "tiny", seed=0, jobs=1)
-    return root
-
-
-def test_a_model_and_its_card_say_where_they_come_from(dataset: Path, tmp_path: Path) -> None:
+def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Path) -> None:
     told: list[tuple[str, int, int, Check | None]] = []
 
     def tell(what: str, done: int, of: int, check: Check | None) -> None:
         told.append((what, done, of, check))
 
     out = tmp_path / "model.safetensors"
-    outcome = train([dataset], out, recipe=SMALL, progress=tell)
+    outcome = train([tiny], out, recipe=SMALL, progress=tell)
     card = json.loads((tmp_path / "model.json").read_text())
     assert card["sha256"] == hashlib.sha256(out.read_bytes()).hexdigest()
     assert card["detector"] == "tcn"
@@ -47,9 +43,9 @@ def test_a_model_and_its_card_say_where_they_come_from(dataset: Path, tmp_path: 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["model.json", "model.safetensors"]
 
 
-def test_of_several_seeds_the_best_on_validation_is_the_model(dataset: Path, tmp_path: Path) -> None:
+def test_of_several_seeds_the_best_on_validation_is_the_model(tiny: Path, tmp_path: Path) -> None:
     out = tmp_path / "model.safetensors"
-    outcome = train([dataset], out, recipe=SMALL, seeds=2)
+    outcome = train([tiny], out, recipe=replace(SMALL, steps=15), seeds=2)
     scores = [model.card["scores"]["validation"]["balanced"] for model in outcome.models]
     assert scores == sorted(scores, reverse=True)
     assert out.read_bytes() == outcome.models[0].path.read_bytes()
@@ -57,18 +53,25 @@ def test_of_several_seeds_the_best_on_validation_is_the_model(dataset: Path, tmp
     assert "seed sd" in outcome.report()
 
 
-def test_a_network_of_the_paper_is_trained_by_its_recipe(dataset: Path, tmp_path: Path) -> None:
+def test_a_network_of_the_paper_is_trained_by_its_recipe(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def few(dataset: Path) -> list[LabelledRecording]:
+        return [found[0] for found in by_split(load(dataset)).values()]
+
+    monkeypatch.setattr(trainer, "load", few)
     out = tmp_path / "paper.safetensors"
-    outcome = train([dataset], out, method="paper_tcn", epochs=1)
+    outcome = train([tiny], out, method="paper_tcn", epochs=1)
     assert isinstance(load_detector(out), PaperTcn)
     assert outcome.models[0].card["recipe"]["batch"] == 256
     assert len(outcome.models[0].curve) == 1
 
 
-def test_the_sha256_of_the_data_changes_with_the_data(dataset: Path, tmp_path: Path) -> None:
-    other = tmp_path / "other"
-    simulate(other, "tiny", seed=1, jobs=1)
-    sums = [provenance(path, [])["sha256"] for path in (dataset, dataset, other)]
+def test_the_sha256_of_the_data_changes_with_the_data(tiny: Path, tmp_path: Path) -> None:
+    other = copytree(tiny, tmp_path / "other")
+    manifest = next(other.glob("sessions/*/MANIFEST.json"))
+    manifest.write_bytes(manifest.read_bytes() + b"\n")
+    sums = [provenance(path, [])["sha256"] for path in (tiny, tiny, other)]
     assert sums[0] == sums[1] != sums[2]
 
 
