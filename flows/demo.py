@@ -24,7 +24,7 @@ def demo(
         out: Folder of the dataset.
         broker: Broker URL, such as mqtt://localhost; None: publish nothing.
         rig: Rig name used in topics.
-        outbox: File that keeps the published events; None: one per rig.
+        outbox: Folder that keeps the published events; None: one per rig.
         seed: Random seed of the simulation.
         connect_required: End the run if the broker refuses the first connection.
     """

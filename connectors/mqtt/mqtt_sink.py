@@ -11,7 +11,7 @@ from connectors.events import Event, Fault, encode, faults, finger_name, timesta
 from connectors.health_report import HealthReports, clock_report
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.outbox import Outbox
-from connectors.mqtt.outbox_file import Entry
+from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.rig_names import SUFFIX, name_in_run, outbox_path, replay_name, rig_topic
 from connectors.mqtt.sender import Sender
 from operators.batch import SLIP, Clocks, Faults, Slips, ms
@@ -29,10 +29,10 @@ KEEP_FOR = 7 * 86400.0  # s
 class Mqtt(Sink[Slips | Faults | Clocks]):
     """Slip events and the state of each fingertip over MQTT 5, without losing an event.
 
-    Events are numbered and stored in the outbox, a file that is kept between runs, before they are sent. They
-    are sent until the broker acknowledges them, in a later run if necessary. A power cut loses at most the
-    newest events that are neither sent nor on disk. `connectors.mqtt.consumer.Consumer` fetches events that
-    it missed.
+    Events are numbered and stored in the outbox, a folder that is kept between runs, before they are sent.
+    They are sent until the broker acknowledges them, in a later run if necessary. A power cut loses at most
+    the newest events that are neither sent nor on disk. `connectors.mqtt.consumer.Consumer` fetches events
+    that it missed.
 
     Topics below ``slip/v1/<site>/<rig>``, all with QoS 1, all retained except events:
 
@@ -42,9 +42,9 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     - ``status``: online or offline, also the last will
     - ``info``: flow, sources, detector; ``health``: state of sources, sinks, outbox and clocks every 5 s
 
-    An event that is sent again has the same id. While the disk is full or fails, events are sent from memory
-    in a separate epoch, and stored once the disk works; they may be lost if the process is killed before.
-    Faults mark later events as degraded and appear in ``health``.
+    An event that is sent again has the same id. While the disk is full or fails, events are sent from memory,
+    and stored once the disk works; they may be lost if the process is killed before. Closing waits until all
+    events are stored. Faults mark later events as degraded and appear in ``health``.
 
     A replay publishes as another rig, ``<rig>-replay``, with its own outbox, so that consumers of the live
     rig do not receive old events. A live rig cannot have such a name.
@@ -59,7 +59,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     model: Mapping[str, str] = field(default_factory=dict[str, str])  # id and sha256 of the detector
     threshold: float | None = None  # probability from which a sample counts as slip, reported in events
     consecutive: int | None = None  # samples required for an onset, reported in events
-    outbox: str | Path | None = None  # None: one file per site and rig in $XDG_STATE_HOME/slipflow
+    outbox: str | Path | None = None  # folder; None: one per site and rig in $XDG_STATE_HOME/slipflow
     connect_required: bool = True  # False: start without the broker; events wait in the outbox
 
     def __post_init__(self) -> None:
@@ -84,6 +84,11 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     def replay_destination(self) -> str:
         """Broker and topic in a replay."""
         return f"{self._broker}/{rig_topic('Mqtt', self.site, replay_name(self.rig))}"
+
+    @property
+    def pending(self) -> int:
+        """Events that are neither in the outbox nor acknowledged by the broker."""
+        return self._outbox.unstored
 
     async def open(self, run: Run) -> None:
         """Open the outbox, connect, and publish the retained documents.
@@ -132,10 +137,12 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
     async def close(self) -> None:
         """Send pending events within 3 s, publish the offline status, and disconnect."""
         await self._sender.close(self._status("offline", self._run.clock.now()))
-        if self._outbox.waiting:
-            text = "%s: %d unsent events remain in %s; the next run sends them"
-            log.warning(text, self._broker, self._outbox.waiting, self._outbox.path)
-        await self._outbox.close()
+        try:
+            await self._outbox.close()
+        finally:
+            if unsent := self._outbox.waiting - self._outbox.unstored:
+                text = "%s: %d unsent events remain in %s; the next run sends them"
+                log.warning(text, self._broker, unsent, self._outbox.path)
 
     def _outbox_path(self) -> Path:
         if self.outbox is None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from operators.errors import ParameterError
+from operators.errors import InputError, ParameterError
 from operators.ports import Run
 
 SUFFIX: Final = "-replay"  # suffix of the rig name in replays; live rigs may not use it
@@ -76,7 +76,10 @@ def outbox_path(site: str, rig: str) -> Path:
     Source: XDG Base Directory Specification 0.8, which ignores a relative XDG_STATE_HOME.
 
     >>> outbox_path("a-b", "../c").name
-    'a%2Db-..%2Fc.sqlite'
+    'a%2Db-..%2Fc.outbox'
+
+    Raises:
+        InputError: if there is a file in the format of earlier versions.
     """
     name = "-".join(quote(part, safe="").replace("-", "%2D") for part in (site, rig))
     if len(name) > _NAME_MAX:
@@ -84,4 +87,8 @@ def outbox_path(site: str, rig: str) -> Path:
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     if not state.is_absolute():
         state = Path.home() / ".local" / "state"
-    return state / "slipflow" / f"{name}.sqlite"
+    path = state / "slipflow" / f"{name}.outbox"
+    if (old := path.with_suffix(".sqlite")).exists():
+        reason = "is an outbox of an earlier version: send its events with that version, then delete the file"
+        raise InputError(str(old), reason)
+    return path

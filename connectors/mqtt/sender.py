@@ -12,7 +12,7 @@ from connectors.events import CONTENT_TYPE
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.gap_replay import GapReplies
 from connectors.mqtt.outbox import Outbox
-from connectors.mqtt.outbox_file import Entry
+from connectors.mqtt.outbox_log import Entry
 from operators.back_off import BackOff
 from operators.errors import EndpointError
 

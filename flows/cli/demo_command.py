@@ -27,7 +27,7 @@ def demo(
     ] = "demo",
     outbox: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="File that keeps the published events (default: one per rig)."),
+        typer.Option(metavar="FOLDER", help="Folder that keeps the published events (default: one per rig)."),
     ] = None,
     seed: Annotated[int, typer.Option(help="Random seed of the simulated rig.")] = 0,
     page: WithPage = True,

@@ -74,10 +74,6 @@ def test_the_password_reaches_the_sink_as_a_credential() -> None:
     assert f"\nEnvironment={PASSWORD_FILE}=%d/{source}\n" in TEXT
 
 
-def test_the_outbox_can_read_the_boot_id() -> None:
-    assert not re.search(r"^ProcSubset=pid", TEXT, re.MULTILINE)
-
-
 def test_the_shipped_settings_match_the_shipped_flow() -> None:
     lines = (DEPLOY / "systemd" / "settings").read_text().splitlines()
     settings = dict(line.split("=", 1) for line in lines if not line.startswith("#"))

@@ -15,9 +15,8 @@ import pytest
 
 from connectors import Consumer, Event, Mqtt
 from connectors.mqtt import broker_link as link
-from connectors.mqtt import consumer
+from connectors.mqtt import consumer, mqtt_sink, outbox_log
 from connectors.mqtt.broker_link import Link
-from connectors.mqtt.outbox import Outbox
 from operators.batch import Slips
 from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Run
@@ -211,14 +210,18 @@ async def test_since_start_delivers_all_kept_events(broker: TestBroker, run: Run
             assert await take(events, 1200) == list(range(1, 1201))
 
 
-async def test_events_that_are_no_longer_kept_are_reported_as_lost(broker: TestBroker, run: Run) -> None:
+async def test_events_that_are_no_longer_kept_are_reported_as_lost(
+    broker: TestBroker, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_log, "SEGMENT_EVENTS", 2)
+    monkeypatch.setattr(mqtt_sink, "KEEP", 4)
     reports = list[str]()
     async with publishing(broker, run) as sink:
-        await sink.write(slips(*[1, 0] * 5))
-        await until(lambda: not inside(sink, "_outbox").waiting)
         outbox = inside(sink, "_outbox")
-        await vars(Outbox)["_save_acknowledged"](outbox)
-        inside(outbox, "_file").prune(4, 0)
+        for _ in range(5):
+            await sink.write(slips(1, 0))
+            await until(lambda: not outbox.waiting)
+        await until(lambda: inside(outbox, "_log").first == 7)
         async with Consumer(broker.url, since="start", report=reports.append) as events:
             assert await take(events, 4) == [7, 8, 9, 10]
             await waiting(events, lambda: bool(reports))
@@ -230,12 +233,12 @@ async def test_a_lost_outbox_is_reported_and_the_new_one_followed(
 ) -> None:
     reports = list[str]()
     async with Consumer(broker.url, report=reports.append) as events:
-        async with publishing(broker, run, outbox=tmp_path / "a.sqlite") as sink:
+        async with publishing(broker, run, outbox=tmp_path / "a") as sink:
             await following(events)
             await sink.write(slips(1, 0))
             assert await take(events, 2) == [1, 2]
             epoch = inside(sink, "_outbox").epoch
-        async with publishing(broker, run, outbox=tmp_path / "b.sqlite") as sink:
+        async with publishing(broker, run, outbox=tmp_path / "b") as sink:
             await sink.write(slips(1))
             assert await take(events, 1) == [1]
     assert reports == [f"lab/ur10: epoch {epoch} is no longer kept; lost events: any after 2"]

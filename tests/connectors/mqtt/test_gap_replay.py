@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 from connectors.events import Event
 from connectors.fields import Fields
-from connectors.mqtt import gap_replay
+from connectors.mqtt import gap_replay, outbox_log
+from connectors.mqtt import outbox as outbox_module
 from connectors.mqtt.broker import Message
 from connectors.mqtt.gap_replay import GapAnswer, GapReplies, GapRequest
 from connectors.mqtt.outbox import Outbox
 from operators.errors import EndpointError, InputError
+from tests.connectors.mqtt.broker_process import until
 from tests.inside import inside
 
 RIG = "slip/v1/lab/ur10"
@@ -76,9 +78,11 @@ def test_an_answer_with_missing_beyond_its_range_is_rejected(missing: object) ->
         GapAnswer.read(Fields.parse(payload, "here"))
 
 
-def use(tmp_path: Path, count: int, body: Callable[[GapReplies, Outbox], Awaitable[None]]) -> None:
+def use(
+    tmp_path: Path, count: int, body: Callable[[GapReplies, Outbox], Awaitable[None]], keep: int = 1000
+) -> None:
     async def main() -> None:
-        outbox = Outbox(tmp_path / "o.sqlite", keep=1000, keep_for=1e9)
+        outbox = Outbox(tmp_path / "outbox", keep=keep, keep_for=1e9)
         await outbox.open()
         try:
             await outbox.append([DRAFT] * count)
@@ -150,25 +154,31 @@ def test_an_answer_is_bounded_and_states_its_last_number(
     use(tmp_path, 50, body)
 
 
-def test_events_no_longer_kept_are_listed_as_missing(tmp_path: Path) -> None:
+def test_events_no_longer_kept_are_listed_as_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def body(given: GapReplies, outbox: Outbox) -> None:
-        outbox.acknowledge(await outbox.next(500))
-        outbox.acknowledge(await outbox.next(500))
-        await vars(Outbox)["_save_acknowledged"](outbox)
-        inside(outbox, "_file").prune(40, 0)
-        inside(outbox, "_file", "_db").execute("DELETE FROM events WHERE id IN (570, 571)")
+        for _ in range(4):
+            await outbox.append([DRAFT] * 10)
+            outbox.acknowledge(await outbox.next(10))
+        await until(lambda: inside(outbox, "_log").first == 21)
+        read_back = inside(outbox, "_log").read
         inside(outbox, "_memory").clear()
+        monkeypatch.setattr(
+            inside(outbox, "_log"), "read", lambda ids: [each for each in read_back(ids) if each.seq != 37]
+        )
         ask(given, outbox.epoch, 1, 10**12)
-        events, [closing] = read(await answers(given))
-        assert events == [seq for seq in range(561, 601) if seq not in (570, 571)]
-        assert (closing["to"], closing["missing"]) == (600, [[1, 560], [570, 571]])
+        events, closings = read(await answers(given))
+        assert events == [*range(21, 37), 38, 39, 40]
+        assert [closings[0]["from"], closings[-1]["to"]] == [1, 40]
+        assert [each["missing"] for each in closings] == [[[1, 20], [37, 37]]]
         ask(given, "unknown", 3, 9)
         assert read(await answers(given)) == (
             [],
             [{"epoch": "unknown", "from": 3, "to": 9, "missing": [[3, 9]]}],
         )
 
-    use(tmp_path, 600, body)
+    monkeypatch.setattr(outbox_module, "ACKNOWLEDGE_EVERY", 0.0)
+    monkeypatch.setattr(outbox_log, "SEGMENT_EVENTS", 10)
+    use(tmp_path, 0, body, keep=20)
 
 
 def test_an_unreadable_outbox_does_not_report_events_as_missing(

@@ -1,23 +1,72 @@
 import asyncio
+import random
 import shutil
-import sqlite3
 import threading
-from collections.abc import AsyncGenerator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Iterable
+from contextlib import asynccontextmanager, suppress
+from errno import EIO, ENOSPC
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from connectors.events import Event
-from connectors.mqtt import outbox
+from connectors.mqtt import outbox, outbox_log
 from connectors.mqtt.outbox import Outbox
-from connectors.mqtt.outbox_file import OutboxFile
 from operators.errors import EndpointError, InputError
+from storage.append_log import AppendLog
 from tests.connectors.mqtt.broker_process import PATIENCE, until
 from tests.inside import inside
 
 DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Segments and a cache of few events, and short pauses."""
+    monkeypatch.setattr(outbox_log, "SEGMENT_EVENTS", 10)
+    monkeypatch.setattr(outbox, "CACHED", 4)
+    monkeypatch.setattr(outbox, "ACKNOWLEDGE_EVERY", 0.0)
+
+
+class Disk:
+    """Disk whose writes and fsyncs fail or wait."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.write_error: OSError | None = None
+        self.sync_error: OSError | None = None
+        self.writes, self.syncs = threading.Event(), threading.Event()  # cleared: they hang
+        self.writes.set()
+        self.syncs.set()
+        append, sync, create = AppendLog.append, AppendLog.sync, vars(AppendLog)["create"].__func__
+
+        def failing_append(log: AppendLog, records: Iterable[bytes]) -> list[int]:
+            assert self.writes.wait(PATIENCE)
+            if self.write_error:
+                raise self.write_error
+            return append(log, records)
+
+        def failing_sync(log: AppendLog) -> None:
+            assert self.syncs.wait(PATIENCE)
+            if self.sync_error:
+                log.suspect = True
+                raise self.sync_error
+            sync(log)
+
+        def failing_create(kind: type[AppendLog], *arguments: Any) -> AppendLog:  # noqa: ANN401
+            if self.write_error or self.sync_error:
+                raise self.write_error or self.sync_error or OSError()
+            log: AppendLog = create(kind, *arguments)
+            return log
+
+        monkeypatch.setattr(AppendLog, "append", failing_append)
+        monkeypatch.setattr(AppendLog, "sync", failing_sync)
+        monkeypatch.setattr(AppendLog, "create", classmethod(failing_create))
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch)
 
 
 @asynccontextmanager
@@ -31,7 +80,7 @@ async def opened(path: Path, keep: int = 1000) -> AsyncGenerator[Outbox]:
 
 
 async def send(box: Outbox, limit: int = 1000) -> list[str]:
-    """Take what waits, all of it acknowledged."""
+    """Take the pending events, and acknowledge them."""
     found = list[str]()
     while entries := await box.next(min(limit, 100)):
         found += [Event.decode(entry.payload).identifier for entry in entries]
@@ -42,211 +91,260 @@ async def send(box: Outbox, limit: int = 1000) -> list[str]:
     return found
 
 
-class Failing:
-    """Makes the file fail as long as it is told to."""
+async def kept(box: Outbox, epoch: str) -> list[int]:
+    """The numbers of an epoch that the outbox still stores."""
+    found, first = list[int](), 1
+    while first < 2000:
+        entries, last = await box.between(epoch, first, 2000, 100)
+        found += [Event.decode(entry.payload).seq for entry in entries]
+        if last < first:
+            break
+        first = last + 1
+    return found
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
-        self.error: BaseException | None = error
-        append = OutboxFile.append
 
-        def fail(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
-            if self.error:
-                raise self.error
-            append(file, *args)
-
-        monkeypatch.setattr(OutboxFile, "append", fail)
+def names(epoch: str, numbers: Iterable[int]) -> list[str]:
+    return [f"{epoch}-{number}" for number in numbers]
 
 
 async def test_numbers_continue_from_run_to_run_and_unacknowledged_events_are_sent_again(
     tmp_path: Path,
 ) -> None:
-    path, epochs = tmp_path / "o.sqlite", list[str]()
+    path = tmp_path / "outbox"
     async with opened(path) as box:
+        epoch = box.epoch
         await box.append([DRAFT] * 3)
         await box.append([DRAFT])
         assert box.waiting == 4
-        assert len(await send(box, 4)) == 4
-        await box.append([DRAFT] * 2)
-        epochs.append(box.epoch)
-        assert box.heads() == [(box.epoch, 4)]
+        assert await send(box, 4) == names(epoch, range(1, 5))
+        await box.append([DRAFT] * 20)
+        assert box.heads() == [(epoch, 4)]
     async with opened(path) as box:
         await box.append([DRAFT])
-        assert box.waiting == 3
-        assert await send(box) == [f"{epochs[0]}-{seq}" for seq in (5, 6, 7)]
-        assert box.heads() == [(epochs[0], 7)]
-        assert not await box.next(10)
+        assert box.waiting == 21
+        assert await send(box) == names(epoch, range(5, 26))
+        assert box.heads() == [(epoch, 25)]
     async with opened(path) as box:
-        await until(lambda: box.waiting == 0)
+        assert (box.epoch, box.waiting, box.heads()) == (epoch, 0, [(epoch, 25)])
 
 
-async def test_entries_are_returned_once_and_after_a_rewind_the_unacknowledged_ones(
-    tmp_path: Path,
-) -> None:
-    async with opened(tmp_path / "o.sqlite") as box:
-        await box.append([DRAFT] * 600)  # more than stay in memory
-        entries = [*await box.next(400), *await box.next(400)]
-        assert [entry.seq for entry in entries] == list(range(1, 601))
+async def test_entries_are_returned_once_and_after_a_rewind_the_unacknowledged_ones(tmp_path: Path) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 60)
+        entries = [*await box.next(40), *await box.next(40)]
+        assert [entry.seq for entry in entries] == list(range(1, 61))
         assert not await box.next(1)
-        box.acknowledge([entry for entry in entries if entry.seq % 100])
+        box.acknowledge([entry for entry in entries if entry.seq % 10])
         box.rewind()
-        found = list[int]()
-        while entries := await box.next(4):
-            found += [entry.seq for entry in entries]
-        assert found == [100, 200, 300, 400, 500, 600]
-        box.rewind(350)
-        assert [entry.seq for entry in await box.next(2)] == [400, 500]
+        assert [[entry.seq for entry in await box.next(4)] for _ in range(2)] == [[10, 20, 30, 40], [50, 60]]
+        box.rewind(35)
+        assert [entry.seq for entry in await box.next(2)] == [40, 50]
 
 
 async def test_a_range_is_returned_with_the_last_number_covered(tmp_path: Path) -> None:
-    async with opened(tmp_path / "o.sqlite") as box:
-        await box.append([DRAFT] * 600)
-        for first, last, limit, expected, far in (
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 60)
+        await until(lambda: len(inside(box, "_memory")) == outbox.CACHED)
+        for first, last, limit, expected, covered in (
             (5, 7, 10, [5, 6, 7], 7),
             (5, 900, 3, [5, 6, 7], 7),
-            (598, 900, 10, [598, 599, 600], 600),
-            (601, 900, 10, [], 600),
+            (55, 900, 10, [55, 56, 57, 58, 59, 60], 60),
+            (61, 900, 10, [], 60),
         ):
             entries, reached = await box.between(box.epoch, first, last, limit)
-            assert ([entry.seq for entry in entries], reached) == (expected, far)
+            assert ([entry.seq for entry in entries], reached) == (expected, covered)
         assert await box.between("unknown", 3, 9, 10) == ([], 9)
 
 
-async def test_old_events_are_pruned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outbox, "ACKNOWLEDGE_EVERY", 0.0)
-    async with opened(tmp_path / "o.sqlite", keep=10) as box:
-        await box.append([DRAFT] * 50)
-        await box.append([DRAFT] * 5)
-        box.acknowledge(await box.next(50))
-        entries, _ = await box.between(box.epoch, 1, 100, 100)
-        for _ in range(1000):
-            if len(entries) < 55:
-                break
-            await asyncio.sleep(0.01)
-            entries, _ = await box.between(box.epoch, 1, 100, 100)
-        assert [entry.seq for entry in entries] == list(range(46, 56))
-
-
-FULL = sqlite3.OperationalError("database or disk is full")
-
-
-async def test_events_from_memory_have_their_own_epoch_and_are_stored_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
-    async with opened(path) as box:
-        await box.append([DRAFT] * 2)
-        epochs.append(box.epoch)
-        failing = Failing(monkeypatch, FULL)
-        await box.append([DRAFT] * 2)
-        await box.append([DRAFT])
-        epochs.append(box.epoch)
-        assert box.error == "cannot be used: database or disk is full"
-        sent.extend(await send(box, 4))
-        with pytest.raises(EndpointError):
-            await box.between(epochs[0], 1, 2, 10)
-        failing.error = None
-        await until(lambda: not box.error)
-        await box.append([DRAFT])
-        assert box.heads() == [(epochs[0], 2), (epochs[1], 2)]
-        sent.extend(await send(box))
+async def test_only_old_acknowledged_events_are_pruned(tmp_path: Path) -> None:
+    async with opened(tmp_path / "outbox", keep=20) as box:
+        for _ in range(9):
+            await box.append([DRAFT] * 10)
+        assert await kept(box, box.epoch) == list(range(1, 91))
+        await send(box, 85)
+        await until(lambda: inside(box, "_log").first == 71)
+        assert await kept(box, box.epoch) == list(range(71, 91))
+        assert await send(box) == names(box.epoch, range(86, 91))
+    async with opened(tmp_path / "outbox", keep=20) as box:
+        assert await kept(box, box.epoch) == list(range(71, 91))
         assert box.waiting == 0
-    first, second = epochs
-    assert first != second
-    assert sent == [f"{first}-{seq}" for seq in (1, 2)] + [f"{second}-{seq}" for seq in (1, 2, 3, 4)]
-    async with opened(path) as box:
-        kept = [await box.between(epoch, 1, 9, 10) for epoch in epochs]
-        assert [[entry.seq for entry in entries] for entries, _ in kept] == [[1, 2], [1, 2, 3, 4]]
-        assert (box.epoch, box.waiting) == (second, 0)
+
+
+def snapshot(path: Path, name: str) -> Path:
+    """Return a copy of a folder as a crash at this moment would leave it."""
+    return Path(shutil.copytree(path, path.with_name(name)))
+
+
+async def test_after_a_crash_a_new_epoch_begins_and_no_event_is_lost(tmp_path: Path) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        first = box.epoch
+        await box.append([DRAFT] * 25)
+        await send(box, 12)
+        await until(lambda: not len(inside(box, "_unsaved")))
+        crashed = snapshot(tmp_path / "outbox", "crashed")
+    [*_, newest] = sorted(crashed.iterdir())
+    newest.write_bytes(newest.read_bytes()[:-3])  # a torn record
+    async with opened(crashed) as box:
+        assert box.epoch != first
+        assert box.heads()[1] == (box.epoch, 0)
+        await box.append([DRAFT] * 2)
+        sent = await send(box)
+        assert sent[-2:] == names(box.epoch, (1, 2))
+        assert {*names(first, range(13, 26))} <= {*sent[:-2]} | {*names(first, (25,))}
+        assert (await kept(box, first))[:24] == list(range(1, 25))
+        second = snapshot(crashed, "again")
+    async with opened(second) as box:
+        assert len(box.heads()) == 3
+
+
+async def test_an_epoch_does_not_continue_if_a_power_cut_may_have_lost_its_numbers(tmp_path: Path) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        epoch = box.epoch
+        await box.append([DRAFT])
+    async with opened(tmp_path / "outbox") as box:
+        assert box.epoch == epoch
+        lost = snapshot(tmp_path / "outbox", "lost")  # the power fails before the next event is durable
+        await box.append([DRAFT])
+    async with opened(lost) as box:
+        assert box.epoch != epoch
+
+
+async def test_a_failing_disk_stops_no_event_and_gets_them_all_later(
+    tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 8)
+        disk.write_error = OSError(ENOSPC, "No space left on device")
+        await box.append([DRAFT] * 2)
+        await box.append([DRAFT])
+        assert box.error.startswith("cannot be written: No space left on device; free")
+        assert (box.unstored, len(await send(box, 10))) == (3, 10)
+        assert box.unstored == 1  # the others need no disk
+        disk.write_error = None
+        await until(lambda: not box.error)
+        assert (box.unstored, await send(box)) == (0, names(box.epoch, [11]))
+        assert await kept(box, box.epoch) == list(range(1, 12))
+    async with opened(tmp_path / "outbox") as box:
+        assert await kept(box, box.epoch) == list(range(1, 12))
     assert [record.levelname for record in caplog.records] == ["ERROR", "WARNING"]
 
 
-async def test_a_hanging_disk_delays_no_event_and_no_number_is_used_twice(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_a_hanging_disk_delays_no_event_for_long(
+    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.05)
-    stuck, append = threading.Event(), OutboxFile.append
-
-    def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
-        assert stuck.wait(PATIENCE)
-        append(file, *args)
-
-    async with opened(tmp_path / "o.sqlite") as box:
-        await box.append([DRAFT])
-        monkeypatch.setattr(OutboxFile, "append", slow)
-        before = box.epoch
+    async with opened(tmp_path / "outbox") as box:
+        disk.writes.clear()
         await box.append([DRAFT])
         assert box.error == "the disk does not respond"
-        [_, late] = [*await box.next(1), *await box.next(1)]
-        assert (late.epoch, late.seq) == (box.epoch, 1)
-        stuck.set()
+        assert await send(box) == names(box.epoch, [1])
+        disk.writes.set()
         await until(lambda: not box.error)
-        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1]
-        assert [entry.seq for entry in (await box.between(box.epoch, 1, 9, 9))[0]] == [1]
+        assert await kept(box, box.epoch) == [1]
 
 
 async def test_memory_is_bounded_while_the_disk_is_full(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(outbox, "MEMORY_MAX", 10)
-    async with opened(tmp_path / "o.sqlite") as box:
-        failing = Failing(monkeypatch, FULL)
+    async with opened(tmp_path / "outbox") as box:
+        disk.write_error = OSError(ENOSPC, "No space left on device")
         await box.append([DRAFT] * 10)
         with pytest.raises(EndpointError, match="memory is full with 10 unsent events"):
             await box.append([DRAFT])
         await send(box)
         await box.append([DRAFT])  # in place of one that the broker has
         assert [entry.seq for entry in await box.next(9)] == [11]
-        failing.error = None
+        disk.write_error = None
 
 
-async def test_an_outbox_opens_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path, full = tmp_path / "o.sqlite", [True]
+async def test_an_outbox_opens_on_a_full_disk_in_a_new_epoch(tmp_path: Path, disk: Disk) -> None:
+    path, full = tmp_path / "outbox", OSError(ENOSPC, "No space left on device")
+    disk.write_error = full
     async with opened(path) as box:
         await box.append([DRAFT] * 3)
-    init = OutboxFile.__init__
-
-    def fail(self: OutboxFile, path: Path) -> None:
-        if full:
-            raise OSError(28, "No space left on device")
-        init(self, path)
-
-    monkeypatch.setattr(OutboxFile, "__init__", fail)
-    async with opened(path) as box:
-        full.clear()
+        disk.write_error = None
         await until(lambda: not box.error)
-        (before, _), _ = box.heads()
-        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
-        full.append(True)
+        first = box.epoch
+    disk.write_error = full
     async with opened(path) as box:
         await box.append([DRAFT])
-        assert [entry.seq for entry in await box.next(9)] == [1]
-        full.clear()
+        assert box.epoch != first
+        assert await send(box) == [*names(first, (1, 2, 3)), *names(box.epoch, [1])]
+        disk.write_error = None
         await until(lambda: not box.error)
-        assert box.waiting == 4
-        assert len(box.heads()) == 3  # a run each
-        assert [entry.seq for entry in await box.next(9)] == [1, 2, 3, 1]
+        assert await kept(box, first) == [1, 2, 3]
 
 
-async def test_a_file_damaged_in_use_is_renamed_and_events_continue(tmp_path: Path) -> None:
-    path = tmp_path / "o.sqlite"
-    async with opened(path) as box:
-        await box.append([DRAFT] * 600)
-        await until(lambda: len(inside(box, "_memory")) < 300)
-        before = box.epoch
-        inside(box, "_file", "_db").execute("UPDATE events SET payload = x'00' WHERE id = 17")
-        sent = await send(box)
-        assert box.error == "cannot be used: a row has a wrong checksum"
-        assert sent  # what was in memory
-        await until(lambda: not box.error)
-        sent += await send(box)
-        assert sorted(sent) == sorted(f"{before}-{seq}" for seq in range(1, 601) if seq != 17)
-        assert box.epoch != before
-        assert [seq for seq in range(1, 601) if not (await box.between(before, seq, seq, 1))[0]] == [17]
-    assert list(tmp_path.glob("o.sqlite.damaged-*"))
+async def test_a_record_damaged_in_use_costs_one_event(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 30)
+        await until(lambda: len(inside(box, "_memory")) == outbox.CACHED)
+        damaged = inside(box, "_log", "_segments")[0]
+        flip(damaged.path, damaged.offsets[6] + 50)
+        assert await send(box) == names(box.epoch, [*range(1, 7), *range(8, 31)])
+        assert await kept(box, box.epoch) == [*range(1, 7), *range(8, 31)]
+    assert caplog.messages == [f"{tmp_path}/outbox: event 7 of epoch {box.epoch} is damaged and lost"]
+
+
+def flip(path: Path, at: int) -> None:
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("crashed", [False, True])
+async def test_a_flipped_bit_never_invents_an_event_or_reuses_a_number(
+    tmp_path: Path, *, crashed: bool
+) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        epoch = box.epoch
+        await box.append([DRAFT] * 25)
+        await send(box, 5)
+        if crashed:
+            source = snapshot(tmp_path / "outbox", "source")
+        sent = {Event.decode(entry.payload).identifier: entry.payload for entry in await box.next(100)}
+    source = tmp_path / ("source" if crashed else "outbox")
+    chance = random.Random(crashed)  # noqa: S311 - not for secrets
+    for turn in range(12):
+        copy = snapshot(source, f"copy{turn}")
+        path = chance.choice(sorted(copy.iterdir()))
+        flip(path, chance.randrange(path.stat().st_size))
+        async with opened(copy) as box:
+            await box.append([DRAFT])
+            while entries := await box.next(100):
+                for entry in entries:
+                    identifier = Event.decode(entry.payload).identifier
+                    assert entry.payload == sent.get(identifier, entry.payload)
+                    assert (
+                        identifier in sent
+                        or identifier in (*names(box.epoch, [1]), f"{epoch}-26")
+                        or (int(identifier.rpartition("-")[2]) <= 5)
+                    )
+
+
+async def test_a_damaged_segment_costs_only_its_rest_and_is_reported(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        for _ in range(3):
+            await box.append([DRAFT] * 10)
+        offset = inside(box, "_log", "_segments")[0].offsets[6]
+    [first, *_] = sorted((tmp_path / "outbox").iterdir())
+    flip(first, offset + 50)
+    async with opened(tmp_path / "outbox") as box:
+        assert await kept(box, box.epoch) == [*range(1, 7), *range(11, 31)]
+        assert len(await send(box)) == 26
+    assert caplog.messages == [
+        f"{first}: damaged at byte {offset}; the rest of it is lost",
+        f"{tmp_path}/outbox: 4 events cannot be read and are lost",
+    ]
 
 
 async def test_a_cancelled_append_stores_all_events_or_none(tmp_path: Path) -> None:
-    async with opened(tmp_path / "o.sqlite") as box:
+    async with opened(tmp_path / "outbox") as box:
         for turns in range(6):
             writing = asyncio.create_task(box.append([DRAFT, DRAFT]))
             for _ in range(turns):
@@ -259,221 +357,104 @@ async def test_a_cancelled_append_stores_all_events_or_none(tmp_path: Path) -> N
         assert len(numbers) % 2
 
 
-async def test_a_file_in_use_is_an_error_with_a_remedy(tmp_path: Path) -> None:
-    async with opened(tmp_path / "o.sqlite"):
+async def test_an_outbox_in_use_is_an_error_with_a_remedy(tmp_path: Path) -> None:
+    async with opened(tmp_path / "outbox"):
         with pytest.raises(EndpointError, match=r"is in use: .* name another rig or outbox"):
-            await Outbox(tmp_path / "o.sqlite", keep=1, keep_for=1).open()
-    async with opened(tmp_path / "o.sqlite") as box:
+            await Outbox(tmp_path / "outbox", keep=1, keep_for=1).open()
+    async with opened(tmp_path / "outbox") as box:
         await box.append([DRAFT])
 
 
 async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("x")
-    with pytest.raises(EndpointError, match=r"o\.sqlite: cannot be used: "):
-        async with opened(tmp_path / "file" / "o.sqlite") as box:
-            await box.append([])
-    other = sqlite3.connect(tmp_path / "other.sqlite")
-    other.execute("CREATE TABLE precious (x)")
-    other.close()
-    with pytest.raises(InputError, match="is not an outbox"):
-        async with opened(tmp_path / "other.sqlite") as box:
-            await box.append([])
+    with pytest.raises(EndpointError, match=r"outbox: cannot be used: Not a directory"):
+        await Outbox(tmp_path / "file" / "outbox", keep=1, keep_for=1).open()
+    with pytest.raises(InputError, match=r"not an outbox of this version.*move the file away"):
+        await Outbox(tmp_path / "file", keep=1, keep_for=1).open()
+    (tmp_path / "other").mkdir()
+    AppendLog.create(tmp_path / "other" / "1.log", b"precious").close()
+    with pytest.raises(InputError, match="is not part of an outbox"):
+        await Outbox(tmp_path / "other", keep=1, keep_for=1).open()
 
 
-def cut(path: Path, to: Path) -> None:
-    """What is on the disk just now."""
-    for part in ("", "-wal"):
-        shutil.copy(f"{path}{part}", f"{to}{part}")
-
-
-def durable(box: Outbox) -> bool:
-    return bool(inside(box, "_durable") == inside(box, "_written"))
-
-
-async def test_after_a_power_cut_no_number_is_used_twice_and_lost_events_are_known(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, sent, epochs = tmp_path / "o.sqlite", list[str](), list[str]()
-
-    async def go_on(box: Outbox) -> None:
-        await box.append([DRAFT])
-        epochs.append(box.epoch)
-        sent.extend(await send(box))
-
-    async with opened(path) as box:
-        await box.append([DRAFT] * 5)
-        await until(lambda: durable(box))
-        cut(path, tmp_path / "cut.sqlite")
-        await box.append([DRAFT] * 3)
-        cut(path, tmp_path / "killed.sqlite")
-        sent.extend(await send(box))
-        epochs.append(box.epoch)
-    async with opened(tmp_path / "killed.sqlite") as box:
-        await go_on(box)
-    assert sent[-1] == f"{epochs[0]}-9"
-    monkeypatch.setattr(outbox, "boot_id", lambda: "the next")
-    async with opened(path) as box:
-        await go_on(box)
-    assert sent[-1] == f"{epochs[0]}-9"
-    async with opened(tmp_path / "cut.sqlite") as box:
-        await go_on(box)
-        assert sent[-1] == f"{box.epoch}-1"
-        assert box.heads() == [(epochs[0], 5), (box.epoch, 1)]
-        assert await box.between(epochs[0], 6, 8, 10) == ([], 8)
-        entries, reached = await box.between(epochs[0], 4, 8, 10)
-        assert ([entry.seq for entry in entries], reached) == ([4, 5], 8)
-    assert epochs[3] != epochs[0] == epochs[1] == epochs[2]
-
-
-async def test_the_mark_that_numbers_may_be_lost_is_written_before_the_first_number(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, epochs = tmp_path / "o.sqlite", list[str]()
-
-    async def body(box: Outbox) -> None:
-        cut(box.path, tmp_path / f"{len(epochs)}.sqlite")
-        epochs.append(box.epoch)
-
-    async with opened(path) as box:
-        await body(box)
-    monkeypatch.setattr(outbox, "boot_id", lambda: "the next")
-    async with opened(path) as box:
-        await body(box)
-    async with opened(tmp_path / "0.sqlite") as box:
-        await body(box)
-    monkeypatch.setattr(outbox, "boot_id", lambda: "the one after")
-    async with opened(tmp_path / "1.sqlite") as box:
-        await body(box)
-    assert epochs[0] == epochs[1]
-    assert len(set(epochs)) == 3
-
-
-async def test_events_do_not_wait_for_fsync(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stuck, sync = threading.Event(), OutboxFile.sync
-
-    def slow(file: OutboxFile) -> None:
-        assert stuck.wait(PATIENCE)
-        sync(file)
-
-    async with opened(tmp_path / "o.sqlite") as box:
-        monkeypatch.setattr(OutboxFile, "sync", slow)
-        for _ in range(600):
+async def test_events_do_not_wait_for_fsync(tmp_path: Path, disk: Disk) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        disk.syncs.clear()
+        for _ in range(9):
             await box.append([DRAFT])
-        assert len(await send(box)) == 600
-        assert len(inside(box, "_memory")) == 600
-        stuck.set()
-        await until(lambda: len(inside(box, "_memory")) < 300)
+        assert len(await send(box)) == 9
+        assert len(inside(box, "_memory")) == 9
+        disk.syncs.set()
+        await until(lambda: len(inside(box, "_memory")) == outbox.CACHED)
         assert not box.error
 
 
-async def test_events_whose_fsync_failed_are_written_again_with_their_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    failures, sync = [OSError(5, "Input/output error")], OutboxFile.sync
-
-    def fail(file: OutboxFile) -> None:
-        if failures:
-            raise failures.pop()
-        sync(file)
-
-    async with opened(tmp_path / "o.sqlite") as box:
-        before = box.epoch
-        monkeypatch.setattr(OutboxFile, "sync", fail)
+async def test_events_whose_fsync_failed_are_written_again(tmp_path: Path, disk: Disk) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 3)
+        await until(lambda: inside(box, "_durable") == 3)
+        disk.sync_error = OSError(EIO, "Input/output error")
         await box.append([DRAFT] * 3)
         await until(lambda: bool(box.error))
         await box.append([DRAFT])
-        await until(lambda: not box.error and durable(box))
+        disk.sync_error = None
+        await until(lambda: not box.error and inside(box, "_durable") == 7)
+        [first, second] = inside(box, "_log", "_segments")
+        assert [*second.ids] == [4, 5, 6, 7]
+        first.path.write_bytes(first.path.read_bytes()[: first.offsets[3]])  # the kernel dropped the pages
         inside(box, "_memory").clear()
-        kept = {epoch: (await box.between(epoch, 1, 9, 10))[0] for epoch in (before, box.epoch)}
-        assert [[entry.seq for entry in entries] for entries in kept.values()] == [[1, 2, 3], [1]]
-        assert sorted(await send(box)) == sorted(
-            [*(f"{before}-{seq}" for seq in (1, 2, 3)), f"{box.epoch}-1"]
-        )
+        assert await send(box) == names(box.epoch, range(1, 8))
+        epoch = box.epoch
+    async with opened(tmp_path / "outbox") as box:
+        assert (await kept(box, epoch), box.waiting) == (list(range(1, 8)), 0)
 
 
-async def test_a_failure_during_a_write_preserves_all_numbers(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+async def test_an_orderly_close_waits_for_a_slow_disk(
+    tmp_path: Path, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    writing, go, append = threading.Event(), threading.Event(), OutboxFile.append
-
-    def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
-        writing.set()
-        assert go.wait(PATIENCE)
-        append(file, *args)
-
-    async with opened(tmp_path / "o.sqlite") as box:
-        await box.append([DRAFT])
-        before = box.epoch
-        monkeypatch.setattr(OutboxFile, "append", slow)
-        coming = asyncio.create_task(box.append([DRAFT] * 2))
-        await asyncio.to_thread(writing.wait)
-        vars(Outbox)["_fail"](box, EndpointError("o", "is out of order"))
-        go.set()
-        await coming
-        await box.append([DRAFT])
-        await until(lambda: not box.error)
-        assert box.heads() == [(before, 0), (box.epoch, 0)]
-        found = await send(box)
-        assert sorted(found) == sorted([*(f"{before}-{seq}" for seq in (1, 2, 3)), f"{box.epoch}-1"])
-        inside(box, "_memory").clear()
-        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
+    monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.01)
+    monkeypatch.setattr(outbox, "LAST_ATTEMPTS", 0.0)
+    box = Outbox(tmp_path / "outbox", keep=1, keep_for=1)
+    await box.open()
+    disk.writes.clear()
+    for _ in range(3):
+        await box.append([DRAFT] * 100)
+    closing = asyncio.create_task(box.close())
+    with suppress(TimeoutError):
+        await asyncio.wait_for(asyncio.shield(closing), 0.1)
+    assert (closing.done(), box.unstored) == (False, 300)
+    disk.writes.set()
+    await closing
+    assert box.unstored == 0
+    async with opened(tmp_path / "outbox") as again:
+        assert (again.waiting, again.epoch) == (300, box.epoch)
 
 
-async def test_events_written_during_a_failure_are_kept_with_earlier_ones(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("hangs", [False, True])
+async def test_losses_of_an_ended_close_are_exact(
+    tmp_path: Path,
+    disk: Disk,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    *,
+    hangs: bool,
 ) -> None:
-    failing, writing, go = threading.Event(), threading.Event(), threading.Event()
-    append, sync, failures = OutboxFile.append, OutboxFile.sync, [OSError(5, "Input/output error")]
-
-    def fail(file: OutboxFile) -> None:
-        if failures:
-            assert failing.wait(PATIENCE)
-            raise failures.pop()
-        sync(file)
-
-    def slow(file: OutboxFile, *args: Any) -> None:  # noqa: ANN401
-        writing.set()
-        assert go.wait(PATIENCE)
-        append(file, *args)
-
-    async with opened(tmp_path / "o.sqlite") as box:
-        before = box.epoch
-        monkeypatch.setattr(OutboxFile, "sync", fail)
-        await box.append([DRAFT])
-        monkeypatch.setattr(OutboxFile, "append", slow)
-        coming = asyncio.create_task(box.append([DRAFT] * 2))
-        await asyncio.to_thread(writing.wait)
-        failing.set()
-        await until(lambda: bool(box.error))
-        go.set()
-        await coming
-        await until(lambda: not box.error and durable(box))
-        inside(box, "_memory").clear()
-        assert [entry.seq for entry in (await box.between(before, 1, 9, 9))[0]] == [1, 2, 3]
-
-
-async def test_the_write_ahead_log_is_checkpointed_when_idle(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(outbox, "ACKNOWLEDGE_EVERY", 0.0)
-    emptied, checkpoint = threading.Event(), OutboxFile.checkpoint
-
-    def noted(file: OutboxFile) -> None:
-        checkpoint(file)
-        emptied.set()
-
-    path = tmp_path / "o.sqlite"
-    async with opened(path) as box:
-        monkeypatch.setattr(OutboxFile, "checkpoint", noted)
-        await box.append([DRAFT] * 600)
-        await send(box)
-        assert await asyncio.to_thread(emptied.wait, PATIENCE)
-        assert path.stat().st_size > 600 * 200
-
-
-def test_without_a_boot_id_every_run_counts_as_a_new_boot(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(path: Path, **_: str) -> str:
-        raise FileNotFoundError(path)
-
-    monkeypatch.setattr(Path, "read_text", fail)
-    assert outbox.boot_id() != outbox.boot_id()
+    monkeypatch.setattr(outbox, "WRITE_TIMEOUT", 0.01)
+    monkeypatch.setattr(outbox, "LAST_ATTEMPTS", 0.0)
+    box = Outbox(tmp_path / "outbox", keep=1, keep_for=1)
+    await box.open()
+    await box.append([DRAFT] * 5)
+    if hangs:
+        disk.writes.clear()
+    else:
+        disk.write_error = OSError(EIO, "Input/output error")
+    await box.append([DRAFT] * 7)
+    box.acknowledge((await box.next(8))[:6])
+    closing = asyncio.create_task(box.close())
+    await asyncio.sleep(0.01)
+    if hangs:  # a second signal ends it
+        closing.cancel()
+    await asyncio.wait([closing])
+    assert box.unstored == 6
+    assert caplog.messages[-1].endswith("6 events are lost")
+    disk.writes.set()

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from connectors.mqtt.rig_names import is_replay, name_in_run, outbox_path, replay_name, rig_topic
-from operators.errors import ParameterError
+from operators.errors import InputError, ParameterError
 from operators.ports import Run
 
 
@@ -42,7 +42,15 @@ def test_every_rig_has_its_own_outbox_in_the_state_folder(
     assert len(set(paths)) == len(rigs)
     assert all(path.parent == state / "slipflow" and len(path.name.encode()) < 250 for path in paths)
     monkeypatch.setenv("XDG_STATE_HOME", "relative")
-    assert outbox_path("a", "b") == Path.home() / ".local" / "state" / "slipflow" / "a-b.sqlite"
+    assert outbox_path("a", "b") == Path.home() / ".local" / "state" / "slipflow" / "a-b.outbox"
+
+
+def test_an_outbox_of_an_earlier_version_is_refused_with_a_remedy() -> None:
+    old = outbox_path("a", "b").with_suffix(".sqlite")
+    old.parent.mkdir(parents=True)
+    old.write_bytes(b"SQLite format 3")
+    with pytest.raises(InputError, match=rf"^{old}: is an outbox of an earlier version: .*delete the file$"):
+        outbox_path("a", "b")
 
 
 @pytest.mark.parametrize("part", ["", "a/b", "+", "a+", "#", "a\0b", "a\nb"])

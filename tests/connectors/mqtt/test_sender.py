@@ -14,7 +14,7 @@ from connectors.mqtt import sender
 from connectors.mqtt.broker import PASSWORD_FILE, Broker, Message
 from connectors.mqtt.gap_replay import SLICE, GapRequest
 from connectors.mqtt.outbox import Outbox
-from connectors.mqtt.outbox_file import Entry
+from connectors.mqtt.outbox_log import Entry
 from connectors.mqtt.sender import Sender
 from operators.back_off import BackOff
 from operators.errors import EndpointError, InputError
@@ -113,7 +113,7 @@ def follow(sent: Iterable[Entry]) -> Iterator[Message]:
 
 @asynccontextmanager
 async def opened(tmp_path: Path) -> AsyncGenerator[tuple[Sender, Outbox]]:
-    outbox = Outbox(tmp_path / "o.sqlite", keep=10_000, keep_for=1e9)
+    outbox = Outbox(tmp_path / "outbox", keep=10_000, keep_for=1e9)
     await outbox.open()
     health = count(1)
     sending = Sender(
@@ -328,5 +328,5 @@ async def test_an_unavailable_broker_is_logged_once_and_again_when_it_returns(
         peer.away = False
         await until(lambda: not outbox.waiting)
     first, second = caplog.messages
-    assert first.endswith(f"reconnecting; events are kept in {tmp_path}/o.sqlite")
+    assert first.endswith(f"reconnecting; events are kept in {tmp_path}/outbox")
     assert second.endswith("connected again, 1 events pending")
