@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -252,6 +253,28 @@ def test_a_background_task_that_fails_ends_the_run(monkeypatch: pytest.MonkeyPat
     with pytest.raises(ZeroDivisionError):
         execute(flow, duration=60 * s)
     assert sink.closed == 1
+
+
+def test_a_run_with_a_given_clock_reads_no_other_clock_and_starts_no_thread(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def forbidden(*_: object) -> None:
+        raise AssertionError("host clock or thread")
+
+    flow, failing = Flow("f"), TestSink(failures=[OSError("dead")] * 5)
+    flow.source(TestSource(Scores, [*scores(0, 10), OSError("gone"), *scores(50, 10)])).to(failing)
+    flow.source(Pausing(50, 10.0, 50), "pausing").to(TestSink(capacity=1, lossless=False))
+
+    async def main() -> Run:
+        clock = LoopClock(1_700_000_000 * s)
+        for name in ("time_ns", "monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns"):
+            monkeypatch.setattr(time, name, forbidden)
+        monkeypatch.setattr(Thread, "start", forbidden)
+        return await LiveRunner(flow, "test", clock=clock, duration=60 * s).execute()
+
+    run = run_virtually(main())
+    assert run.start == 1_700_000_000 * s
+    assert [len(source.gaps) for source in run.sources.values()] == [1, 2]
 
 
 class Slow(Endless):
