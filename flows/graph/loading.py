@@ -31,7 +31,7 @@ class Declaration:
 
     name: str
     file: Path
-    build: Callable[..., Flow]
+    build: Callable[..., object]  # must return a Flow
     parameters: Mapping[str, Parameter]  # by name
 
     def flow(self, settings: Mapping[str, str] | None = None) -> Flow:
@@ -47,7 +47,7 @@ class Declaration:
                 raise InputError(self.name, f"has no parameter {name!r}; {self._suggestion(name)}")
             values[name] = self.parameters[name].value(self.name, text)
         with _errors_of(self.file):
-            flow: object = self.build(**values)
+            flow = self.build(**values)
         if not isinstance(flow, Flow):
             reason = f"flow {self.name!r} must return a Flow, but returned {type(flow).__name__}"
             raise InputError(str(self.file), reason)

@@ -52,7 +52,7 @@ class StoredResults(CompiledFlow):
         """Return the results of the next slice; after the last one, those at the end of all streams."""
         results = SliceResult()
         for share in self._shares:
-            results |= next(share, {})
+            results |= next(share, SliceResult())
         found = [
             (stage, results.get((self._index[stage.node], stage.finger))) for stage in self.operator_stages
         ]
