@@ -53,6 +53,7 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_rtde.py
 	.venv/bin/python tests/benchmarks/bench_device_clock.py
 	.venv/bin/python tests/benchmarks/bench_live_path.py
+	.venv/bin/python tests/benchmarks/bench_journal.py
 	.venv/bin/python tests/benchmarks/bench_alert.py
 	.venv/bin/python tests/benchmarks/bench_label_delay.py
 	.venv/bin/python tests/benchmarks/bench_label_limit.py

@@ -2,8 +2,7 @@
 
 from storage.dataset import Dataset
 from storage.models import identify_detector, load_debounce, load_detector, load_weights, save_weights
-from storage.recovery import recover
-from storage.recovery_result import Recovery
+from storage.recovery import Recovery, recover
 from storage.session import Session
 from storage.verification import Verified, verify
 

@@ -11,7 +11,7 @@ CRC of the header, and so the random nonce; the frame's offset in the file (8 by
 Bytes of an older log, of a failed append or of a repeated block are never read as records. All numbers
 are little-endian and unsigned.
 
-The caller decides when to `sync`. A log has no threads; `sync` may run in another thread than `append`.
+The caller decides when to `sync`, which may run in another thread than `append`. A log has no threads.
 """
 
 import os
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from errno import EIO
 from pathlib import Path
 from struct import Struct
+from threading import Lock
 from typing import Final, NamedTuple, Self
 
 from operators.errors import InputError
@@ -192,12 +193,14 @@ class AppendLog:
         end: Offset of the next frame, which is the size of the file.
         suspect: True if an fsync failed: the kernel may have dropped records that were not durable yet, and a
             second fsync would prove nothing. Write those records to a new log.
+        broken: True if an append failed and could not be undone: all further ones are refused.
     """
 
     def __init__(self, path: Path, end: int, crc: int, seed: int) -> None:
-        self.path, self.end, self.suspect = path, end, False
+        self.path, self.end = path, end
+        self.suspect = self.broken = False
         self._crc, self._seed, self._synced = crc, seed, end
-        self._broken = False  # bytes of a failed append may be left at the end
+        self._closing = Lock()  # held during an fsync
         self._file = files.open_file(path, write=True)
 
     @classmethod
@@ -228,6 +231,7 @@ class AppendLog:
         if damage and (damage.more or not damage.offset):
             raise InputError(str(reader.path), f"is damaged at byte {damage.offset}: restore a copy")
         log = cls(reader.path, reader.end, reader.crc, reader.seed)
+        log._synced = 0  # its writer may have been killed before its last sync
         if damage:
             try:
                 files.truncate(log._file, log.end)
@@ -241,10 +245,9 @@ class AppendLog:
         """Append records, all or none, and return their offsets.
 
         Raises:
-            OSError: nothing was appended. If the rest of a failed append cannot be removed, the log refuses
-                all further appends.
+            OSError: nothing was appended; the log is `broken` if bytes of the failed append may be left.
         """
-        if self._broken:
+        if self.broken:
             raise OSError(EIO, "an earlier append failed and could not be undone", str(self.path))
         data, offsets, crc = _frames(records, self.end, self._crc, self._seed)
         left, offset = memoryview(data), self.end
@@ -253,36 +256,43 @@ class AppendLog:
                 written = files.write_at(self._file, left, offset)
                 left, offset = left[written:], offset + written
         except BaseException:
-            self._broken = True
+            self.broken = True
             with suppress(OSError):
                 files.truncate(self._file, self.end)
-                self._broken = False
+                self.broken = False
             raise
         self.end, self._crc = self.end + len(data), crc
         return offsets
 
+    @property
+    def unsynced(self) -> bool:
+        """True if records were appended since the last sync."""
+        return self.end > self._synced
+
     def sync(self) -> None:
-        """Make the appended records durable; other threads may append meanwhile.
+        """Make the appended records durable; other threads may append or close the log meanwhile.
 
         Raises:
             OSError: records since the last sync may be lost; the log is `suspect` from then on.
         """
-        end = self.end
-        if self.suspect:
-            raise OSError(EIO, "an earlier fsync failed", str(self.path))
-        if end > self._synced:
-            try:
-                files.fsync(self._file)
-            except OSError:
-                self.suspect = True
-                raise
-            self._synced = end
+        with self._closing:
+            if self.suspect:
+                raise OSError(EIO, "an earlier fsync failed", str(self.path))
+            end = self.end
+            if end > self._synced and self._file >= 0:
+                try:
+                    files.fsync(self._file)
+                except OSError:
+                    self.suspect = True
+                    raise
+                self._synced = end
 
     def close(self) -> None:
-        """Close the file without a sync; may be called again, but not during `sync`."""
-        if self._file >= 0:
-            files.close(self._file)
-        self._file = -1
+        """Close the file without a sync; may be called again."""
+        with self._closing:
+            if self._file >= 0:
+                files.close(self._file)
+            self._file = -1
 
 
 def _frames(records: Iterable[bytes], offset: int, crc: int, seed: int) -> tuple[bytes, list[int], int]:

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from operators.batch import Batch, columns
-from storage.journal_segment import NumberedRows
+from storage.journal import NumberedRows
 
 
 class Buffer:

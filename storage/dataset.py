@@ -1,17 +1,22 @@
 """Dataset as the sink of a flow."""
 
 import asyncio
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
 from operators.checks import check_at_least
+from operators.errors import EndpointError
 from operators.ports import Run, Sink
 
 if TYPE_CHECKING:
     from storage.writer import SessionWriter
 
 Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
+
+APPEND_INTERVAL: Final = 0.05  # s; a row waits no longer for the journal
+SYNC_INTERVAL: Final = 0.2  # s, from the end of an fsync of the journal to the next
 
 
 class Dataset(Sink[Recordable]):
@@ -21,11 +26,12 @@ class Dataset(Sink[Recordable]):
     batch determines its table: Touch as received, or Zeroed (not both in one session), goes to touch,
     Labelled to samples, each other type to the table of its name.
 
-    The rows of a live run go to a journal at once, and parts are committed in the background: a kill loses
-    at most the last 10 rows of a table, a power cut about a second; `storage.recover` turns the journal
-    into parts. A replay can be repeated, so its rows have no journal: a kill loses the rows since the last
-    commit, a power cut before the end of the session may lose any of them. Such a session is never marked
-    complete.
+    The rows of a live run go to a journal within 50 ms, and parts are committed in the background. A kill
+    loses at most the last 10 rows of a table, or a larger batch that is being written; a power cut loses the
+    rows of at most 0.3 s on a disk that syncs within 50 ms. `storage.recover` turns the journal into parts.
+
+    A replay can be repeated, so its rows have no journal: a kill loses the rows since the last commit, a
+    power cut before the end of the session may lose any of them. Such a session is never marked complete.
 
     Several processes may record sessions into one dataset. Disk work runs in threads. After a failed write
     (disk full) the same batch may be written again.
@@ -52,6 +58,9 @@ class Dataset(Sink[Recordable]):
         self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None
         self._committing: asyncio.Task[None] | None = None
+        self._syncing: asyncio.Task[None] | None = None
+        self._appending: asyncio.Future[None] | None = None
+        self._timer: asyncio.TimerHandle | None = None  # of the next append
 
     @property
     def destination(self) -> str:
@@ -73,20 +82,34 @@ class Dataset(Sink[Recordable]):
                 files and is not a dataset.
         """
         self._writer = await asyncio.to_thread(self._begin, run)
+        if self._writer.journalled:
+            self._syncing = asyncio.create_task(self._sync_often(self._writer))
 
     async def write(self, batch: Recordable) -> None:
         """Write one batch; if the disk is slow, wait until all but 10 rows of its table are in the journal.
+
+        A batch of more than 10 rows is in the journal when this returns.
 
         Raises:
             EndpointError: if the disk fails; `batch` was not written.
             ParameterError: if no table has its type.
             BatchError: if it is invalid.
         """
-        assert self._writer, "open comes first"
-        while self._writer.full(batch):
-            await self._commit(self._writer)
-        if not self._writer.add(batch):
-            await asyncio.to_thread(self._writer.append, batch)
+        writer = self._writer
+        assert writer, "open comes first"
+        if self._syncing and self._syncing.done():
+            self._syncing.result()  # raises: it ends with an error only
+        while (full := writer.full(batch)) or not writer.add(batch):
+            if full:
+                await self._commit(writer)
+            elif self._appending:
+                await asyncio.wait([self._appending])
+            else:
+                appending = self._append(writer, batch)
+                await asyncio.wait([appending])
+                appending.result()
+                return
+        self._append_soon()
 
     async def close(self) -> None:
         """Commit all rows and end the session; it is complete if the run has no error.
@@ -94,24 +117,76 @@ class Dataset(Sink[Recordable]):
         Raises:
             EndpointError: if that fails; it may be called again.
         """
-        if self._writer:
-            if self._committing and not self._committing.done():
-                await asyncio.wait([self._committing])
-            await asyncio.to_thread(self._writer.close)
-            self._writer = self._committing = None
+        if self._writer is None:
+            return
+        if self._syncing:
+            self._syncing.cancel()
+            await asyncio.wait([self._syncing])
+            self._syncing = None
+        if self._committing:
+            await asyncio.wait([self._committing])
+        while self._appending:
+            await asyncio.wait([self._appending])
+        self._cancel_timer()
+        await asyncio.to_thread(self._writer.close)
+        self._writer = self._committing = None
+
+    def _append_soon(self, delay: float = 0.0) -> None:
+        """Append waiting rows, at once if there are several and no `delay` (s) is given."""
+        writer = self._writer
+        if writer and writer.waiting and not self._appending:
+            if writer.urgent and not delay:
+                self._append(writer)
+            elif not self._timer:
+                loop = asyncio.get_running_loop()
+                self._timer = loop.call_later(APPEND_INTERVAL, self._append, writer)
+
+    def _append(self, writer: "SessionWriter", batch: Recordable | None = None) -> "asyncio.Future[None]":
+        self._cancel_timer()
+        loop = asyncio.get_running_loop()
+        self._appending = loop.run_in_executor(None, writer.append, batch)
+        self._appending.add_done_callback(self._after_append)
+        return self._appending
+
+    def _after_append(self, appending: "asyncio.Future[None]") -> None:
+        self._appending = None
+        failed = appending.cancelled() or appending.exception() is not None  # the next write reports it
+        self._append_soon(APPEND_INTERVAL if failed else 0.0)
+
+    def _cancel_timer(self) -> None:
+        if self._timer:
+            self._timer.cancel()
+        self._timer = None
+
+    async def _sync_often(self, writer: "SessionWriter") -> None:
+        while True:
+            await asyncio.sleep(SYNC_INTERVAL)
+            if writer.unsynced:
+                with suppress(EndpointError):  # the next write commits all rows from memory
+                    await asyncio.to_thread(writer.sync)
 
     async def _commit(self, writer: "SessionWriter") -> None:
         """Commit the buffered rows, in the background if the journal has them."""
         if self._committing and not self._committing.done():
             await asyncio.wait([self._committing])
             return
-        awaited = writer.failed or not writer.journalled
         writer.begin_commit()
-        self._committing = asyncio.create_task(asyncio.to_thread(writer.commit))
+        exclusive = writer.exclusive
+        if exclusive:
+            self._cancel_timer()
+        self._committing = asyncio.create_task(self._run_commit(writer))
         self._committing.add_done_callback(_ignore_failure)
-        if awaited:
+        if exclusive:
             await asyncio.wait([self._committing])
+            self._append_soon()
             self._committing.result()
+
+    async def _run_commit(self, writer: "SessionWriter") -> None:
+        if self._appending:  # to a segment that the commit may delete
+            await asyncio.wait([self._appending])
+            if writer.exclusive:
+                self._cancel_timer()
+        await asyncio.to_thread(writer.commit)
 
     def _begin(self, run: Run) -> "SessionWriter":
         from storage.writer import SessionWriter  # noqa: PLC0415 - imports pyarrow

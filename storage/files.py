@@ -4,16 +4,15 @@ import hashlib
 import json
 import os
 from collections.abc import Callable, Generator, Iterable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from errno import EIO, ELOOP, ENXIO
+from errno import EACCES, EIO, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, ENXIO, EPERM
 from pathlib import Path
 from shutil import rmtree
 from stat import S_ISREG
 from typing import Any, BinaryIO, Final, NoReturn, TypeAlias, cast
 
 from operators.errors import EndpointError, InputError, os_error_reason
-from storage import steps
 
 MiB: Final = 1 << 20  # bytes
 SCRATCH: Final = ".tmp"  # suffix of a file that is not complete
@@ -21,28 +20,33 @@ PARTIAL: Final = ".partial"  # suffix of an output that is not complete
 
 CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
 Put: TypeAlias = Callable[[Path, bytes], None]  # writes a whole file
-_KINDS: Final = {".parquet": "part", ".wal": "segment"}  # in the names of steps; default: the file's name
+_OF_THE_PATH: Final = {EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM}  # errors, not of the disk
 _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches them
 
 
-def open_file(path: Path, *, write: bool = False) -> int:
-    """Open a regular file, not through a link, and return its descriptor.
+def open_file(path: Path, *, write: bool = False, follow: bool = False) -> int:
+    """Open a regular file and return its descriptor.
 
     Raises:
-        InputError: if it is a link, or not a file.
+        InputError: if it is not a regular file, or is a link and `follow` is not set.
         OSError: if it cannot be opened.
     """
-    flags = (os.O_RDWR if write else os.O_RDONLY) | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    flags = (os.O_RDWR if write else os.O_RDONLY) | os.O_CLOEXEC | os.O_NONBLOCK
     try:
-        descriptor = os.open(path, flags)
+        descriptor = os.open(path, flags if follow else flags | os.O_NOFOLLOW)
     except OSError as error:
-        if error.errno == ELOOP:
+        if error.errno == ELOOP and not follow:
             raise InputError(str(path), "is a link: replace it by the file") from error
         raise
     if not S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise InputError(str(path), "is not a regular file")
     return descriptor
+
+
+def create_file(path: Path) -> int:
+    """Create a file and return its descriptor."""
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
 
 
 def close(descriptor: int) -> None:
@@ -85,6 +89,26 @@ def fsync(descriptor: int) -> None:
     os.fsync(descriptor)
 
 
+def rename(source: Path, target: Path) -> None:
+    """Rename a file, and replace `target`."""
+    source.replace(target)
+
+
+def unlink(path: Path) -> None:
+    """Delete a file if it exists."""
+    path.unlink(missing_ok=True)
+
+
+def create_folder(path: Path, *, new: bool = False) -> None:
+    """Make a folder, which may exist unless it must be `new`."""
+    path.mkdir(exist_ok=not new)
+
+
+def remove_folder(path: Path) -> None:
+    """Delete an empty folder."""
+    path.rmdir()
+
+
 def put(path: Path, data: bytes) -> None:
     """Write a file atomically and durably: even after a power cut it has its old or its new content.
 
@@ -92,7 +116,6 @@ def put(path: Path, data: bytes) -> None:
         OSError: the file has its old or its new content.
     """
     replace(path, data, durable=True)
-    steps.reach(f"sync name of {kind(path)}")
     sync(path.parent)
 
 
@@ -107,31 +130,24 @@ def replace(path: Path, data: bytes, *, durable: bool) -> None:
     Raises:
         OSError: the file has its old content.
     """
-    scratch, what = path.with_name(path.name + SCRATCH), kind(path)
+    scratch = path.with_name(path.name + SCRATCH)
     try:
-        steps.reach(f"write {what}")
-        scratch.unlink(missing_ok=True)  # left by a killed process, or a link that must not be followed
-        with scratch.open("xb") as file:
-            file.write(data)
+        unlink(scratch)  # left by a killed process, or a link that must not be followed
+        descriptor = create_file(scratch)
+        try:
+            left, offset = memoryview(data), 0
+            while left:
+                written = write_at(descriptor, left, offset)
+                left, offset = left[written:], offset + written
             if durable:
-                file.flush()
-                steps.reach(f"sync {what}")
-                fsync(file.fileno())
-        steps.reach(f"rename {what}")
-        scratch.replace(path)
+                fsync(descriptor)
+        finally:
+            close(descriptor)
+        rename(scratch, path)
     except OSError:
         with suppress(OSError):
-            scratch.unlink(missing_ok=True)
+            unlink(scratch)
         raise
-
-
-def kind(path: Path) -> str:
-    """Return the name of a file in the names of `steps`.
-
-    >>> kind(Path("touch/part-000000.parquet")), kind(Path("session.json"))
-    ('part', 'session')
-    """
-    return _KINDS.get(path.suffix, path.stem.lower())
 
 
 def put_json(path: Path, content: Mapping[str, Any], put: Put = put) -> None:
@@ -158,12 +174,12 @@ def make_folder(path: Path, *, new: bool = False) -> None:
         FileExistsError: if it exists and must be `new`.
         OSError: if it cannot be made; a `new` one does not exist then.
     """
-    path.mkdir(exist_ok=not new)
+    create_folder(path, new=new)
     try:
         sync(path.parent)
     except OSError:
         if new:
-            path.rmdir()
+            remove_folder(path)
         raise
 
 
@@ -171,17 +187,28 @@ def read(path: Path, limit: int = 1024 * MiB) -> bytes:
     """Return the content of a file.
 
     Raises:
-        InputError: if it is missing, unreadable or larger than `limit` bytes.
+        InputError: if there is no such file, it may not be read, or it is larger than `limit` bytes.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            data = file.read(min(size, limit) + 1)
+        descriptor = open_file(path, follow=True)
+        try:
+            data = read_at(descriptor, min(size_of(descriptor), limit) + 1, 0)
+        finally:
+            close(descriptor)
     except OSError as error:
-        raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from error
+        raise read_error(path, error) from error
+    except MemoryError as error:
+        raise EndpointError(str(path), "cannot be read: there is not enough memory") from error
     if len(data) > limit:
         raise InputError(str(path), f"is larger than {limit // MiB} MiB, the limit for such a file")
     return data
+
+
+def read_error(path: Path, error: OSError) -> InputError | EndpointError:
+    """Return the error for a file that cannot be read: an InputError only if its path is the reason."""
+    kind = InputError if error.errno in _OF_THE_PATH else EndpointError
+    return kind(str(path), f"cannot be read: {os_error_reason(error)}")
 
 
 def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
@@ -257,7 +284,7 @@ class DeferredSync:
             FileExistsError: if it exists and must be `new`.
             OSError: if it cannot be made.
         """
-        path.mkdir(exist_ok=not new)
+        create_folder(path, new=new)
         self._folders |= {path, path.parent}
 
     def settle(self) -> None:
@@ -269,8 +296,8 @@ class DeferredSync:
         if self._failed:  # repeating the fsync alone could falsely succeed
             self._rewrite()
         self._failed = True
-        _sync_all(self._files, "sync {}")
-        _sync_all(self._folders, "sync name of {}")
+        _sync_all(self._files)
+        _sync_all(self._folders)
         self._failed = False
         self._files.clear()
         self._folders.clear()
@@ -283,14 +310,9 @@ class DeferredSync:
             replace(path, data, durable=False)
 
 
-def _sync_all(paths: Iterable[Path], step: str) -> None:
+def _sync_all(paths: Iterable[Path]) -> None:
     with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:
-        syncing = list[Future[None]]()
-        for path in sorted(paths):
-            steps.reach(step.format(kind(path)))
-            syncing.append(pool.submit(sync, path))
-        for each in syncing:
-            each.result()
+        list(pool.map(sync, sorted(paths)))
 
 
 @contextmanager

@@ -1,29 +1,68 @@
-"""Journal of a session: rows that are not in a part yet, so that a crash loses only the newest ones."""
+"""Journal of a session: rows that are not in a part yet, in append-only logs.
 
-from collections import Counter
-from collections.abc import Callable, Generator, Iterable
-from contextlib import contextmanager, suppress
-from itertools import chain
+.. code-block:: text
+
+    journal/000000.wal  segment with rows of multi-part tables; numbered on
+    journal/single.wal  segment with rows of single-file tables, which are written when the session ends
+    identity            JSON: version, session, number of the segment, columns of each batch type
+    record              code (1), finger (2), rows (4), number of the first in its table (8); the columns
+
+All numbers are little-endian and, except for the finger, unsigned. See `storage.append_log` for the file.
+"""
+
+import json
+import math
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from threading import Condition, Event, RLock, Thread
-from typing import Final
+from struct import Struct
+from typing import Any, Final, NamedTuple
 
-from storage import steps
-from storage.files import SCRATCH, make_folder, sync
-from storage.journal_segment import SINGLE_LOG, NumberedRows, OpenSegment, bodies
-from storage.layout import JOURNAL, TABLE_OF, segment_file, segments, single_log
+import numpy as np
+from numpy.typing import NDArray
 
-APPEND_AT: Final = 5  # waiting rows of a table that trigger an append
+from operators.batch import Batch, columns
+from operators.errors import InputError
+from operators.ports import Description
+from storage import append_log, files
+from storage.append_log import AppendLog, LogReader
+from storage.layout import JOURNAL, TABLE_OF, Table, segment_file, segments, single_log
+
+VERSION: Final = 4  # of identity and records; other versions refuse the segment
+SINGLE: Final = -1  # number of the segment with the rows of single-file tables
+APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once
 MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
-APPEND_INTERVAL: Final = 0.05  # s; a row waits no longer
-SYNC_INTERVAL: Final = 1.0  # s, between two fsyncs
+
+_OLD: Final = b"SLIPWAL"  # start of the segments of earlier versions
+_HEAD: Final = Struct("<BhIQ")
+_KINDS: Final = tuple(TABLE_OF)  # the code of a record is the index of its batch type
+_CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
+_ROW_SIZES: Final = {  # bytes
+    kind: sum(each.dtype.itemsize * math.prod(each.shape) for each in columns(kind).values())
+    for kind in _KINDS
+}
+_MOVE: Final = "; move it away to recover the rest"
+
+
+class NumberedRows(NamedTuple):
+    """Rows of one batch, and the number of the first within its table."""
+
+    first: int
+    batch: Batch
+
+    @property
+    def table(self) -> Table:
+        """Their table."""
+        return TABLE_OF[type(self.batch)]
 
 
 class Journal:
-    """Segments of one session and the two threads that write them: one appends, one syncs.
+    """Journal of a session that is being recorded. Only `add` never waits for the disk.
 
-    Appends continue during a slow fsync. Only `add` never waits for the disk. Single-file tables, which are
-    written when the session ends, have their own segment until then.
+    `add` may run in another thread than the rest. `append`, `sync` and a commit, which ends with `rotate`,
+    may run at the same time, each once.
 
     Args:
         folder: Folder of the session.
@@ -35,39 +74,38 @@ class Journal:
 
     def __init__(self, folder: Path, session: str) -> None:
         self._folder, self._session = folder, session
-        make_folder(folder / JOURNAL)
-        self._single = OpenSegment(single_log(folder), session, SINGLE_LOG)  # created before all others
-        self._segment = OpenSegment(folder / segment_file(0), session, 0)
-        self._disk = RLock()  # held while frames are appended
-        self._syncing = RLock()  # held while the segment is made durable; taken before _disk
-        self._more = Condition()  # guards the following; never held during disk work
-        self._pending: list[NumberedRows] = []
-        self._waiting = Counter[str]()  # rows by table, including those being appended
-        self._failing, self._ended = False, False
-        self.suspect = False  # an fsync failed: its rows may be lost, and need a commit
-        self._end = Event()
-        self._threads = [Thread(target=each, daemon=True) for each in (self._append_soon, self._sync_often)]
-        for thread in self._threads:
-            thread.start()
+        files.make_folder(folder / JOURNAL)
+        self._single = self._create(SINGLE)  # before all others
+        self._segments = [self._create(0)]  # the last one gets the rows
+        self._next = 1  # number of the next segment
+        self._committing: list[AppendLog] = []  # all of their rows are being committed
+        self._waiting = deque[NumberedRows]()
+        self._added, self._appended = Counter[str](), Counter[str]()  # rows by table
+        self._failing = False
+
+    @property
+    def waiting(self) -> int:
+        """Largest number of rows of a table that are not appended yet."""
+        return max((rows - self._appended[table] for table, rows in self._added.items()), default=0)
+
+    @property
+    def suspect(self) -> bool:
+        """True if appended rows may be lost, or no more can be appended: `restart` is needed."""
+        return any(log.suspect or log.broken for log in (self._single, *self._segments))
+
+    @property
+    def unsynced(self) -> bool:
+        """True if appended rows are not durable."""
+        return any(log.unsynced for log in (self._single, *self._segments))
 
     def add(self, rows: NumberedRows) -> bool:
         """Queue rows; return false if too many wait or the disk fails, and they were not queued."""
-        table = TABLE_OF[type(rows.batch)].name
-        with self._more:
-            waiting = self._waiting[table] + len(rows.batch)
-            if waiting > MAX_WAITING or self._failing or self._ended:
-                return False
-            self._waiting[table] = waiting
-            self._pending.append(rows)
-            if waiting >= APPEND_AT:
-                self._more.notify()
+        table, count = rows.table.name, len(rows.batch)
+        if self._failing or self._added[table] - self._appended[table] + count > MAX_WAITING:
+            return False
+        self._added[table] += count
+        self._waiting.append(rows)
         return True
-
-    @contextmanager
-    def held(self) -> Generator[None]:
-        """Block other appends and new segments."""
-        with self._disk:
-            yield
 
     def append(self, *rows: NumberedRows) -> None:
         """Append the waiting rows, then `rows`, which belong to one table.
@@ -75,159 +113,129 @@ class Journal:
         Raises:
             OSError: nothing was appended; the waiting rows stay queued, `rows` do not.
         """
-        with self._disk:
-            waiting = self._take()
-            if not waiting and not rows:
-                return
-            try:
-                single = any(map(_single, rows))
-                for of_single in (not single, single):  # `rows` last: if that fails, they are in no segment
-                    self._write([each for each in chain(waiting, rows) if _single(each) is of_single])
-            except BaseException:
-                self._give_back(waiting)
-                self._failing = True
-                raise
-            self._failing = False
-            self._appended(waiting)
-
-    def rotate(
-        self, kept: Callable[[], Iterable[NumberedRows]], single: Callable[[], Iterable[NumberedRows]]
-    ) -> None:
-        """Begin the next segment with the rows that are not about to be committed.
-
-        Args:
-            kept: Returns those of multi-part tables.
-            single: Returns all rows of single-file tables; they are written again only if an fsync failed.
-
-        Raises:
-            OSError: if it cannot be written; the old segment remains in use.
-        """
-        number = self._segment.number + 1
-        fresh = OpenSegment(self._folder / segment_file(number), self._session, number)
-        with self._syncing:
-            with self._disk:
-                waiting = self._take()  # some are about to be committed, but are in no part yet
-                try:  # in order; duplicates have the same numbers
-                    of_parts = [*(each for each in waiting if not _single(each)), *kept()]
-                    fresh.append(bodies(sorted(of_parts, key=lambda rows: rows.first)))
-                    self._continue_single(waiting, single)
-                except BaseException:
-                    self._give_back(waiting)
-                    fresh.close()
-                    raise
-                old, self._segment = self._segment, fresh
-                self._failing = self.suspect = False
-                self._appended(waiting)
-            with suppress(OSError):  # its rows are about to be in parts
-                old.sync()
-            old.close()
+        waiting = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        logs = {True: self._segments[-1], False: self._single}
+        try:
+            parted = all(each.table.parted for each in rows)
+            for each in (not parted, parted):  # `rows` last: if that fails, they are in no segment
+                of_log = [found for found in (*waiting, *rows) if found.table.parted is each]
+                if of_log:
+                    logs[each].append(encode(of_log))
+        except BaseException:
+            self._waiting.extendleft(reversed(waiting))
+            self._failing = True
+            raise
+        self._failing = False
+        for found in waiting:
+            self._appended[found.table.name] += len(found.batch)
 
     def sync(self) -> None:
         """Make the appended rows durable.
 
         Raises:
-            OSError: some rows may be lost; the journal is `suspect` until the next segment begins.
+            OSError: some rows may be lost; the journal is `suspect`.
         """
-        with self._syncing:
-            try:
-                self._single.sync()
-                self._segment.sync()
-            except OSError:
-                # a second fsync could falsely succeed: the kernel may have dropped the unwritten pages
-                self.suspect = True
-                raise
+        for log in (self._single, *self._segments):
+            log.sync()
 
-    def drop(self) -> None:
-        """Delete the older segments: their rows are in parts, or in the current one.
+    def begin_commit(self) -> None:
+        """Note that all rows added so far are about to be committed."""
+        self._committing = self._segments[:-1]
+
+    def rotate(self) -> None:
+        """Delete the segments that had only rows which are committed now, and begin the next one.
+
+        The segment before it stays: rows may have been added to it since `begin_commit`.
 
         Raises:
-            OSError: some are left.
+            OSError: it may be called again.
         """
-        self.sync()
-        for number, path in segments(self._folder).items():
-            if number < self._segment.number:
-                steps.reach("delete segment")
-                path.unlink(missing_ok=True)
-        sync(self._folder / JOURNAL)
+        self._segments = [each for each in self._segments if each not in self._committing]
+        while self._committing:
+            self._delete(self._committing[-1])
+            self._committing.pop()
+        self._segments.append(self._create(self._next))
+        self._next += 1
 
-    def stop(self) -> None:
-        """End the threads and append the waiting rows, if the disk allows; may be called again."""
-        with self._more:
-            self._ended = True
-            self._more.notify()
-        self._end.set()
-        for thread in self._threads:
-            thread.join()
-        with suppress(OSError):
-            self.append()
+    def restart(self, single: Iterable[NumberedRows]) -> None:
+        """Begin again while no rows are added: those of multi-part tables are committed.
+
+        Args:
+            single: All rows of single-file tables.
+
+        Raises:
+            OSError: it may be called again.
+        """
+        segment = self._create(self._next)
+        try:
+            self._single, old = self._create(SINGLE, single), self._single
+        except BaseException:
+            segment.close()
+            raise
+        old.close()
+        self._waiting.clear()
+        self._appended, self._failing = self._added.copy(), False
+        self._committing, self._segments = self._segments, [segment]
+        self._next += 1
+        for each in self._committing:
+            self._delete(each)
+        files.sync(self._folder / JOURNAL)
 
     def remove(self) -> None:
-        """Delete the stopped journal: all its rows are in parts.
+        """Delete the journal: all its rows are in parts.
 
         Raises:
             OSError: some of it is left.
         """
-        self._close()
+        self.close()
         delete_journal(self._folder)
 
-    def leave(self) -> None:
-        """Stop and close the journal without deleting it; may be called again."""
-        self.stop()
-        self._close()
+    def close(self) -> None:
+        """Close the journal without deleting it; may be called again."""
+        for log in (self._single, *self._segments):
+            log.close()
 
-    def _close(self) -> None:
-        self._segment.close()
-        self._single.close()
+    def _create(self, number: int, rows: Iterable[NumberedRows] = ()) -> AppendLog:
+        path = single_log(self._folder) if number == SINGLE else self._folder / segment_file(number)
+        return AppendLog.create(path, identity(self._session, number), encode(rows))
 
-    def _write(self, rows: list[NumberedRows]) -> None:
-        """Append rows of one segment."""
-        if rows:
-            (self._single if _single(rows[0]) else self._segment).append(bodies(rows))
-
-    def _continue_single(
-        self, waiting: list[NumberedRows], single: Callable[[], Iterable[NumberedRows]]
-    ) -> None:
-        """Append the waiting rows of single-file tables; after a failed fsync, write all to a new segment."""
-        if self.suspect:
-            fresh = OpenSegment(self._single.path, self._session, SINGLE_LOG, bodies(single()))
-            self._single.close()
-            self._single = fresh
-        else:
-            self._write([each for each in waiting if _single(each)])
-
-    def _append_soon(self) -> None:
-        while True:
-            with self._more:
-                if self._failing or max(self._waiting.values(), default=0) < APPEND_AT:
-                    self._more.wait(APPEND_INTERVAL)
-                if self._ended:
-                    return
-            with suppress(OSError):  # the next append reports it
-                self.append()
-
-    def _sync_often(self) -> None:
-        while not self._end.wait(SYNC_INTERVAL):
-            with suppress(OSError):  # the journal is suspect then
-                self.sync()
-
-    def _take(self) -> list[NumberedRows]:
-        with self._more:
-            waiting, self._pending = self._pending, []
-        return waiting
-
-    def _give_back(self, waiting: list[NumberedRows]) -> None:
-        with self._more:
-            self._pending[:0] = waiting
-
-    def _appended(self, waiting: list[NumberedRows]) -> None:
-        with self._more:
-            for rows in waiting:
-                self._waiting[TABLE_OF[type(rows.batch)].name] -= len(rows.batch)
+    def _delete(self, log: AppendLog) -> None:
+        log.close()
+        files.unlink(log.path)
 
 
-def _single(rows: NumberedRows) -> bool:
-    """Return true if rows belong to a single-file table."""
-    return not TABLE_OF[type(rows.batch)].parted
+class SegmentReader(LogReader):
+    """Reader of a segment, which has one record in memory at a time.
+
+    Args:
+        path: The file.
+        session: Session that it must belong to.
+        number: Number that it must have.
+
+    Raises:
+        InputError: if it has another version or session, or an invalid identity.
+        OSError: if it cannot be read.
+    """
+
+    def __init__(self, path: Path, session: str, number: int) -> None:
+        super().__init__(path)
+        try:
+            start = files.read_at(self._file, len(_OLD), 0)
+            whole = self.damage is None or start == _OLD
+            self._kinds = _kinds(self.identity, str(path), session, number) if whole else {}
+        except BaseException:
+            self.close()
+            raise
+
+    def rows(self) -> Iterator[NumberedRows]:
+        """Yield the rows up to the end or the first damage.
+
+        Raises:
+            InputError: if a record is invalid.
+            OSError: if the file cannot be read.
+        """
+        for record in self.records():
+            yield _decode(record.data, self._kinds, str(self.path))
 
 
 def delete_journal(folder: Path) -> None:
@@ -237,9 +245,111 @@ def delete_journal(folder: Path) -> None:
         OSError: some of it is left.
     """
     journal = folder / JOURNAL
-    for path in [*segments(folder).values(), single_log(folder), *journal.glob("*" + SCRATCH)]:
-        steps.reach("delete segment")
-        path.unlink(missing_ok=True)
-    steps.reach("delete journal")
-    journal.rmdir()
-    sync(folder)
+    for path in [*segments(folder).values(), single_log(folder), *journal.glob("*" + files.SCRATCH)]:
+        files.unlink(path)
+    files.remove_folder(journal)
+    files.sync(folder)
+
+
+def missing_segments(folder: Path, about: Description) -> list[str]:
+    """Return a line for each segment that is missing from a journal; none if there is no journal."""
+    numbers = list(segments(folder))
+    if not numbers:
+        expected = (folder / JOURNAL).is_dir() and "end_ns" not in about
+        return [f"{JOURNAL}: has no segment: the newest rows are lost"] if expected else []
+    gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
+    lost = [segment_file(number) for number in gaps]
+    if not single_log(folder).exists() and "end_ns" not in about:  # it is created before all others
+        lost.append(single_log(folder).relative_to(folder.resolve()).as_posix())
+    return [f"{path}: is missing, with its rows" for path in lost]
+
+
+def identity(session: str, number: int) -> bytes:
+    """Return the identity of a segment."""
+    kinds = [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
+    content = {"version": VERSION, "session": session, "segment": number, "kinds": kinds}
+    return json.dumps(content).encode()
+
+
+@dataclass(slots=True)
+class _Run:
+    """Consecutive rows of one type and fingertip."""
+
+    first: int  # number within its table
+    end: int  # after the last
+    finger: int
+    batches: list[Batch]
+
+    def encode(self) -> bytes:
+        kind = type(self.batches[0])
+        parts = [_HEAD.pack(_CODES[kind], self.finger, self.end - self.first, self.first)]
+        for column in zip(*map(attrgetter(*columns(kind)), self.batches), strict=True):
+            parts += [values.tobytes() for values in column]
+        return b"".join(parts)
+
+
+def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
+    """Return the records of rows; consecutive rows of a fingertip share one."""
+    runs, newest = list[_Run](), dict[type[Batch], _Run]()
+    for first, batch in rows:
+        kind, count = type(batch), len(batch.time)
+        most = (append_log.LIMIT - _HEAD.size) // _ROW_SIZES[kind]
+        run = newest.get(kind)
+        if run and run.end == first and run.finger == batch.finger and run.end - run.first + count <= most:
+            run.batches.append(batch)
+            run.end += count
+            continue
+        for start in range(0, count, most):
+            part = batch if count <= most else batch[start : start + most]
+            newest[kind] = _Run(first + start, first + start + len(part), batch.finger, [part])
+            runs.append(newest[kind])
+    return [run.encode() for run in runs]
+
+
+def _decode(record: bytes, kinds: dict[int, type[Batch]], where: str) -> NumberedRows:
+    code, finger, count, first = _HEAD.unpack_from(record) if len(record) >= _HEAD.size else (-1, 0, 0, 0)
+    kind = kinds.get(code)
+    if kind is None or len(record) != _HEAD.size + count * _ROW_SIZES[kind]:
+        raise InputError(where, f"has an invalid record{_MOVE}")
+    values, offset = list[NDArray[Any]](), _HEAD.size
+    for column in columns(kind).values():
+        size = math.prod(column.shape)
+        column_values = np.frombuffer(record, column.dtype, count * size, offset)
+        values.append(column_values.reshape(count, *column.shape))
+        offset += column_values.nbytes
+    return NumberedRows(first, kind(*values, finger=finger))
+
+
+def _kinds(content: bytes, where: str, session: str, number: int) -> dict[int, type[Batch]]:
+    """Return the batch types of a segment by their codes; earlier versions had no identity."""
+    if not content:
+        reason = f"was written by an earlier slipflow, this one reads version {VERSION}"
+        raise InputError(where, f"{reason}: recover it with the software named in session.json")
+    try:
+        about: Any = json.loads(content)
+        version, own, kinds = (
+            about.get("version"),
+            (about.get("session"), about.get("segment")),
+            about["kinds"],
+        )
+        names = [str(each["batch"]) for each in kinds]
+        layouts = [each["columns"] for each in kinds]
+    except (AttributeError, LookupError, TypeError, ValueError, RecursionError) as error:
+        raise InputError(where, f"has an invalid description{_MOVE}: {error!r}") from error
+    if version != VERSION:
+        reason = f"has version {version!r}, this slipflow reads version {VERSION}"
+        raise InputError(where, f"{reason}: recover it with the software named in session.json")
+    if own != (session, number):
+        raise InputError(where, f"is segment {own[1]!r} of session {own[0]!r}; move it back there")
+    known = {kind.__name__: kind for kind in _KINDS}
+    for name, layout in zip(names, layouts, strict=True):
+        if name not in known or _layout(known[name]) != layout:
+            reason = f"has {name} rows with unknown columns: recover it"
+            raise InputError(where, f"{reason} with the software named in session.json")
+    return dict(enumerate(map(known.__getitem__, names)))
+
+
+def _layout(kind: type[Batch]) -> list[list[Any]]:
+    """Return the name, element type with byte order, shape and code names of each column."""
+    found = columns(kind).items()
+    return [[name, each.dtype.str, [*each.shape], [*each.names]] for name, each in found]

@@ -12,11 +12,12 @@
     sessions/<session>/truth/part-000000.parquet    state of a simulated contact at each touch row
     sessions/<session>/MANIFEST.json                the files above with rows, time range and sha256
     sessions/<session>/journal/000000.wal           rows that are in no file above yet: while recording, or
-                                                    after a kill; see storage.journal_segment
+                                                    after a kill; see storage.journal
     sessions/<session>/journal/single.wal           rows of single-file tables, until the session ends
     sessions/<session>/damaged/                     files that a recovery could not read
 """
 
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -39,6 +40,7 @@ from operators.batch import (
     columns,
 )
 from operators.errors import InputError, ParameterError, os_error_reason
+from storage.files import SCRATCH
 
 DATASET: Final = "dataset.json"
 SESSIONS: Final = "sessions"
@@ -191,6 +193,19 @@ def single_log(folder: Path) -> Path:
         InputError: if a link leads out of the session.
     """
     return inside(folder, folder / JOURNAL / "single.wal")
+
+
+def check_links(folder: Path) -> None:
+    """Check that no link in the folder of a session leads out of it; temporary files are never followed.
+
+    Raises:
+        InputError: if one does.
+    """
+    for base, folders, names in os.walk(folder):
+        for name in (*folders, *names):
+            path = Path(base, name)
+            if path.is_symlink() and path.suffix != SCRATCH:
+                inside(folder, path)
 
 
 def inside(folder: Path, path: Path) -> Path:

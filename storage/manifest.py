@@ -10,8 +10,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, cast
 
+from operators.batch import s
 from operators.errors import InputError
+from operators.ports import Description
 from storage import files
+from storage.description import recorders
 from storage.layout import MANIFEST, TABLES, may_exist
 
 VERSION: Final = 2
@@ -39,6 +42,15 @@ class Part:
     def line(self) -> str:
         """Line of the manifest; cached, since a manifest is rewritten with every part."""
         return json.dumps(asdict(self))
+
+    @property
+    def extent(self) -> str:
+        """Rows and duration as text.
+
+        >>> Part("touch/part-000000.parquet", 6000, 0, 60 * s, "0" * 64).extent
+        '6,000 rows, 60.0 s'
+        """
+        return f"{self.rows:,} rows, {(self.last - self.first) / s:.1f} s"
 
 
 def write_manifest(folder: Path, parts: Iterable[Part], put: files.Put = files.put) -> None:
@@ -87,6 +99,44 @@ def damaged_parts(folder: Path) -> dict[str, Part]:
             part = _part(line, json.loads(line.strip().removesuffix(",")))
             found[part.path] = part
     return found
+
+
+def part_number(path: str) -> int:
+    """Return the number of a part by its path, 0 for a single-file table.
+
+    >>> part_number("touch/part-000012.parquet"), part_number("slips.parquet")
+    (12, 0)
+    """
+    stem = path.rpartition("-")[2].partition(".")[0]
+    return int(stem) if stem.isdigit() else 0
+
+
+def missing_parts(paths: Iterable[str]) -> list[str]:
+    """Return the parts whose numbers are missing before the last of each table.
+
+    >>> missing_parts(["touch/part-000000.parquet", "touch/part-000002.parquet", "slips.parquet"])
+    ['touch/part-000001.parquet']
+    """
+    existing, missing = set(paths), list[str]()
+    for table in TABLES:
+        if table.parted:
+            numbers = [part_number(path) for path in existing if path.startswith(f"{table.name}/")]
+            expected = map(table.file, range(max(numbers, default=-1)))
+            missing += [path for path in expected if path not in existing]
+    return missing
+
+
+def missing_rows(about: Description, parts: Iterable[Part]) -> str:
+    """Return a line with the number of recorded rows of a closed session that no part has, empty if none."""
+    sinks = cast("dict[str, dict[str, int]]", about.get("sinks", {}))
+    try:
+        written = [sinks[name]["rows"] for name in recorders(about)]
+    except (AttributeError, LookupError, TypeError):  # reported when the description is checked
+        return ""
+    found = sum(part.rows for part in parts)
+    if len(written) != 1 or found >= written[0]:  # several sinks are several datasets
+        return ""
+    return f"{written[0] - found:,} of the {written[0]:,} recorded rows are in no part"
 
 
 def _digest(lines: str) -> str:

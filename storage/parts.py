@@ -1,16 +1,20 @@
 """Parquet files of a session: written atomically, verified when read."""
 
 import hashlib
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from operators.errors import InputError
+from operators.errors import EndpointError, InputError
 from storage import files
-from storage.layout import inside
-from storage.manifest import Part
+from storage.layout import Table, inside
+from storage.manifest import Part, part_number
+from storage.schema import flat, schema, time_schema, times
+
+UNPACKED_LIMIT: Final = 512 * files.MiB  # bytes of the rows of one file
 
 
 def write_part(path: Path, table: pa.Table, put: files.Put = files.put) -> str:
@@ -71,7 +75,7 @@ def hash_part(path: Path) -> str:
     return hashlib.sha256(files.read(path)).hexdigest()
 
 
-def inspect_part(folder: Path, path: str, schema: pa.Schema) -> Part:
+def inspect_part(folder: Path, path: str, table: Table) -> Part:
     """Read a file of a session and return its manifest entry.
 
     Raises:
@@ -79,47 +83,89 @@ def inspect_part(folder: Path, path: str, schema: pa.Schema) -> Part:
     """
     file = inside(folder, folder / path)
     sha256 = hash_part(file)
-    return manifest_entry(path, read_part(file, schema, sha256), sha256)
+    return manifest_entry(path, read_part(file, schema(table), sha256), sha256)
 
 
-def read_part(path: Path, schema: pa.Schema, sha256: str | None = None) -> pa.Table:
-    """Return the columns of `schema` from a Parquet file, which may have others.
+def read_part(path: Path, expected: pa.Schema, sha256: str | None = None) -> pa.Table:
+    """Return the columns of a schema from a Parquet file, which may have others.
 
     Args:
         path: The file.
-        schema: Columns that it must have, with their types and units.
+        expected: Columns that it must have, with their types and units.
         sha256: Its sha256 in the manifest; None: not listed, so only the page checksums are verified.
 
     Raises:
-        InputError: if the file is missing, damaged or lacks a column.
+        InputError: if the file is missing, damaged, lacks a column or has more than `UNPACKED_LIMIT` bytes.
+        EndpointError: if the disk fails or memory is short.
     """
     data = files.read(path)
     if sha256 and hashlib.sha256(data).hexdigest() != sha256:
         raise InputError(str(path), "is damaged: its sha256 differs from the manifest; restore a copy")
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
+        _check_columns(path, file.schema_arrow, expected)
+        _check_size(path, file.metadata, expected)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
-        _check(path, file.schema_arrow, schema)
-        table: pa.Table = file.read(schema.names, use_threads=False)
+        table: pa.Table = file.read(expected.names, use_threads=False)
         table.validate(full=True)
+    except MemoryError as error:
+        raise EndpointError(str(path), "cannot be read: there is not enough memory") from error
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).partition("\n")[0].rstrip(".")
         raise InputError(str(path), f"is damaged or not a Parquet file: {reason}; restore a copy") from error
     if len(table) != file.metadata.num_rows:
         reason = f"is damaged: it has {len(table)} of its {file.metadata.num_rows} rows; restore a copy"
         raise InputError(str(path), reason)
-    for field in _fields(schema):
+    for field in _fields(expected):
         column = table[field.name]
         if not field.nullable and (column.null_count or flat(column).null_count):
             raise InputError(str(path), f"column {field.name!r} has nulls, must have none")
     return table
 
 
-def flat(column: "pa.ChunkedArray[Any]") -> "pa.Array[Any]":
-    """Return the values of a column in one array; FixedSizeLists are flattened."""
-    array: Any = column.combine_chunks()
-    values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
-    return values
+def duplicate_reason(folder: Path, table: Table, part: Part, known: Iterable[Part]) -> str:
+    """Return the reason why a file duplicates rows of its table, empty if it does not.
+
+    A duplicate is a copy of another part, or has rows of a fingertip that are not later than those of the
+    parts with lower numbers.
+
+    Args:
+        folder: Folder of the session.
+        table: Table of the file.
+        part: The file.
+        known: The other parts of the table.
+
+    Raises:
+        InputError: if the file cannot be read; others that are damaged are ignored.
+    """
+    others = list(known)
+    for other in others:
+        if other.sha256 == part.sha256:
+            return f"{part.path}: is a copy of {other.path}"
+    for other in others:
+        before, after = sorted((part, other), key=lambda each: part_number(each.path))
+        if before.last > after.first and _overlap(folder, table, before, after, part):
+            return f"{part.path}: has rows of the same time as {other.path}"
+    return ""
+
+
+def without_duplicates(
+    folder: Path, table: Table, paths: Sequence[str], listed: Mapping[str, Part]
+) -> list[str]:
+    """Return the files of a table without unlisted duplicates; unreadable files are kept."""
+    known, found = [listed[path] for path in paths if path in listed], list[str]()
+    for path in paths:
+        if path not in listed:
+            try:
+                part = inspect_part(folder, path, table)
+                if duplicate_reason(folder, table, part, known):
+                    continue
+            except InputError:
+                pass  # reported when it is read
+            else:
+                known.append(part)
+        found.append(path)
+    return found
 
 
 def _encodings(schema: pa.Schema) -> dict[str, str]:
@@ -136,7 +182,29 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
     return encodings
 
 
-def _check(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
+def _check_size(path: Path, about: Any, expected: pa.Schema) -> None:  # noqa: ANN401 - untyped library
+    """Check the declared sizes before anything is unpacked.
+
+    Raises:
+        InputError: if rows or pages have too many bytes.
+    """
+    groups = [about.row_group(number) for number in range(about.num_row_groups)]
+    unpacked = sum(group.total_byte_size for group in groups)
+    values = sum(group.column(number).num_values for group in groups for number in range(group.num_columns))
+    row = sum(_row_size(field.type) for field in _fields(expected))
+    if max(unpacked, about.num_rows * row, values) > UNPACKED_LIMIT:
+        reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
+        raise InputError(str(path), reason)
+
+
+def _row_size(kind: Any) -> int:  # noqa: ANN401 - a type with the attributes of its class
+    """Return the size of a value in bytes."""
+    if pa.types.is_fixed_size_list(kind):
+        return int(kind.list_size) * _row_size(kind.value_type)
+    return 8 if pa.types.is_dictionary(kind) else -(-int(kind.bit_width) // 8)
+
+
+def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
     columns = {field.name: field for field in _fields(found)}
     for field in _fields(expected):
         other = columns.get(field.name)
@@ -155,3 +223,23 @@ def _fields(schema: pa.Schema) -> "list[pa.Field[Any]]":
 
 def _unit(field: "pa.Field[Any]") -> str:
     return (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
+
+
+def _overlap(folder: Path, table: Table, before: Part, after: Part, part: Part) -> bool:
+    """Return true if a fingertip has rows in `after` that are older than one in `before`."""
+    spans = list[dict[int, tuple[int, int]]]()
+    for each in (before, after):
+        try:
+            spans.append(_spans(folder, table, each))
+        except InputError:
+            if each is part:
+                raise
+            return False  # unknown, since the other is damaged
+    ends, begins = spans
+    return any(begins[finger][0] < ends[finger][1] for finger in ends.keys() & begins.keys())
+
+
+def _spans(folder: Path, table: Table, part: Part) -> dict[int, tuple[int, int]]:
+    """Return the earliest and latest time (ns) by fingertip."""
+    rows = read_part(inside(folder, folder / part.path), time_schema(table), part.sha256)
+    return {finger: (int(time.min()), int(time.max())) for finger, time in times(table, rows).items()}

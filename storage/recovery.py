@@ -1,15 +1,37 @@
 """Recovery of a session whose recorder was killed, or whose files were damaged."""
 
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from operators.errors import EndpointError, os_error_reason
 from storage.description import read_session
-from storage.layout import JOURNAL
+from storage.layout import JOURNAL, check_links
 from storage.lock import lock
-from storage.recovery_result import Recovery
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """Result of a recovery."""
+
+    session: str
+    rows: Mapping[str, int]  # recovered rows by table
+    adopted: tuple[str, ...]  # complete files that were not in the manifest
+    lost: tuple[str, ...]  # a line for each loss that was not known before
+    cut: tuple[str, ...]  # those of `lost` at the end, where the recorder was killed
+    done: tuple[str, ...]  # a line for each other repair
+
+    @property
+    def complete(self) -> bool:
+        """True if nothing was lost."""
+        return not self.lost
+
+    @property
+    def changed(self) -> bool:
+        """True if anything was repaired or lost."""
+        return bool(self.rows or self.adopted or self.lost or self.done)
 
 
 def recover(folder: str | Path) -> Recovery:
@@ -25,18 +47,20 @@ def recover(folder: str | Path) -> Recovery:
         folder: Folder of the session.
 
     Raises:
-        InputError: if it is not a session, or its journal has another version; nothing is changed then.
-        EndpointError: if it is being recorded, or cannot be written.
+        InputError: if it is not a session, its journal has another version, or a link leads out of it;
+            nothing is changed then.
+        EndpointError: if it is being recorded, cannot be written, or the disk fails.
     """
     folder = Path(folder)
+    check_links(folder)
     about = read_session(folder)
-    with _exclusive(folder):
-        from storage.session_recovery import SessionRecovery  # noqa: PLC0415 - imports pyarrow
+    try:
+        with _exclusive(folder):
+            from storage.session_recovery import SessionRecovery  # noqa: PLC0415 - imports pyarrow
 
-        try:
             return SessionRecovery(folder, about).finish()
-        except OSError as error:
-            raise EndpointError(str(folder), f"cannot be recovered: {os_error_reason(error)}") from error
+    except OSError as error:
+        raise EndpointError(str(folder), f"cannot be recovered: {os_error_reason(error)}") from error
 
 
 @contextmanager
@@ -49,18 +73,9 @@ def _exclusive(folder: Path) -> Generator[None]:
             held += [] if turn is None else [turn]
         own = lock(folder)
         if own is None:
-            _close(held)
             raise EndpointError(str(folder), "is being recorded: recover it when the recording ends")
         held.append(own)
-    except OSError as error:
-        _close(held)
-        raise EndpointError(str(folder), f"cannot be locked: {os_error_reason(error)}") from error
-    try:
         yield
     finally:
-        _close(held)
-
-
-def _close(held: list[int]) -> None:
-    for number in reversed(held):
-        os.close(number)
+        for number in reversed(held):
+            os.close(number)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from operators.batch import EVERY, Batch, Column, columns
 from operators.errors import BatchError
 from storage.layout import TABLE_OF, Table
-from storage.parts import flat
 
 _KINDS: Final = {kind.__name__: kind for kind in TABLE_OF}
 
@@ -108,6 +107,13 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
         each: kind(*(value[own] for value in values.values()), finger=each)
         for each, own in zip(sorted(found), np.split(order, first[1:]), strict=True)
     }
+
+
+def flat(column: "pa.ChunkedArray[Any]") -> "pa.Array[Any]":
+    """Return the values of a column in one array; FixedSizeLists are flattened."""
+    array: Any = column.combine_chunks()
+    values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
+    return values
 
 
 def _fields(table: Table) -> "list[pa.Field[Any]]":

@@ -20,6 +20,7 @@ from storage.layout import (
     TABLE_OF,
     TABLES,
     Table,
+    check_links,
     inside,
     may_exist,
     session_folder,
@@ -90,6 +91,7 @@ class Session:
         folder = Path(path)
         if not may_exist(folder / SESSION):
             folder = _only_session(folder)
+        check_links(folder)
         if may_exist(folder / JOURNAL):
             _recover(folder)
         return cls(folder, read_session(folder), read_manifest(folder))
@@ -215,7 +217,7 @@ class Session:
             paths = sorted(existing | listed, key=_numbered)
         if set(paths) <= listed:
             return paths
-        from storage.orphan_parts import without_duplicates  # noqa: PLC0415 - imports pyarrow
+        from storage.parts import without_duplicates  # noqa: PLC0415 - imports pyarrow
 
         return without_duplicates(self.folder, table, paths, self.listed)
 

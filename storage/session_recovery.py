@@ -1,6 +1,7 @@
 """Recovery of one session: complete files that the manifest does not list, then the rows of the journal."""
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final, cast
@@ -10,32 +11,23 @@ import pyarrow as pa
 from operators.batch import Batch, Zeroed
 from operators.errors import InputError
 from operators.ports import Description
-from storage import files, journal_segment
+from storage import files
+from storage.append_log import Damage
+from storage.buffer import Buffer
 from storage.description import describe_recovery
-from storage.journal import delete_journal
-from storage.layout import (
-    DAMAGED,
-    JOURNAL,
-    MANIFEST,
-    TABLE_OF,
-    TABLES,
-    TOUCH,
-    Table,
-    inside,
-    segments,
-    single_log,
-)
-from storage.manifest import Part, damaged_parts, read_manifest, write_manifest
-from storage.orphan_parts import (
-    duplicate_reason,
-    extent,
+from storage.journal import SINGLE, SegmentReader, delete_journal, missing_segments
+from storage.layout import DAMAGED, JOURNAL, MANIFEST, TABLES, TOUCH, Table, segments, single_log
+from storage.manifest import (
+    Part,
+    damaged_parts,
     missing_parts,
     missing_rows,
-    missing_segments,
     part_number,
+    read_manifest,
+    write_manifest,
 )
-from storage.parts import commit_part, inspect_part, read_part
-from storage.recovery_result import Recovery
+from storage.parts import commit_part, duplicate_reason, inspect_part, read_part
+from storage.recovery import Recovery
 from storage.schema import batch_type, schema, to_arrow
 
 PART_ROWS: Final = 100_000  # of a part made from the journal
@@ -69,7 +61,11 @@ class SessionRecovery:
             self._damaged_list |= damaged_parts(folder)
         self._listed_before = dict(self._listed)
         self._parts = {table.name: self._find_parts(table) for table in TABLES}
-        self._rows: dict[str, list[Batch]] = {}  # from the journal, by table
+        self._logs, single = segments(folder), single_log(folder)
+        self._newest = [next(reversed(self._logs.values()), None), single]
+        self._logs |= {SINGLE: single} if single.exists() else {}
+        self._rows = Counter[str]()  # that the journal adds, by table
+        self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
         self._empty = list[Table]()  # single-file tables without rows whose file is still missing
         self._read_journal()
         self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
@@ -82,10 +78,7 @@ class SessionRecovery:
             OSError: it may be tried again.
         """
         before = {table.name: _count(self._listed_of(table)) for table in TABLES}
-        for table in TABLES:
-            rows = self._rows.get(table.name, [table.kind.empty()] if table in self._empty else [])
-            if rows:
-                self._commit(table, to_arrow(table, rows))
+        self._commit_journal()
         after = {name: _count(parts) for name, parts in self._parts.items()}
         found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
         parts = self._all_parts()
@@ -116,7 +109,7 @@ class SessionRecovery:
         existing = {path.relative_to(self._folder).as_posix() for path in self._folder.glob(table.pattern)}
         for path in sorted(existing - {part.path for part in parts}, key=part_number):
             try:
-                part = inspect_part(self._folder, path, schema(table))
+                part = inspect_part(self._folder, path, table)
                 duplicate = duplicate_reason(self._folder, table, part, parts)
             except InputError as error:
                 self._add_unreadable(table, path, error, last=path == max(existing, key=part_number))
@@ -146,7 +139,7 @@ class SessionRecovery:
         paths = {part.path for part in parts} | self._unreadable
         for path, part in self._damaged_list.items():
             if not (self._folder / path).exists() and part.sha256 not in hashes:
-                self._lost.append(f"{path}: is missing: {extent(part)}")
+                self._lost.append(f"{path}: is missing: {part.extent}")
         reported = " ".join([*self._lost, *self._known_lost])
         missing = [path for path in missing_parts(paths) if path not in reported]
         self._lost += [f"{path}: is missing, and not in the manifest" for path in missing]
@@ -161,31 +154,55 @@ class SessionRecovery:
             self._lost += self._cut[-1:]
 
     def _read_journal(self) -> None:
-        """Collect the rows of the journal, up to the first missing row of each table."""
-        next_row = {name: _count(parts) for name, parts in self._parts.items()}
-        left_out = dict[str, int]()  # rows by table
-        logs, single = segments(self._folder), single_log(self._folder)
-        newest = [next(reversed(logs.values()), None), single]
-        logs |= {journal_segment.SINGLE_LOG: single} if single.exists() else {}
+        """Count the rows of the journal that follow those in parts."""
         missing = missing_segments(self._folder, self._about)
         self._lost += missing if any(self._parts.values()) or segments(self._folder) else []
-        for number, path in logs.items():
-            data = files.read(path, journal_segment.WHOLE)
-            segment = journal_segment.read_segment(data, str(path), self._session, number)
-            for rows in segment.rows:
-                table, end = TABLE_OF[type(rows.batch)].name, rows.first + len(rows.batch)
-                if table in left_out or table in self._with_gaps or rows.first > next_row[table]:
-                    left_out[table] = left_out.get(table, 0) + len(rows.batch)
-                elif end > next_row[table]:
-                    self._rows.setdefault(table, []).append(rows.batch[next_row[table] - rows.first :])
-                    next_row[table] = end
-            self._add_damage(path, segment.damage, last=path in newest)
-        for table, rows_left in left_out.items():
-            self._lost.append(f"{table}: {rows_left} rows that do not follow row {next_row[table]}")
-        if left_out:
-            self._aside += [path for path in logs.values() if path not in self._aside]
-        elif single.exists() and single not in self._aside:
+        damages = dict[Path, Damage | None]()
+        for table, rows in self._journal_rows(damages):
+            self._rows[table.name] += len(rows)
+        for path, damage in damages.items():
+            self._add_damage(path, damage, last=path in self._newest)
+        for name, rows_left in self._left_out.items():
+            follow = _count(self._parts[name]) + self._rows[name]
+            self._lost.append(f"{name}: {rows_left} rows that do not follow row {follow}")
+        if self._left_out:
+            self._aside += [path for path in self._logs.values() if path not in self._aside]
+        elif SINGLE in self._logs and self._logs[SINGLE] not in self._aside:
             self._empty += [table for table in TABLES if self._is_empty(table)]
+
+    def _journal_rows(self, damages: dict[Path, Damage | None]) -> Iterator[tuple[Table, Batch]]:
+        """Yield the rows that follow those in parts, up to the first missing row of each table.
+
+        Count the others in `_left_out`, and note the damage of each segment.
+        """
+        next_row = {name: _count(parts) for name, parts in self._parts.items()}
+        self._left_out.clear()
+        for number, path in self._logs.items():
+            with SegmentReader(path, self._session, number) as reader:
+                for rows in reader.rows():
+                    table, end = rows.table, rows.first + len(rows.batch)
+                    name, next_of_table = table.name, next_row[rows.table.name]
+                    if name in self._left_out or name in self._with_gaps or rows.first > next_of_table:
+                        self._left_out[name] += len(rows.batch)
+                    elif end > next_of_table:
+                        next_row[name] = end
+                        yield table, rows.batch[next_of_table - rows.first :]
+                damages[path] = reader.damage
+
+    def _commit_journal(self) -> None:
+        """Commit the rows of the journal, with no more than a part of each multi-part table in memory."""
+        buffers = {table.name: Buffer(table.kind) for table in self._empty}
+        for table, rows in self._journal_rows({}):
+            buffer = buffers.setdefault(table.name, Buffer(type(rows)))
+            for start in range(0, len(rows), PART_ROWS):
+                some = rows[start : start + PART_ROWS]
+                if table.parted and buffer.rows + len(some) > PART_ROWS:
+                    self._commit(table, buffer)
+                    buffer = buffers[table.name] = Buffer(type(rows))
+                buffer.add(some)
+        for table in TABLES:
+            if table.name in buffers:
+                self._commit(table, buffers[table.name])
 
     def _is_empty(self, table: Table) -> bool:
         """Return true for a single-file table that session.json declares and that got no rows."""
@@ -193,7 +210,7 @@ class SessionRecovery:
         known = self._parts[name] or name in {*self._rows, *self._doubtful, *self._with_gaps}
         return not table.parted and not known and name in cast("list[str]", self._about.get("tables", []))
 
-    def _add_damage(self, path: Path, damage: journal_segment.Damage | None, *, last: bool) -> None:
+    def _add_damage(self, path: Path, damage: Damage | None, *, last: bool) -> None:
         """Note the damage of a segment; `last` if it is the newest segment or the single-file log."""
         if damage:
             reason = "whole frames follow" if damage.more else "the recorder was cut off there"
@@ -201,18 +218,18 @@ class SessionRecovery:
             self._aside += [path] if damage.more else []
             self._cut += self._lost[-1:] if last and not damage.more else []
 
-    def _commit(self, table: Table, rows: pa.Table) -> None:
+    def _commit(self, table: Table, buffer: Buffer) -> None:
+        """Write rows as the next part, or as the one file after the rows that it has."""
+        rows = to_arrow(table, buffer.batches() or [buffer.kind.empty()])
         parts = self._parts[table.name]
-        if not table.parted:
+        if table.parted:
+            files.make_folder(self._folder / table.name)
+            number = 1 + max((part_number(part.path) for part in parts), default=-1)
+            parts.append(commit_part(self._folder, table.file(number), rows))
+        else:
             before = [read_part(self._folder / part.path, schema(table), part.sha256) for part in parts]
             whole = pa.concat_tables([*before, rows])
             self._parts[table.name] = [commit_part(self._folder, table.file(0), whole)]
-            return
-        files.make_folder(inside(self._folder, self._folder / table.name))
-        number = 1 + max((part_number(part.path) for part in parts), default=-1)
-        for start in range(0, len(rows), PART_ROWS):
-            parts.append(commit_part(self._folder, table.file(number), rows.slice(start, PART_ROWS)))
-            number += 1
 
     def _describe(self, result: Recovery) -> None:
         """Record the recovery in session.json."""
@@ -258,8 +275,7 @@ class SessionRecovery:
         for pattern in ("*", "*/*"):
             for path in self._folder.glob(pattern + files.SCRATCH):
                 if path.parent.name != JOURNAL:
-                    inside(self._folder, path.parent)
-                    path.unlink(missing_ok=True)
+                    files.unlink(path)
                     deleted += 1
         if self._aside:
             files.make_folder(self._folder / DAMAGED)
@@ -267,7 +283,7 @@ class SessionRecovery:
         for path in self._aside:
             name = path.relative_to(self._folder).as_posix()
             if path.exists() and name not in kept:
-                path.replace(self._folder / DAMAGED / name.replace("/", "-"))
+                files.rename(path, self._folder / DAMAGED / name.replace("/", "-"))
         if self._aside:
             files.sync(self._folder / DAMAGED)
         if (self._folder / JOURNAL).is_dir():

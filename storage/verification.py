@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, cast
 
-from operators.errors import InputError, os_error_reason
+from operators.errors import InputError
 from operators.ports import Description
-from storage import files, journal_segment
+from storage import files
 from storage.description import read_dataset, read_session, recorders
+from storage.journal import SINGLE, SegmentReader, missing_segments
 from storage.layout import (
     DAMAGED,
     DATASET,
@@ -19,6 +20,7 @@ from storage.layout import (
     SESSIONS,
     TABLES,
     Table,
+    check_links,
     inside,
     lacks_description,
     may_exist,
@@ -28,7 +30,7 @@ from storage.layout import (
     single_log,
 )
 from storage.lock import locked
-from storage.manifest import Part, read_manifest
+from storage.manifest import Part, missing_parts, missing_rows, part_number, read_manifest
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
 Progress = Callable[[int, int, str], object]  # files done, total files, session
@@ -109,6 +111,7 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
 
     Raises:
         InputError: if `path` is neither, or cannot be read.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     root = Path(path)
     findings = list[Finding]()
@@ -178,18 +181,24 @@ class _SessionCheck:
         try:
             yield from self._check_all()
         except OSError as error:  # of folders; errors of files are findings already
-            self._add("lost", f"{error.filename or self.folder}: cannot be read: {os_error_reason(error)}")
+            unreadable = files.read_error(error.filename or self.folder, error)
+            if not isinstance(unreadable, InputError):
+                raise unreadable from error
+            self._add("lost", str(unreadable))
 
     def _check_all(self) -> Iterator[None]:
-        from storage.orphan_parts import extent  # noqa: PLC0415 - imports pyarrow
-
+        try:
+            check_links(self.folder)
+        except InputError as error:
+            self._add("lost", str(error))
+            return
         self._check_description()
         self._check_journal()
         for path, part in self.listed.items():
             try:
                 self.read[path] = self._check_part(path, part)
             except InputError as error:
-                self._add("lost", f"{error}; it had {extent(part)}")
+                self._add("lost", f"{error}; it had {part.extent}")
             yield
         self._check_rest()
 
@@ -242,23 +251,22 @@ class _SessionCheck:
                 self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
 
     def _check_journal(self) -> None:
-        from storage.orphan_parts import missing_segments  # noqa: PLC0415 - imports pyarrow
-
         if self.recording or not (self.folder / JOURNAL).exists():
             return
         self._add("repairable", "has a journal: slipflow recover turns it into parts")
         for text in missing_segments(self.folder, self.about):
             self._add("lost" if self.listed or segments(self.folder) else "lossy", text)
-        logs, single = [*segments(self.folder).items()], single_log(self.folder)
-        logs += [(journal_segment.SINGLE_LOG, single)] if single.exists() else []
+        logs, single = segments(self.folder), single_log(self.folder)
         session = str(self.about.get("session", self.name))
-        for number, path in logs:
+        for number, path in [*logs.items(), *([(SINGLE, single)] if single.exists() else [])]:
             try:
-                data = files.read(path, journal_segment.WHOLE)
-                damage = journal_segment.read_segment(data, str(path), session, number).damage
+                with SegmentReader(path, session, number) as reader:
+                    for _ in reader.rows():
+                        pass
             except InputError as error:
                 self._add("lost", str(error))
                 continue
+            damage = reader.damage
             if damage and damage.more:
                 self._add("lost", f"{path.name}: is damaged at byte {damage.offset}")
             elif damage:
@@ -296,13 +304,13 @@ class _SessionCheck:
 
     def _check_unlisted(self) -> list[str]:
         """Check unlisted files; return all existing files except duplicates."""
-        from storage import orphan_parts, parts, schema  # noqa: PLC0415 - they import pyarrow
+        from storage import parts, schema  # noqa: PLC0415 - they import pyarrow
 
         existing = list[str]()
         for table in TABLES:
             found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]
-            paths = sorted(found, key=orphan_parts.part_number)
-            kept = orphan_parts.without_duplicates(self.folder, table, paths, self.listed)
+            paths = sorted(found, key=part_number)
+            kept = parts.without_duplicates(self.folder, table, paths, self.listed)
             for path in paths:
                 if path not in kept:
                     self._add("repairable", f"{path} has duplicate rows: slipflow recover moves it away")
@@ -320,8 +328,6 @@ class _SessionCheck:
 
     def _check_missing(self, paths: list[str]) -> None:
         """Check for parts and rows that are in no file, except losses that a recovery has recorded."""
-        from storage.orphan_parts import missing_parts, missing_rows  # noqa: PLC0415 - imports pyarrow
-
         recovered = cast("dict[str, Any]", self.about.get("recovered", {}))
         known: list[str] = recovered.get("lost", [])
         for path in missing_parts(paths):

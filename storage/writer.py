@@ -4,11 +4,9 @@ import os
 import weakref
 from collections import Counter
 from collections.abc import Generator
-from contextlib import contextmanager
-from functools import partial
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from shutil import rmtree
-from threading import Lock
 
 from operators.batch import EVERY, Batch, Zeroed
 from operators.errors import EndpointError, ParameterError, os_error_reason
@@ -16,8 +14,7 @@ from operators.ports import Run
 from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
-from storage.journal import Journal
-from storage.journal_segment import NumberedRows
+from storage.journal import APPEND_AT, Journal, NumberedRows
 from storage.layout import SESSIONS, TABLE_OF, TABLES, TOUCH, Table, session_folder
 from storage.lock import lock
 from storage.manifest import Part, write_manifest
@@ -26,11 +23,12 @@ from storage.schema import to_arrow
 
 
 class SessionWriter:
-    """Writer of one session. Only `full`, `add` and `begin_commit` do not wait for the disk.
+    """Writer of one session, for a caller that decides when to append, sync and commit; it has no threads.
 
-    All tables are committed together, so that their parts cover the same time. The rows of a live run are
-    in a journal until then. A replay can be repeated: its files are made durable together before the
-    session ends.
+    Only `full`, `add` and `begin_commit` do not wait for the disk. `append`, `sync` and `commit` may run in
+    other threads, each once at a time. All tables are committed together, so that their parts cover the same
+    time. The rows of a live run are in a journal until then. A replay can be repeated: its files are made
+    durable together before the session ends.
 
     Args:
         root: Folder of the dataset.
@@ -56,14 +54,10 @@ class SessionWriter:
             table.name: Buffer(table.kind) for table in self._tables if not table.parted
         }
         self._committing: dict[str, Buffer] | None = None  # buffers of the commit in progress
-        self._rotated = False  # the journal has begun its next segment for that commit
-        self.failed = False  # the last commit failed: it must succeed before more rows are added
+        self._restart = False  # the commit in progress restarts the journal
+        self._failed = False  # the last commit failed: it must succeed before more rows are added
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
-        self._buffering = Lock()  # guards the buffers; never held during disk work
-        self._writing = (
-            Lock()
-        )  # held by a commit, whose thread continues if the task that awaits it is cancelled
         self._journal: Journal | None = None
         self._deferred = None if run.live else files.DeferredSync()
         self._put = self._deferred.put if self._deferred else files.put
@@ -98,6 +92,26 @@ class SessionWriter:
         """True if buffered rows survive a crash: then commits run in the background."""
         return self._journal is not None
 
+    @property
+    def exclusive(self) -> bool:
+        """True if no rows may be added or appended while the rows of `begin_commit` are committed."""
+        return self._failed or self._restart or not self._journal
+
+    @property
+    def waiting(self) -> bool:
+        """True if rows are not in the journal yet."""
+        return bool(self._journal and self._journal.waiting)
+
+    @property
+    def urgent(self) -> bool:
+        """True if so many rows wait that they should be appended at once."""
+        return bool(self._journal and self._journal.waiting >= APPEND_AT)
+
+    @property
+    def unsynced(self) -> bool:
+        """True if `sync` has something to make durable."""
+        return bool(self._journal and self._journal.unsynced and not self._journal.suspect)
+
     def full(self, batch: Batch) -> bool:
         """Return true if a commit is needed before `batch` is added.
 
@@ -116,7 +130,7 @@ class SessionWriter:
             reason = f"{buffer.kind.__name__}: a session has either raw or zeroed counts"
             raise ParameterError("Dataset", "batch", kind.__name__, reason)
         rows = len(batch.check())
-        if self.failed or (self._journal and self._journal.suspect):
+        if self._failed or (self._journal and self._journal.suspect):
             return True
         if not rows or not table.parted or buffer is None or not buffer.rows:
             return False
@@ -127,44 +141,55 @@ class SessionWriter:
         """Buffer a batch, for which `full` was false, until the next commit.
 
         Returns:
-            False if the journal is busy and the batch was not buffered: `append` waits for it.
+            False if too many rows wait for the journal and the batch was not buffered: `append` it.
         """
-        if not len(batch):
-            return True
-        with self._buffering:
+        if len(batch):
             buffer = self._buffer(batch)
             if self._journal and not self._journal.add(NumberedRows(buffer.end, batch)):
                 return False
             buffer.add(batch)
         return True
 
-    def append(self, batch: Batch) -> None:
-        """Buffer a batch as `add` does, after it has been appended to the journal.
+    def append(self, batch: Batch | None = None) -> None:
+        """Append the waiting rows to the journal, then a batch that `add` refused; then buffer it.
 
         Raises:
-            EndpointError: if it cannot be written; it was not buffered.
+            EndpointError: if they cannot be written; the batch was not buffered.
         """
-        assert self._journal, "without a journal, add never refuses"
-        with self._reporting(), self._journal.held():
-            buffer = self._buffer(batch)
-            self._journal.append(NumberedRows(buffer.end, batch))
-            with self._buffering:
-                self._buffer(batch).add(batch)
+        assert self._journal, "without a journal no rows wait"
+        with self._reporting():
+            if batch is None:
+                self._journal.append()
+            else:
+                buffer = self._buffer(batch)
+                self._journal.append(NumberedRows(buffer.end, batch))
+                buffer.add(batch)
+
+    def sync(self) -> None:
+        """Make the journal durable.
+
+        Raises:
+            EndpointError: if that fails; the next commit writes the rows again from memory.
+        """
+        assert self._journal, "only a journal is made durable"
+        with self._reporting():
+            self._journal.sync()
 
     def begin_commit(self, *, final: bool = False) -> None:
         """Select the buffered rows for the next commit; single-file tables only if it is `final`."""
-        if self._committing is None:
-            tables = [table for table in TABLES if table.parted or final]
-            with self._buffering:
-                found = {table.name: self._buffers.get(table.name) for table in tables}
-                self._committing = {
-                    name: buffer
-                    for name, buffer in found.items()
-                    if buffer is not None and (buffer.rows or (final and self._needs_empty_file(name)))
-                }
-                for name, buffer in self._committing.items():
-                    self._buffers[name] = Buffer(buffer.kind, buffer.end)
-            self._rotated = final  # no rows are left
+        if self._committing is not None:
+            return
+        found = {table.name: self._buffers.get(table.name) for table in TABLES if table.parted or final}
+        self._committing = {
+            name: buffer
+            for name, buffer in found.items()
+            if buffer is not None and (buffer.rows or (final and self._needs_empty_file(name)))
+        }
+        for name, buffer in self._committing.items():
+            self._buffers[name] = Buffer(buffer.kind, buffer.end)
+        if self._journal:
+            self._restart = self._journal.suspect and not final
+            self._journal.begin_commit()
 
     def commit(self, *, final: bool = False) -> None:
         """Write the selected rows, by default all buffered ones, as parts, then the manifest.
@@ -172,14 +197,14 @@ class SessionWriter:
         Raises:
             EndpointError: rows that could not be committed are kept for the next try.
         """
-        with self._writing, self._reporting():
+        with self._reporting():
             try:
                 self.begin_commit(final=final)
-                self._commit_selected()
+                self._commit_selected(final=final)
             except BaseException:
-                self.failed = True
+                self._failed = True
                 raise
-            self.failed = False
+            self._failed = False
 
     def close(self) -> None:
         """Commit all rows, end the session and release it.
@@ -188,7 +213,8 @@ class SessionWriter:
             EndpointError: it may be called again.
         """
         if self._journal:
-            self._journal.stop()
+            with suppress(OSError):  # they are committed from memory
+                self._journal.append()
         if self._committing is not None:
             self.commit()
         self.commit(final=True)
@@ -214,26 +240,20 @@ class SessionWriter:
         """Return true if a single-file table has no rows and its file is not written yet."""
         return not TABLE_OF[self._buffers[table].kind].parted and not self._numbers[table]
 
-    def _kept(self, *, parted: bool) -> list[NumberedRows]:
-        """Return the rows that are not being committed, of multi-part or of single-file tables."""
-        with self._buffering:
-            kept = [each for each in self._buffers.values() if TABLE_OF[each.kind].parted is parted]
-            return [rows for buffer in kept for rows in buffer.numbered()]
-
-    def _commit_selected(self) -> None:
+    def _commit_selected(self, *, final: bool) -> None:
         """Commit in an order that keeps all rows in a listed part or in the journal at each step."""
         assert self._committing is not None, "begin_commit comes first"
-        if self._journal and not self._rotated:
-            self._journal.rotate(partial(self._kept, parted=True), partial(self._kept, parted=False))
-            self._rotated = True
         for table in TABLES:
             if buffer := self._committing.get(table.name):
                 self._commit_rows(table, buffer)
                 del self._committing[table.name]
         write_manifest(self.folder, self._parts, self._put)
-        if self._journal:
-            self._journal.drop()
-        self._committing = None
+        if self._journal and self._restart:
+            single = [each for each in self._buffers.values() if not TABLE_OF[each.kind].parted]
+            self._journal.restart(rows for buffer in single for rows in buffer.numbered())
+        elif self._journal and not final:
+            self._journal.rotate()
+        self._committing, self._restart = None, False
 
     def _commit_rows(self, table: Table, buffer: Buffer) -> None:
         rows = to_arrow(table, buffer.batches() or [buffer.kind.empty()])
@@ -258,6 +278,6 @@ class SessionWriter:
 def _release(journal: Journal | None, held: int | None) -> None:
     """Release a session, even if it was never closed."""
     if journal:
-        journal.leave()
+        journal.close()
     if held is not None:
         os.close(held)

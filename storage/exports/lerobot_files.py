@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from storage.parts import flat
+from storage.schema import flat
 
 DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 TASKS: Final = "meta/tasks.parquet"

@@ -8,12 +8,10 @@ from pathlib import Path
 from shutil import rmtree
 from threading import get_ident
 from typing import Any, get_args
-from unittest.mock import patch
 
 import numpy as np
 
 from operators import SlipflowError, concat
-from storage import journal, steps
 from storage.writer import SessionWriter
 from tests.chaos.numbered import alike
 from tests.chaos.power import Disk, Tail, end
@@ -21,6 +19,7 @@ from tests.chaos.processes import scratch
 from tests.chaos.promise import Promise
 from tests.chaos.scale import Scale
 from tests.chaos.session import NAME, STREAMS, begin, read, row, write
+from tests.storage.disk_steps import observed
 
 STEP = 64  # bytes
 SYNC = 13  # rows of each stream, after which they are made durable; parts do not end with them
@@ -177,18 +176,13 @@ def _watched(folder: Path, fail: Callable[[Disk], None]) -> Generator[Disk]:
             fail(disk)
             failing = False
 
-    with (
-        disk.watched(),
-        patch.object(steps, "reach", reach),
-        patch.object(journal, "SYNC_INTERVAL", 3600.0),  # s: only when told
-    ):
+    with disk.watched(), observed(reach):
         yield disk
 
 
 def _make_durable(writer: SessionWriter) -> None:
     """All rows that were written, now."""
-    inside: Any = writer
-    inside._journal.sync()
+    writer.sync()
 
 
 def _chance(random: np.random.Generator, chance: float) -> bool:

@@ -3,7 +3,8 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,15 @@ from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 from storage import Dataset, Session, verify
 from storage.description import describe_session
 from storage.layout import session_names
+from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch, new_run
+
+
+@pytest.fixture
+def disk() -> Iterator[ExitStack]:
+    """What is entered here ends with the test."""
+    with ExitStack() as stack:
+        yield stack
 
 
 def record(dataset: Dataset, run: Run, batches: Iterable[Any]) -> None:
@@ -281,20 +290,19 @@ def test_the_disk_is_never_touched_in_the_thread_of_the_event_loop(
 
 
 async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spoils_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     writing, go_on = threading.Event(), threading.Event()
 
     def wait(step: str) -> None:
-        if step == "rename part":
+        if step == "rename new part":
             writing.set()
             assert go_on.wait(60)
 
     dataset = Dataset(tmp_path, part_span=s)
     await dataset.open(new_run(live=False))
     await dataset.write(new_batch(Touch))
-    with monkeypatch.context() as patch:
-        patch.setattr("storage.steps.reach", wait)
+    with observed(wait):
         task = asyncio.create_task(dataset.write(new_batch(Touch, start=2 * s)))
         assert await asyncio.to_thread(writing.wait, 60)
         task.cancel()
@@ -307,18 +315,18 @@ async def test_a_write_without_a_journal_that_is_cancelled_takes_nothing_and_spo
 
 
 async def test_a_live_recording_continues_while_a_commit_waits_for_the_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, disk: ExitStack
 ) -> None:
     writing, go_on = threading.Event(), threading.Event()
 
     def wait(step: str) -> None:
-        if step == "sync part":
+        if step == "fsync new part":
             writing.set()
             assert go_on.wait(60)
 
     dataset = Dataset(tmp_path, part_span=100 * ms)
     await dataset.open(new_run())
-    monkeypatch.setattr("storage.steps.reach", wait)
+    disk.enter_context(observed(wait))
     for number in range(19):
         await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
     assert await asyncio.to_thread(writing.wait, 60)
@@ -335,12 +343,12 @@ async def test_a_live_recording_continues_while_a_commit_waits_for_the_disk(
 
 
 async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, disk: ExitStack
 ) -> None:
     go_on, took = threading.Event(), list[int]()
 
     def wait(step: str) -> None:
-        if step == "append frames":
+        if step == "write_at segment":
             assert go_on.wait(60)
 
     async def write(dataset: Dataset, ten: asyncio.Event) -> None:
@@ -352,7 +360,7 @@ async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
 
     dataset = Dataset(tmp_path)
     await dataset.open(new_run())
-    monkeypatch.setattr("storage.steps.reach", wait)
+    disk.enter_context(observed(wait))
     ten = asyncio.Event()
     writing = asyncio.create_task(write(dataset, ten))
     await ten.wait()
@@ -365,20 +373,18 @@ async def test_a_stuck_disk_holds_up_the_writer_but_not_the_event_loop(
     assert len(Session.open(tmp_path).frame("touch")) == 30
 
 
-def test_a_full_disk_is_reported_at_each_write_and_loses_no_row(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_reported_at_each_write_and_loses_no_row(tmp_path: Path, disk: ExitStack) -> None:
     full = False
 
     def reach(step: str) -> None:
-        if full and not step.startswith("drop"):
+        if full and not step.startswith(("unlink", "remove")):
             raise OSError(28, "No space left on device")
 
     async def main() -> None:
         nonlocal full
         dataset, reasons = Dataset(tmp_path, part_span=100 * ms), list[str]()
         await dataset.open(new_run())
-        monkeypatch.setattr("storage.steps.reach", reach)
+        disk.enter_context(observed(reach))
         for number in range(60):
             batch = new_batch(Touch, 3, start=number * 30 * ms, seed=number)
             full = number % 20 in range(5, 15)

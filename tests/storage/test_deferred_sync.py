@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from storage import steps
 from storage.files import DeferredSync
+from tests.storage.disk_steps import observed
 
 
 @pytest.fixture
@@ -42,17 +42,17 @@ def test_files_are_in_place_at_once_and_durable_after_settle(
 
 
 def test_all_files_are_durable_before_any_folder_is_asked_for(
-    deferred: DeferredSync, synced: set[str], monkeypatch: pytest.MonkeyPatch
+    deferred: DeferredSync, synced: set[str], tmp_path: Path
 ) -> None:
     before = list[set[str]]()
 
     def note(step: str) -> None:
-        if step.startswith("sync name of"):
+        if step == f"fsync {tmp_path.name}":
             before.append(set(synced))
 
-    monkeypatch.setattr(steps, "reach", note)
-    deferred.settle()
-    assert before[0] == {"part-000000.parquet", "MANIFEST.json"}
+    with observed(note):
+        deferred.settle()
+    assert before == [{"part-000000.parquet", "MANIFEST.json"}]
 
 
 def test_after_a_failed_fsync_files_are_written_again(

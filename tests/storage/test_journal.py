@@ -1,278 +1,247 @@
-import os
-import threading
+import json
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
-from operators.batch import Batch, Motion, Slips, Touch
-from storage import journal_segment, steps
-from storage.journal import APPEND_AT, MAX_WAITING, Journal
-from storage.journal_segment import NumberedRows, read_segment
-from storage.layout import segments, single_log
+from operators.batch import (
+    Batch,
+    Clocks,
+    Episodes,
+    Faults,
+    Labelled,
+    Motion,
+    Slips,
+    Touch,
+    Truth,
+    Zeroed,
+    columns,
+)
+from operators.errors import InputError
+from operators.ports import Description
+from storage import append_log, journal
+from storage.append_log import AppendLog
+from storage.journal import MAX_WAITING, SINGLE, Journal, NumberedRows, SegmentReader, missing_segments
+from storage.layout import segment_file, segments, single_log
+from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch
 
-
-class Steps:
-    """Tells when the journal has done something, and can hold or fail what it does."""
-
-    def __init__(self) -> None:
-        self.reached = threading.Semaphore(0)
-        self.go_on = threading.Event()
-        self.go_on.set()
-        self.failing = False
-
-    def __call__(self, step: str) -> None:
-        if step == "append frames":
-            self.reached.release()
-            assert self.go_on.wait(60)
-            if self.failing:
-                raise OSError(28, "No space left on device")
-
-    def wait(self) -> None:
-        """Until it appends next."""
-        assert self.reached.acquire(timeout=60)
+KINDS = [Touch, Zeroed, Motion, Labelled, Slips, Faults, Clocks, Episodes, Truth]
 
 
 @pytest.fixture
-def step(monkeypatch: pytest.MonkeyPatch) -> Steps:
-    found = Steps()
-    monkeypatch.setattr(steps, "reach", found)
+def written(tmp_path: Path) -> Iterator[Journal]:
+    made = Journal(tmp_path, "one")
+    yield made
+    made.close()
+
+
+def rows(path: Path, number: int) -> list[NumberedRows]:
+    with SegmentReader(path, "one", number) as reader:
+        found = list(reader.rows())
+        assert reader.damage is None
     return found
 
 
-@pytest.fixture
-def journal(tmp_path: Path, step: Steps) -> Iterator[Journal]:
-    made = Journal(tmp_path, "one")
-    yield made
-    step.go_on.set()
-    step.failing = False
-    made.leave()
-
-
-def singles(folder: Path) -> list[tuple[int, int]]:
-    """First row and rows of each frame of a single-file table."""
-    segment = read_segment(single_log(folder).read_bytes(), "", "one", journal_segment.SINGLE_LOG)
-    return [(rows.first, len(rows.batch)) for rows in segment.rows]
-
-
 def found(folder: Path) -> list[tuple[str, int, int]]:
-    """Type, first row and rows of each frame."""
+    """Type, first row and rows of each record of the multi-part tables."""
     return [
-        (type(rows.batch).__name__, rows.first, len(rows.batch))
+        (type(each.batch).__name__, each.first, len(each.batch))
         for number, path in segments(folder).items()
-        for rows in read_segment(path.read_bytes(), str(path), "one", number).rows
+        for each in rows(path, number)
     ]
 
 
-def test_added_rows_are_appended_in_the_background(journal: Journal, step: Steps, tmp_path: Path) -> None:
-    assert journal.add(NumberedRows(0, new_batch(Touch, 1)))
-    step.wait()
-    with journal.held():
-        assert found(tmp_path) == [("Touch", 0, 1)]
+def singles(folder: Path) -> list[tuple[int, int]]:
+    return [(each.first, len(each.batch)) for each in rows(single_log(folder), SINGLE)]
 
 
-def test_rows_that_wait_are_appended_at_once_when_there_are_some(
-    tmp_path: Path, step: Steps, monkeypatch: pytest.MonkeyPatch
+def fail_appends(step: str) -> None:
+    if step == "write_at segment":
+        raise OSError(28, "No space left on device")
+
+
+def bits(batch: Batch) -> list[bytes]:
+    return [getattr(batch, name).tobytes() for name in columns(type(batch))]
+
+
+def one_by_one(kind: type[Batch], given: list[NumberedRows]) -> list[tuple[int, int, object]]:
+    """Rows of a kind: those that follow each other may have come to share a record."""
+    return [
+        (first + row, batch.finger, bits(batch[row : row + 1]))
+        for first, batch in given
+        if type(batch) is kind
+        for row in range(len(batch))
+    ]
+
+
+@given(drawn=st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 9), st.integers(0, 2**40))))
+@example(drawn=[(Touch, 1, 7), (Touch, 1, 8), (Touch, 3, 11), (Touch, 2, 9)])
+def test_rows_come_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, drawn: list[tuple[type[Batch], int, int]]
 ) -> None:
-    monkeypatch.setattr("storage.journal.APPEND_INTERVAL", 3600.0)
-    journal = Journal(tmp_path, "one")
-    for number in range(APPEND_AT):
-        assert journal.add(NumberedRows(number, new_batch(Touch, 1)))
-    step.wait()
-    with journal.held():
-        assert found(tmp_path) == [("Touch", 0, APPEND_AT)]
-    journal.leave()
+    written = [
+        NumberedRows(first, new_batch(kind, count, finger=count % 3, seed=count))
+        for kind, count, first in drawn
+    ]
+    path = tmp_path_factory.getbasetemp() / "000003.wal"
+    AppendLog.create(path, journal.identity("one", 3), journal.encode(written)).close()
+    read = rows(path, 3)
+    for kind in KINDS:
+        assert one_by_one(kind, read) == one_by_one(kind, written)
 
 
-def test_no_more_than_ten_rows_of_a_table_wait_for_a_stuck_disk(journal: Journal, step: Steps) -> None:
-    step.go_on.clear()
-    took = [journal.add(NumberedRows(number, new_batch(Touch, 1))) for number in range(2 * MAX_WAITING)]
+def test_a_large_batch_becomes_several_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(append_log, "LIMIT", 3000)
+    made = Journal(tmp_path, "one")
+    batch = new_batch(Motion, 200)
+    made.append(NumberedRows(7, batch))
+    read = rows(tmp_path / segment_file(0), 0)
+    assert [each.first for each in read] == [7 + 26 * n for n in range(len(read))]
+    assert one_by_one(Motion, read) == one_by_one(Motion, [NumberedRows(7, batch)])
+    made.close()
+
+
+def test_no_more_than_ten_rows_of_a_table_wait(written: Journal, tmp_path: Path) -> None:
+    took = [written.add(NumberedRows(number, new_batch(Touch, 1))) for number in range(2 * MAX_WAITING)]
     assert took == [True] * MAX_WAITING + [False] * MAX_WAITING
-    assert journal.add(NumberedRows(0, new_batch(Motion, MAX_WAITING)))
-    assert not journal.add(NumberedRows(0, new_batch(Slips, MAX_WAITING + 1)))
-
-
-def test_rows_beyond_the_limit_wait_for_earlier_ones(journal: Journal, step: Steps, tmp_path: Path) -> None:
-    step.go_on.clear()
-    assert journal.add(NumberedRows(0, new_batch(Touch, MAX_WAITING)))
-    step.wait()
-    waiter = threading.Thread(target=journal.append, args=[NumberedRows(MAX_WAITING, new_batch(Touch, 100))])
-    waiter.start()
-    assert found(tmp_path) == []
-    step.go_on.set()
-    waiter.join(60)
-    assert found(tmp_path) == [("Touch", 0, MAX_WAITING), ("Touch", MAX_WAITING, 100)]
-    assert journal.add(NumberedRows(110, new_batch(Touch, MAX_WAITING)))
+    assert written.add(NumberedRows(0, new_batch(Motion, MAX_WAITING)))
+    assert not written.add(NumberedRows(0, new_batch(Slips, MAX_WAITING + 1)))
+    assert (written.waiting, found(tmp_path)) == (MAX_WAITING, [])
+    written.append(NumberedRows(MAX_WAITING, new_batch(Touch, 100)))
+    assert found(tmp_path) == [("Touch", 0, MAX_WAITING + 100), ("Motion", 0, MAX_WAITING)]
+    assert written.waiting == 0
+    assert written.add(NumberedRows(110, new_batch(Touch, MAX_WAITING)))
 
 
 def test_a_full_disk_refuses_rows_until_there_is_room_and_loses_and_repeats_none(
-    journal: Journal, step: Steps, tmp_path: Path
+    written: Journal, tmp_path: Path
 ) -> None:
-    step.failing = True
-    assert journal.add(NumberedRows(0, new_batch(Touch, APPEND_AT)))
-    step.wait()
-    for _ in range(3):
-        with pytest.raises(OSError, match="No space left"):
-            journal.append(NumberedRows(APPEND_AT, new_batch(Touch, 1)))
-        assert not journal.add(NumberedRows(APPEND_AT, new_batch(Touch, 1)))
-    step.failing = False
-    journal.append(NumberedRows(APPEND_AT, new_batch(Touch, 2)))
-    assert found(tmp_path) == [("Touch", 0, APPEND_AT + 2)]
-    assert journal.add(NumberedRows(APPEND_AT + 2, new_batch(Touch, 1)))
+    assert written.add(NumberedRows(0, new_batch(Touch, 5)))
+    with observed(fail_appends):
+        for _ in range(3):
+            with pytest.raises(OSError, match="No space left"):
+                written.append(NumberedRows(5, new_batch(Touch, 1)))
+            assert not written.add(NumberedRows(5, new_batch(Touch, 1)))
+    written.append(NumberedRows(5, new_batch(Touch, 2)))
+    assert found(tmp_path) == [("Touch", 0, 7)]
+    assert written.add(NumberedRows(7, new_batch(Touch, 1)))
 
 
-def test_a_new_segment_begins_with_the_rows_that_stay_and_the_old_goes_when_it_may(
-    journal: Journal, tmp_path: Path
+def test_rows_that_cannot_be_appended_to_both_segments_are_in_neither(
+    written: Journal, tmp_path: Path
 ) -> None:
-    kept = [NumberedRows(3, new_batch(Slips, 2))]
-    journal.append(NumberedRows(0, new_batch(Touch, 4)), *kept)
-    journal.rotate(lambda: kept, list)
-    assert list(segments(tmp_path)) == [0, 1]
-    journal.append(NumberedRows(4, new_batch(Touch, 1)))
-    journal.drop()
-    assert list(segments(tmp_path)) == [1]
-    assert found(tmp_path) == [("Slips", 3, 2), ("Touch", 4, 1)]
+    assert written.add(NumberedRows(0, new_batch(Touch, 1)))
+    with observed(fail_appends), pytest.raises(OSError, match="No space left"):
+        written.append(NumberedRows(0, new_batch(Slips, 1)))
+    assert singles(tmp_path) == []
+    written.append(NumberedRows(0, new_batch(Slips, 3)))
+    assert (singles(tmp_path), found(tmp_path)) == ([(0, 3)], [("Touch", 0, 1)])
 
 
-def test_rows_that_wait_while_a_new_segment_is_begun_are_in_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_segment_is_deleted_when_the_commit_after_its_last_row_is_complete(
+    written: Journal, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("storage.journal.APPEND_INTERVAL", 3600.0)
-    journal, touch = Journal(tmp_path, "one"), [new_batch(Touch, 1) for _ in range(3)]
-    for number in range(3):
-        assert journal.add(NumberedRows(number, touch[number]))
-    journal.rotate(
-        lambda: [NumberedRows(2, touch[2])], list
-    )  # the others are to be committed, and may not be yet
-    assert found(tmp_path) == [("Touch", 0, 3), ("Touch", 2, 1)]
-    assert journal.add(NumberedRows(3, touch[0]))
-    journal.rotate(
-        lambda: [NumberedRows(2, new_batch(Touch, 2))], list
-    )  # one of them is in the segment before
-    journal.drop()
-    assert found(tmp_path) == [("Touch", 2, 2), ("Touch", 3, 1)]
-    journal.leave()
+    written.append(NumberedRows(0, new_batch(Slips, 2)))
+    for number in range(4):
+        written.append(NumberedRows(2 * number, new_batch(Touch, 1)))
+        written.begin_commit()
+        written.append(NumberedRows(2 * number + 1, new_batch(Touch, 1)))  # not committed
+        written.rotate()
+        assert list(segments(tmp_path)) == [number, number + 1]
+    assert found(tmp_path) == [("Touch", 6, 1), ("Touch", 7, 1)]
+    assert singles(tmp_path) == [(0, 2)]
 
 
-def test_a_segment_that_cannot_be_begun_leaves_the_old_one_in_use(
-    journal: Journal, step: Steps, tmp_path: Path
-) -> None:
-    journal.append(NumberedRows(0, new_batch(Touch, 1)))
-    step.failing = True
-    with pytest.raises(OSError, match="No space left"):
-        journal.rotate(lambda: [NumberedRows(0, new_batch(Touch, 1))], list)
-    step.failing = False
-    journal.append(NumberedRows(1, new_batch(Touch, 1)))
-    assert found(tmp_path) == [("Touch", 0, 1), ("Touch", 1, 1)]
-    journal.rotate(list, list)
-    journal.drop()
-    assert found(tmp_path) == []
+def test_a_failed_rotation_can_be_repeated(written: Journal, tmp_path: Path) -> None:
+    def fail(step: str) -> None:
+        if step == failing:
+            raise OSError(28, "No space left on device")
+
+    written.begin_commit()
+    written.rotate()
+    written.begin_commit()
+    for failing in ("unlink segment", "create_file new segment", ""):
+        with observed(fail), suppress(OSError):
+            written.rotate()
+            assert not failing
+        written.append(NumberedRows(0, new_batch(Touch, 1)))
+    assert list(segments(tmp_path)) == [1, 2]
+    assert [each[0] for each in found(tmp_path)] == ["Touch"] * 3
 
 
-def test_a_slow_fsync_does_not_delay_appends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    syncing, go_on, fsync = threading.Event(), threading.Event(), os.fsync
+def test_after_a_restart_only_the_given_rows_are_journalled(written: Journal, tmp_path: Path) -> None:
+    def fail(step: str) -> None:
+        if step == "fsync segment":
+            raise OSError(5, "Input/output error")
 
-    def slow(file: int) -> None:
-        if threading.current_thread() is not threading.main_thread():
-            syncing.set()
-            assert go_on.wait(60)
-        fsync(file)
-
-    monkeypatch.setattr("storage.journal.SYNC_INTERVAL", 0.001)
-    monkeypatch.setattr(os, "fsync", slow)
-    journal = Journal(tmp_path, "one")
-    journal.append(NumberedRows(0, new_batch(Touch, 1)))
-    assert syncing.wait(60)
-    for number in range(1, 50):
-        journal.append(NumberedRows(number, new_batch(Touch, 1)))
-    assert len(found(tmp_path)) == 50
-    go_on.set()
-    journal.leave()
-
-
-def test_an_fsync_that_fails_is_remembered_until_there_is_a_new_segment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    failed = threading.Event()
-
-    def fail(_: int) -> None:
-        failed.set()
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr("storage.journal.SYNC_INTERVAL", 0.001)
-    journal = Journal(tmp_path, "one")
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", fail)
-        journal.append(NumberedRows(0, new_batch(Touch, 1)))
-        assert failed.wait(60)
-        journal.stop()
-    suspect = [journal.suspect]
-    journal.rotate(list, list)
-    assert [*suspect, journal.suspect] == [True, False]
-    journal.leave()
-
-
-def test_its_threads_end_with_it_and_waiting_rows_are_written(tmp_path: Path) -> None:
-    before = threading.active_count()
-    journal, batch = Journal(tmp_path, "one"), list[Batch]([new_batch(Touch, 1)])
-    assert threading.active_count() == before + 2
-    assert journal.add(NumberedRows(0, batch[0]))
-    journal.leave()
-    assert threading.active_count() == before
-    assert found(tmp_path) == [("Touch", 0, 1)]
-    journal.remove()
+    slips = NumberedRows(0, new_batch(Slips, 4))
+    written.append(slips)
+    assert written.add(NumberedRows(0, new_batch(Touch, 4)))
+    with observed(fail), pytest.raises(OSError, match="Input/output"):
+        written.sync()
+    assert written.suspect
+    written.begin_commit()
+    written.restart([slips])
+    assert (written.suspect, written.waiting) == (False, 0)
+    assert (singles(tmp_path), found(tmp_path), list(segments(tmp_path))) == ([(0, 4)], [], [1])
+    written.append(NumberedRows(4, new_batch(Touch, 1)))
+    written.sync()
+    written.remove()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_rows_of_a_table_of_one_file_are_appended_once_and_outlive_the_segments(
-    journal: Journal, tmp_path: Path
+def test_a_journal_of_the_previous_format_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "000000.wal"
+    path.write_bytes(b"SLIPWAL1" + bytes(100))
+    with pytest.raises(InputError, match="by an earlier slipflow, this one reads version 4: recover it with"):
+        SegmentReader(path, "one", 0)
+
+
+CHANGES: list[tuple[dict[str, Any], str]] = [
+    ({"version": 3}, "has version 3, this slipflow reads version 4: recover it with the software named in"),
+    ({"session": "two"}, "is segment 3 of session 'two'; move it back there"),
+    ({"segment": 4}, "is segment 4 of session 'one'"),
+    ({"kinds": [{"batch": "Touch", "columns": []}]}, "has Touch rows with unknown columns"),
+    ({"kinds": [{"batch": "Taste", "columns": []}]}, "has Taste rows with unknown columns"),
+    ({"kinds": 3}, "has an invalid description"),
+    ({"kinds": [[]]}, "has an invalid description"),
+]
+
+
+@pytest.mark.parametrize(("changes", "complaint"), CHANGES)
+def test_segments_of_other_versions_are_refused(
+    tmp_path: Path, changes: dict[str, object], complaint: str
 ) -> None:
-    def refuse() -> list[NumberedRows]:
-        raise AssertionError
-
-    for number in range(3):
-        journal.append(NumberedRows(2 * number, new_batch(Slips, 2)))
-        journal.rotate(list, refuse)
-        journal.drop()
-    assert singles(tmp_path) == [(0, 2), (2, 2), (4, 2)]
-    assert found(tmp_path) == []
+    about: dict[str, Any] = json.loads(journal.identity("one", 3)) | changes
+    AppendLog.create(tmp_path / "000003.wal", json.dumps(about).encode()).close()
+    with pytest.raises(InputError, match=rf"000003\.wal: {complaint}"):
+        SegmentReader(tmp_path / "000003.wal", "one", 3)
 
 
-def test_after_a_failed_fsync_rows_are_written_again_from_memory(
-    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@given(records=st.lists(st.binary(max_size=80)), identity=st.none() | st.binary())
+def test_any_content_of_a_log_is_rows_or_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, records: list[bytes], identity: bytes | None
 ) -> None:
-    def fail(_: int) -> None:
-        raise OSError(5, "Input/output error")
-
-    slips = new_batch(Slips, 4)
-    journal.append(NumberedRows(0, slips))
-    before = single_log(tmp_path).stat().st_ino
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "fsync", fail)
-        with pytest.raises(OSError, match="Input/output"):
-            journal.sync()
-    suspect = [journal.suspect]
-    journal.rotate(list, lambda: [NumberedRows(0, slips)])
-    assert [*suspect, journal.suspect] == [True, False]
-    assert singles(tmp_path) == [(0, 4)]
-    assert single_log(tmp_path).stat().st_ino != before
+    path = tmp_path_factory.getbasetemp() / "any.wal"
+    own = journal.identity("one", 0) if identity is None else identity
+    AppendLog.create(path, own, records).close()
+    with suppress(InputError), SegmentReader(path, "one", 0) as reader:
+        assert all(isinstance(each, NumberedRows) for each in reader.rows())
 
 
-def test_rows_that_cannot_be_appended_to_both_are_in_neither(
-    journal: Journal, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(step: str) -> None:
-        if step == "append frames":
-            raise OSError(28, "No space left on device")
-
-    with journal.held():
-        assert journal.add(NumberedRows(0, new_batch(Touch, 1)))
-        with monkeypatch.context() as patch:
-            patch.setattr(steps, "reach", fail)
-            with pytest.raises(OSError, match="No space left"):
-                journal.append(NumberedRows(0, new_batch(Slips, 1)))
-        assert singles(tmp_path) == []
-        journal.append(NumberedRows(0, new_batch(Slips, 3)))
-    assert singles(tmp_path) == [(0, 3)]
-    assert found(tmp_path) == [("Touch", 0, 1)]
+def test_missing_segments_are_found_between_others_and_if_there_are_none(tmp_path: Path) -> None:
+    closed: Description = {"end_ns": 5}
+    assert missing_segments(tmp_path, {}) == []
+    (tmp_path / "journal").mkdir()
+    assert "has no segment" in missing_segments(tmp_path, {})[0]
+    assert missing_segments(tmp_path, closed) == []
+    for number in (4, 7):
+        (tmp_path / segment_file(number)).touch()
+    gone = [f"journal/{name}.wal: is missing, with its rows" for name in ("000005", "000006", "single")]
+    assert missing_segments(tmp_path, {}) == gone
+    assert missing_segments(tmp_path, closed) == gone[:2]

@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 
 from operators.errors import InputError
 from storage.layout import MOTION
-from storage.manifest import Part, damaged_parts, read_manifest, write_manifest
+from storage.manifest import (
+    Part,
+    damaged_parts,
+    missing_parts,
+    missing_rows,
+    read_manifest,
+    write_manifest,
+)
 
 GOOD: dict[str, Any] = {
     "path": "touch/part-000000.parquet",
@@ -117,3 +124,33 @@ def test_a_damaged_manifest_still_hints_at_the_parts_of_its_whole_lines(tmp_path
     assert list(damaged_parts(tmp_path).values()) == parts[1:]
     path.unlink()
     assert damaged_parts(tmp_path) == {}
+
+
+PARTS = [Part(f"touch/part-{number:06d}.parquet", 10, 0, 9, "0" * 64) for number in range(3)]
+SLIPS = Part("slips.parquet", 5, 0, 9, "0" * 64)
+
+
+@pytest.mark.parametrize(
+    ("sinks", "told"),
+    [
+        ({"dataset": {"rows": 35, "records": True}}, ""),
+        ({"dataset": {"rows": 34, "records": True}}, ""),
+        (
+            {"lab": {"rows": 1039, "records": True}, "mqtt": {"rows": 9999, "records": False}},
+            "1,004 of the 1,039 recorded rows",
+        ),
+        ({"one": {"rows": 40, "records": True}, "two": {"rows": 40, "records": True}}, ""),  # unknown which
+        ({"dataset": 3}, ""),
+        ([], ""),
+    ],
+)
+def test_rows_that_no_part_holds_are_counted(sinks: Any, told: str) -> None:  # noqa: ANN401 - what JSON may hold
+    text = missing_rows({"sinks": sinks}, [*PARTS, SLIPS])
+    assert bool(text) == bool(told)
+    assert text.startswith(told)
+
+
+def test_parts_are_missed_by_their_numbers_in_each_table() -> None:
+    paths = ["touch/part-000002.parquet", "motion/part-000001.parquet", "motion/part-000000.parquet"]
+    assert missing_parts(paths) == ["touch/part-000000.parquet", "touch/part-000001.parquet"]
+    assert missing_parts([]) == []

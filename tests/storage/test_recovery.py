@@ -8,6 +8,7 @@ from operators.errors import EndpointError, InputError
 from storage import Dataset, Session, recover, verify
 from storage.lock import lock
 from storage.manifest import read_manifest
+from tests.storage.disk_steps import observed
 from tests.storage.made import leave, new_run, rows, side_by_side
 
 BATCHES = side_by_side(5)
@@ -69,23 +70,19 @@ def test_a_journal_of_another_slipflow_is_refused_and_nothing_is_changed(
     left: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
-    monkeypatch.setattr("storage.journal_segment.VERSION", 7)
-    with pytest.raises(InputError, match=r"\.wal: has version 3, this slipflow reads version 7"):
+    monkeypatch.setattr("storage.journal.VERSION", 7)
+    with pytest.raises(InputError, match=r"\.wal: has version 4, this slipflow reads version 7"):
         recover(left)
     assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
 
 
-def test_a_disk_that_is_full_leaves_all_as_it_was_for_another_try(
-    left: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_full_leaves_all_as_it_was_for_another_try(left: Path) -> None:
     def fail(step: str) -> None:
-        if step == "sync manifest":
+        if step == "fsync new manifest":
             raise OSError(28, "No space left on device")
 
-    with monkeypatch.context() as patch:
-        patch.setattr("storage.steps.reach", fail)
-        with pytest.raises(EndpointError, match="cannot be recovered: No space left on device"):
-            recover(left)
+    with observed(fail), pytest.raises(EndpointError, match="cannot be recovered: No space left on device"):
+        recover(left)
     done = recover(left)
     assert done.rows["touch"] == 10
     assert rows(left, BATCHES) == [25] * 5

@@ -217,7 +217,8 @@ def record(root: Path, run: Run, batches: Sequence[Batch]) -> SessionWriter:
     for batch in batches:
         if writer.full(batch):
             writer.commit()
-        assert writer.add(batch)
+        if not writer.add(batch):
+            writer.append(batch)
     return writer
 
 

@@ -36,21 +36,21 @@ def test_a_dataset_that_is_all_there_is_good_and_its_rows_are_counted(dataset: P
     assert verify(dataset / "sessions/two").rows == 25
 
 
-@pytest.mark.parametrize("seed", range(200))
-def test_a_flipped_bit_in_any_listed_file_or_the_manifest_is_found(
-    whole: Path, tmp_path: Path, seed: int
-) -> None:
+def test_a_flipped_bit_in_any_listed_file_or_the_manifest_is_found(whole: Path, tmp_path: Path) -> None:
     folder = tmp_path / "one"
     copytree(whole / "sessions/one", folder)
-    paths = [folder / "MANIFEST.json", *sorted(folder.rglob("*.parquet"))]
-    path = paths[seed % len(paths)]
-    data = bytearray(path.read_bytes())
-    data[seed * 7919 % len(data)] ^= 1 << seed % 8
-    path.write_bytes(data)
-    found = verify(folder)
-    assert found.code == 1 or read_manifest(folder) == read_manifest(whole / "sessions/one")
-    if found.code:
-        assert path.name in found.findings[0].text
+    listed = read_manifest(folder)
+    for path in [folder / "MANIFEST.json", *sorted(folder.rglob("*.parquet"))]:
+        data = path.read_bytes()
+        for seed in range(6):
+            flipped = bytearray(data)
+            flipped[(seed * 7919 + 31) % len(data)] ^= 1 << seed
+            path.write_bytes(flipped)
+            found = verify(folder)
+            assert found.code == 1 or read_manifest(folder) == listed
+            if found.code:
+                assert path.name in found.findings[0].text
+        path.write_bytes(data)
 
 
 @pytest.mark.parametrize("left", ["MANIFEST.json", "touch/part-000000.parquet", "journal/000000.wal"])

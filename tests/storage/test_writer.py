@@ -1,9 +1,8 @@
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from threading import Lock
+from shutil import copytree
 
 import polars as pl
 import pytest
@@ -11,38 +10,15 @@ import pytest
 from operators.batch import EVERY, Batch, Episodes, Faults, Touch, concat, ms
 from operators.errors import EndpointError
 from operators.ports import Run
-from storage.journal_segment import SINGLE_LOG, read_segment
+from storage.journal import SINGLE, SegmentReader
 from storage.layout import single_log
 from storage.session import Session
 from storage.writer import SessionWriter
+from tests.storage.disk_steps import each_kind, observed, steps_of
 from tests.storage.made import STREAMS, new_episodes, new_run, rows, same, side_by_side
 
 SIX: list[tuple[type[Batch], int]] = [*STREAMS, (Faults, 1)]
 BATCHES = side_by_side(4, SIX)
-
-
-class Killed(BaseException):
-    """What the process does at this step is its last."""
-
-
-@dataclass
-class Disk:
-    """Numbers the steps of a recording, each fsync and each rename, and calls `before` ahead of each."""
-
-    before: Callable[[int], None]
-    step: int = field(default=0, init=False)
-
-    def watch(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        for name in ("fsync", "replace"):
-            monkeypatch.setattr(os, name, self._watched(getattr(os, name)))
-
-    def _watched(self, real: Callable[..., None]) -> Callable[..., None]:
-        def call(*args: object) -> None:
-            self.step += 1
-            self.before(self.step)
-            real(*args)
-
-        return call
 
 
 def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
@@ -65,6 +41,9 @@ def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
             failures += 1
         else:
             todo.pop(0)
+        with suppress(EndpointError):
+            if writer.unsynced:
+                writer.sync()
     try:
         writer.close()
     except EndpointError:
@@ -80,99 +59,72 @@ def rows_found(folder: Path, batches: Sequence[Batch]) -> int:
     return sum(rows(folder, batches, SIX))
 
 
-def test_a_failure_at_any_step_costs_nothing_but_a_second_try(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(step: int) -> None:
-        if step == last:
-            raise OSError(28, "No space left on device")
+@pytest.mark.parametrize("live", [True, False])
+def test_a_failure_at_any_step_costs_nothing_but_a_second_try(tmp_path: Path, *, live: bool) -> None:
+    steps = steps_of(partial(record, tmp_path / "whole", new_run(live=live), BATCHES))
+    assert len(steps) > 60
+    for number in each_kind(steps, every=20):
+        reached, root = list[str](), tmp_path / str(number)
 
-    last, failures = 0, 1
-    while failures:
-        last += 1
-        root = tmp_path / str(last)
-        with monkeypatch.context() as patch:
-            Disk(fail).watch(patch)
-            failures = record(root, new_run(live=False), BATCHES)
-        assert rows_found(root, BATCHES) == sum(map(len, BATCHES))
-        assert Session.open(root).about["complete"] is True
-        assert list(root.rglob("*.tmp")) == []
-    assert last > 30
-
-
-def test_with_a_journal_too_a_failure_at_any_step_costs_nothing_but_a_second_try(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    counting, reached, last = Lock(), list[str](), 0
-
-    def fail(step: str) -> None:
-        with counting:
+        def fail(step: str, reached: list[str] = reached, number: int = number) -> None:
             reached.append(step)
-            failing = len(reached) == last
-        if failing:
-            raise OSError(28, "No space left on device")
+            if len(reached) - 1 == number:
+                raise OSError(28, "No space left on device")
 
-    while len(reached) >= last:
-        last += 1
-        reached.clear()
-        root = tmp_path / str(last)
-        with monkeypatch.context() as patch:
-            patch.setattr("storage.steps.reach", fail)
-            record(root, new_run(), BATCHES)
-        assert rows_found(root, BATCHES) == sum(map(len, BATCHES)), last
+        with observed(fail):
+            record(root, new_run(live=live), BATCHES)
+        assert rows_found(root, BATCHES) == sum(map(len, BATCHES)), steps[number]
         assert Session.open(root).about["complete"] is True
         assert list(root.rglob("*.tmp")) == []
         assert not (root / "sessions/one/journal").exists()
-    assert last > 60
 
 
-def test_a_kill_at_any_step_leaves_whole_parts_and_a_dataset_that_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def kill(step: int) -> None:
-        if step == last:
-            raise Killed
+def test_after_a_failed_fsync_rows_are_committed_or_journalled_again_from_memory(tmp_path: Path) -> None:
+    def fail(step: str) -> None:
+        if step == "fsync segment":
+            raise OSError(5, "Input/output error")
 
-    found, last, done = [0], 0, False
-    while not done:
-        last += 1
-        root = tmp_path / str(last)
-        with monkeypatch.context() as patch, suppress(Killed):
-            Disk(kill).watch(patch)
-            record(root, new_run(live=False), BATCHES)
-            done = True
-        if (root / "sessions/one/session.json").exists():
-            found.append(rows_found(root / "sessions/one", BATCHES))
-        record(root, new_run("two", live=False), BATCHES[:6])
-        assert rows_found(root / "sessions/two", BATCHES[:6]) == 30
-    assert found == sorted(found)
-    assert found[-1] == sum(map(len, BATCHES))
+    writer, written = _open(tmp_path, new_run()), BATCHES[:12]
+    for batch in written:
+        writer.append(batch)
+    with observed(fail), pytest.raises(EndpointError, match="Input/output"):
+        writer.sync()
+    before = {path.name: path.stat().st_ino for path in (writer.folder / "journal").iterdir()}
+    assert (writer.full(BATCHES[-1]), writer.unsynced) == (True, False)
+    writer.commit()
+    assert not writer.full(BATCHES[-1])
+    after = {path.name: path.stat().st_ino for path in (writer.folder / "journal").iterdir()}
+    assert after.keys() == {"000001.wal", "single.wal"}
+    assert after["single.wal"] != before["single.wal"]
+    copytree(writer.folder, tmp_path / "copy")
+    assert rows_found(tmp_path / "copy", BATCHES) == sum(map(len, written))
+    writer.close()
 
 
-def test_a_reader_sees_only_whole_parts_at_any_step_of_the_writer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found: list[int] = []
+def test_a_reader_sees_only_whole_parts_at_any_step_of_the_writer(tmp_path: Path) -> None:
+    found, looking = list[int](), False
 
-    def look(_: int) -> None:
-        if (tmp_path / "sessions/one/session.json").exists():
+    def look(_: str) -> None:
+        nonlocal looking
+        if not looking and (tmp_path / "sessions/one/session.json").exists():
+            looking = True  # reading may take steps, too
             found.append(rows_found(tmp_path, BATCHES))
+            looking = False
 
-    Disk(look).watch(monkeypatch)
-    record(tmp_path, new_run(live=False), BATCHES)
+    with observed(look):
+        record(tmp_path, new_run(live=False), BATCHES)
     assert found == sorted(found)
     assert len(set(found)) > 6
 
 
 def test_a_disk_that_stays_full_keeps_no_more_in_memory_and_loses_nothing_that_was_taken(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    def fail(_: int) -> None:
+    def fail(_: str) -> None:
         raise OSError(28, "No space left on device")
 
     writer, taken = _open(tmp_path, new_run(live=False)), list[Batch]()
-    with monkeypatch.context() as patch:
-        Disk(fail).watch(patch)
+    with observed(fail):
         for batch in BATCHES:
             with suppress(EndpointError):
                 if writer.full(batch):
@@ -188,13 +140,12 @@ def test_episodes_of_a_live_run_are_in_the_journal_until_the_session_ends(tmp_pa
     writer = _open(tmp_path, new_run())
     written = [new_episodes((n * 100 * ms, (n + 1) * 100 * ms, "tap")) for n in range(4)]
     for episode in written:
-        writer.add(episode)
+        writer.append(episode)
         writer.commit()
     assert Session.open(writer.folder).tables == ()
-    found = read_segment(single_log(writer.folder).read_bytes(), "", "one", SINGLE_LOG)
-    assert [(rows.first, rows.batch.time.item()) for rows in found.rows] == [
-        (n, n * 100 * ms) for n in range(4)
-    ]
+    with SegmentReader(single_log(writer.folder), "one", SINGLE) as reader:
+        found = [(rows.first, rows.batch.time.item()) for rows in reader.rows()]
+    assert found == [(n, n * 100 * ms) for n in range(4)]
     writer.close()
     [episodes] = Session.open(tmp_path).read(Episodes, EVERY)
     same(episodes, concat(Episodes, written))

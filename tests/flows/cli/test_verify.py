@@ -20,7 +20,7 @@ from tests.command import slipflow
 def record(root: Path, session: str, *, close: bool) -> Path:
     writer = SessionWriter(root, Run(session, "slip", EventClock(0), 0), 10**12, 1000)
     six = np.zeros((5, BAROMETERS), np.int16)
-    assert writer.add(Touch(np.arange(5) * 10 * ms, six, six, six == 0, finger=0))
+    writer.append(Touch(np.arange(5) * 10 * ms, six, six, six == 0, finger=0))
     if close:
         writer.close()
     return writer.folder

@@ -1,0 +1,123 @@
+"""Steps of storage on the disk, which tests observe, fail, hold up, or end the process at."""
+
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+from operators.batch import BAROMETERS, Batch, Episodes, Motion, Slips, Touch, ms
+from operators.ports import Run
+from storage import files
+from storage.journal import APPEND_AT
+from storage.writer import SessionWriter
+from tests.storage.made import new_episodes
+
+ROWS = 45  # of each stream
+SYNC_EVERY = 7  # rows
+KINDS = {".parquet": "part", ".wal": "segment"}
+CHANGES = (
+    "write_at",
+    "fsync",
+    "truncate",
+    "rename",
+    "unlink",
+    "create_folder",
+    "remove_folder",
+    "create_file",
+)
+
+
+class Ended(BaseException):
+    """The process ends here: nothing that follows changes the disk."""
+
+
+@contextmanager
+def observed(reach: Callable[[str], None]) -> Generator[None]:
+    """Call `reach` with the name of each step before it changes the disk."""
+
+    def wrapped(name: str, real: Callable[..., object]) -> Callable[..., object]:
+        def call(where: Path | int, *rest: object, **named: object) -> object:
+            path = where if isinstance(where, Path) else Path(f"/proc/self/fd/{where}").readlink()
+            reach(f"{name} {_kind(path)}")
+            return real(where, *rest, **named)
+
+        return call
+
+    with ExitStack() as stack:
+        for name in CHANGES:
+            stack.enter_context(patch.object(files, name, wrapped(name, getattr(files, name))))
+        yield
+
+
+def steps_of(work: Callable[[], object]) -> list[str]:
+    """Return the steps of a piece of work."""
+    found = list[str]()
+    with observed(found.append):
+        work()
+    return found
+
+
+def end_at(number: int, work: Callable[[], object]) -> None:
+    """Do a piece of work up to a step."""
+    reached = 0
+
+    def reach(_: str) -> None:
+        nonlocal reached
+        reached += 1
+        if reached > number:
+            raise Ended
+
+    with observed(reach), suppress(Ended):
+        work()
+
+
+def each_kind(steps: list[str], turns: tuple[int, ...] = (0, 2), every: int = 9) -> Iterator[int]:
+    """Yield the first and third step of each name, and every ninth of all."""
+    for number, step in enumerate(steps):
+        if steps[:number].count(step) in turns or number % every == 0:
+            yield number
+
+
+def row(kind: type[Batch], number: int) -> Batch:
+    """Return row `number` of a stream."""
+    time = np.array([number * 10 * ms])
+    six = np.full((1, BAROMETERS), number)
+    if kind is Touch:
+        return Touch(time, six.astype(np.int16), six.astype(np.int16), six > 0, finger=0)
+    if kind is Motion:
+        return Motion(time, time, six.astype(float), six.astype(float))
+    if kind is Slips:
+        return Slips(time, np.array([number % 2], np.int8), time, np.array([number / 100]), finger=0)
+    return new_episodes((number * 10 * ms, (number + 1) * 10 * ms, "tap"))
+
+
+def record(root: Path, run: Run, taken: list[int]) -> None:
+    """Record as a sink does, without its tasks; `taken` gets the number of each row that was accepted."""
+    root.mkdir()
+    writer = SessionWriter(root, run, part_span=100 * ms, part_rows=8)
+    for number in range(ROWS):
+        for kind in (Touch, Motion, Slips, Episodes):
+            batch = row(kind, number)
+            while writer.full(batch):
+                writer.commit()
+            if not writer.add(batch):
+                writer.append(batch)
+        if writer.journalled and number % APPEND_AT == APPEND_AT - 1:
+            writer.append()
+        if writer.journalled and number % SYNC_EVERY == 0:
+            writer.sync()
+        taken.append(number)
+    writer.close()
+
+
+def _kind(path: Path) -> str:
+    """Return the kind of a file or folder.
+
+    >>> _kind(Path("touch/part-000000.parquet.tmp")), _kind(Path("session.json"))
+    ('new part', 'session')
+    """
+    new = path.suffix == files.SCRATCH
+    path = path.with_suffix("") if new else path
+    return ("new " if new else "") + KINDS.get(path.suffix, path.stem.lower())
