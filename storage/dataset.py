@@ -3,15 +3,14 @@
 import asyncio
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
 from operators.checks import check_at_least
 from operators.errors import EndpointError
 from operators.ports import Run, Sink
-
-if TYPE_CHECKING:
-    from storage.writer import SessionWriter
+from storage import arrow
+from storage.writer import SessionWriter
 
 Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
 
@@ -141,7 +140,7 @@ class Dataset(Sink[Recordable]):
                 loop = asyncio.get_running_loop()
                 self._timer = loop.call_later(APPEND_INTERVAL, self._append, writer)
 
-    def _append(self, writer: "SessionWriter", batch: Recordable | None = None) -> "asyncio.Future[None]":
+    def _append(self, writer: SessionWriter, batch: Recordable | None = None) -> "asyncio.Future[None]":
         self._cancel_timer()
         loop = asyncio.get_running_loop()
         self._appending = loop.run_in_executor(None, writer.append, batch)
@@ -158,14 +157,14 @@ class Dataset(Sink[Recordable]):
             self._timer.cancel()
         self._timer = None
 
-    async def _sync_often(self, writer: "SessionWriter") -> None:
+    async def _sync_often(self, writer: SessionWriter) -> None:
         while True:
             await asyncio.sleep(SYNC_INTERVAL)
             if writer.unsynced:
                 with suppress(EndpointError):  # the next write commits all rows from memory
                     await asyncio.to_thread(writer.sync)
 
-    async def _commit(self, writer: "SessionWriter") -> None:
+    async def _commit(self, writer: SessionWriter) -> None:
         """Commit the buffered rows, in the background if the journal has them."""
         if self._committing and not self._committing.done():
             await asyncio.wait([self._committing])
@@ -181,16 +180,15 @@ class Dataset(Sink[Recordable]):
             self._append_soon()
             self._committing.result()
 
-    async def _run_commit(self, writer: "SessionWriter") -> None:
+    async def _run_commit(self, writer: SessionWriter) -> None:
         if self._appending:  # to a segment that the commit may delete
             await asyncio.wait([self._appending])
             if writer.exclusive:
                 self._cancel_timer()
         await asyncio.to_thread(writer.commit)
 
-    def _begin(self, run: Run) -> "SessionWriter":
-        from storage.writer import SessionWriter  # noqa: PLC0415 - imports pyarrow
-
+    def _begin(self, run: Run) -> SessionWriter:
+        arrow.load()
         return SessionWriter(self._root, run, self._part_span, self._part_rows, self._host)
 
 

@@ -1,15 +1,15 @@
 """Parquet files of a session: written atomically, verified when read."""
 
+from __future__ import annotations  # they name classes of pyarrow
+
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, cast
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from operators.errors import EndpointError, InputError
 from storage import files
+from storage.arrow import pa, pq
 from storage.layout import Table, inside
 from storage.manifest import Part, part_number
 from storage.schema import flat, schema, time_schema, times
@@ -217,11 +217,11 @@ def _check_columns(path: Path, found: pa.Schema, expected: pa.Schema) -> None:
             raise InputError(str(path), reason)
 
 
-def _fields(schema: pa.Schema) -> "list[pa.Field[Any]]":
+def _fields(schema: pa.Schema) -> list[pa.Field[Any]]:
     return list(schema)
 
 
-def _unit(field: "pa.Field[Any]") -> str:
+def _unit(field: pa.Field[Any]) -> str:
     return (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
 
 

@@ -1,15 +1,37 @@
 """Recovery of a session whose recorder was killed, or whose files were damaged."""
 
 import os
-from collections.abc import Generator, Mapping
+from collections import Counter
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Final, cast
 
-from operators.errors import EndpointError, os_error_reason
-from storage.description import read_session
-from storage.layout import JOURNAL, check_links
+from operators.batch import Batch, Zeroed
+from operators.errors import EndpointError, InputError, os_error_reason
+from operators.ports import Description
+from storage import files
+from storage.append_log import Damage
+from storage.arrow import pa
+from storage.buffer import Buffer
+from storage.description import describe_recovery, read_session
+from storage.journal import SINGLE, SegmentReader, delete_journal, missing_segments
+from storage.layout import DAMAGED, JOURNAL, MANIFEST, TABLES, TOUCH, Table, check_links, segments, single_log
 from storage.lock import lock
+from storage.manifest import (
+    Part,
+    damaged_parts,
+    missing_parts,
+    missing_rows,
+    part_number,
+    read_manifest,
+    write_manifest,
+)
+from storage.parts import commit_part, duplicate_reason, inspect_part, read_part
+from storage.schema import batch_type, schema, to_arrow
+
+PART_ROWS: Final = 100_000  # of a part made from the journal
 
 
 @dataclass(frozen=True)
@@ -56,9 +78,7 @@ def recover(folder: str | Path) -> Recovery:
     about = read_session(folder)
     try:
         with _exclusive(folder):
-            from storage.session_recovery import SessionRecovery  # noqa: PLC0415 - imports pyarrow
-
-            return SessionRecovery(folder, about).finish()
+            return _SessionRecovery(folder, about).finish()
     except OSError as error:
         raise EndpointError(str(folder), f"cannot be recovered: {os_error_reason(error)}") from error
 
@@ -79,3 +99,265 @@ def _exclusive(folder: Path) -> Generator[None]:
     finally:
         for number in reversed(held):
             os.close(number)
+
+
+class _SessionRecovery:
+    """Recovery of one locked session: the constructor examines it and changes nothing, `finish` repairs it.
+
+    Raises:
+        InputError: if the journal has another version, or a link leads out of the session.
+    """
+
+    def __init__(self, folder: Path, about: Description) -> None:
+        self._folder, self._about, self._session = folder, about, str(about["session"])
+        self._lost, self._cut, self._done = list[str](), list[str](), list[str]()  # as in `Recovery`
+        self._adopted: list[str] = []
+        self._journalled = (folder / JOURNAL).is_dir()
+        self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
+        self._known_lost: list[str] = self._before.get("lost", [])
+        self._known_cut: list[str] = self._before.get("cut", [])
+        self._doubtful: dict[str, str] = {}  # reason by table whose last file is unlisted and unreadable
+        self._with_gaps: set[str] = set()  # tables with an unreadable file that the journal cannot replace
+        self._unreadable: set[str] = set()  # files of tables
+        self._aside: list[Path] = []  # files to be moved to `damaged`
+        self._listed, self._damaged_list = dict[str, Part](), dict[str, Part]()  # of the manifest, by path
+        self._rewrite = not (folder / MANIFEST).exists()
+        try:
+            self._listed |= read_manifest(folder)
+        except InputError:
+            self._rewrite = True
+            self._damaged_list |= damaged_parts(folder)
+        self._listed_before = dict(self._listed)
+        self._parts = {table.name: self._find_parts(table) for table in TABLES}
+        self._logs, single = segments(folder), single_log(folder)
+        self._newest = [next(reversed(self._logs.values()), None), single]
+        self._logs |= {SINGLE: single} if single.exists() else {}
+        self._rows = Counter[str]()  # that the journal adds, by table
+        self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
+        self._empty = list[Table]()  # single-file tables without rows whose file is still missing
+        self._read_journal()
+        self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
+        self._find_missing()
+
+    def finish(self) -> Recovery:
+        """Repair the session.
+
+        Raises:
+            OSError: it may be tried again.
+        """
+        before = {table.name: _count(self._listed_of(table)) for table in TABLES}
+        self._commit_journal()
+        after = {name: _count(parts) for name, parts in self._parts.items()}
+        found = {name: rows - before[name] for name, rows in after.items() if rows > before[name]}
+        parts = self._all_parts()
+        rewritten = self._rewrite or {part.path: part for part in parts} != self._listed_before
+        if rewritten and not found:
+            self._done.append("its manifest was rewritten")
+        if self._journalled and not found:
+            self._done.append("its journal was deleted: all its rows are in parts")
+        lost = tuple(each for each in self._lost if each not in self._known_lost)
+        result = Recovery(
+            self._session, found, tuple(self._adopted), lost, tuple(self._cut), tuple(self._done)
+        )
+        self._describe(result)
+        if rewritten:
+            self._keep_manifest()
+            write_manifest(self._folder, parts)
+        return replace(result, done=(*result.done, *self._clean_up()))
+
+    def _all_parts(self) -> list[Part]:
+        return [part for each in self._parts.values() for part in each]
+
+    def _listed_of(self, table: Table) -> list[Part]:
+        return [self._listed[path] for path in sorted(filter(table.has, self._listed), key=part_number)]
+
+    def _find_parts(self, table: Table) -> list[Part]:
+        """Return the listed parts of a table and the unlisted complete ones."""
+        parts = self._listed_of(table)
+        existing = {path.relative_to(self._folder).as_posix() for path in self._folder.glob(table.pattern)}
+        for path in sorted(existing - {part.path for part in parts}, key=part_number):
+            try:
+                part = inspect_part(self._folder, path, table)
+                duplicate = duplicate_reason(self._folder, table, part, parts)
+            except InputError as error:
+                self._add_unreadable(table, path, error, last=path == max(existing, key=part_number))
+                continue
+            if duplicate:
+                self._aside.append(self._folder / path)
+                self._done.append(f"{duplicate}: it is kept in {DAMAGED!r}")
+                continue
+            parts.append(part)
+            self._adopted.append(path)
+        return sorted(parts, key=lambda part: part_number(part.path))
+
+    def _add_unreadable(self, table: Table, path: str, error: InputError, *, last: bool) -> None:
+        """Note an unreadable, unlisted file; the journal still has the rows of a table's last file."""
+        self._aside.append(self._folder / path)
+        self._unreadable.add(path)
+        if last and segments(self._folder):
+            self._doubtful[table.name] = f"{table.name}: {error}"
+        else:
+            self._with_gaps.add(table.name)
+            self._lost.append(f"{table.name}: {error}")
+
+    def _find_missing(self) -> None:
+        """Note missing parts, missing rows of a closed session, and a missing journal."""
+        parts = self._all_parts()
+        hashes = {part.sha256 for part in parts}
+        paths = {part.path for part in parts} | self._unreadable
+        for path, part in self._damaged_list.items():
+            if not (self._folder / path).exists() and part.sha256 not in hashes:
+                self._lost.append(f"{path}: is missing: {part.extent}")
+        reported = " ".join([*self._lost, *self._known_lost])
+        missing = [path for path in missing_parts(paths) if path not in reported]
+        self._lost += [f"{path}: is missing, and not in the manifest" for path in missing]
+        if self._rewrite and not self._journalled and (text := missing_rows(self._about, parts)):
+            self._lost.append(text)
+        if "end_ns" in self._about:
+            return
+        if not parts and not self._rows:
+            self._done.append("was not closed, and has no rows")
+        elif not self._journalled:
+            self._cut.append("was not closed and has no journal: rows after its last part are missing")
+            self._lost += self._cut[-1:]
+
+    def _read_journal(self) -> None:
+        """Count the rows of the journal that follow those in parts."""
+        missing = missing_segments(self._folder, self._about)
+        self._lost += missing if any(self._parts.values()) or segments(self._folder) else []
+        damages = dict[Path, Damage | None]()
+        for table, rows in self._journal_rows(damages):
+            self._rows[table.name] += len(rows)
+        for path, damage in damages.items():
+            self._add_damage(path, damage, last=path in self._newest)
+        for name, rows_left in self._left_out.items():
+            follow = _count(self._parts[name]) + self._rows[name]
+            self._lost.append(f"{name}: {rows_left} rows that do not follow row {follow}")
+        if self._left_out:
+            self._aside += [path for path in self._logs.values() if path not in self._aside]
+        elif SINGLE in self._logs and self._logs[SINGLE] not in self._aside:
+            self._empty += [table for table in TABLES if self._is_empty(table)]
+
+    def _journal_rows(self, damages: dict[Path, Damage | None]) -> Iterator[tuple[Table, Batch]]:
+        """Yield the rows that follow those in parts, up to the first missing row of each table.
+
+        Count the others in `_left_out`, and note the damage of each segment.
+        """
+        next_row = {name: _count(parts) for name, parts in self._parts.items()}
+        self._left_out.clear()
+        for number, path in self._logs.items():
+            with SegmentReader(path, self._session, number) as reader:
+                for rows in reader.rows():
+                    table, end = rows.table, rows.first + len(rows.batch)
+                    name, next_of_table = table.name, next_row[rows.table.name]
+                    if name in self._left_out or name in self._with_gaps or rows.first > next_of_table:
+                        self._left_out[name] += len(rows.batch)
+                    elif end > next_of_table:
+                        next_row[name] = end
+                        yield table, rows.batch[next_of_table - rows.first :]
+                damages[path] = reader.damage
+
+    def _commit_journal(self) -> None:
+        """Commit the rows of the journal, with no more than a part of each multi-part table in memory."""
+        buffers = {table.name: Buffer(table.kind) for table in self._empty}
+        for table, rows in self._journal_rows({}):
+            buffer = buffers.setdefault(table.name, Buffer(type(rows)))
+            for start in range(0, len(rows), PART_ROWS):
+                some = rows[start : start + PART_ROWS]
+                if table.parted and buffer.rows + len(some) > PART_ROWS:
+                    self._commit(table, buffer)
+                    buffer = buffers[table.name] = Buffer(type(rows))
+                buffer.add(some)
+        for table in TABLES:
+            if table.name in buffers:
+                self._commit(table, buffers[table.name])
+
+    def _is_empty(self, table: Table) -> bool:
+        """Return true for a single-file table that session.json declares and that got no rows."""
+        name = table.name
+        known = self._parts[name] or name in {*self._rows, *self._doubtful, *self._with_gaps}
+        return not table.parted and not known and name in cast("list[str]", self._about.get("tables", []))
+
+    def _add_damage(self, path: Path, damage: Damage | None, *, last: bool) -> None:
+        """Note the damage of a segment; `last` if it is the newest segment or the single-file log."""
+        if damage:
+            reason = "whole frames follow" if damage.more else "the recorder was cut off there"
+            self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")
+            self._aside += [path] if damage.more else []
+            self._cut += self._lost[-1:] if last and not damage.more else []
+
+    def _commit(self, table: Table, buffer: Buffer) -> None:
+        """Write rows as the next part, or as the one file after the rows that it has."""
+        rows = to_arrow(table, buffer.batches() or [buffer.kind.empty()])
+        parts = self._parts[table.name]
+        if table.parted:
+            files.make_folder(self._folder / table.name)
+            number = 1 + max((part_number(part.path) for part in parts), default=-1)
+            parts.append(commit_part(self._folder, table.file(number), rows))
+        else:
+            before = [read_part(self._folder / part.path, schema(table), part.sha256) for part in parts]
+            whole = pa.concat_tables([*before, rows])
+            self._parts[table.name] = [commit_part(self._folder, table.file(0), whole)]
+
+    def _describe(self, result: Recovery) -> None:
+        """Record the recovery in session.json."""
+        found = bool(result.rows or result.adopted)
+        if not (found or result.lost) and (self._before or "end_ns" in self._about):
+            return
+        rows, adopted = self._before.get("rows", {}), self._before.get("adopted", [])
+        if found:
+            rows, adopted = result.rows, list(result.adopted)
+        describe_recovery(
+            self._folder,
+            self._about,
+            {
+                "rows": dict(rows),
+                "adopted": adopted,
+                "lost": [*self._known_lost, *result.lost],
+                "cut": [*self._known_cut, *(each for each in result.cut if each not in self._known_cut)],
+            },
+            newest=max((part.last for part in self._all_parts() if part.rows), default=None),
+            zeroed=self._zeroed(),
+        )
+
+    def _zeroed(self) -> bool:
+        """Return true if touch was recorded zeroed."""
+        touch = self._parts[TOUCH.name]
+        if not touch:
+            return False
+        try:
+            return batch_type(read_part(self._folder / touch[0].path, schema(TOUCH))) is Zeroed
+        except InputError:
+            return False
+
+    def _keep_manifest(self) -> None:
+        """Copy a damaged manifest to `damaged` before it is rewritten."""
+        path = self._folder / MANIFEST
+        if self._rewrite and path.exists():
+            files.make_folder(self._folder / DAMAGED)
+            files.put(self._folder / DAMAGED / MANIFEST, files.read(path))
+
+    def _clean_up(self) -> list[str]:
+        """Delete temporary files and the journal, move files to `damaged`; return lines for `done`."""
+        deleted = 0
+        for pattern in ("*", "*/*"):
+            for path in self._folder.glob(pattern + files.SCRATCH):
+                if path.parent.name != JOURNAL:
+                    files.unlink(path)
+                    deleted += 1
+        if self._aside:
+            files.make_folder(self._folder / DAMAGED)
+        kept = {part.path for part in self._all_parts()}
+        for path in self._aside:
+            name = path.relative_to(self._folder).as_posix()
+            if path.exists() and name not in kept:
+                files.rename(path, self._folder / DAMAGED / name.replace("/", "-"))
+        if self._aside:
+            files.sync(self._folder / DAMAGED)
+        if (self._folder / JOURNAL).is_dir():
+            delete_journal(self._folder)
+        return [f"{deleted} incomplete files were deleted"] if deleted else []
+
+
+def _count(parts: Iterable[Part]) -> int:
+    return sum(part.rows for part in parts)

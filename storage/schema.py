@@ -4,15 +4,17 @@ Arrays become FixedSizeLists, codes with names become dictionaries of strings. U
 the fields.
 """
 
+from __future__ import annotations  # they name classes of pyarrow
+
 from collections.abc import Sequence
 from typing import Any, Final, cast
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from operators.batch import EVERY, Batch, Column, columns
 from operators.errors import BatchError
+from storage.arrow import pa
 from storage.layout import TABLE_OF, Table
 
 _KINDS: Final = {kind.__name__: kind for kind in TABLE_OF}
@@ -109,21 +111,21 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
     }
 
 
-def flat(column: "pa.ChunkedArray[Any]") -> "pa.Array[Any]":
+def flat(column: pa.ChunkedArray[Any]) -> pa.Array[Any]:
     """Return the values of a column in one array; FixedSizeLists are flattened."""
     array: Any = column.combine_chunks()
     values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
     return values
 
 
-def _fields(table: Table) -> "list[pa.Field[Any]]":
+def _fields(table: Table) -> list[pa.Field[Any]]:
     fields = [_field(name, each) for name, each in table.columns.items()]
     if table.finger:
         fields.insert(1, pa.field("finger", pa.int16(), nullable=False))
     return fields
 
 
-def _field(name: str, column: Column) -> "pa.Field[Any]":
+def _field(name: str, column: Column) -> pa.Field[Any]:
     element: pa.DataType = pa.from_numpy_dtype(column.dtype)
     if column.names:
         element = pa.dictionary(cast("Any", element), pa.string())
@@ -131,7 +133,7 @@ def _field(name: str, column: Column) -> "pa.Field[Any]":
     return pa.field(name, kind, nullable=False, metadata={"unit": column.unit} if column.unit else None)
 
 
-def _array(values: NDArray[Any], names: Sequence[str]) -> "pa.Array[Any]":
+def _array(values: NDArray[Any], names: Sequence[str]) -> pa.Array[Any]:
     array: pa.Array[Any] = pa.array(values.reshape(-1))
     if names:
         array = cast("Any", pa.DictionaryArray).from_arrays(array, pa.array(names))

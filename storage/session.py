@@ -12,6 +12,8 @@ from operators.batch import Batch
 from operators.checks import check_at_least
 from operators.errors import EndpointError, InputError
 from operators.ports import Description, SomeBatch
+from storage import schema
+from storage.arrow import pa
 from storage.description import read_session
 from storage.layout import (
     JOURNAL,
@@ -28,11 +30,11 @@ from storage.layout import (
 )
 from storage.lock import locked
 from storage.manifest import Part, read_manifest
+from storage.parts import read_part, without_duplicates
 from storage.recovery import recover
 
 if TYPE_CHECKING:
     import polars as pl
-    import pyarrow as pa
 
 log = logging.getLogger("slipflow")
 
@@ -151,9 +153,6 @@ class Session:
             InputError: as `read`, or if there is no such table.
         """
         import polars as pl  # noqa: PLC0415 - slow to import
-        import pyarrow as pa  # noqa: PLC0415 - slow to import
-
-        from storage import schema  # noqa: PLC0415 - imports pyarrow
 
         parts: list[pa.Table] = []
         for each in TABLES:
@@ -170,8 +169,6 @@ class Session:
 
     def _parts(self, kind: type[Batch]) -> Iterator[_Part]:
         """Yield the parts with rows of `kind`."""
-        from storage import schema  # noqa: PLC0415 - imports pyarrow
-
         table = TABLE_OF.get(kind)
         if table is None:
             return
@@ -188,8 +185,6 @@ class Session:
 
     def _part_fingers(self, table: Table) -> Iterator[_PartFingers]:
         """Yield type and fingertips of each part of a table."""
-        from storage import schema  # noqa: PLC0415 - imports pyarrow
-
         before: type[Batch] | None = None
         for path in self._paths(table):
             rows = self._rows(path, schema.finger_schema(table))
@@ -198,8 +193,6 @@ class Session:
 
     def _kind(self, table: Table, path: str, rows: "pa.Table", before: type[Batch] | None) -> type[Batch]:
         """Return the type of the rows of a part, which must be that of the part `before`."""
-        from storage import schema  # noqa: PLC0415 - imports pyarrow
-
         stored = schema.batch_type(rows)
         if stored is None or not issubclass(stored, table.kind) or before not in {None, stored}:
             reason = 'its metadata "batch" is missing or differs from the other parts; restore a copy'
@@ -217,15 +210,11 @@ class Session:
             paths = sorted(existing | listed, key=_numbered)
         if set(paths) <= listed:
             return paths
-        from storage.parts import without_duplicates  # noqa: PLC0415 - imports pyarrow
-
         return without_duplicates(self.folder, table, paths, self.listed)
 
-    def _rows(self, path: str, schema: "pa.Schema") -> "pa.Table":
-        from storage.parts import read_part  # noqa: PLC0415 - imports pyarrow
-
+    def _rows(self, path: str, expected: "pa.Schema") -> "pa.Table":
         part = self.listed.get(path)
-        return read_part(inside(self.folder, self.folder / path), schema, part.sha256 if part else None)
+        return read_part(inside(self.folder, self.folder / path), expected, part.sha256 if part else None)
 
 
 def _recover(folder: Path) -> None:

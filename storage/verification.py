@@ -7,7 +7,7 @@ from typing import Any, Final, Literal, cast
 
 from operators.errors import InputError
 from operators.ports import Description
-from storage import files
+from storage import files, parts, schema
 from storage.description import read_dataset, read_session, recorders
 from storage.journal import SINGLE, SegmentReader, missing_segments
 from storage.layout import (
@@ -278,8 +278,6 @@ class _SessionCheck:
         Raises:
             InputError: if it is damaged.
         """
-        from storage import parts, schema  # noqa: PLC0415 - they import pyarrow
-
         table = _table(path)
         rows = parts.read_part(inside(self.folder, self.folder / path), schema.schema(table), part.sha256)
         if parts.manifest_entry(path, rows, part.sha256) != part:
@@ -304,8 +302,6 @@ class _SessionCheck:
 
     def _check_unlisted(self) -> list[str]:
         """Check unlisted files; return all existing files except duplicates."""
-        from storage import parts, schema  # noqa: PLC0415 - they import pyarrow
-
         existing = list[str]()
         for table in TABLES:
             found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]

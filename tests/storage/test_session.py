@@ -173,7 +173,7 @@ def test_fingertips_that_are_read_side_by_side_share_each_part(
         read.append(path.name)
         return read_part(path, *more)
 
-    monkeypatch.setattr(parts, "read_part", watched)
+    monkeypatch.setattr("storage.session.read_part", watched)
     session = Session.open(folder)
     for _ in zip(session.read(Touch, 0, 10), session.read(Touch, 2, 10), strict=True):
         pass

@@ -6,7 +6,6 @@ from collections.abc import AsyncGenerator, Callable, Sequence
 from contextlib import aclosing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from importlib import import_module
 from pathlib import Path
 from typing import Final, cast
 
@@ -40,7 +39,7 @@ from operators import (
 )
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from operators.ports import Clock, Json, Run
-from storage import Dataset
+from storage import Dataset, arrow
 
 FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingertip
 _POLL: Final = 0.05  # s
@@ -101,7 +100,7 @@ async def collect(
     low, high = workspace(series, here, plan.limits)
     touch = TakkTile(setup.bus, setup.rows)
     await _check_sampling(touch, clock)
-    await asyncio.to_thread(import_module, "storage.writer")  # a slow import, which would delay the run
+    await asyncio.to_thread(arrow.load)
     limits = plan.limits
     bounds = Bounds(low, high, limits.force)
     arm = UrArm(setup.robot, bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
