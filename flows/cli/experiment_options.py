@@ -10,7 +10,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from flows.lab.experiments.study import Method, Trials
-    from flows.lab.experiments.trial import Conditions
 
 Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object.")]
 Seed = Annotated[
@@ -39,12 +38,6 @@ Rules = Annotated[
         help="Grip force rule: ours, steps (the paper's) or none; repeatable (default: several).",
     ),
 ]
-Route = Annotated[
-    str, typer.Option("--path", help="Route of commands to the gripper: direct (1ms) or mqtt (6ms).")
-]
-Delay = Annotated[str, typer.Option(metavar="TIME", help="Delay added between a decision and its command.")]
-Rate = Annotated[float, typer.Option(min=10, max=500, metavar="HZ", help="Samples per second.")]
-Locks = Annotated[bool, typer.Option("--locks", help="Gripper cannot loosen (like a Robotiq 3-Finger).")]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default: one per core).")]
 Out = Annotated[Path, typer.Option(metavar="DIR", help="Folder of the report and its figure.")]
 _OUTPUT = ("jobs", "out", "as_json")  # parameters that do not change the results
@@ -90,19 +83,3 @@ def methods_of(
     for rule in rules or []:
         Method("", rule)
     return [method for method in usual if not rules or method.rule in rules]
-
-
-def conditions_of(path: str, delay: str, rate: float, *, locks: bool = False) -> "Conditions":
-    """Return the conditions that all trials share.
-
-    Raises:
-        ParameterError: on an unknown path, or a delay that is not a time.
-    """
-    from flows.graph.quantity import parse_time
-    from flows.lab.experiments.gripper_model import PATHS, GripperModel
-    from flows.lab.experiments.trial import Conditions
-    from operators.checks import check_choice
-
-    check_choice("lift", "--path", path, PATHS)
-    added = parse_time("lift", "--delay", delay) / 1e9  # s
-    return Conditions(GripperModel(path=PATHS[path], delay=added, locks=locks), rate=rate)

@@ -9,18 +9,13 @@ import typer
 from flows.cli.commands import command_group, register
 from flows.cli.experiment_options import (
     Count,
-    Delay,
     Detectors,
     Jobs,
-    Locks,
     Objects,
     Out,
-    Rate,
-    Route,
     Rules,
     Seed,
     command_line,
-    conditions_of,
     methods_of,
     trials_of,
 )
@@ -38,7 +33,6 @@ def tap(
     method: Detectors = None,
     objects: Objects = None,
     seed: Seed = 900_000,
-    rate: Rate = 100.0,
     jobs: Jobs = None,
     out: Out = Path("experiment"),
     as_json: AsJson = False,
@@ -57,11 +51,10 @@ def tap(
 
     usual = [Method(name) for name in (DEFAULT, "tcn", "paper_tcn", "frequency_cnn", "psd")]
     methods, trials = methods_of(usual, method, None), trials_of(count, seed, objects)
-    conditions = {"": conditions_of("direct", "0s", rate)}
     prepare_report(out)
     with progress_bar("tap") as update:
-        found = run_study(run_tap, methods, conditions, trials, jobs=jobs, progress=update)
-    write_report(tap_report(found[""], command_line(context)), out, "tap", as_json=as_json)
+        study = run_study(run_tap, methods, trials, jobs=jobs, progress=update)
+    write_report(tap_report(study, command_line(context)), out, "tap", as_json=as_json)
 
 
 def lift(
@@ -72,18 +65,9 @@ def lift(
     rule: Rules = None,
     objects: Objects = None,
     seed: Seed = 900_000,
-    path: Route = "direct",
-    delay: Delay = "0s",
-    rate: Rate = 100.0,
-    locks: Locks = False,
     stress: Annotated[
         bool,
-        typer.Option(
-            "--stress", help="Vary friction, mass, delay, rate, dead cells and gripper, one at a time."
-        ),
-    ] = False,
-    ablation: Annotated[
-        bool, typer.Option("--ablation", help="Find the delay and rate at which the lift fails.")
+        typer.Option("--stress", help="Vary delay, sample rate, friction, mass, grip, speed and gripper."),
     ] = False,
     jobs: Jobs = None,
     out: Out = Path("experiment"),
@@ -91,50 +75,32 @@ def lift(
 ) -> None:
     """Lift weakly gripped objects and count those that are held.
 
-    Prints success next to the paper's, failed trials by ending, slides and holding forces.
-    Writes lift.html, .md, .json and .svg; with --stress lift-stress.html, .md and .json; with --ablation
-    lift-ablation.html, .md, .json and .svg. --ablation
-    sets path, delay, rate and gripper.
+    Prints success next to the paper's, failed trials by ending, slides and holding forces. Writes lift.html,
+    .md, .json and .svg. --stress prints success under each condition, and the delay at which each object is
+    no longer held. It writes lift-stress.html, .md, .json and .svg.
 
     Examples:
       slipflow experiment lift --object ball --trials 5
-      slipflow experiment lift --method tcn --rule steps --delay 50ms
-      slipflow experiment lift --ablation --method psd --trials 10
+      slipflow experiment lift --method tcn --rule steps
+      slipflow experiment lift --stress --method psd --trials 10
     """
-    if stress and ablation:
-        raise typer.BadParameter("--stress and --ablation: give one of them")
-    if stress and max(len(method or ()), len(rule or ())) > 1:
-        raise typer.BadParameter("--stress takes one --method and one --rule")
-    conditions = conditions_of(path, delay, rate, locks=locks)
-    if ablation and conditions != conditions_of("direct", "0s", 100):
-        raise typer.BadParameter("--ablation takes no --path, --delay, --rate or --locks: it sets these")
-    from flows.lab.experiments.study import DEFAULT, NONE, OURS, STEPS, Method
+    from flows.lab.experiments.lift_stress import CONDITIONS, METHODS, stress_report
+    from flows.lab.experiments.lift_trial import lift as run_lift
+    from flows.lab.experiments.study import DEFAULT, NONE, OURS, STEPS, Method, run_study
+    from flows.lab.experiments.study_report import lift_report
 
-    trials, again = trials_of(count, seed, objects), command_line(context)
     usual = [Method(DEFAULT, each) for each in (OURS, STEPS, NONE)]
     usual += [Method("tcn"), *(Method(name, STEPS) for name in ("tcn", "paper_tcn", "frequency_cnn", "psd"))]
+    trials, tried, report = trials_of(count, seed, objects), None, lift_report
+    if stress:
+        tried, report, usual = CONDITIONS, stress_report, list(METHODS)
+        method = method or ([each.detector for each in METHODS] if rule else None)
     methods = methods_of(usual, method, rule)
     prepare_report(out)
     with progress_bar("lift") as update:
-        if ablation:
-            from flows.lab.experiments.ablation_report import ablation_report
-            from flows.lab.experiments.lift_ablation import METHODS, ablate
-
-            given = method or ([each.detector for each in METHODS] if rule else None)
-            found = ablate(methods_of(METHODS, given, rule), trials, jobs=jobs, progress=update)
-            report = ablation_report(found, again)
-        elif stress:
-            from flows.lab.experiments.lift_stress import stress as run_stress
-
-            report = run_stress(methods[0], conditions, trials, again, jobs=jobs, progress=update)
-        else:
-            from flows.lab.experiments.lift_trial import lift as run_lift
-            from flows.lab.experiments.study import run_study
-            from flows.lab.experiments.study_report import lift_report
-
-            results = run_study(run_lift, methods, {"": conditions}, trials, jobs=jobs, progress=update)
-            report = lift_report(results[""], again)
-    write_report(report, out, report.sections[0].name, as_json=as_json)
+        study = run_study(run_lift, methods, trials, tried, jobs=jobs, progress=update)
+    found = report(study, command_line(context))
+    write_report(found, out, found.sections[0].name, as_json=as_json)
 
 
 def learn(

@@ -16,6 +16,7 @@ from connectors.sim.truth import STICK
 from flows.lab.experiments.grasp_recordings import grasp_recordings, sliding_labels
 from flows.learn.labelled_recordings import LabelledRecording, by_split, simulated_recordings
 from flows.learn.onsets import runs
+from flows.learn.train_extra import require_train_extra
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import Model, label_scores, write_model
@@ -60,9 +61,10 @@ def learn(
 
     Raises:
         ParameterError: if `out` does not end in .safetensors, or there are too few recordings.
-        InputError: if torch is not installed.
+        InputError: if the train extra is missing.
         OSError: if the model cannot be written.
     """
+    require_train_extra("learn")
     if out.suffix != ".safetensors":
         raise ParameterError("learn", "out", str(out), "a path that ends in .safetensors")
     log(f"simulating {grasps} grasps and two plans of strokes")

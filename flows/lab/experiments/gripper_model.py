@@ -2,15 +2,13 @@
 
 import math
 from dataclasses import dataclass
-from typing import Final
 
 from connectors.gripper.robotiq import FULL, PACE, SETTLE
 from connectors.sim.grasp import Grasp
 from operators.batch import Commands, s
 from operators.checks import check_above, check_at_least
 
-# s, from a command to the gripper (docs/explanations/performance.md, p99)
-PATHS: Final = {"direct": 0.001, "mqtt": 0.006}
+DIRECT, MQTT = 0.001, 0.006  # s, from a command to the gripper (docs/explanations/performance.md, p99)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +24,7 @@ class GripperModel:
     """
 
     sensing: float = 0.007  # s, from conversion to event: 3 ms to convert, 4 ms to read on a 100 kHz bus
-    path: float = PATHS["direct"]  # s, from the command to the gripper
+    path: float = DIRECT  # s, from the command to the gripper
     refresh: float = PACE  # s, period at which the gripper reads its registers (manual: 200 Hz)
     settle: float = SETTLE  # s, from a request to its effect (manual: until the status shows it)
     delay: float = 0.0  # s, added to the latency

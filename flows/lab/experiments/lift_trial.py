@@ -42,7 +42,6 @@ class LiftOutcome:
     false: int  # slips registered before anything slid
     firm: float = math.nan  # s from the start of the lift until the grip is firm enough; NaN: never
     lost: bool = False  # fell out of the gripper
-    give: float = 0.0  # mm that the object hangs lower at the end than it slid: compliance of the fingers
 
     @property
     def success(self) -> bool:
@@ -98,7 +97,6 @@ def judge_lift(trace: Trace, rule: GripController, least: float) -> LiftOutcome:
         false=int((onsets < began - EARLY).sum()),
         firm=float(firm[0]) - LIFT.instant if len(firm) else math.nan,
         lost=bool(trace.dropped[-1]),
-        give=1000 * float(trace.gripper_height[-1] - trace.height[-1]) - float(slide[-1]),
     )
 
 

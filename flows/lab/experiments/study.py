@@ -1,51 +1,36 @@
-"""An experiment over objects, detectors, rules and conditions, in parallel, with the same trials for each."""
+"""Study of an experiment: each detector and rule runs the same trials under each condition, in parallel."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
-from math import isnan, nan
-from typing import Final, Generic, Protocol, TypeAlias, TypeVar
-
-import numpy as np
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import product
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from connectors.sim.objects import OBJECTS, Object, named
+from flows.lab.experiments.lift_trial import LiftOutcome
+from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.experiments.trial import Conditions, Trace
 from flows.lift import grip_controller
-from flows.run.processes import one_thread, process_map
+from flows.run.processes import process_map
 from operators import GripController, StepGrip
 from operators.checks import check_at_least, check_choice
 from operators.detectors import Detector
 from storage import load_detector
 
+if TYPE_CHECKING:
+    import polars as pl
+
 SEED: Final = 900_000  # far from the seeds of training data
-CHUNK: Final = 5  # trials per work unit
 OURS, STEPS, NONE = "ours", "steps", "none"  # rules
 RULES: Final = (OURS, STEPS, NONE)
 DEFAULT: Final = "tcn_grasp"  # detector
+NOMINAL: Final = "nominal"  # condition
 
-
-class Outcome(Protocol):
-    """The outcome of a trial of any experiment."""
-
-    @property
-    def ending(self) -> str:
-        """Name of the way in which the trial ended."""
-        ...
-
-    @property
-    def success(self) -> bool:
-        """True if the trial went well."""
-        ...
-
-
-Result = TypeVar("Result", bound=Outcome)
-Experiment: TypeAlias = Callable[[Object, int, Detector, GripController, Conditions], tuple[Trace, Result]]
+Experiment: TypeAlias = Callable[
+    [Object, int, Detector, GripController, Conditions], tuple[Trace, TapOutcome | LiftOutcome]
+]
 Progress: TypeAlias = Callable[[int, int, str], object]  # trials done, trials in all, label of the newest
-
-
-def ignore_progress(_done: int, _total: int, _label: str) -> None:
-    """Do nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,119 +78,78 @@ class Trials:
     def __str__(self) -> str:
         return f"{self.count} {'trial' if self.count == 1 else 'trials'} of each object"
 
-    @property
-    def seeds(self) -> range:
-        """The seeds of each object's trials."""
-        return range(self.seed, self.seed + self.count)
 
+@dataclass(frozen=True)
+class Study:
+    """A finished study.
 
-@dataclass(frozen=True, slots=True)
-class Results(Generic[Result]):
-    """Outcomes of a study under one set of conditions, by method and object, in the order of the seeds."""
+    Attributes:
+        experiment: Function that runs a trial; `tap` or `lift`.
+        methods: Detectors and rules; reports are above all about the first one.
+        trials: Trials of each method under each condition.
+        outcomes: Row per trial: condition, method, object, seed, success and the fields of the outcome;
+            unknown numbers are null.
+    """
 
+    experiment: Experiment
+    methods: Sequence[Method]
     trials: Trials
-    methods: tuple[Method, ...]
-    conditions: Conditions
-    outcomes: Mapping[tuple[Method, str], Sequence[Result]]
+    outcomes: "pl.DataFrame"
 
-    def of(self, method: Method, name: str = "") -> list[Result]:
-        """Return the outcomes of a method with one object, or with all if no name is given."""
-        names = (name,) if name else self.trials.objects
-        return [outcome for each in names for outcome in self.outcomes[method, each]]
-
-    def success(self, method: Method, name: str) -> float:
-        """Return the share of successful trials with an object (%)."""
-        outcomes = self.of(method, name)
-        return 100 * sum(outcome.success for outcome in outcomes) / len(outcomes)
-
-    def mean(self, method: Method) -> float:
-        """Return the mean success over the objects (%)."""
-        return sum(self.success(method, name) for name in self.trials.objects) / len(self.trials.objects)
-
-    def failures(self, method: Method, name: str = "") -> Counter[str]:
-        """Count the endings of the trials that failed."""
-        return Counter(outcome.ending for outcome in self.of(method, name) if not outcome.success)
+    def of(self, method: Method) -> "pl.DataFrame":
+        """Return the outcomes of a method."""
+        return self.outcomes.filter(method=str(method))
 
 
 def run_study(
-    experiment: Experiment[Result],
+    experiment: Experiment,
     methods: Sequence[Method],
-    conditions: Mapping[str, Conditions],
     trials: Trials,
+    conditions: Mapping[str, Conditions] | None = None,
     *,
     jobs: int | None = None,
-    progress: Progress = ignore_progress,
-) -> dict[str, Results[Result]]:
+    progress: Progress = lambda _done, _total, _label: None,
+) -> Study:
     """Run an experiment under several conditions, always with the same trials.
 
     Args:
         experiment: Runs one trial; `tap` or `lift`.
         methods: Detectors and rules.
-        conditions: Conditions by name.
         trials: Trials to run under each condition with each method.
+        conditions: Conditions by name; None: nominal conditions.
         jobs: Number of processes; None: one per core.
         progress: Called with the number of trials done, their total and a label.
-
-    Returns:
-        Results by name of the conditions.
 
     Raises:
         InputError: if there is no such detector.
         ParameterError: on less than one method, condition or job.
         SlipflowError: if a process ended early.
     """
-    sizes = {"methods": len(methods), "conditions": len(conditions), "jobs": 1 if jobs is None else jobs}
+    import polars as pl  # noqa: PLC0415 - slow to import, and of no use to the processes
+
+    tried = {NOMINAL: Conditions()} if conditions is None else conditions
+    sizes = {"methods": len(methods), "conditions": len(tried), "jobs": 1 if jobs is None else jobs}
     for name, value in sizes.items():
         check_at_least("experiment", name, value, 1)
     setups = {method: (load_detector(method.detector), method.controller()) for method in methods}
-    units = [
-        _Unit(name, method, held, trials.seeds[first : first + CHUNK])
-        for name in conditions
-        for method in methods
-        for held in trials.objects
-        for first in range(0, trials.count, CHUNK)
-    ]
-    outcomes = {name: dict[tuple[Method, str], list[Result]]() for name in conditions}
-    done, total = 0, sum(len(unit.seeds) for unit in units)
-    progress(0, total, "")
-    with closing(process_map(_Worker(experiment, setups, conditions), units, jobs)) as results:
-        for unit, found in zip(units, results, strict=True):
-            outcomes[unit.condition].setdefault((unit.method, unit.held), []).extend(found)
-            done += len(found)
-            progress(done, total, unit.condition or f"{unit.method}: {unit.held}")
-    return {name: Results(trials, tuple(methods), each, outcomes[name]) for name, each in conditions.items()}
+    seeds = range(trials.seed, trials.seed + trials.count)
+    units = list(product(tried, methods, trials.objects, seeds))
+    rows = list[dict[str, Any]]()
+    progress(0, len(units), "")
+    with closing(process_map(partial(_run, experiment, setups, tried), units, jobs)) as found:
+        for (condition, method, name, seed), outcome in zip(units, found, strict=True):
+            key = {"condition": condition, "method": str(method), "object": name, "seed": seed}
+            rows.append({**key, "success": outcome.success, **asdict(outcome)})
+            progress(len(rows), len(units), f"{condition}: {method}")
+    outcomes = pl.DataFrame(rows, infer_schema_length=None).fill_nan(None)
+    return Study(experiment, methods, trials, outcomes)
 
 
-@dataclass(frozen=True, slots=True)
-class _Unit:
-    """Trials that one process runs at a time."""
-
-    condition: str
-    method: Method
-    held: str
-    seeds: range
-
-
-@dataclass(frozen=True, slots=True)
-class _Worker(Generic[Result]):
-    """Runs the trials of a work unit; sent to the processes."""
-
-    experiment: Experiment[Result]
-    setups: Mapping[Method, tuple[Detector, GripController]]
-    conditions: Mapping[str, Conditions]
-
-    def __call__(self, unit: _Unit) -> list[Result]:
-        held, (detector, rule) = named(unit.held), self.setups[unit.method]
-        conditions = self.conditions[unit.condition]
-        with one_thread():
-            return [self.experiment(held, seed, detector, rule, conditions)[1] for seed in unit.seeds]
-
-
-def median(values: Sequence[float]) -> float:
-    """Return the median of the values that are not NaN; NaN if there are none.
-
-    >>> median([1.0, nan, 2.0])
-    1.5
-    """
-    known = [value for value in values if not isnan(value)]
-    return float(np.median(known)) if known else nan
+def _run(
+    experiment: Experiment,
+    setups: Mapping[Method, tuple[Detector, GripController]],
+    conditions: Mapping[str, Conditions],
+    unit: tuple[str, Method, str, int],
+) -> TapOutcome | LiftOutcome:
+    condition, method, name, seed = unit
+    return experiment(named(name), seed, *setups[method], conditions[condition])[1]

@@ -1,18 +1,18 @@
 """Reports of the tap and lift experiments: success next to the paper's, failures, costs and false slips."""
 
-from collections.abc import Callable, Mapping, Sequence
-from math import isfinite
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+import polars as pl
 
 from connectors.sim.objects import named
 from connectors.sim.truth import SLIDING
 from flows.lab.experiments import lift_trial, tap_trial
-from flows.lab.experiments.lift_trial import LiftOutcome, lift
-from flows.lab.experiments.study import Experiment, Method, Result, Results, median
-from flows.lab.experiments.tap_trial import TapOutcome, tap
-from flows.lab.experiments.trial import BASELINE, Trace, Trial
+from flows.lab.experiments.study import Study
+from flows.lab.experiments.tap_trial import TapOutcome
+from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
 from flows.learn.onsets import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
 from flows.report.report_page import Report, Section
@@ -38,46 +38,32 @@ PAPER_LIFT: Final = {
 }
 QUIET: Final = 2.1  # s of each soft tap trial in which nothing is done to the object
 EXAMPLE: Final = "ball"  # object of the figure: one of the two hardest in the paper's lift
+SUCCESS: Final = (100 * pl.col("success").mean()).alias("success")  # %
 
 
-def tap_report(results: Results[TapOutcome], command: str) -> Report:
+def tap_report(study: Study, command: str) -> Report:
     """Report the tap experiment that `command` ran."""
-    finding = _finding(results, "registers the blow, and static after it,", PAPER_TAP)
-    sections = [
-        _successes("tap", results, finding, PAPER_TAP, tap),
-        _failures(results),
-        _false_slips(results),
-    ]
-    return _report("Mallet tap", results, sections, command)
+    finding = _finding(study, "registers the blow, and static after it,", PAPER_TAP)
+    sections = [_successes("tap", study, finding, PAPER_TAP), _failures(study), _false_slips(study)]
+    return _report("Mallet tap", study, sections, command)
 
 
-def lift_report(results: Results[LiftOutcome], command: str) -> Report:
+def lift_report(study: Study, command: str) -> Report:
     """Report the lift experiment that `command` ran."""
-    finding = _finding(results, "holds", PAPER_LIFT)
-    sections = [_successes("lift", results, finding, PAPER_LIFT, lift), _failures(results), _costs(results)]
-    return _report("Object lift", results, sections, command)
+    finding = _finding(study, "holds", PAPER_LIFT)
+    sections = [_successes("lift", study, finding, PAPER_LIFT), _failures(study), _costs(study)]
+    return _report("Object lift", study, sections, command)
 
 
-def condition_table(results: Mapping[str, Results[LiftOutcome]], method: Method, caption: str = "") -> Table:
-    """Return the success of a method under each of several conditions, with the costs of its lifts."""
-    names = next(iter(results.values())).trials.objects
-    costs = ["mean", "lost", "slide mm", "force", "false"]
-    rows: list[list[Value]] = []
-    for condition, found in results.items():
-        lifts = found.of(method)
-        rows.append(
-            [
-                condition,
-                *(found.success(method, name) for name in names),
-                found.mean(method),
-                100 * float(np.mean([each.lost for each in lifts])),
-                median([each.slide for each in lifts]),
-                median([each.ratio for each in lifts]),
-                float(np.mean([each.false for each in lifts])),
-            ]
-        )
-    head = ["condition", *map(title, names), *costs]
-    return Table(head, rows, caption, {"force": 2, **dict.fromkeys(map(title, names), 0)})
+def study_facts(experiment: str, study: Study, outcomes: pl.DataFrame) -> dict[str, Any]:
+    """Return the facts in the JSON of a report; `outcomes` are those of the first method."""
+    return {
+        "experiment": experiment,
+        "trials": study.trials.count,
+        "seed": study.trials.seed,
+        "method": str(study.methods[0]),
+        "mean_success": outcomes.select(SUCCESS).item(),
+    }
 
 
 def title(name: str) -> str:
@@ -85,155 +71,131 @@ def title(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _report(experiment: str, results: Results[Result], sections: Sequence[Section], command: str) -> Report:
-    """Return the report; the facts in its JSON are those of the first method."""
-    trials, first = results.trials, results.methods[0]
+def _report(experiment: str, study: Study, sections: Sequence[Section], command: str) -> Report:
+    outcomes = study.of(study.methods[0])
     text = (
-        f"{trials}, the same for all methods, from seed {trials.seed}, in the simulated scene; the paper "
-        "used real objects. docs/explanations/experiments.md defines success and lists the assumptions."
+        f"{study.trials}, the same for all methods, from seed {study.trials.seed}, in the simulated scene; "
+        "the paper used real objects. docs/explanations/experiments.md defines success and lists the "
+        "assumptions."
     )
-    facts: dict[str, Any] = {
-        "experiment": sections[0].name,
-        "trials": trials.count,
-        "seed": trials.seed,
-        "method": str(first),
-        "mean_success": results.mean(first),
-        "objects": {name: results.success(first, name) for name in trials.objects},
-        "failures": dict(results.failures(first)),
+    facts = {
+        **study_facts(sections[0].name, study, outcomes),
+        "objects": dict(zip(study.trials.objects, _by_object(outcomes), strict=True)),
+        "failures": dict(Counter(outcomes.filter(~pl.col("success"))["ending"])),
     }
     return Report(f"{experiment}: {sections[0].finding}", text, sections, command, facts)
 
 
-def _finding(results: Results[Result], verb: str, paper: Mapping[str, int]) -> str:
-    first, trials = results.methods[0], results.trials
-    outcomes = results.of(first)
-    theirs = float(np.mean([paper[name] for name in trials.objects]))
+def _by_object(outcomes: pl.DataFrame) -> list[float]:
+    """Return the success (%) with each object."""
+    return outcomes.group_by("object", maintain_order=True).agg(SUCCESS)["success"].to_list()
+
+
+def _finding(study: Study, verb: str, paper: Mapping[str, int]) -> str:
+    first = study.methods[0]
+    outcomes = study.of(first)
+    held, success = outcomes["success"].sum(), outcomes.select(SUCCESS).item()
+    theirs = float(np.mean([paper[name] for name in study.trials.objects]))
     return (
-        f"{first} {verb} in {sum(each.success for each in outcomes)} of {len(outcomes)} trials "
-        f"({show(results.mean(first))} %); the paper in {show(theirs)} % of its own"
+        f"{first} {verb} in {held} of {len(outcomes)} trials "
+        f"({show(success)} %); the paper in {show(theirs)} % of its own"
     )
 
 
-def _successes(
-    name: str,
-    results: Results[Result],
-    finding: str,
-    paper: Mapping[str, int],
-    experiment: Experiment[Result],
-) -> Section:
+def _successes(name: str, study: Study, finding: str, paper: Mapping[str, int]) -> Section:
     """Return the section about success by object next to the paper's, with the figure of a trial."""
-    objects = results.trials.objects
-    rows: list[list[Value]] = [
-        [str(method), *(results.success(method, each) for each in objects), results.mean(method)]
-        for method in results.methods
-    ]
-    theirs = [float(paper[each]) for each in objects]
-    rows.append(["paper, real objects", *theirs, float(np.mean(theirs))])
-    table = Table(
-        ["success, %", *map(title, objects), "mean"], rows, decimals=dict.fromkeys(map(title, objects), 0)
-    )
-    text = f"{results.trials}."
-    return Section(name, finding, text, [table], lambda: trial_figure(results, experiment))
+    successes = {str(method): _by_object(study.of(method)) for method in study.methods}
+    successes["paper, real objects"] = [float(paper[each]) for each in study.trials.objects]
+    rows: list[list[Value]] = [[method, *each, float(np.mean(each))] for method, each in successes.items()]
+    objects = [title(each) for each in study.trials.objects]
+    table = Table(["success, %", *objects, "mean"], rows, decimals=dict.fromkeys(objects, 0))
+    return Section(name, finding, f"{study.trials}.", [table], lambda: trial_figure(study))
 
 
-def _failures(results: Results[Result]) -> Section:
+def _failures(study: Study) -> Section:
     """Return the section about failed trials, by ending."""
-    rows: list[list[Value]] = [
-        [str(method), title(name), ", ".join(f"{count} {ending}" for ending, count in failed.items())]
-        for method in results.methods
-        for name in results.trials.objects
-        if (failed := results.failures(method, name))
-    ]
-    first = results.methods[0]
-    failures = results.failures(first)
-    finding = f"{first} fails in {failures.total()} of {len(results.of(first))} trials"
+    failed = study.outcomes.filter(~pl.col("success"))
+    rows: list[list[Value]] = []
+    for (method, name), part in failed.group_by("method", "object", maintain_order=True):
+        endings = ", ".join(f"{count} {ending}" for ending, count in Counter(part["ending"]).items())
+        rows.append([str(method), title(str(name)), endings])
+    first = study.methods[0]
+    failures = Counter(failed.filter(method=str(first))["ending"])
+    finding = f"{first} fails in {failures.total()} of {len(study.of(first))} trials"
     if failures:
         finding += f", mostly: {failures.most_common(1)[0][0]}"
     table = Table(["method", "object", "endings"], rows)
     return Section("failures", finding, "Failed trials by ending.", [table])
 
 
-def _costs(results: Results[LiftOutcome]) -> Section:
+def _costs(study: Study) -> Section:
     """Return the section about slides and holding forces."""
-
-    def cells(lifts: Sequence[LiftOutcome]) -> list[Value]:
-        slides = [each.slide for each in lifts]
-        return [
-            median(slides),
-            float(np.quantile(slides, 0.9)),
-            median([each.delay for each in lifts]),
-            median([each.ratio for each in lifts]),
-            median([each.peak for each in lifts]),
-            float(np.mean([each.false for each in lifts])),
-        ]
-
-    first = results.methods[0]
-    slide, _, _, force, *_ = cells(results.of(first))
-    held = f"with {show(force, 2)} times the least force" if isfinite(float(force or 0)) else "nothing"
-    head = ["method", "object", "slide mm", "p90 mm", "delay ms", "force", "peak", "false slips"]
+    columns = {
+        "slide mm": pl.col("slide").median(),
+        "p90 mm": pl.col("slide").quantile(0.9, "linear"),
+        "delay ms": pl.col("delay").median(),
+        "force": pl.col("ratio").median(),
+        "peak": pl.col("peak").median(),
+        "false slips": pl.col("false").mean(),
+    }
+    first = study.methods[0]
+    found = study.of(first).select(**columns).row(0, named=True)
+    held = "nothing" if found["force"] is None else f"with {show(found['force'], 2)} times the least force"
     return Section(
         "costs",
-        f"{first} lets objects slide by {show(slide)} mm and holds {held}",
+        f"{first} lets objects slide by {show(found['slide mm'])} mm and holds {held}",
         "Medians. Slide: from the start of the lift, all trials. Delay: from the first sliding to the "
         "registered slip. Force: mean of the last second over the least that holds, trials that hold; peak: "
         "highest of the trial. False slips: registered before anything slid, per trial.",
-        [Table(head, _rows(results, cells), decimals={"force": 2, "peak": 2})],
+        [_object_table(study, columns, {"force": 2, "peak": 2})],
     )
 
 
-def _false_slips(results: Results[TapOutcome]) -> Section:
+def _false_slips(study: Study) -> Section:
     """Return the section about slips registered where nothing slips."""
-
-    def cells(taps: Sequence[TapOutcome]) -> list[Value]:
-        return [
-            median([each.slide for each in taps]),
-            median([each.delay for each in taps]),
-            sum(each.drawn for each in taps),
-            100 * float(np.mean([each.false_lift > 0 for each in taps])),
-            100 * float(np.mean([each.false_tap > 0 for each in taps])),
-            float(np.mean([each.false_hold for each in taps])) * 60 / QUIET,
-        ]
-
-    first = results.methods[0]
-    *_, lifted, hit, _ = cells(results.of(first))
-    head = [
-        "method",
-        "object",
-        "slide mm",
-        "delay ms",
-        "blows drawn",
-        "lift %",
-        "soft blow %",
-        "hold, per min",
-    ]
+    columns = {
+        "slide mm": pl.col("slide").median(),
+        "delay ms": pl.col("delay").median(),
+        "blows drawn": pl.col("drawn").sum(),
+        "lift %": 100 * (pl.col("false_lift") > 0).mean(),
+        "soft blow %": 100 * (pl.col("false_tap") > 0).mean(),
+        "hold, per min": pl.col("false_hold").mean() * 60 / QUIET,
+    }
+    first = study.methods[0]
+    found = study.of(first).select(**columns).row(0, named=True)
+    lifted, hit = show(found["lift %"]), show(found["soft blow %"])
     return Section(
         "false-slips",
-        f"{first} registers a false slip at {show(lifted)} % of firm lifts and {show(hit)} % of soft blows",
+        f"{first} registers a false slip at {lifted} % of firm lifts and {hit} % of soft blows",
         "The same grasp, lifted with that firm grip and hit too softly to slide: shares of trials in which "
         "a slip is registered. Slide and delay are medians for the blow that moves the object; a blow that "
         f"moved it by less than {tap_trial.LEAST_SLIDE:g} mm or more than {tap_trial.MOST_SLIDE:g} mm was "
         "drawn again.",
-        [Table(head, _rows(results, cells))],
+        [_object_table(study, columns)],
     )
 
 
-def _rows(results: Results[Result], cells: Callable[[Sequence[Result]], list[Value]]) -> list[list[Value]]:
-    """Return a row for each method and object, and one for all objects of a method."""
-    return [
-        [str(method), title(name) or "all", *cells(results.of(method, name))]
-        for method in results.methods
-        for name in (*results.trials.objects, "")
-    ]
+def _object_table(
+    study: Study, columns: Mapping[str, pl.Expr], decimals: Mapping[str, int | None] | None = None
+) -> Table:
+    """Return a table with a row for each method and object, and one for all objects of a method."""
+    rows: list[list[Value]] = []
+    for method in study.methods:
+        one = study.of(method)
+        both = pl.concat([one, one.with_columns(object=pl.lit("all"))])
+        found = both.group_by("object", maintain_order=True).agg(**columns)
+        rows += [[str(method), title(name), *values] for name, *values in found.iter_rows()]
+    return Table(["method", "object", *columns], rows, decimals=decimals or {})
 
 
 @styled
-def trial_figure(results: Results[Result], experiment: Experiment[Result]) -> Figure:
+def trial_figure(study: Study) -> Figure:
     """Draw the first trial of the first method with the ball, or else the first object."""
-    trials, method = results.trials, results.methods[0]
+    trials, method, conditions = study.trials, study.methods[0], Conditions()
     held = named(EXAMPLE if EXAMPLE in trials.objects else trials.objects[0])
     rule, detector = method.controller(), load_detector(method.detector)
-    trace, outcome = experiment(held, trials.seed, detector, rule, results.conditions)
-    least = Trial.draw(held, trials.seed, results.conditions).least_force
+    trace, outcome = study.experiment(held, trials.seed, detector, rule, conditions)
+    least = Trial.draw(held, trials.seed, conditions).least_force
     figure, axes = grid(5, 1, (9, 8), sharex=True)
     force, counts, probability, slide, height = axes
     t = trace.t
@@ -256,13 +218,10 @@ def trial_figure(results: Results[Result], experiment: Experiment[Result]) -> Fi
     height.set(ylabel="mm", title="Height", xlabel="s", xlim=(BASELINE, t[-1]))
     height.legend(loc="upper left")
     tapped = isinstance(outcome, TapOutcome)
+    event, color = (tap_trial.BLOW, SECOND) if tapped else (lift_trial.LIFT.instant, FAINT)
     for axis in axes:
         _shade(axis, trace)
-        axis.axvline(
-            tap_trial.BLOW if tapped else lift_trial.LIFT.instant,
-            color=SECOND if tapped else FAINT,
-            linewidth=0.8,
-        )
+        axis.axvline(event, color=color, linewidth=0.8)
     return figure
 
 

@@ -1,104 +1,123 @@
 """The command line of `slipflow experiment`."""
 
 import json
+import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
 
 from flows.cli.experiments import app
+from flows.lab.experiments import lift_trial
+from flows.lab.experiments.lift_stress import CONDITIONS
+from flows.lab.experiments.lift_trial import LiftOutcome
+from flows.learn import train_extra
 from flows.report import figures
+from operators import InputError
 
 ONE = ["--method", "psd", "--object", "ball", "--trials", "1", "--jobs", "1"]
 
 
-def _output(tmp_path: Path, *arguments: str) -> str:
-    result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
+def _output(folder: Path, *arguments: str) -> str:
+    result = CliRunner().invoke(app, [*arguments, "--out", str(folder)])
     assert result.exit_code == 0, result.output
     return result.stdout
-
-
-def test_a_lift_is_printed_as_tables_and_written_as_a_report(tmp_path: Path) -> None:
-    text = _output(tmp_path, "lift", *ONE, "--rule", "none", "--rule", "steps")
-    assert "| psd, none " in text
-    assert "| psd, steps " in text
-    assert "| paper, real objects |   35 | 35.0 |" in text
-    assert {path.suffix for path in tmp_path.iterdir()} >= {".html", ".md", ".json"}
-    again = "experiment lift --trials 1 --method psd --rule none --rule steps --object ball\n"
-    assert again in (tmp_path / "lift.md").read_text()
 
 
 def _no_constant(name: str) -> None:
     raise AssertionError(name)
 
 
-def test_unknown_values_are_null_in_json_and_a_dash_in_tables(tmp_path: Path) -> None:
-    text = _output(tmp_path, "lift", *ONE, "--rule", "none", "--json")
-    for found in (text.splitlines()[-1], (tmp_path / "lift.json").read_text()):
-        [costs] = json.loads(found, parse_constant=_no_constant)["sections"]["costs"]["tables"]
-        assert costs["rows"][-1]["force"] is None
-    page = (tmp_path / "lift.md").read_text()
+def _nothing(_: str) -> None:
+    return None
+
+
+@pytest.fixture(scope="module")
+def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
+    """The output of a simulated lift, and the folder of its report."""
+    folder = tmp_path_factory.mktemp("lift")
+    return _output(folder, "lift", *ONE, "--rule", "none", "--rule", "steps"), folder
+
+
+@pytest.fixture
+def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lose the object in each trial, without a simulation and without figures."""
+    lost = LiftOutcome("missed", 30.0, math.nan, math.nan, 0.5, 1, math.nan, lost=True)
+
+    def lift(*_: Any) -> tuple[None, LiftOutcome]:  # noqa: ANN401
+        return None, lost
+
+    monkeypatch.setattr(lift_trial, "lift", lift)
+    monkeypatch.setattr(figures, "find_spec", _nothing)
+
+
+def test_a_lift_is_printed_as_tables_and_written_as_a_report(lifted: tuple[str, Path]) -> None:
+    text, folder = lifted
+    assert "| psd, none " in text
+    assert "| psd, steps " in text
+    assert "| paper, real objects |   35 | 35.0 |" in text
+    assert {path.suffix for path in folder.iterdir()} >= {".html", ".md", ".json"}
+    again = "experiment lift --trials 1 --method psd --rule none --rule steps --object ball\n"
+    assert again in (folder / "lift.md").read_text()
+
+
+def test_unknown_values_are_null_in_json_and_a_dash_in_tables(lifted: tuple[str, Path]) -> None:
+    _, folder = lifted
+    found = json.loads((folder / "lift.json").read_text(), parse_constant=_no_constant)
+    assert found["sections"]["costs"]["tables"][0]["rows"][0]["force"] is None
+    page = (folder / "lift.md").read_text()
     assert "nan" not in page
     assert "psd, none holds in 0 of 1 trials (0.0 %)" in page
     assert "mm and holds nothing" in page
 
 
-def test_the_log_says_what_figures_need(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(_: str) -> None:
-        return None
+def test_a_tap_is_printed_as_json(tmp_path: Path) -> None:
+    found = json.loads(_output(tmp_path, "tap", *ONE, "--json").splitlines()[-1], parse_constant=_no_constant)
+    assert found == json.loads((tmp_path / "tap.json").read_text())
+    assert (found["experiment"], found["trials"], list(found["objects"])) == ("tap", 1, ["ball"])
+    assert found["mean_success"] in (0, 100)
+    assert "failures" in found
 
-    monkeypatch.setattr(figures, "find_spec", nothing)
-    result = CliRunner().invoke(app, ["lift", *ONE, "--rule", "none", "--out", str(tmp_path)])
+
+@pytest.mark.usefixtures("no_simulation")
+def test_the_log_states_what_figures_need(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["lift", *ONE, "--out", str(tmp_path)])
     assert "no figures, which need matplotlib: in the clone, pip install -e '.[report]'" in result.stderr
     assert not (tmp_path / "lift.svg").exists()
 
 
-@pytest.mark.parametrize("kind", ["tap", "lift"])
-def test_json_of_one_object(kind: str, tmp_path: Path) -> None:
-    found = json.loads(_output(tmp_path, kind, *ONE, "--json").splitlines()[-1])
-    assert found["experiment"] == kind
-    assert found["trials"] == 1
-    assert 0 <= found["mean_success"] <= 100
-    assert list(found["objects"]) == ["ball"]
-    assert "failures" in found
+@pytest.mark.usefixtures("no_simulation")
+def test_a_stress_test_is_printed_and_written(tmp_path: Path) -> None:
+    text = _output(tmp_path, "lift", *ONE, "--rule", "none", "--stress")
+    assert "psd, none: 1 trial of each object, too few to find which object breaks first" in text
+    assert all(f"| {name} " in text for name in CONDITIONS)
+    assert {path.name for path in tmp_path.iterdir()} >= {"lift-stress.html", "lift-stress.json"}
+    page = (tmp_path / "lift-stress.md").read_text()
+    assert "lift --trials 1 --method psd --rule none --object ball --stress" in page
 
 
-def test_delay_rate_path_and_gripper_are_options(tmp_path: Path) -> None:
-    more = ["--delay", "50ms", "--rate", "50", "--path", "mqtt", "--locks", "--json"]
-    assert json.loads(_output(tmp_path, "lift", *ONE, *more).splitlines()[-1])["trials"] == 1
-    again = "--trials 1 --method psd --object ball --path mqtt --delay 50ms --rate 50 --locks"
-    assert again in (tmp_path / "lift.md").read_text()
-    result = CliRunner().invoke(app, ["lift", *ONE, "--path", "post", "--out", str(tmp_path)])
-    assert "--path is 'post', must be one of direct, mqtt" in str(result.exception)
-
-
-def test_an_ablation_is_printed_and_written(tmp_path: Path) -> None:
-    text = _output(tmp_path, "lift", *ONE, "--rule", "none", "--ablation")
-    assert "psd, none: 1 trial of each object, too few to find where it breaks" in text
-    assert {path.name for path in tmp_path.iterdir()} >= {"lift-ablation.html", "lift-ablation.json"}
-    page = (tmp_path / "lift-ablation.md").read_text()
-    assert "lift --trials 1 --method psd --rule none --object ball --ablation" in page
-
-
-@pytest.mark.parametrize("more", [["--stress"], ["--delay", "50ms"], ["--locks"]])
-def test_an_ablation_takes_no_conditions(more: list[str], tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["lift", *ONE, "--ablation", *more, "--out", str(tmp_path)])
-    assert result.exit_code == 2
-
-
-def test_an_ablation_follows_the_rule_without_a_method(tmp_path: Path) -> None:
-    arguments = ["lift", "--object", "ball", "--trials", "1", "--jobs", "1", "--rule", "none", "--ablation"]
-    text = _output(tmp_path, *arguments)
+@pytest.mark.usefixtures("no_simulation")
+def test_a_stress_test_follows_the_rule_without_a_method(tmp_path: Path) -> None:
+    text = _output(
+        tmp_path, "lift", "--object", "ball", "--trials", "1", "--jobs", "1", "--rule", "none", "--stress"
+    )
     assert "tcn_grasp, none: 1 trial" in text
     assert "tcn, none: 1 trial" in text
     assert "steps" not in text
+
+
+def test_learning_without_the_train_extra_fails_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def simulated(*_: Any) -> None:  # noqa: ANN401
+        raise AssertionError
+
+    monkeypatch.setattr(train_extra, "find_spec", _nothing)
+    monkeypatch.setattr("flows.lab.experiments.grasp_training.grasp_recordings", simulated)
+    result = CliRunner().invoke(app, ["learn", "-o", str(tmp_path / "model.safetensors")])
+    assert isinstance(result.exception, InputError)
     assert (
-        "lift --trials 1 --rule none --object ball --ablation" in (tmp_path / "lift-ablation.md").read_text()
+        "learn: needs scikit-learn, torch, onnx, onnxruntime: in the clone, pip install -e '.[train]'"
+        in str(result.exception)
     )
-
-
-@pytest.mark.parametrize("more", [["--method", "tcn"], ["--rule", "none", "--rule", "steps"]])
-def test_a_stress_takes_one_method_and_one_rule(more: list[str], tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["lift", *ONE, "--stress", *more, "--out", str(tmp_path)])
-    assert result.exit_code == 2
-    assert "--stress takes one --method and one --rule" in result.output

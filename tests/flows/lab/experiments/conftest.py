@@ -1,20 +1,24 @@
-"""Made-up traces and results."""
+"""Made-up traces and studies."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
-from flows.lab.experiments.lift_ablation import Ablation, Budget
-from flows.lab.experiments.lift_trial import LiftEnding, LiftOutcome
-from flows.lab.experiments.study import Method, Result, Results, Trials
-from flows.lab.experiments.tap_trial import TapOutcome
-from flows.lab.experiments.trial import Conditions, Trace
+from flows.lab.experiments.lift_trial import LiftOutcome, lift
+from flows.lab.experiments.study import Experiment, Method, Study, Trials
+from flows.lab.experiments.tap_trial import TapOutcome, tap
+from flows.lab.experiments.trial import Trace
 from operators.batch import Reals
 
 _T = np.arange(600) / 100  # s
+_NAN = float("nan")
+
+Outcome = TapOutcome | LiftOutcome
+MakeStudy = Callable[..., Study]
 
 
 @pytest.fixture
@@ -44,60 +48,48 @@ def during() -> Callable[..., Reals]:
 
 
 @pytest.fixture
-def make_ablation() -> Callable[..., Ablation]:
-    """An ablation of one method, by default of ten trials with a ball; all trials are equal."""
+def make_study() -> MakeStudy:
+    """A study of the outcomes by condition, method and object, each a sequence of trials."""
 
-    def make(
-        *,
-        firm: float,
-        ending: LiftEnding = "held",
-        lost: bool = False,
-        late: LiftEnding = "held",
-        late_lost: bool = False,
-        give: float = 0.0,
-        objects: tuple[str, ...] = ("ball",),
-        trials: int = 10,
-    ) -> Ablation:
-        method = Method("psd", "none")
-
-        def results(ending: LiftEnding, *, lost: bool) -> Results[LiftOutcome]:
-            outcome = LiftOutcome(ending, 3.0, 20.0, 1.5, 1.75, 0, firm, lost, give)
-            outcomes = {(method, name): [outcome] * trials for name in objects}
-            return Results(Trials(trials, 7, objects), (method,), Conditions(), outcomes)
-
-        now, then = results(ending, lost=lost), results(late, lost=late_lost)
-        budget = Budget(0.024, 0.02, 0.6, 0.45, 0.46, 0.1, 0.1)
-        budgets = {name: [budget] * trials for name in objects}
-        return Ablation({0: now, 100: then}, {"50 Hz": now}, {"lift x2": then}, budgets)
+    def make(experiment: Experiment, outcomes: Mapping[tuple[str, Method, str], Sequence[Outcome]]) -> Study:
+        rows = [
+            {"condition": condition, "method": str(method), "object": name, "seed": 7 + number}
+            | {"success": outcome.success, **asdict(outcome)}
+            for (condition, method, name), each in outcomes.items()
+            for number, outcome in enumerate(each)
+        ]
+        methods = tuple(dict.fromkeys(method for _, method, _ in outcomes))
+        objects = tuple(dict.fromkeys(name for *_, name in outcomes))
+        count = len(next(iter(outcomes.values())))
+        frame = pl.DataFrame(rows, infer_schema_length=None).fill_nan(None)
+        return Study(experiment, methods, Trials(count, 7, objects), frame)
 
     return make
 
 
-def _results(good: Result, bad: Result) -> Results[Result]:
+def _outcomes(good: Outcome, bad: Outcome) -> dict[tuple[str, Method, str], Sequence[Outcome]]:
     """Two trials with a ball and a box: our rule fails once, with the ball, the other rule always."""
     ours, none = Method("psd"), Method("psd", "none")
-    outcomes = {
-        (ours, "ball"): [good, bad],
-        (ours, "box"): [good, good],
-        (none, "ball"): [bad, bad],
-        (none, "box"): [bad, bad],
+    return {
+        ("nominal", ours, "ball"): [good, bad],
+        ("nominal", ours, "box"): [good, good],
+        ("nominal", none, "ball"): [bad, bad],
+        ("nominal", none, "box"): [bad, bad],
     }
-    return Results(Trials(2, 7, ("ball", "box")), (ours, none), Conditions(), outcomes)
 
 
 @pytest.fixture
-def lifts() -> Results[LiftOutcome]:
-    """Results of a lift."""
-    nan = float("nan")
-    return _results(
-        LiftOutcome("held", 3.0, 20.0, 1.5, 1.75, 0), LiftOutcome("missed", 30.0, nan, nan, 0.5, 1)
+def lifts(make_study: MakeStudy) -> Study:
+    """A study of the lift."""
+    held, lost = (
+        LiftOutcome("held", 3.0, 20.0, 1.5, 1.75, 0, 0.15, lost=False),
+        LiftOutcome("missed", 30.0, _NAN, _NAN, 0.5, 1, _NAN, lost=True),
     )
+    return make_study(lift, _outcomes(held, lost))
 
 
 @pytest.fixture
-def taps() -> Results[TapOutcome]:
-    """Results of a tap."""
-    return _results(
-        TapOutcome("registered", "top", 2.0, 30.0, 1, 0, 0, 0),
-        TapOutcome("too late", "side", 4.0, 300.0, 3, 1, 1, 0),
-    )
+def taps(make_study: MakeStudy) -> Study:
+    """A study of the tap."""
+    good = TapOutcome("registered", "top", 2.0, 30.0, 1, 0, 0, 0)
+    return make_study(tap, _outcomes(good, TapOutcome("too late", "side", 4.0, 300.0, 3, 1, 1, 0)))

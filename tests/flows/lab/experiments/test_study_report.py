@@ -4,10 +4,8 @@ from typing import Any
 
 import pytest
 
-from flows.lab.experiments.lift_trial import LiftOutcome
-from flows.lab.experiments.study import Results
+from flows.lab.experiments.study import Study
 from flows.lab.experiments.study_report import lift_report, tap_report
-from flows.lab.experiments.tap_trial import TapOutcome
 from flows.report.report_page import Report
 
 
@@ -18,7 +16,7 @@ def rows(report: Report, section: str) -> list[dict[str, Any]]:
     return list(table["rows"])
 
 
-def test_our_success_stands_above_the_papers(lifts: Results[LiftOutcome]) -> None:
+def test_our_success_stands_above_the_papers(lifts: Study) -> None:
     report = lift_report(lifts, "command")
     assert "psd, ours holds in 3 of 4 trials (75.0 %); the paper in 67.5 % of its own" in report.terminal()
     assert rows(report, "lift") == [
@@ -28,7 +26,7 @@ def test_our_success_stands_above_the_papers(lifts: Results[LiftOutcome]) -> Non
     ]
 
 
-def test_json_states_the_results_of_the_first_method(lifts: Results[LiftOutcome]) -> None:
+def test_json_states_the_results_of_the_first_method(lifts: Study) -> None:
     found = lift_report(lifts, "command").json()
     assert (found["experiment"], found["trials"], found["seed"], found["method"]) == (
         "lift",
@@ -41,14 +39,14 @@ def test_json_states_the_results_of_the_first_method(lifts: Results[LiftOutcome]
     assert found["failures"] == {"missed": 1}
 
 
-def test_failures_are_counted_by_ending(taps: Results[TapOutcome]) -> None:
+def test_failures_are_counted_by_ending(taps: Study) -> None:
     report = tap_report(taps, "command")
     assert "psd, ours fails in 1 of 4 trials, mostly: too late" in report.terminal()
     assert rows(report, "failures")[0] == {"method": "psd, ours", "object": "ball", "endings": "1 too late"}
     assert [row["object"] for row in rows(report, "failures") if row["method"] == "psd, ours"] == ["ball"]
 
 
-def test_costs_have_a_row_for_each_object_and_one_for_all(lifts: Results[LiftOutcome]) -> None:
+def test_costs_have_a_row_for_each_object_and_one_for_all(lifts: Study) -> None:
     found = rows(lift_report(lifts, "command"), "costs")
     assert [(row["object"], row["slide mm"], row["p90 mm"], row["force"]) for row in found[:3]] == [
         ("ball", 16.5, 27.3, 1.5),
@@ -58,7 +56,7 @@ def test_costs_have_a_row_for_each_object_and_one_for_all(lifts: Results[LiftOut
     assert found[3]["force"] is None  # nothing is held
 
 
-def test_false_slips_are_shares_of_trials(taps: Results[TapOutcome]) -> None:
+def test_false_slips_are_shares_of_trials(taps: Study) -> None:
     assert rows(tap_report(taps, "command"), "false-slips")[2] == {
         "method": "psd, ours",
         "object": "all",
@@ -71,9 +69,7 @@ def test_false_slips_are_shares_of_trials(taps: Results[TapOutcome]) -> None:
     }
 
 
-def test_a_report_is_written_with_the_figure_of_a_trial(
-    lifts: Results[LiftOutcome], taps: Results[TapOutcome], tmp_path: Path
-) -> None:
+def test_a_report_is_written_with_the_figure_of_a_trial(lifts: Study, taps: Study, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     for name, report in (("tap", tap_report(taps, "command")), ("lift", lift_report(lifts, "command"))):
         paths = report.write(tmp_path, name)
