@@ -37,13 +37,7 @@ def grasp_recordings(count: int, seed: int) -> Iterator[LabelledRecording]:
     """Simulate grasps, the same for a seed; 80 % for training, 10 % for validation, 10 % for the test."""
     for number in range(count):
         name, split = f"grasp-{seed}-{number:04}", _SPLITS[number % len(_SPLITS)]
-        yield _recording(_random(number, seed), name, split)
-
-
-def drawn_objects(count: int, seed: int) -> Iterator[Object]:
-    """Draw the objects of the recordings of a seed."""
-    for number in range(count):
-        yield _draw_object(_random(number, seed))
+        yield _recording(np.random.default_rng([seed, 11, number]), name, split)
 
 
 def sliding_labels(sliding: Flags, pause: int = STUCK) -> Codes:
@@ -51,12 +45,8 @@ def sliding_labels(sliding: Flags, pause: int = STUCK) -> Codes:
     return np.where(filled(sliding, pause), SLIP, STATIC).astype(np.int8)
 
 
-def _random(number: int, seed: int) -> np.random.Generator:
-    return np.random.default_rng([seed, 11, number])
-
-
 def _recording(random: np.random.Generator, name: str, split: str) -> LabelledRecording:
-    held, parameters = _draw_object(random), _draw_fingertip(random)
+    held, parameters = draw_object(random), _draw_fingertip(random)
     gripper = _RandomGripper.draw(random, least_force(held, parameters))
     grasp = _draw_grasp(random, held, parameters, gripper)
     touches: list[Touch] = []
@@ -115,7 +105,7 @@ def _draw_grasp(
     )
 
 
-def _draw_object(random: np.random.Generator) -> Object:
+def draw_object(random: np.random.Generator) -> Object:
     """Draw an object from ranges wider than those of the six objects."""
     curvature = cast("Curvature", random.choice(_CURVATURES, p=_SHARES))
     radius = _log_uniform(random, 0.02, 0.09)

@@ -1,5 +1,6 @@
 """The command line of `slipflow experiment`."""
 
+import importlib.util
 import json
 import math
 from pathlib import Path
@@ -58,6 +59,8 @@ def test_a_lift_is_printed_as_tables_and_written_as_a_report(lifted: tuple[str, 
     assert "| psd, steps " in text
     assert "| paper, real objects |   35 | 35.0 |" in text
     assert {path.suffix for path in folder.iterdir()} >= {".html", ".md", ".json"}
+    if importlib.util.find_spec("matplotlib"):
+        assert "least that holds" in (folder / "lift.svg").read_text()
     again = "experiment lift --trials 1 --method psd --rule none --rule steps --object ball\n"
     assert again in (folder / "lift.md").read_text()
 

@@ -29,7 +29,7 @@ def test_a_trained_model_has_a_card_and_loads_as_a_detector(tmp_path: Path) -> N
     out = tmp_path / "model.safetensors"
     model = learn(
         out,
-        grasps=40,
+        grasps=20,
         strokes=STROKES,
         recipe=TINY,
         progress=lambda step, _of, _check: done.append(step),
@@ -41,7 +41,7 @@ def test_a_trained_model_has_a_card_and_loads_as_a_detector(tmp_path: Path) -> N
     assert card["curve"] == model.card["curve"]
     assert card["detector"] == "tcn_grasp"
     assert set(card["scores"]) == {"grasps", "strokes", "varied strokes"}
-    assert card["data"][0]["recordings"] == {"train": 32, "validation": 4, "test": 4}
+    assert card["data"][0]["recordings"] == {"train": 16, "validation": 2, "test": 2}
 
 
 def test_a_model_ends_in_safetensors(tmp_path: Path) -> None:

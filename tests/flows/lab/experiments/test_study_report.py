@@ -1,8 +1,5 @@
 import json
-from pathlib import Path
 from typing import Any
-
-import pytest
 
 from flows.lab.experiments.study import Study
 from flows.lab.experiments.study_report import lift_report, tap_report
@@ -67,11 +64,3 @@ def test_false_slips_are_shares_of_trials(taps: Study) -> None:
         "soft blow %": 25.0,
         "hold, per min": 0.0,
     }
-
-
-def test_a_report_is_written_with_the_figure_of_a_trial(lifts: Study, taps: Study, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    for name, report in (("tap", tap_report(taps, "command")), ("lift", lift_report(lifts, "command"))):
-        paths = report.write(tmp_path, name)
-        assert [path.name for path in paths] == [f"{name}.{end}" for end in ("html", "md", "json", "svg")]
-        assert "least that holds" in (tmp_path / f"{name}.svg").read_text()
