@@ -1,17 +1,41 @@
-"""The command line in processes of its own."""
+"""The command line: run to its end in this process, or started in a process of its own."""
 
+import logging
 import subprocess
 import sys
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Final
+from unittest.mock import patch
 
-SLIPFLOW: Final = (sys.executable, "-m", "flows.cli")
+from flows.cli import main
+
+SLIPFLOW: Final = (sys.executable, "-m", "flows.cli")  # for a process that is interrupted or killed
 
 
 def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
-    command = [*SLIPFLOW, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=cwd)
+    """Run a command to its end in this process."""
+    out, err = (TextIOWrapper(BytesIO(), "utf-8", write_through=True) for _ in range(2))
+    command = ["slipflow", *map(str, arguments)]
+    root, ours = logging.getLogger(), logging.getLogger("slipflow")
+    handlers, root.handlers[:] = root.handlers[:], []
+    level, main._debug = ours.level, False
+    try:
+        with (
+            redirect_stdout(out),
+            redirect_stderr(err),
+            patch.object(sys, "argv", command),
+            chdir(cwd or "."),
+        ):
+            main.main()
+    except SystemExit as done:
+        code = done.code if isinstance(done.code, int) else 0
+    finally:
+        root.handlers[:] = handlers
+        ours.setLevel(level)
+    texts = (stream.buffer.getvalue().decode() for stream in (out, err))
+    return subprocess.CompletedProcess(command, code, *texts)
 
 
 def error(*arguments: str | Path, cwd: Path | None = None) -> str:

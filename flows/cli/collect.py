@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from flows.cli.event_log import begin_log
-from flows.cli.options import AsJson
+from flows.cli.options import AsJson, Recordings, Seed
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def collect(
     rows: Annotated[
         str, typer.Option(metavar="N,N", help="Rows of the fingertips on the bus, such as 0,1.")
     ] = "0",
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
+    out: Recordings = Path("recordings"),
     depth: Annotated[
         str | None,
         typer.Option(
@@ -56,9 +56,7 @@ def collect(
             " arm measures it; a CB3 arm estimates it within about 10 N.",
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(help="Random seed of the order of directions and of a virtual lab.")
-    ] = 0,
+    seed: Seed = 0,
     virtual: Annotated[
         bool, typer.Option("--virtual", help="Run on a virtual lab instead of a robot.")
     ] = False,

@@ -10,14 +10,14 @@ import typer
 from flows.cli.event_log import Format, Log, with_json_console
 from flows.cli.execution import execute, separate_result
 from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
-from flows.cli.options import AsJson, Duration
+from flows.cli.options import AsJson, Duration, Recordings, Seed
 from flows.cli.terminal import note
 
 
 def demo(
     *,
     duration: Duration = "20s",
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")] = Path("recordings"),
+    out: Recordings = Path("recordings"),
     mqtt: Annotated[
         str | None,
         typer.Option(metavar="URL", help="MQTT broker to publish to (default: one on this machine, if any)."),
@@ -29,7 +29,7 @@ def demo(
         Path | None,
         typer.Option(metavar="FOLDER", help="Folder that keeps the published events (default: one per rig)."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Random seed of the simulated rig.")] = 0,
+    seed: Seed = 0,
     page: WithPage = True,
     listen: Listen = None,
     no_browser: NoBrowser = False,

@@ -138,20 +138,21 @@ def logged(run: "Run") -> Generator[None]:
 def _result(run: "Run") -> "dict[str, Any]":
     from flows.run.log_events import event
 
-    def source(status: "SourceStatus") -> "Json":
-        error, gaps = status.error or None, len(status.gaps)
-        rows, late, failures = status.rows, status.late, status.failures
-        return {"rows": rows, "late": late, "failures": failures, "gaps": gaps, "error": error}
+    sources: dict[str, Json] = {
+        name: {
+            **_counters(each, "rows", "late", "failures"),
+            "gaps": len(each.gaps),
+            "error": each.error or None,
+        }
+        for name, each in run.sources.items()
+    }
+    sinks: dict[str, Json] = {
+        name: {**_counters(each, "rows", "dropped", "failures"), "error": each.error or None}
+        for name, each in run.sinks.items()
+    }
+    seconds, error = (run.clock.now() - run.start) / 1e9, run.error or None
+    return event("run_ends", session=run.session, seconds=seconds, sources=sources, sinks=sinks, error=error)
 
-    def sink(status: "SinkStatus") -> "Json":
-        error = status.error or None
-        return {"rows": status.rows, "dropped": status.dropped, "failures": status.failures, "error": error}
 
-    return event(
-        "run_ends",
-        session=run.session,
-        seconds=(run.clock.now() - run.start) / 1e9,
-        sources={name: source(status) for name, status in run.sources.items()},
-        sinks={name: sink(status) for name, status in run.sinks.items()},
-        error=run.error or None,
-    )
+def _counters(status: "SourceStatus | SinkStatus", *names: str) -> "dict[str, Json]":
+    return {name: getattr(status, name) for name in names}

@@ -10,11 +10,9 @@ import typer
 
 from flows.cli.event_log import Format, begin_log, logged
 from flows.cli.replay_batch import replays_as_json
-from flows.cli.terminal import note
+from flows.cli.terminal import note, progress_bar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from flows.graph import Flow
     from operators.ports import Recording, Run
 
@@ -62,8 +60,13 @@ async def execute(
     session = session_name(flow)
     if recording is not None and pace is None:
         replay = ReplayRunner(flow, recording, session)
-        with stopping() as stopped, logged(replay.run):
-            return await replay.execute(_replay_status(recording, stopped))
+        with stopping() as stopped, progress_bar(f"replaying {recording.name}") as update, logged(replay.run):
+
+            def watch(run: "Run") -> bool:
+                update(sum(source.rows for source in run.sources.values()), None, "(rows)")
+                return stopped()
+
+            return await replay.execute(watch)
     clock = None if recording is None else LoopClock(first_time(recording), pace or 1.0)
     flow = flow if recording is None else replayed(flow, recording)
     live = LiveRunner(flow, session, clock=clock, duration=limit, signals=False)
@@ -91,20 +94,3 @@ def report_run(run: "Run", *, replayed: Path | None, seconds: float, log: Format
         raise typer.Exit(130)
     if summary.lost:
         raise typer.Exit(1)
-
-
-def _replay_status(recording: "Recording", stopped: "Callable[[], bool]") -> "Callable[[Run], bool]":
-    """Return a callback that shows the progress of a replay if stderr is a terminal, and stops it."""
-    from rich.console import Console
-    from rich.status import Status
-
-    status = Status(f"replaying {recording.name}", console=Console(stderr=True))
-    if sys.stderr.isatty():
-        status.start()
-
-    def show(run: "Run") -> bool:
-        rows = sum(source.rows for source in run.sources.values())
-        status.update(f"replaying {recording.name}: {(run.clock.now() - run.start) / 1e9:.1f} s, {rows} rows")
-        return stopped()
-
-    return show

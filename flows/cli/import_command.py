@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson
+from flows.cli.options import AsJson, Delay
 from flows.cli.terminal import note, progress_bar
 
 
@@ -54,9 +54,7 @@ def import_(
             help="Label samples as slip above this arm speed (if the file has no labels).",
         ),
     ] = "3mm/s",
-    delay: Annotated[
-        str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
-    ] = "0s",
+    delay: Delay = "0s",
     session: Annotated[
         str | None, typer.Option(metavar="NAME", help="Name of the session (default: the file's name).")
     ] = None,

@@ -37,6 +37,12 @@ Settings = Annotated[
         help="Set a parameter of the flow, such as delay=70ms; repeatable. `slipflow check` lists them.",
     ),
 ]
+Seed = Annotated[int, typer.Option(min=0, help="Random seed; the same seed gives identical output.")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Number of processes (default: one per core).")]
+Delay = Annotated[
+    str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
+]
+Recordings = Annotated[Path, typer.Option(metavar="DIR", help="Dataset to record into.")]
 DatasetOrSession = Annotated[
     Path, typer.Argument(metavar="DATASET|SESSION", help="Folder of a dataset, or of one of its sessions.")
 ]

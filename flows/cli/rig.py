@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from flows.cli.event_log import begin_log
+from flows.cli.options import Duration, Seed
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
-    from connectors.emulators.ur_controller import Ports
     from connectors.sim.scene import Curvature
 
 MAX_PORT = 65535
@@ -26,16 +26,6 @@ def rig(
             help="Address on which the servers listen; every client can move the arm.",
         ),
     ] = "127.0.0.1",
-    rtde: Annotated[
-        int, typer.Option(min=0, max=MAX_PORT, help="RTDE port; ur-rtde supports only 30004.")
-    ] = 30004,
-    script: Annotated[
-        int, typer.Option(min=0, max=MAX_PORT, help="Script port; ur-rtde supports only 30003.")
-    ] = 30003,
-    dashboard: Annotated[
-        int,
-        typer.Option(min=0, max=MAX_PORT, help="Dashboard port; ur-rtde supports only 29999."),
-    ] = 29999,
     gripper: Annotated[
         int,
         typer.Option(min=-1, max=MAX_PORT, help="Modbus port of the gripper; -1: no gripper."),
@@ -44,13 +34,8 @@ def rig(
         str,
         typer.Option(metavar="NAME", help="Surface: plane, sphere, cylinder_x or cylinder_y."),
     ] = "plane",
-    seed: Annotated[int, typer.Option(help="Random seed of the noise.")] = 0,
-    duration: Annotated[
-        str | None,
-        typer.Option(
-            "--for", metavar="TIME", help="Stop after this time, such as 5min (default: at Ctrl-C)."
-        ),
-    ] = None,
+    seed: Seed = 0,
+    duration: Duration = None,
 ) -> None:
     """Serve the virtual lab: a simulated UR arm and gripper.
 
@@ -64,7 +49,6 @@ def rig(
     from typing import get_args
 
     from connectors.emulators.lab_loop import run_lab
-    from connectors.emulators.ur_controller import Ports
     from connectors.sim.scene import Curvature
     from flows.graph.quantity import parse_time
     from operators.checks import check_choice
@@ -72,14 +56,12 @@ def rig(
     begin_log()
     check_choice("rig", "--surface", surface, get_args(Curvature))
     seconds = None if duration is None else parse_time("rig", "--for", duration) / 1e9
-    ports, port = Ports(rtde, script, dashboard), None if gripper < 0 else gripper
-    shape = cast("Curvature", surface)
-    run_lab(_serve(listen, ports, gripper=port, surface=shape, seed=seed, seconds=seconds))
+    port, shape = None if gripper < 0 else gripper, cast("Curvature", surface)
+    run_lab(_serve(listen, gripper=port, surface=shape, seed=seed, seconds=seconds))
 
 
 async def _serve(
     listen: str,
-    ports: "Ports",
     *,
     gripper: int | None,
     surface: "Curvature",
@@ -90,7 +72,7 @@ async def _serve(
     from connectors.sim.scene import commanded_scene
 
     note("starting; the first start compiles the simulated physics, which takes some seconds")
-    serving = virtual_lab(commanded_scene(surface), seed, host=listen, ports=ports, gripper=gripper)
+    serving = virtual_lab(commanded_scene(surface), seed, host=listen, gripper=gripper)
     async with serving as lab:
         for device, address in lab.addresses.items():
             typer.echo(f"{device:10} {address}")

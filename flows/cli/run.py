@@ -9,7 +9,7 @@ import typer
 from flows.cli.event_log import Format, Log, with_json_console
 from flows.cli.execution import execute, report_run, separate_result, session_name
 from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
-from flows.cli.options import AsJson, Duration, Settings, Target, load_flow, parse_settings
+from flows.cli.options import AsJson, Duration, Jobs, Settings, Target, load_flow, parse_settings
 from flows.cli.replay_batch import replay_all
 from flows.cli.run_on_cluster import ClusterUrl, Follow, PythonFile, run_on_cluster
 from flows.cli.terminal import note
@@ -27,10 +27,7 @@ def run(
     more: Annotated[
         list[Path] | None, typer.Argument(metavar="PATH", help="Further recordings, with --replay.")
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of processes that replay recordings (default: one per core)."),
-    ] = None,
+    jobs: Jobs = None,
     pace: Annotated[
         float | None,
         typer.Option(

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from flows.cli.options import AsJson
+from flows.cli.options import AsJson, Delay, Jobs, Seed
 from flows.cli.terminal import progress_bar
 
 
@@ -17,13 +17,9 @@ def simulate(
         str,
         typer.Option(help="Plan: paper (44 minutes), wide (30 minutes, 30 materials) or tiny (2 minutes)."),
     ] = "paper",
-    seed: Annotated[int, typer.Option(help="Random seed; the same seed gives identical output.")] = 0,
-    delay: Annotated[
-        str, typer.Option(metavar="TIME", help="Label each sample by the arm motion this long after it.")
-    ] = "0s",
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Number of processes (default: one per core).")
-    ] = None,
+    seed: Seed = 0,
+    delay: Delay = "0s",
+    jobs: Jobs = None,
     as_json: AsJson = False,
 ) -> None:
     """Simulate a collection plan as a labelled dataset.

@@ -1,11 +1,8 @@
 """The command `slipflow stress`."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from flows.cli.options import AsJson, Methods, Models
+from flows.cli.options import AsJson, Jobs, Methods, Models, Seed
 from flows.cli.report_output import ReportFolder, method_options, prepare_report, write_report
 from flows.cli.terminal import note, progress_bar
 
@@ -14,10 +11,8 @@ def stress(
     *,
     model: Models = None,
     method: Methods = None,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed of the simulated recordings.")] = 4000,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Number of processes (default: one per core).")
-    ] = None,
+    seed: Seed = 4000,
+    jobs: Jobs = None,
     out: ReportFolder = Path("stress"),
     as_json: AsJson = False,
 ) -> None:

@@ -30,8 +30,8 @@ def check_output_file(path: Path) -> None:
 class Progress(Protocol):
     """Callback that updates a progress bar."""
 
-    def __call__(self, done: int, total: int, part: str = "") -> None:
-        """Show that `done` of `total` steps are done, and the part in progress."""
+    def __call__(self, done: int, total: int | None, part: str = "") -> None:
+        """Show that `done` of `total` steps are done (None: of unknown), and the part in progress."""
         ...
 
 
@@ -52,7 +52,7 @@ def progress_bar(action: str) -> Generator[Progress]:
     ) as bar:
         task = bar.add_task(action)
 
-        def update(done: int, total: int, part: str = "") -> None:
+        def update(done: int, total: int | None, part: str = "") -> None:
             bar.update(task, description=f"{action} {part}".rstrip(), completed=done, total=total)
 
         yield update

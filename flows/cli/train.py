@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson
+from flows.cli.options import AsJson, Seed
 from flows.cli.terminal import check_output_file, note, progress_bar
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def train(
     ] = 16,
     steps: Annotated[int, typer.Option(min=1, help="Number of training steps of the tcn.")] = 4000,
     epochs: Annotated[int, typer.Option(min=1, help="Number of epochs of the paper's networks.")] = 20,
-    seed: Annotated[int, typer.Option(min=0, help="Random seed.")] = 0,
+    seed: Seed = 0,
     seeds: Annotated[
         int,
         typer.Option(min=1, help="Train with this many seeds, from --seed on, and keep the best model."),

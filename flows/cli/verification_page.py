@@ -3,19 +3,16 @@
 import shlex
 from collections.abc import Mapping
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
 from flows.cli.terminal import check_output_file
-from flows.cli.verification_figure import MAX_SESSIONS, by_session, session_lanes
-from flows.report.figures import missing_matplotlib
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, counted
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError, os_error_reason
-from storage.verification import Finding, Verified, Weight, heaviest
+from storage.verification import Verified, Weight, heaviest
 
 VERDICTS: Final[Mapping[Weight, str]] = MappingProxyType(
     {
@@ -84,34 +81,24 @@ def report(found: Verified, dataset: Path, command: str) -> Report:
 
 
 def _sessions(found: Verified) -> Section:
-    findings = dict[str, list[Finding]]()
-    for each in found.findings:
-        findings.setdefault(each.session, []).append(each)
     rows = list[list[Value]]()
-    for name, parts in by_session(found).items():
+    for name in found.names:
+        parts = [each for each in found.parts if each.session == name]
+        findings = [each for each in found.findings if each.session == name]
         unread = sum(each.part.rows for each in parts if not each.whole)
+        readable = sum(each.part.rows for each in parts) - unread
         dated = [each.part for each in parts if each.part.rows]
         span = max((part.last for part in dated), default=0) - min((part.first for part in dated), default=0)
-        own = findings.get(name, [])
-        readable = sum(each.part.rows for each in parts) - unread
-        worst = heaviest(own) if own else "all present"
-        rows.append([name, len(parts), readable, unread, span / s, len(own), worst])
+        worst = heaviest(findings) if findings else "all present"
+        rows.append([name, len(parts), readable, unread, span / s, len(findings), worst])
     broken = [each for each in found.parts if not each.whole]
     finding = f"All {counted(len(found.parts), 'listed file')} can be read"
     if broken:
         lost = counted(sum(each.part.rows for each in broken), "row")
         finding = f"{len(broken):,} of {counted(len(found.parts), 'listed file')} cannot be read: {lost}"
-    text = (
-        "Rows per second of each session over event time, since its first row: readable rows in blue,"
-        " unreadable rows in red. Blank spans have no rows."
-    )
-    if found.sessions > MAX_SESSIONS:
-        text += f" Of {found.sessions:,} sessions the {MAX_SESSIONS} with the most severe findings are drawn."
-    if reason := missing_matplotlib():
-        text = f"Figures {reason}."
     head = ["session", "files", "rows", "unreadable rows", "span, s", "findings", "worst"]
-    draw = partial(session_lanes, found) if any(each.part.rows for each in found.parts) else None
-    return Section("sessions", finding, text, [Table(head, rows)], draw)
+    text = "The span is the time from the first to the last row."
+    return Section("sessions", finding, text, [Table(head, rows)])
 
 
 def _findings(found: Verified) -> Section:

@@ -41,7 +41,6 @@ def verify(
       slipflow verify recordings/sessions/stroke-9 --json
     """
     from flows.cli import verification_page as page
-    from flows.report.figures import missing_matplotlib
     from storage import verify as check
 
     if report is not None:
@@ -50,7 +49,7 @@ def verify(
         found = check(path, update)
     if report is not None:
         page.write(found, path, report)
-        note(f"wrote {report}" + (f"; figures {reason}" if (reason := missing_matplotlib()) else ""))
+        note(f"wrote {report}")
     typer.echo(json.dumps(page.summary(found)) if as_json else _text(path, found))
     if found.code:
         raise typer.Exit(found.code)

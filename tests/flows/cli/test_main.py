@@ -11,6 +11,7 @@ import typer
 from typer.testing import CliRunner
 
 from flows.cli import experiments, main
+from operators import InputError
 from tests.command import SLIPFLOW, slipflow
 
 
@@ -48,9 +49,8 @@ def test_each_command_has_help_with_examples(words: list[str]) -> None:
 
 
 def test_debug_shows_the_traceback() -> None:
-    done = slipflow("--debug", "run", "nowhere.py")
-    assert done.returncode == 1
-    assert "Traceback" in done.stderr
+    with pytest.raises(InputError, match=r"nowhere\.py"):
+        slipflow("--debug", "run", "nowhere.py")
 
 
 def test_without_a_command_its_help_is_shown() -> None:

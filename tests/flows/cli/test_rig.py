@@ -1,5 +1,6 @@
 """The command `slipflow rig`."""
 
+import os
 import signal
 import subprocess
 from pathlib import Path
@@ -9,15 +10,16 @@ from tests.command import SLIPFLOW, slipflow
 
 
 def test_the_rig_prints_its_addresses_and_ends_at_ctrl_c(tmp_path: Path) -> None:
-    ports = ["--rtde", "0", "--script", "0", "--dashboard", "0", "--gripper", "0"]
-    process = subprocess.Popen([*SLIPFLOW, "rig", *ports], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
+    address = f"127.{os.getpid() >> 8 & 255}.{os.getpid() & 255}.1"  # of this test only
+    options = ["--listen", address, "--gripper", "0"]
+    process = subprocess.Popen([*SLIPFLOW, "rig", *options], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     assert process.stdout
     lines = [process.stdout.readline().split() for _ in range(5)]
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    process.communicate(timeout=120)
     assert [line[0] for line in lines] == ["takktile", "rtde", "script", "dashboard", "gripper"]
     assert "process" in lines[0]
-    assert str(PORTS.rtde) not in lines[1][1]
+    assert lines[1][1] == f"{address}:{PORTS.rtde}"
     assert process.returncode == 130
 
 

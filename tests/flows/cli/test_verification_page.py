@@ -4,9 +4,7 @@ from pathlib import Path
 import pytest
 
 from flows.cli import verification_page
-from flows.cli.verification_figure import MAX_SESSIONS, count_rows, worst_sessions
 from flows.cli.verification_page import report, summary, write
-from flows.report import report_page
 from operators.batch import s
 from operators.errors import EndpointError, ParameterError
 from storage.manifest import Part
@@ -49,47 +47,13 @@ def test_lost_rows_are_listed_by_session_and_by_finding(tmp_path: Path) -> None:
     assert len(findings.tables[0].rows) == 2
 
 
-def test_the_page_is_one_file_with_its_figure_and_its_command(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="needs the extra `report`")
+def test_the_page_is_one_file_with_its_command(tmp_path: Path) -> None:
     out = tmp_path / "my page.html"
     write(verified(LOST, whole=False), tmp_path / "data", out)
     text = out.read_text()
     assert f"slipflow verify {tmp_path / 'data'} --report &#x27;{out}&#x27;" in text
-    assert text.count("<svg ") == 1
     assert "&lt;gone&gt;" in text
     assert not re.search(r'(?:src|href)="(?!#)', text)
-    assert "#0b6e99" in text  # what can be read
-    assert "#d1495b" in text  # what cannot
-    write(verified(), tmp_path / "data", out)
-    assert "#d1495b" not in re.sub(r"<style>.*?</style>", "", out.read_text(), flags=re.DOTALL)
-
-
-def test_without_matplotlib_the_page_names_the_missing_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    reason = "need matplotlib: in the clone, pip install -e '.[report]'"
-    for module in (verification_page, report_page):
-        monkeypatch.setattr(module, "missing_matplotlib", lambda: reason)
-    [sessions, _] = report(verified(), tmp_path, "").sections
-    assert sessions.figure is None
-    assert "pip install -e '.[report]'" in sessions.text
-
-
-def test_every_row_is_counted_in_its_bin() -> None:
-    parts = [checked("a", 0), checked("a", 1, whole=False, count=20), checked("a", 3, count=7)]
-    read, lost = count_rows(parts, 5.0)
-    assert read.tolist() == pytest.approx([25, 25, 0, 0, 0, 0, 3.5, 3.5, 0])
-    assert lost.tolist() == pytest.approx([0, 0, 10, 10, 0, 0, 0, 0, 0])
-    instant = Checked("a", Part("slips.parquet", 3, 40 * s, 40 * s, "0" * 64), whole=True)
-    assert sum(map(sum, count_rows([*parts, instant], 5.0))) == pytest.approx(80)
-
-
-def test_only_the_worst_of_too_many_sessions_are_drawn() -> None:
-    names = tuple(f"s{k:03}" for k in range(MAX_SESSIONS + 5))
-    found = Verified(len(names), 0, 0, (Finding(names[-1], "lost", ""),), (), names)
-    assert len(worst_sessions(found)) == MAX_SESSIONS
-    assert worst_sessions(found)[-1] == names[-1]
-    assert worst_sessions(found)[0] == names[0]
 
 
 def test_the_json_result_has_the_findings() -> None:
