@@ -4,7 +4,7 @@ import asyncio
 import logging
 from collections import deque
 from collections.abc import Awaitable, Mapping
-from typing import Final, TypeVar, cast
+from typing import Final, TypeAlias, TypeVar, cast
 
 import numpy as np
 
@@ -14,11 +14,13 @@ from operators.errors import EndpointError, os_error_reason
 from operators.ports import Clock
 
 T = TypeVar("T")
+Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.void]]"  # fields are outputs
 
 BACKLOG: Final = 16_384  # unread packages (30 s at 500 Hz); beyond it the client stops reading
 
 NO_ANSWER: Final = "does not answer within {} s: check its address and its power"
 _NO_DATA: Final = "sent nothing for {} s: check that it runs and is connected"
+_NUMPY: Final = {"DOUBLE": (">f8", ()), "VECTOR6D": (">f8", 6), "INT32": (">i4", ())}  # element, shape
 _REFUSED: Final = (
     "refuses the connection: check its address, and that RTDE is enabled"
     " (e-Series: Settings, Security, Services)"
@@ -52,6 +54,8 @@ class RtdeClient(asyncio.Protocol):
         self.controller: Version | None = None
         self._address, self._clock, self._timeout = (host, port), clock, timeout
         self._outputs, self._rate = outputs, rate
+        fields = ((name, *_NUMPY[kind]) for name, kind in outputs.items())
+        self._row = np.dtype([("recipe", "u1"), *fields])
         self._packages, self._recipe = Packages(), Recipe(0, (), ())
         self._expected = Kind.PROTOCOL  # kind of the next answer; DATA once the controller sends
         self._received = deque[tuple[int, bytes]]()  # arrival (ns) and payload
@@ -68,8 +72,8 @@ class RtdeClient(asyncio.Protocol):
         loop = asyncio.get_running_loop()
         await self._in_time(loop.create_connection(lambda: self, *self._address), NO_ANSWER)
 
-    async def receive(self) -> tuple[Times, bytes]:
-        """Wait for data; return all unread packages: arrival times (n,), n >= 1, and joined payloads.
+    async def receive(self) -> tuple[Times, Rows]:
+        """Wait for data; return all unread packages: arrival times and rows with the outputs, (n,), n >= 1.
 
         Raises:
             EndpointError: if the connection fails, the controller violates the protocol, or no package
@@ -80,7 +84,7 @@ class RtdeClient(asyncio.Protocol):
         self._received.clear()
         if self._transport:
             self._transport.resume_reading()
-        return np.array(arrivals, np.int64), b"".join(payloads)
+        return np.array(arrivals, np.int64), np.frombuffer(b"".join(payloads), self._row)
 
     async def close(self) -> None:
         """Close the connection."""

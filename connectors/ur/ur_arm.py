@@ -20,7 +20,7 @@ from connectors.ur.contact_search import ContactSearch, mean_force
 from connectors.ur.control_client import START_TIMEOUT, ControlClient
 from connectors.ur.control_process import WATCHDOG, Move, MoveTo, Pose, Signal
 from connectors.ur.path_follower import PathFollower, Point
-from connectors.ur.ur_state import ArmState, Bounds, decode_states, state_client
+from connectors.ur.ur_state import ArmState, Bounds, receive_states, state_client
 from operators.errors import EndpointError
 from operators.ports import Clock
 
@@ -77,8 +77,7 @@ class UrArm:
         """
         try:
             await self._client.connect()
-            _, packages = await self._client.receive()
-            self.state = decode_states(packages)[-1]
+            self.state = (await receive_states(self._client))[-1]
             self.fault = self.fault or self.bounds.violation(self.state)
             self._check()
             if isfinite(self.bounds.force) and isnan(hypot(*self.state.force)):
@@ -279,8 +278,7 @@ class UrArm:
         """Check each state."""
         try:
             while True:
-                _, packages = await self._client.receive()
-                for state in decode_states(packages):
+                for state in await receive_states(self._client):
                     self.state = state
                     if reason := self.bounds.violation(state) or (self._guard(state) if self._guard else ""):
                         self.fail(reason)

@@ -9,7 +9,7 @@ from typing import Final, cast
 import numpy as np
 
 from connectors.ur.rtde import PORT
-from connectors.ur.rtde_client import RtdeClient
+from connectors.ur.rtde_client import Rows, RtdeClient
 from operators.batch import Flags, Motion, Times, s
 from operators.checks import check_above
 from operators.errors import EndpointError, ParameterError
@@ -21,7 +21,6 @@ CB3_RATE: Final = 125.0  # Hz
 CB3: Final = 3  # highest major version of CB3 software
 
 _MAX_UPTIME: Final = 4e9  # s, 128 years
-_ROW: Final = np.dtype([("recipe", "u1"), ("timestamp", ">f8"), ("pose", ">f8", 6), ("speed", ">f8", 6)])
 
 log = logging.getLogger("slipflow")
 
@@ -85,10 +84,10 @@ class UrMotion(Source[Motion]):
         try:
             await client.connect()
             while True:
-                arrivals, packages = await client.receive()
+                arrivals, rows = await client.receive()
                 if stamps.first:
                     self._check_controller(client)
-                motion = _decode(client.endpoint, arrivals, packages)
+                motion = _decode(client.endpoint, arrivals, rows)
                 new = stamps.new(motion.device_time)
                 self._count(client.endpoint)
                 if new.any():
@@ -121,13 +120,13 @@ class UrMotion(Source[Motion]):
         self._about.update(restarts=stamps.restarts, missed=stamps.missed, repeated=stamps.repeated)
 
 
-def _decode(endpoint: str, arrivals: Times, packages: bytes) -> Motion:
-    rows = np.frombuffer(packages, _ROW)
+def _decode(endpoint: str, arrivals: Times, rows: Rows) -> Motion:
     stamps = rows["timestamp"].astype(np.float64)  # (n,) s
     if not ((stamps >= 0) & (stamps < _MAX_UPTIME)).all():
         raise EndpointError(endpoint, f"sent timestamps {stamps.tolist()} s, must be 0 to {_MAX_UPTIME:g} s")
     device_time = np.rint(stamps * s).astype(np.int64)
-    return Motion(arrivals, device_time, rows["speed"].astype(np.float64), rows["pose"].astype(np.float64))
+    velocity, pose = (rows[name].astype(np.float64) for name in ("actual_TCP_speed", "actual_TCP_pose"))
+    return Motion(arrivals, device_time, velocity, pose)
 
 
 def _divides(rate: float, highest: float) -> bool:

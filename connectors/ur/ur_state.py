@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from math import dist, hypot, inf, nan
 from typing import Final, NamedTuple
 
-import numpy as np
-
 from connectors.ur.rtde import PORT
 from connectors.ur.rtde_client import RtdeClient
 from operators.checks import check_above
@@ -38,18 +36,6 @@ SAFETY: Final = {  # RTDE guide
 STANDSTILL: Final = 1e-3  # m/s, rad/s; slower counts as standing
 POSITION_TOLERANCE: Final = 5e-4  # m; a UR arm has a repeatability of 1e-4
 ROTATION_TOLERANCE: Final = 5e-3  # rad
-
-_ROW: Final = np.dtype(
-    [
-        ("recipe", "u1"),
-        ("timestamp", ">f8"),
-        ("pose", ">f8", 6),
-        ("velocity", ">f8", 6),
-        ("force", ">f8", 6),
-        ("robot_mode", ">i4"),
-        ("safety_mode", ">i4"),
-    ]
-)
 
 
 class ArmState(NamedTuple):
@@ -111,15 +97,21 @@ class Bounds:
 
 
 def state_client(clock: Clock, host: str) -> RtdeClient:
-    """Return a client for the packages that `decode_states` reads."""
+    """Return a client for `receive_states`."""
     return RtdeClient(clock, host, PORT, OUTPUTS, rate=RATE, timeout=TIMEOUT)
 
 
-def decode_states(packages: bytes) -> list[ArmState]:
-    """Return the states in the packages that a client received, at least one."""
-    rows = np.frombuffer(packages, _ROW)
-    force = rows["force"][:, :3]  # (n, 3)
-    fields = rows["pose"], rows["velocity"], force, rows["robot_mode"], rows["safety_mode"]
+async def receive_states(client: RtdeClient) -> list[ArmState]:
+    """Return the states received since the last call; wait if there are none.
+
+    Raises:
+        EndpointError: if the controller sends no state.
+    """
+    _, rows = await client.receive()
+    force = rows["actual_TCP_force"][:, :3]  # (n, 3)
+    names = "actual_TCP_pose", "actual_TCP_speed", "robot_mode", "safety_mode"
+    pose, velocity, *modes = (rows[name] for name in names)
+    fields = pose, velocity, force, *modes
     return [
         ArmState(tuple(pose), tuple(velocity), tuple(push), mode, safety)
         for pose, velocity, push, mode, safety in zip(*(each.tolist() for each in fields), strict=True)
@@ -135,7 +127,6 @@ async def read_state(clock: Clock, host: str) -> ArmState:
     client = state_client(clock, host)
     try:
         await client.connect()
-        _, packages = await client.receive()
+        return (await receive_states(client))[-1]
     finally:
         await client.close()
-    return decode_states(packages)[-1]

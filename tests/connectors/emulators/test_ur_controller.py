@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import os
 import socket
 import sys
 from collections.abc import Callable
@@ -15,6 +14,7 @@ import numpy as np
 import pytest
 
 from connectors.emulators.free_arm import FreeArm
+from connectors.emulators.lab_loop import loop_clock, run_lab
 from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur.rtde import Version
 from flows.graph.testing import run_virtually
@@ -22,6 +22,7 @@ from flows.run.clocks import LoopClock
 from operators import EndpointError
 from operators.batch import Commands, Reals
 from tests.connectors.emulators.faulty_ur import FaultyUrController, release_emergency, stop_in_emergency
+from tests.loopback import own_host
 
 HOST = "127.0.0.1"
 CB3, E_SERIES, NEWEST = Version(3, 15, 8, 1), Version(5, 11, 0, 1), Version(5, 24, 0, 1)
@@ -118,13 +119,13 @@ def with_ur_rtde(
     The script knows what `PRELUDE` defines: `receive`, the real interface, `say`, `until` something is true,
     and `fault`, which returns once the next of `faults` is done.
     """
-    number = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    host = f"127.0.30.{1 + number}"
+    host = own_host(5)
     arm = arm or FreeArm(np.zeros(6), acceleration=5.0)
 
     async def main() -> list[Any]:
         due, said = list(faults), list[Any]()
-        async with asyncio.timeout(PATIENCE), UrController(arm, host=host, version=version) as controller:
+        served = UrController(arm, host=host, version=version, now=loop_clock())
+        async with asyncio.timeout(PATIENCE), served as controller:
             process = await asyncio.create_subprocess_exec(
                 *(sys.executable, "-c", PRELUDE + dedent(script), host),
                 stdin=asyncio.subprocess.PIPE,
@@ -149,7 +150,7 @@ def with_ur_rtde(
         assert not due
         return said
 
-    return asyncio.run(main())
+    return run_lab(main())
 
 
 @real

@@ -192,7 +192,7 @@ def fed(pieces: list[bytes]) -> tuple[bytes, str]:
         reader.connection_lost(ConnectionError("end of the test"))
         try:
             while True:
-                received += (await reader.receive())[1]
+                received += (await reader.receive())[1].tobytes()
         except EndpointError as error:
             return received, error.reason
 
@@ -268,9 +268,9 @@ def test_a_full_backlog_pauses_reading(monkeypatch: pytest.MonkeyPatch) -> None:
             assert transport.reads
             reader.data_received(pack(Kind.DATA, DATA[0]))
         assert not transport.reads
-        arrivals, packages = await reader.receive()
-        assert len(arrivals) == 20
-        assert len(packages) == 20 * RECIPE.size
+        arrivals, rows = await reader.receive()
+        assert len(arrivals) == len(rows) == 20
+        assert rows.nbytes == 20 * RECIPE.size
         assert transport.reads
 
     run_virtually(main())

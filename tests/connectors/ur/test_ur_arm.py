@@ -31,10 +31,11 @@ from operators import EndpointError
 from operators.batch import Reals
 from tests.connectors.emulators.faulty_ur import FaultyUrController, stop_in_emergency
 from tests.connectors.ur.direct_control import DirectControl
+from tests.loopback import own_host
 
 real = pytest.mark.skipif(importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`")
 
-HOST = f"127.0.{os.getpid() % 250 + 1}.2"  # of this process: ur-rtde knows one port only
+HOST = own_host(2)
 BEGIN = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 BOUNDS = Bounds((0.3, -0.1, 0.05), (0.5, 0.1, 0.2), force=20.0)
 DOWN = Bounds((0.3, -0.1, -0.02), (0.5, 0.1, 0.2), force=20.0)  # to a surface at 0

@@ -4,7 +4,6 @@ import asyncio
 import importlib.util
 import json
 import math
-import os
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -47,12 +46,13 @@ from operators import (
 )
 from storage import Session
 from tests.connectors.emulators.observed_scene import ObservedScene
+from tests.loopback import own_host
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("rtde_control") is None, reason="needs the extra `ur`"
 )
 
-HOST = f"127.0.{os.getpid() % 250 + 1}.3"  # of this process: ur-rtde knows one port only
+HOST = own_host(3)
 PLACE: Pose = (0.0, 0.0, 0.0, math.pi, 0.0, 0.0)
 PATH = PathSettings(
     slide_time=0.4,
