@@ -107,7 +107,19 @@ def session_folder(root: Path, session: str) -> Path:
     'recordings/sessions/2026-11-21'
 
     Raises:
-        ParameterError: if `session` is not a plain file name.
+        ParameterError: if `session` is not the name of a file.
+        InputError: if a link of that name leads out of the dataset.
+    """
+    if session in {"", ".", ".."} or not {"/", "\0"}.isdisjoint(session):
+        raise ParameterError("Dataset", "session", session, "a file name")
+    return inside(root, root / SESSIONS / session)
+
+
+def new_session_folder(root: Path, session: str) -> Path:
+    """Return the folder of a new session, whose name is a file name on every system.
+
+    Raises:
+        ParameterError: if it is not.
         InputError: if a link of that name leads out of the dataset.
     """
     if not _NAME.fullmatch(session):
@@ -117,7 +129,7 @@ def session_folder(root: Path, session: str) -> Path:
             session,
             "a file name of at most 128 letters, digits, '.', '_' or '-' that begins with a letter or digit",
         )
-    return inside(root, root / SESSIONS / session)
+    return session_folder(root, session)
 
 
 def session_names(root: Path) -> list[str]:

@@ -15,7 +15,7 @@ from storage import files
 from storage.buffer import Buffer
 from storage.description import describe_dataset, describe_session
 from storage.journal import APPEND_AT, Journal, NumberedRows
-from storage.layout import SESSIONS, TABLE_OF, TABLES, TOUCH, Table, session_folder
+from storage.layout import SESSIONS, TABLE_OF, TABLES, TOUCH, Table, new_session_folder
 from storage.lock import lock
 from storage.manifest import Part, write_manifest
 from storage.parts import commit_part
@@ -45,7 +45,7 @@ class SessionWriter:
     """
 
     def __init__(self, root: Path, run: Run, part_span: int, part_rows: int, host: str | None = None) -> None:
-        self.folder = session_folder(root, run.session)
+        self.folder = new_session_folder(root, run.session)
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
         kinds = run.sink_types.get(str(root), ())

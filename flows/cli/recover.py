@@ -33,13 +33,12 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
         SESSIONS,
         lacks_description,
         names_without_description,
-        session_folder,
         session_names,
     )
     from storage.lock import locked
 
     single = (path / SESSION).exists() or lacks_description(path)
-    folders = [path] if single else [session_folder(path, name) for name in session_names(path)]
+    folders = [path] if single else [path / SESSIONS / name for name in session_names(path)]
     without_description = [
         path / SESSIONS / name for name in ([] if single else names_without_description(path))
     ]
@@ -63,9 +62,11 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
         sessions = [_as_dict(each) for each in done]
         typer.echo(json.dumps({"sessions": sessions, "errors": errors}))
     else:
-        changed = [_text(each) for each in done if each.changed]
-        nothing = f"{counted(len(done), 'session')}, nothing to recover; slipflow verify reads every file"
-        typer.echo("\n".join(changed) or nothing)
+        lines = [_text(each) for each in done if each.changed]
+        if not lines and not errors:
+            lines = [f"{counted(len(done), 'session')}, nothing to recover; slipflow verify reads every file"]
+        for line in lines:
+            typer.echo(line)
     for each in errors:
         typer.echo(f"error: {each}", err=True)
     if errors or any(each.changed for each in done):

@@ -7,16 +7,31 @@ import pytest
 
 from operators.batch import columns
 from operators.errors import InputError, ParameterError
-from storage.layout import TABLE_OF, TABLES, inside, names_without_description, session_folder, session_names
+from storage.layout import (
+    TABLE_OF,
+    TABLES,
+    inside,
+    names_without_description,
+    new_session_folder,
+    session_folder,
+    session_names,
+)
 
 
 @pytest.mark.parametrize(
     "name",
     ["", ".", "..", "../x", "a/b", "/etc", "a\\b", "a\0b", "a\n", ".hidden", "-x", "a b", "ä", "x" * 129],
 )
-def test_a_name_that_is_no_plain_file_name_is_refused(name: str) -> None:
+def test_a_new_session_has_a_plain_file_name(name: str) -> None:
+    with pytest.raises(ParameterError, match=r"session is .* must be a file name"):
+        new_session_folder(Path("data"), name)
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "/etc", "a\0b"])
+def test_a_session_is_inside_the_dataset_whatever_its_name(name: str) -> None:
     with pytest.raises(ParameterError, match=r"session is .* must be a file name"):
         session_folder(Path("data"), name)
+    assert session_folder(Path("data"), "my copy") == Path("data/sessions/my copy")
 
 
 def test_a_plain_name_stands_under_sessions() -> None:

@@ -1,10 +1,13 @@
+import errno
 import hashlib
+import os
 import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -12,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from operators.batch import Motion, Touch
-from operators.errors import InputError
+from operators.errors import EndpointError, InputError
+from storage import files
 from storage.layout import MOTION, TOUCH, Table
 from storage.parts import read_part, write_part
 from storage.schema import schema, to_arrow
@@ -46,7 +50,7 @@ def test_a_flipped_bit_in_any_byte_of_an_unlisted_part_never_becomes_a_wrong_val
     part: bytes, rows: pa.Table, tmp_path: Path
 ) -> None:
     path = tmp_path / "flipped.parquet"
-    for position in range(len(part)):
+    for position in range(0, len(part), 3):
         path.write_bytes(_flipped(part, position, 3))
         with suppress(InputError):  # where it did not matter, such as in the name of the writing library
             assert read_part(path, schema(TOUCH)).equals(rows)
@@ -81,6 +85,47 @@ def test_a_part_cut_short_is_reported(
     path.write_bytes(part[: int(share * len(part))])
     with pytest.raises(InputError):
         read_part(path, schema(TOUCH))
+
+
+def test_a_part_that_unpacks_to_too_much_is_refused_unread(tmp_path: Path) -> None:
+    """A file of a few MB declares 60 million rows."""
+    zeros = {"time": np.zeros(600_000, np.int64)}
+    expected = pa.schema([schema(TOUCH).field("time")])
+    path = tmp_path / "bomb.parquet"
+    with cast("Any", pq).ParquetWriter(path, expected, compression="zstd") as writer:
+        for _ in range(120):
+            writer.write_table(pa.table(zeros, schema=expected))
+    assert path.stat().st_size < 2_000_000
+    before = pa.total_allocated_bytes()
+    with pytest.raises(InputError, match="unpacks to more than 512 MiB"):
+        read_part(path, expected)
+    assert pa.total_allocated_bytes() == before
+
+
+@pytest.mark.parametrize("error", [errno.EIO, errno.EMFILE, errno.ENOMEM])
+def test_a_failing_disk_is_not_reported_as_damage(
+    part: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: int
+) -> None:
+    def fail(*_: object) -> bytes:
+        raise OSError(error, os.strerror(error))
+
+    (tmp_path / "x.parquet").write_bytes(part)
+    monkeypatch.setattr(files, "read_at", fail)
+    with pytest.raises(EndpointError, match=os.strerror(error)):
+        read_part(tmp_path / "x.parquet", schema(TOUCH))
+
+
+@pytest.mark.parametrize("error", [pa.ArrowMemoryError, MemoryError])
+def test_a_lack_of_memory_is_not_reported_as_damage(
+    part: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error("malloc of size 64 failed")
+
+    (tmp_path / "x.parquet").write_bytes(part)
+    monkeypatch.setattr(pq, "ParquetFile", fail)
+    with pytest.raises(EndpointError, match="not enough memory"):
+        read_part(tmp_path / "x.parquet", schema(TOUCH))
 
 
 def test_a_missing_part_is_reported(tmp_path: Path) -> None:
@@ -146,9 +191,11 @@ def test_a_part_is_read_without_arrow_s_own_threads(part: bytes, tmp_path: Path)
     script = f"""
 import os
 from pathlib import Path
+from storage import arrow
 from storage.layout import TOUCH
 from storage.parts import read_part
 from storage.schema import schema
+arrow.load()
 before = len(os.listdir("/proc/self/task"))
 read_part(Path({str(path)!r}), schema(TOUCH))
 print(len(os.listdir("/proc/self/task")) - before)

@@ -1,11 +1,13 @@
 import asyncio
+import errno
+import os
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
 
 from operators.errors import EndpointError, InputError
-from storage import Dataset, Session, recover, verify
+from storage import Dataset, Session, files, recover, verify
 from storage.lock import lock
 from storage.manifest import read_manifest
 from tests.storage.disk_steps import observed
@@ -86,6 +88,32 @@ def test_a_disk_that_is_full_leaves_all_as_it_was_for_another_try(left: Path) ->
     done = recover(left)
     assert done.rows["touch"] == 10
     assert rows(left, BATCHES) == [25] * 5
+
+
+@pytest.mark.parametrize("error", [errno.EIO, errno.EMFILE, errno.ENOMEM])
+@pytest.mark.parametrize("name", ["touch/part-000001.parquet", "journal/000001.wal", "MANIFEST.json"])
+def test_a_file_that_cannot_be_read_is_not_damaged_and_stays(
+    left: Path, monkeypatch: pytest.MonkeyPatch, error: int, name: str
+) -> None:
+    def fail(path: Path, **named: bool) -> int:
+        if path == left / name:
+            raise OSError(error, os.strerror(error))
+        return real(path, **named)
+
+    real = files.open_file
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "open_file", fail)
+        with pytest.raises(EndpointError, match=os.strerror(error)):
+            verify(left)
+    if name != "MANIFEST.json":
+        (left / "MANIFEST.json").unlink()  # so that all parts are read
+    before = {path: path.read_bytes() for path in left.rglob("*") if path.is_file()}
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "open_file", fail)
+        with pytest.raises(EndpointError, match=os.strerror(error)):
+            recover(left)
+    assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
+    assert recover(left).complete
 
 
 def test_two_that_recover_at_once_both_see_all(left: Path) -> None:

@@ -3,7 +3,7 @@
 import json
 import os
 from pathlib import Path
-from shutil import copyfile
+from shutil import copyfile, copytree
 
 import numpy as np
 import pytest
@@ -92,6 +92,22 @@ def test_the_other_sessions_are_recovered_if_one_cannot_be(dataset: Path) -> Non
     assert done.returncode == 1
     assert "crashed: recovered 5 rows of touch" in done.stdout
     assert "session.json: is not valid JSON" in done.stderr
+
+
+def test_a_copied_session_and_a_link_do_not_stop_the_others(
+    dataset: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    outside = copytree(dataset / "sessions/closed", tmp_path_factory.mktemp("outside") / "closed")
+    copytree(dataset / "sessions/closed", dataset / "sessions/my copy")
+    (dataset / "sessions/a-link").symlink_to(outside)
+    done = slipflow("recover", dataset)
+    assert (done.returncode, done.stdout) == (1, "crashed: recovered 5 rows of touch\n")
+    assert "a-link: is a link that leads out of" in done.stderr
+    done = slipflow("recover", dataset)
+    assert (done.returncode, done.stdout) == (1, "")  # not "nothing to recover" next to an error
+    (dataset / "sessions/a-link").unlink()
+    assert slipflow("recover", dataset).returncode == 0
+    assert Session.open(dataset / "sessions/my copy").fingers(Touch) == (0,)
 
 
 def test_a_session_without_its_description_is_named(dataset: Path) -> None:
