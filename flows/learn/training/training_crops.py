@@ -1,9 +1,11 @@
 """Crops of labelled recordings on the device that a network is trained on."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from flows.learn.labelled_recordings import LabelledRecording
@@ -22,11 +24,13 @@ class Crops:
     def __init__(self, recordings: Sequence[LabelledRecording], length: int, device: torch.device) -> None:
         usable = [recording for recording in recordings if len(recording) >= length]
         counts = np.concatenate([np.empty((0, 6), np.int16), *(recording.counts for recording in usable)])
-        ends = np.cumsum([len(recording) for recording in usable], dtype=np.intp)
-        first = [np.arange(end - len(each), end - length + 1) for each, end in zip(usable, ends, strict=True)]
+        begins = np.cumsum([0, *(len(recording) for recording in usable)]).tolist()
+        first: list[NDArray[np.int64]] = [
+            np.arange(begin, end - length + 1) for begin, end in pairwise(begins)
+        ]
         self.counts = torch.as_tensor(counts).to(device)  # (n, 6) int16
         self.label: Codes = np.concatenate([np.empty(0, np.int8), *(each.label for each in usable)])  # (n,)
-        self.first = np.concatenate([np.empty(0, np.intp), *first])  # (m,) first row of each crop
+        self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
         self._offsets = torch.arange(length, device=device)
 
     def rows(self, first: Tensor) -> Tensor:

@@ -112,7 +112,11 @@ def test_dropout_is_on_in_steps_and_off_on_validation(monkeypatch: pytest.Monkey
 def test_each_step_is_reported_and_each_epoch_is_checked() -> None:
     seen = list[tuple[int, int, Check | None]]()
     steps = len(Windows(SHORT, CPU).balanced(np.random.default_rng(0))) // TWICE.batch
-    trained = train_windowed("frequency_cnn", SHORT, SHORT, TWICE, lambda *step: seen.append(step))
+
+    def note(done: int, of: int, check: Check | None) -> None:
+        seen.append((done, of, check))
+
+    trained = train_windowed("frequency_cnn", SHORT, SHORT, TWICE, note)
     assert steps > 1
     assert [(done, of) for done, of, _ in seen] == [(done, 2 * steps) for done in range(1, 2 * steps + 1)]
     assert tuple(check for _, _, check in seen if check) == trained.curve
