@@ -1,6 +1,7 @@
 """The command `slipflow recover`."""
 
 import json
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
@@ -27,15 +28,7 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
       slipflow recover recordings
     """
     from operators.errors import SlipflowError
-    from storage import recover as repair
-    from storage.layout import (
-        SESSION,
-        SESSIONS,
-        lacks_description,
-        names_without_description,
-        session_names,
-    )
-    from storage.lock import locked
+    from storage.layout import SESSION, SESSIONS, lacks_description, names_without_description, session_names
 
     single = (path / SESSION).exists() or lacks_description(path)
     folders = [path] if single else [path / SESSIONS / name for name in session_names(path)]
@@ -51,10 +44,7 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
     with progress_bar("recovering") as update:
         for number, folder in enumerate(folders, 1):
             try:
-                if locked(folder):
-                    note(f"{folder.name}: skipped, it is being recorded")
-                else:
-                    done.append(repair(folder))
+                done += _repaired(path, folder)
             except SlipflowError as error:
                 errors.append(str(error))
             update(number, len(folders))
@@ -71,6 +61,18 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
         typer.echo(f"error: {each}", err=True)
     if errors or any(each.changed for each in done):
         raise typer.Exit(1 if errors else 3)
+
+
+def _repaired(root: Path, folder: Path) -> "list[Recovery]":
+    """Recover a session unless it is being recorded."""
+    from storage import recover as repair
+    from storage.layout import inside
+    from storage.lock import locked
+
+    if locked(inside(root, folder)):
+        note(f"{folder.name}: skipped, it is being recorded")
+        return []
+    return [repair(folder)]
 
 
 def _text(done: "Recovery") -> str:
