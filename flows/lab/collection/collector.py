@@ -17,7 +17,6 @@ from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import Bounds, read_state
 from flows.graph import Flow
 from flows.lab.collection.contact_monitor import ContactMonitor
-from flows.lab.collection.episode_source import EpisodeSource
 from flows.lab.collection.stroke_driver import StrokeDriver
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, StrokeSeries, total_extent
 from flows.run.clocks import LoopClock
@@ -26,7 +25,6 @@ from flows.run.stop_signals import signal_handlers
 from operators import (
     Align,
     DeviceClock,
-    Episodes,
     Label,
     MaskLifted,
     Motion,
@@ -170,40 +168,6 @@ def workspace(series: Sequence[StrokeSeries], here: Pose | None, limits: Limits)
     return low, high
 
 
-def declare_collection(
-    touch: Source[Touch],
-    motion: Source[Motion],
-    surface: Pose,
-    *,
-    episodes: Source[Episodes],
-    dataset: Dataset,
-    monitor: ContactMonitor,
-    delay: int = 0,
-) -> Flow:
-    """Return the flow of a session, which records both raw streams, labelled samples and the arm's clock.
-
-    Args:
-        touch: The fingertips.
-        motion: The arm.
-        surface: Pose at which the fingertip just touches the surface.
-        episodes: Motions of the arm.
-        dataset: Dataset for all streams.
-        monitor: Second sink of the touch stream.
-        delay: Delay of the arm's motion relative to the touch, ns; see `Label`.
-    """
-    flow = Flow("collect")
-    touch_node, motion_node = flow.source(touch, "touch"), flow.source(motion, "motion")
-    samples = (touch_node | Zero()) & (motion_node | DeviceClock()) | Align(within=20 * ms)
-    label = Label(speed=0.003, rotation=0.2, delay=delay)  # m/s, rad/s; paper
-    touch_node.to(dataset)
-    motion_node.to(dataset)
-    (motion_node | WatchClock()).to(dataset)
-    (samples | label | MaskLifted(surface)).to(dataset)
-    flow.source(episodes, "collection").to(dataset)
-    touch_node.to(monitor)
-    return flow
-
-
 @dataclass
 class Collector:
     """Recorder of series of strokes, one session each.
@@ -268,21 +232,14 @@ class Collector:
         self.arm.fail("interrupted")
 
     async def _record(self, series: StrokeSeries, name: str) -> None:
-        monitor, episodes = ContactMonitor(), EpisodeSource({**self.about, **_describe(series)})
-        flow = declare_collection(
-            self.touch,
-            self.motion,
-            series.surface.pose,
-            episodes=episodes,
-            dataset=self.dataset(),
-            monitor=monitor,
-            delay=self.plan.label_delay,
-        )
+        monitor = ContactMonitor()
+        self.driver.about = {**self.about, **_describe(series)}
+        flow = self._declare(series.surface.pose, monitor)
         # signals are handled by the collection, which stops the arm first
         runner = self._runner = LiveRunner(flow, name, clock=self.clock, signals=False)
         self.runs.append(runner.run)
         running = asyncio.create_task(runner.execute())
-        driving = asyncio.create_task(self._drive(series, monitor, episodes))
+        driving = asyncio.create_task(self._drive(series, monitor))
         try:
             await asyncio.wait({running, driving}, return_when=asyncio.FIRST_COMPLETED)
             if not driving.done():  # recording has ended
@@ -300,11 +257,28 @@ class Collector:
             raise recorded[0]
         await driving
 
-    async def _drive(self, series: StrokeSeries, monitor: ContactMonitor, episodes: EpisodeSource) -> None:
+    def _declare(self, surface: Pose, monitor: ContactMonitor) -> Flow:
+        """Return the flow of a session, which records both raw streams, labelled samples and the arm's clock.
+
+        At the pose `surface` the fingertip just touches the surface.
+        """
+        flow, dataset = Flow("collect"), self.dataset()
+        touch, motion = flow.source(self.touch, "touch"), flow.source(self.motion, "motion")
+        samples = (touch | Zero()) & (motion | DeviceClock()) | Align(within=20 * ms)
+        label = Label(speed=0.003, rotation=0.2, delay=self.plan.label_delay)  # m/s, rad/s; paper
+        touch.to(dataset)
+        motion.to(dataset)
+        (motion | WatchClock()).to(dataset)
+        (samples | label | MaskLifted(surface)).to(dataset)
+        flow.source(self.driver, "collection").to(dataset)
+        touch.to(monitor)
+        return flow
+
+    async def _drive(self, series: StrokeSeries, monitor: ContactMonitor) -> None:
         watching = asyncio.create_task(self._watch(monitor))
         try:
             await self._wait_for_first_samples(monitor)
-            await self.driver.make_strokes(series, episodes.emit, monitor)
+            await self.driver.make_strokes(series, monitor)
         finally:
             watching.cancel()
             await asyncio.gather(watching, return_exceptions=True)

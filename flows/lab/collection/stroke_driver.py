@@ -1,9 +1,9 @@
-"""Driver of an arm through the strokes of a series; it emits each stroke as an episode."""
+"""Driver of an arm through the strokes of a series; it is the source of their episodes."""
 
 import asyncio
 import math
-from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple, TypeAlias
+from collections.abc import AsyncIterator, Mapping, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -25,11 +25,9 @@ from flows.lab.collection.arm_path import (
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_plan import Stroke, StrokeSeries
 from operators.batch import MOTIONS, SURFACES, Episodes
-from operators.ports import Clock
+from operators.ports import Clock, Description, Json, Source
 
 _POLL: Final = 0.05  # s
-
-Emit: TypeAlias = Callable[[Episodes], None]
 
 
 class Contact(NamedTuple):
@@ -39,8 +37,8 @@ class Contact(NamedTuple):
     force: float | None = None  # N
 
 
-class StrokeDriver:
-    """Driver of an arm along a planned path, which can be paused.
+class StrokeDriver(Source[Episodes]):
+    """Driver of an arm along a planned path, which can be paused; source of the episodes, each at its end.
 
     A pause stops the arm where it is. On resuming it moves straight up and repeats the interrupted stroke;
     the interrupted part stays in the recording, as a shorter episode.
@@ -51,13 +49,32 @@ class StrokeDriver:
         require_contact: Stop the arm when a fingertip measures no contact in a stroke.
 
     Attributes:
+        about: Description of the session.
         strokes: Number of completed strokes.
     """
 
+    stale_after = None  # episodes are rare
+
     def __init__(self, arm: UrArm, clock: Clock, *, require_contact: bool = True) -> None:
+        self.about: Mapping[str, Json] = {}
         self.strokes = 0
+        self._episodes = asyncio.Queue[Episodes]()
         self._arm, self._clock, self._require_contact = arm, clock, require_contact
         self._pause = asyncio.Event()
+
+    @property
+    def kind(self) -> type[Episodes]:
+        """Episodes."""
+        return Episodes
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Episodes]:  # noqa: ARG002 - Source's signature
+        """Yield each episode when it has ended, until cancelled."""
+        while True:
+            yield await self._episodes.get()
+
+    def describe(self) -> Description:
+        """Return the description of the session."""
+        return self.about
 
     @property
     def paused(self) -> bool:
@@ -72,23 +89,22 @@ class StrokeDriver:
         """Continue."""
         self._pause.clear()
 
-    async def make_strokes(self, series: StrokeSeries, emit: Emit, monitor: ContactMonitor) -> None:
+    async def make_strokes(self, series: StrokeSeries, monitor: ContactMonitor) -> None:
         """Stay in the air for the baseline, then make each stroke.
 
         Args:
             series: The strokes.
-            emit: Called with an episode at the end of the baseline and of each stroke.
             monitor: Monitor of the fingertips.
 
         Raises:
             EndpointError: if the arm had to be stopped.
         """
         monitor.restart()
-        await self._follow_as_episode(series, None, [series.baseline], emit)
+        await self._follow_as_episode(series, None, [series.baseline])
         monitor.set_baseline()
         for stroke in series.strokes:
             await self._wait_until_resumed()
-            while not await self._make_unless_paused(series, stroke, emit, monitor):
+            while not await self._make_unless_paused(series, stroke, monitor):
                 await self._wait_until_resumed()
                 up = raise_pose(_pose(self._arm.state), series.surface.pose, series.clearance)
                 await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
@@ -129,10 +145,10 @@ class StrokeDriver:
             await self._arm.wait(_POLL)
 
     async def _make_unless_paused(
-        self, series: StrokeSeries, stroke: Stroke, emit: Emit, monitor: ContactMonitor
+        self, series: StrokeSeries, stroke: Stroke, monitor: ContactMonitor
     ) -> bool:
         """Make a stroke; return False if it was interrupted by a pause, with the arm at rest."""
-        work = asyncio.create_task(self._make(series, stroke, emit, monitor))
+        work = asyncio.create_task(self._make(series, stroke, monitor))
         pause = asyncio.create_task(self._pause.wait())
         try:
             await asyncio.wait({work, pause}, return_when=asyncio.FIRST_COMPLETED)
@@ -147,11 +163,11 @@ class StrokeDriver:
                 await self._arm.stop()
         return False
 
-    async def _make(self, series: StrokeSeries, stroke: Stroke, emit: Emit, monitor: ContactMonitor) -> None:
+    async def _make(self, series: StrokeSeries, stroke: Stroke, monitor: ContactMonitor) -> None:
         contact = await self.follow(stroke.approach)
         monitor.restart()
         steps = shift_steps(stroke.contact, contact.shortfall)
-        await self._follow_as_episode(series, stroke, steps, emit, contact)
+        await self._follow_as_episode(series, stroke, steps, contact)
         without_contact = monitor.without_contact()
         await self.follow(stroke.retreat)
         if without_contact and self._require_contact:
@@ -166,15 +182,15 @@ class StrokeDriver:
         series: StrokeSeries,
         stroke: Stroke | None,
         steps: Sequence[Step],
-        emit: Emit,
         contact: Contact = Contact(),  # noqa: B008 - immutable
     ) -> None:
-        """Follow steps and emit them as an episode; `stroke` None: the baseline."""
+        """Follow steps as an episode; `stroke` None: the baseline."""
         start = self._clock.now()
         try:
             await self.follow(steps)
         finally:
-            emit(_episode(series, stroke, contact, start, max(self._clock.now(), start + 1)))
+            end = max(self._clock.now(), start + 1)
+            self._episodes.put_nowait(_episode(series, stroke, contact, start, end))
 
 
 def _episode(series: StrokeSeries, stroke: Stroke | None, contact: Contact, start: int, end: int) -> Episodes:

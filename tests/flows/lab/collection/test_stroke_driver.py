@@ -128,16 +128,24 @@ def drive(
 
     async def main() -> Driven:
         clock, arm, episodes = LoopClock(0), TestArm(), list[Episodes]()
+
+        async def take() -> None:
+            async for episode in driver.batches(clock):
+                episodes.append(episode)
+
         driver = StrokeDriver(cast("UrArm", arm), clock, require_contact=require_contact)
+        taking = asyncio.create_task(take())
         await driver.follow([planned.begin])
         loop, began = asyncio.get_running_loop(), clock.now()
         for after, act in acts:
             loop.call_later(after, getattr(driver, act) if act else lambda: setattr(arm, "fault", fault))
         try:
-            await driver.make_strokes(planned, episodes.append, TestMonitor([*without_contact]))
+            await driver.make_strokes(planned, TestMonitor([*without_contact]))
         except EndpointError as error:
             assert fault in error.reason  # noqa: PT017 - it may also go well
             assert fault
+        await asyncio.sleep(0)  # the last episode is taken
+        taking.cancel()
         return Driven(arm, driver, [row(each) for each in episodes], (clock.now() - began) / s)
 
     return run_virtually(main())
