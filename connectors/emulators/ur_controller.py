@@ -75,6 +75,12 @@ class UrController:
         self._running: asyncio.Task[None] | None = None
         self._origin = self._cycles = 0  # host time of power-up (ns), and cycles since
 
+    @property
+    def command_overdue(self) -> bool:
+        """True while a connected client is late with a command of its program, see `ControlBox`."""
+        clients = (each for each in self.connections if isinstance(each, RtdeConnection))
+        return self.box.command_overdue and any(client.inputs for client in clients)
+
     async def __aenter__(self) -> Self:
         """Listen, and start the cycles.
 

@@ -33,10 +33,8 @@ class Command(IntEnum):
 
     NONE = 0
     MOVE_LINE = 3  # doubles 0..5 pose, 6 speed, 7 acceleration; int 1: 1 asynchronous
-    ZERO_FORCE_SENSOR = 8  # no effect: the force has no offset
     SPEED = 10  # doubles 0..5 velocity, 6 acceleration
     STOP_SPEED = 15  # double 0 deceleration
-    SET_PAYLOAD = 17  # no effect
     STOP_PROTECTIVELY = 31
     STOP_LINE = 33  # double 0 deceleration; int 1: 1 asynchronous
     STOP_JOINTS = 34  # as STOP_LINE
@@ -132,8 +130,6 @@ class Program:
                 self._watchdog = 1 / first if first > 0 else np.inf
             case Command.IS_STEADY:
                 registers.output_int[1] = int(drive.task == "none")
-            case Command.ZERO_FORCE_SENSOR | Command.SET_PAYLOAD:
-                pass
             case Command.END:
                 return False
             case _:

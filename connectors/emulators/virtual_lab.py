@@ -56,7 +56,7 @@ class VirtualLab:
         """Stop the time of the `LabLoop` while a command of the arm's program is overdue on a busy host."""
         loop = asyncio.get_running_loop()
         assert isinstance(loop, LabLoop)
-        loop.hold_while(lambda: self.controller.box.command_overdue)
+        loop.hold_while(lambda: self.controller.command_overdue)
 
 
 @asynccontextmanager

@@ -81,7 +81,7 @@ def test_a_stall_of_the_host_delays_arm_and_fingertip_together(monkeypatch: pyte
     truth = run_lab(main())
     times, pressed = np.array([t for t, _ in forces]), np.array([force for _, force in forces])
     assert truth.force[-1] > 3.9
-    expected = cast("Reals", np.interp(truth.time, times, pressed))  # (n,) N
+    expected: Reals = np.interp(truth.time, times, pressed)  # (n,) N
     assert np.abs(truth.force - expected).max() < 40.0 * 0.02  # 40 N/s, late by 20 ms at most
 
 

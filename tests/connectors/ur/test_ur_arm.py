@@ -67,7 +67,7 @@ async def lab(bounds: Bounds = BOUNDS, arm: Arm | None = None) -> AsyncGenerator
     async with FaultyUrController(arm, host=HOST, version=CB3, now=clock.now) as controller:
         with pytest.MonkeyPatch.context() as patch:
             if isinstance(loop, LabLoop):
-                loop.hold_while(lambda: controller.box.command_overdue)
+                loop.hold_while(lambda: controller.command_overdue)
             else:
                 patch.setattr("connectors.ur.ur_arm.ControlClient", partial(DirectControl, controller.box))
             moved = UrArm(HOST, bounds, clock, watchdog=0.1)
