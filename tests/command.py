@@ -20,17 +20,18 @@ def slipflow(*arguments: str | Path, cwd: Path | None = None) -> subprocess.Comp
     command = ["slipflow", *map(str, arguments)]
     root, ours = logging.getLogger(), logging.getLogger("slipflow")
     handlers, root.handlers[:] = root.handlers[:], []
-    level, main._debug = ours.level, False
+    level, code = ours.level, 0
     try:
         with (
             redirect_stdout(out),
             redirect_stderr(err),
             patch.object(sys, "argv", command),
+            patch.object(main, "_debug", new=False),
             chdir(cwd or "."),
         ):
             main.main()
     except SystemExit as done:
-        code = done.code if isinstance(done.code, int) else 0
+        code = int(done.code or 0)
     finally:
         root.handlers[:] = handlers
         ours.setLevel(level)

@@ -98,7 +98,7 @@ class Frames:
             if track is None and sum(each[0] == key[0] for each in self._tracks) >= FINGERS_MAX:
                 return
             if track is None or (zeroed and track.kind is Touch):
-                kind = next(each for each in (Zeroed, Touch, Motion, Scores) if isinstance(batch, each))
+                kind = Zeroed if zeroed else Touch if isinstance(batch, Touch) else type(batch)
                 track = self._tracks[key] = Track(kind)
             if zeroed or track.kind is not Zeroed:
                 track.add(batch)

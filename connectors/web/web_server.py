@@ -76,7 +76,8 @@ class WebServer:
         self._host, self._port, self._access = host, port, access
         self._name, self._any_port, self._files = name, any_port, files
         self._locked = b""
-        self._strangers, self._admitted = dict[web.RequestHandler, None](), dict[web.RequestHandler, None]()
+        self._strangers = dict[web.RequestHandler, None]()  # connections without access, as keys
+        self.admitted = dict[web.RequestHandler, None]()  # and with access; longest silent first
 
     @property
     def url(self) -> str:
@@ -150,7 +151,7 @@ class WebServer:
     def _keep(self, connection: web.RequestHandler, group: dict[web.RequestHandler, None]) -> None:
         """Note that a connection is in use; close the one of its group that was silent longest."""
         self._strangers.pop(connection, None)
-        self._admitted.pop(connection, None)
+        self.admitted.pop(connection, None)
         group[connection] = None
         if len(group) > self._limit:
             oldest = next(iter(group))
@@ -171,7 +172,7 @@ class WebServer:
             redirect.set_cookie(COOKIE, self._access.cookie, httponly=True, samesite="Lax", path="/")
             return redirect
         if self._access.admits(request.cookies.get(COOKIE), request.headers.get("Authorization")):
-            self._keep(request.protocol, self._admitted)
+            self._keep(request.protocol, self.admitted)
         elif not (self._files and request.path in _PUBLIC):
             return self._refuse(request)
         with suppress(ConnectionError):  # the browser disconnected

@@ -6,11 +6,15 @@ import signal
 
 def main() -> None:
     """Import the command line and run it; Ctrl-C during the import ends the process with exit code 130."""
-    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+    signal.signal(signal.SIGINT, _end)
     from flows.cli.main import main as run
 
     signal.signal(signal.SIGINT, signal.default_int_handler)
     run()
+
+
+def _end(*_: object) -> None:
+    os._exit(130)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from types import MappingProxyType
-from typing import Annotated, Final
+from typing import Annotated, Final, NoReturn
 
 import typer
 
@@ -65,7 +65,7 @@ def _options(
     _debug = debug
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Run the command line; an error that the user can fix is one line and exit code 2."""
     try:
         code = app(standalone_mode=False, prog_name="slipflow")
@@ -74,7 +74,7 @@ def main() -> None:
     except KeyboardInterrupt:
         code = 130
     except Exception as error:
-        code, text = _explanation(error)
+        code, text = explanation(error)
         if _debug or not code:
             raise
         if text:
@@ -84,7 +84,7 @@ def main() -> None:
     sys.exit(code)
 
 
-def _explanation(error: Exception) -> tuple[int, str]:
+def explanation(error: Exception) -> tuple[int, str]:
     """Return the exit code and the line that explain an error to the user; 0 for an error in slipflow."""
     from operators.errors import SlipflowError, os_error_reason
 

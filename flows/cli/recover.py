@@ -49,7 +49,7 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
                 errors.append(str(error))
             update(number, len(folders))
     if as_json:
-        sessions = [_as_dict(each) for each in done]
+        sessions = [{**vars(each), "rows": dict(each.rows), "complete": each.complete} for each in done]
         typer.echo(json.dumps({"sessions": sessions, "errors": errors}))
     else:
         lines = [_text(each) for each in done if each.changed]
@@ -79,15 +79,3 @@ def _text(done: "Recovery") -> str:
     rows = ", ".join(f"{count:,} rows of {table}" for table, count in done.rows.items())
     lines = [f"{'cut off' if each in done.cut else 'lost'}: {each}" for each in done.lost]
     return "\n  ".join([f"{done.session}: recovered {rows or 'no rows'}", *lines, *done.done])
-
-
-def _as_dict(done: "Recovery") -> dict[str, object]:
-    return {
-        "session": done.session,
-        "rows": dict(done.rows),
-        "adopted": list(done.adopted),
-        "lost": list(done.lost),
-        "cut": list(done.cut),
-        "done": list(done.done),
-        "complete": done.complete,
-    }

@@ -212,7 +212,7 @@ def test_silent_connections_are_limited_and_never_replace_one_with_access() -> N
         silent = list[tuple[asyncio.StreamReader, asyncio.StreamWriter]]()
         async with ClientSession() as session:
             assert (await get(session, f"{server.url}/data", **own))[0] == 200
-            [connection] = server._admitted
+            [connection] = server.admitted
             before = descriptors()
             for _ in range(5 * CONNECTIONS_MAX):
                 silent.append(await asyncio.open_connection(*address))
@@ -223,7 +223,7 @@ def test_silent_connections_are_limited_and_never_replace_one_with_access() -> N
             assert descriptors() - before <= len(silent) + CONNECTIONS_MAX // 2
             assert not silent[-1][0].at_eof()
             assert (await get(session, f"{server.url}/data", **own))[0] == 200
-            assert list(server._admitted) == [connection]  # not a new one
+            assert list(server.admitted) == [connection]  # not a new one
         for _, writer in silent:
             writer.close()
         await server.close()
@@ -232,7 +232,10 @@ def test_silent_connections_are_limited_and_never_replace_one_with_access() -> N
 
 
 def test_a_quarter_of_the_file_descriptors_is_used_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (32, 32))
+    def few(_: int) -> tuple[int, int]:
+        return 32, 32
+
+    monkeypatch.setattr(resource, "getrlimit", few)
 
     async def main() -> None:
         server = WebServer("127.0.0.1", 0, Access(), "numbers")
@@ -240,7 +243,7 @@ def test_a_quarter_of_the_file_descriptors_is_used_at_most(monkeypatch: pytest.M
         sessions = [ClientSession() for _ in range(12)]
         for session in sessions:
             assert (await get(session, f"{server.url}/data"))[1] == "felt"
-        assert len(server._admitted) == 4
+        assert len(server.admitted) == 4
         assert (await get(sessions[0], f"{server.url}/data"))[1] == "felt"  # on a new connection
         for session in sessions:
             await session.close()

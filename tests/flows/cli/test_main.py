@@ -100,12 +100,12 @@ def hiding(cause: BaseException) -> Exception:
 
 
 def test_an_error_is_explained_unless_it_is_one_of_slipflow(tmp_path: Path) -> None:
-    assert main._explanation(hiding(KeyboardInterrupt())) == (130, "")
-    assert main._explanation(hiding(ValueError())) == (0, "")
-    assert main._explanation(RuntimeError("broken")) == (0, "")
+    assert main.explanation(hiding(KeyboardInterrupt())) == (130, "")
+    assert main.explanation(hiding(ValueError())) == (0, "")
+    assert main.explanation(RuntimeError("broken")) == (0, "")
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     with pytest.raises((RuntimeError, OSError)) as caught:
         loop.resolve(strict=True)
-    code, text = main._explanation(caught.value)
+    code, text = main.explanation(caught.value)
     assert (code, text.startswith("error: "), str(loop) in text) == (2, True, True)
