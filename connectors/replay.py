@@ -1,4 +1,4 @@
-"""Source that replays a recorded stream, at full speed or paced."""
+"""Source that replays a recorded stream as fast as it was recorded."""
 
 from collections.abc import AsyncIterator, Iterator
 from heapq import merge
@@ -6,7 +6,6 @@ from pathlib import PurePath
 from typing import Generic, TypeVar
 
 from operators.batch import ANNOTATIONS, Batch
-from operators.checks import check_above
 from operators.errors import InputError
 from operators.ports import Clock, Description, Recording, Source
 
@@ -14,21 +13,20 @@ Given = TypeVar("Given", bound=Batch)
 
 
 class Replay(Source[Given], Generic[Given]):
-    """Recorded stream as a source; rows keep their recorded timestamps.
+    """Recorded stream as a source: each row is a batch, due at its recorded time on the clock of the run.
+
+    Rows keep their recorded timestamps. `ReplayRunner` reads the recording itself, at full speed.
 
     Args:
         recording: Recording to replay.
         kind: Type of the batches.
         fingers: Fingertips to replay (default: all recorded ones). The recording may lack annotations
             (episodes, truth).
-        pace: Recorded seconds per second of the clock (default 1), one row per batch; None for full speed,
-            1000 rows per batch.
         origin: Recorded time (ns) of the start of the run (default: the first timestamp of this stream). Set
             the same origin for all streams of a recording, to keep them synchronous.
 
     Raises:
         InputError: if the recording has no such stream.
-        ParameterError: if `pace` is not above 0.
     """
 
     stale_after = None  # a recording may have gaps
@@ -39,11 +37,8 @@ class Replay(Source[Given], Generic[Given]):
         kind: type[Given],
         fingers: tuple[int, ...] | None = None,
         *,
-        pace: float | None = 1.0,
         origin: int | None = None,
     ) -> None:
-        if pace is not None:
-            check_above("Replay", "pace", pace, 0)
         recorded = recording.fingers(kind)
         for finger in fingers or recorded or (() if kind in ANNOTATIONS else (None,)):
             if finger not in recorded:
@@ -51,7 +46,7 @@ class Replay(Source[Given], Generic[Given]):
                 others = f"; its fingers are {', '.join(map(str, recorded))}" if recorded else ""
                 raise InputError(recording.name, f"has no {kind.__name__} stream{which}{others}")
         self._recording, self._kind, self._fingers = recording, kind, fingers or recorded
-        self._pace, self._origin = pace, origin
+        self._origin = origin
 
     @property
     def kind(self) -> type[Given]:
@@ -71,13 +66,12 @@ class Replay(Source[Given], Generic[Given]):
     async def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Yield the whole stream, with the fingertips merged in the order of their timestamps."""
         start, origin = clock.now(), self._origin
-        streams = [self._recording.read(self._kind, finger) for finger in self._fingers]
-        for batch in merge(*streams if self._pace is None else map(_rows, streams), key=_first):
-            if self._pace is not None:
-                if origin is None:
-                    origin = _first(batch)
-                await clock.sleep_until(start + round((_first(batch) - origin) / self._pace))
-            yield batch
+        streams = [_rows(self._recording.read(self._kind, finger)) for finger in self._fingers]
+        for row in merge(*streams, key=_time):
+            if origin is None:
+                origin = _time(row)
+            await clock.sleep_until(start + _time(row) - origin)
+            yield row
 
     def describe(self) -> Description:
         """Return the description of the recording."""
@@ -92,5 +86,5 @@ def _rows(batches: Iterator[Given]) -> Iterator[Given]:
     return (batch[row : row + 1] for batch in batches for row in range(len(batch)))
 
 
-def _first(batch: Batch) -> int:
+def _time(batch: Batch) -> int:
     return int(batch.time.item(0))

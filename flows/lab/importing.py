@@ -96,11 +96,11 @@ class TraceImport:
     def flow(self) -> Flow:
         """Return the flow that writes the dataset."""
         flow, dataset = Flow("import"), Dataset(self._out)
-        touch = flow.source(Replay(self.trace, Touch, pace=None), "touch")
+        touch = flow.source(Replay(self.trace, Touch), "touch")
         touch.to(dataset)
         attach = AttachLabels(tuple(self.trace.labels.tolist()))
         if len(self.trace.motion):
-            motion = flow.source(Replay(self.trace, Motion, pace=None), "motion")
+            motion = flow.source(Replay(self.trace, Motion), "motion")
             motion.to(dataset)
             samples = (touch | Zero()) & motion | Align(within=20 * ms) | self._label
             (samples | attach if self.label_source == "the file" else samples).to(dataset)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from connectors import Replay
 from operators.batch import Batch, Motion, Scores, concat, ms, s
-from operators.errors import InputError, ParameterError
+from operators.errors import InputError
 from operators.ports import Description, Recording
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
@@ -43,14 +43,12 @@ class VirtualClock:
 
     def __init__(self, time: int) -> None:
         self.time = time
-        self.waits = 0
 
     def now(self) -> int:
         return self.time
 
     async def sleep_until(self, time: int) -> None:
         self.time = max(self.time, time)
-        self.waits += 1
 
 
 def replay(source: Replay[Scores], clock: VirtualClock) -> list[tuple[int, Scores]]:
@@ -70,14 +68,11 @@ def rows(batches: list[tuple[int, Scores]], finger: int = 0) -> tuple[list[int],
 times = st.lists(st.integers(0, 10**12), min_size=1, max_size=30).map(sorted)
 
 
-@given(times, st.floats(0.01, 100), st.integers(0, 10**15))
-def test_paced_and_full_speed_yield_the_same_rows_with_recorded_timestamps(
-    time: list[int], pace: float, start: int
-) -> None:
+@given(times, st.integers(0, 10**15))
+def test_all_rows_are_replayed_with_their_recorded_timestamps(time: list[int], start: int) -> None:
     recording = Recorded({0: time})
-    paced = replay(Replay(recording, Scores, pace=pace), VirtualClock(start))
-    fast = replay(Replay(recording, Scores, pace=None), VirtualClock(start))
-    assert rows(paced) == rows(fast) == (time, recording.streams[0].probability.tolist())
+    replayed = replay(Replay(recording, Scores), VirtualClock(start))
+    assert rows(replayed) == (time, recording.streams[0].probability.tolist())
 
 
 def test_a_paced_row_is_its_own_batch_when_due() -> None:
@@ -89,23 +84,11 @@ def test_a_paced_row_is_its_own_batch_when_due() -> None:
     ]
 
 
-def test_twice_the_pace_takes_half_the_time() -> None:
-    source = Replay(Recorded({0: [0, 4 * s]}), Scores, pace=2.0)
-    assert [now for now, _ in replay(source, VirtualClock(0))] == [0, 2 * s]
-
-
 def test_streams_with_one_origin_stay_in_step() -> None:
     origin = 7 * s
     early, late = (Replay(Recorded({0: [t]}), Scores, origin=origin) for t in (7 * s, 9 * s))
     assert [now for now, _ in replay(early, VirtualClock(0))] == [0]
     assert [now for now, _ in replay(late, VirtualClock(0))] == [2 * s]
-
-
-def test_full_speed_never_waits_and_yields_large_batches() -> None:
-    clock = VirtualClock(0)
-    batches = replay(Replay(Recorded({0: list(range(2500))}), Scores, pace=None), clock)
-    assert [len(batch) for _, batch in batches] == [1000, 1000, 500]
-    assert clock.waits == 0
 
 
 def test_fingertips_are_merged_by_timestamp() -> None:
@@ -140,12 +123,6 @@ def test_a_missing_stream_cannot_be_replayed() -> None:
         Replay(recording, Motion)
     with pytest.raises(InputError, match=r"^recorded: has no Scores stream of finger 3; its fingers are 0$"):
         Replay(recording, Scores, (0, 3))
-
-
-@pytest.mark.parametrize("pace", [0.0, -1.0, float("nan")])
-def test_an_invalid_pace_is_rejected(pace: float) -> None:
-    with pytest.raises(ParameterError, match=r"^Replay: pace is "):
-        Replay(Recorded({0: [0]}), Scores, pace=pace)
 
 
 def test_the_source_names_its_recording() -> None:
