@@ -5,6 +5,7 @@ import logging
 import re
 import socket
 import ssl
+from collections import deque
 from collections.abc import Awaitable, Sequence
 from contextlib import suppress
 from typing import TypeVar
@@ -13,7 +14,7 @@ import aiomqtt
 from aiomqtt.exceptions import MqttConnectError
 from aiomqtt.types import PahoSocket
 from paho.mqtt.client import Client as Paho
-from paho.mqtt.client import DisconnectFlags
+from paho.mqtt.client import DisconnectFlags, MQTTMessage
 from paho.mqtt.enums import MQTTErrorCode
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -45,21 +46,6 @@ _HINTS = {  # by text of the system error
 }
 _paho_log = logging.getLogger("slipflow.paho")  # duplicates the errors raised here
 _paho_log.setLevel(logging.CRITICAL)
-
-
-class NewestQueue(asyncio.Queue[aiomqtt.Message]):
-    """A queue that drops its oldest message when it is full, and counts the dropped ones."""
-
-    dropped = 0
-    changed: asyncio.Event  # set for each message
-
-    def put_nowait(self, item: aiomqtt.Message) -> None:
-        """Add a message; drop the oldest if the queue is full."""
-        if self.full():
-            self.get_nowait()
-            self.dropped += 1
-        super().put_nowait(item)
-        self.changed.set()
 
 
 class Link(aiomqtt.Client):
@@ -103,8 +89,6 @@ class Link(aiomqtt.Client):
             timeout=TIMEOUT,
             keepalive=KEEPALIVE,
             socket_options=[(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)],
-            queue_type=NewestQueue,
-            max_queued_incoming_messages=INCOMING_MAX,
             logger=_paho_log,
         )
         self._client.connect_timeout = TIMEOUT
@@ -112,19 +96,13 @@ class Link(aiomqtt.Client):
         self._answers: dict[int, asyncio.Future[ReasonCode]] = {}  # PUBACKs, by packet identifier
         self._deadline = 0.0  # loop time (s), limit for connecting
         self._changed = changed or asyncio.Event()
-        assert isinstance(self._queue, NewestQueue)
-        self._received = self._queue
-        self._received.changed = self._changed
+        self._received = deque[tuple[str, bytes]](maxlen=INCOMING_MAX)  # topic and payload
+        self.dropped = 0  # messages that were not read in time
 
     @property
     def alive(self) -> bool:
         """False after the connection was lost."""
         return not self._disconnected.done()
-
-    @property
-    def dropped(self) -> int:
-        """Number of messages dropped because they were not read in time."""
-        return self._received.dropped
 
     async def connect(self) -> None:
         """Connect.
@@ -206,9 +184,8 @@ class Link(aiomqtt.Client):
         Raises:
             EndpointError: if the connection is lost and all messages received before were returned.
         """
-        if not self._received.empty():
-            message = self._received.get_nowait()
-            return message.topic.value, message.payload
+        if self._received:
+            return self._received.popleft()
         if not self.alive:
             reason = _reason(self._disconnected.exception())
             raise EndpointError(self._url, f"connection lost ({reason})")
@@ -261,6 +238,11 @@ class Link(aiomqtt.Client):
         else:
             self._answers[info.mid] = answer
         return answer
+
+    def _on_message(self, client: Paho, userdata: object, message: MQTTMessage) -> None:  # noqa: ARG002
+        self.dropped += len(self._received) == self._received.maxlen
+        self._received.append((message.topic, bytes(message.payload)))
+        self._changed.set()
 
     def _on_publish(
         self, client: Paho, userdata: object, mid: int, reason_code: ReasonCode, properties: Properties

@@ -72,7 +72,7 @@ class Consumer(AsyncIterator[Event]):
         self._reply_name = f"consumer-{token_hex(6)}"  # last level of the topic for replies
         self._link: Link | None = None
         self._dropped = 0
-        # first number and time (s) of the latest progress, by rig and epoch
+        # first number and time (s) of the latest request, by rig and epoch
         self._requested: dict[tuple[RigId, str], tuple[int, float]] = {}
         self._check_due = 0.0  # loop time (s) of the next check for gaps
         self._saving: asyncio.Task[None] | None = None
@@ -156,8 +156,6 @@ class Consumer(AsyncIterator[Event]):
             event = Event.read(fields)
             if (event.site, event.rig) != (site, rig) or rest not in ([event.finger, "event"], reply):
                 raise InputError(topic, f"has an event of {event.site}/{event.rig}/{event.finger}")
-            if rest == reply and (requested := self._requested.get(((site, rig), event.epoch))):
-                self._requested[(site, rig), event.epoch] = requested[0], asyncio.get_running_loop().time()
             if self._position.take(event):
                 self._report_lost(self._position.give_up())
                 return event

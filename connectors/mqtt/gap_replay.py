@@ -1,7 +1,6 @@
-"""Replay of missed events on request: request, closing answer, and the queue of replies of a rig."""
+"""Replay of missed events on request: request, answer, and the queue of requests to a rig."""
 
 import logging
-from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -19,8 +18,7 @@ log = logging.getLogger("slipflow")
 
 TOPIC_MAX = 256  # characters
 PENDING_MAX = 32  # requests; a client without an answer repeats its request
-ANSWER_MAX = 500  # events per answer, below the capacity of a client's queue
-SLICE = 16  # events sent at a time
+SLICE = 64  # events per answer; the client requests the rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,17 +97,13 @@ class GapAnswer:
 
 
 class GapReplies:
-    """Pending requests to one rig, answered in turn and in slices, so that a long answer delays no other."""
+    """Pending requests to one rig, which are answered in turn, one slice of events at a time."""
 
     def __init__(self, outbox: "Outbox", topic: str) -> None:
         """Prepare to answer for the rig at `topic` from `outbox`."""
         self._outbox, self._topic = outbox, topic
-        self._pending = deque[_Reply]()
+        self._pending: dict[GapRequest, None] = {}  # in order of arrival
         self._malformed_logged = False
-
-    def __bool__(self) -> bool:
-        """Return True while requests are pending."""
-        return bool(self._pending)
 
     def request(self, payload: bytes) -> None:
         """Queue a request; ignore malformed ones, and log the first of them."""
@@ -120,43 +114,31 @@ class GapReplies:
                 log.warning("ignoring malformed gap request (further ones suppressed): %s", error)
             self._malformed_logged = True
             return
-        known = any(each.request == request for each in self._pending)
-        if not known and len(self._pending) < PENDING_MAX:
-            self._pending.append(_Reply(request))
+        if len(self._pending) < PENDING_MAX:
+            self._pending[request] = None
 
     def clear(self) -> None:
         """Drop all requests after a lost connection; the clients repeat them."""
         self._pending.clear()
 
     async def next(self) -> list[Message]:
-        """Return the next slice of an answer; [] if no request is pending."""
-        if not self._pending:
-            return []
-        reply = self._pending.popleft()
-        request, limit = reply.request, min(SLICE, ANSWER_MAX - reply.sent)
-        try:
-            found, last = await self._outbox.between(request.epoch, reply.first, request.last, limit)
-        except EndpointError:
-            return []  # unreadable now, but not lost: the client repeats its request
-        for entry in found:
-            reply.found.add(entry.seq)
-        reply.first, reply.sent = last + 1, reply.sent + len(found)
-        messages = [
-            Message(request.reply_to, entry.payload, retain=False, content_type=CONTENT_TYPE)
-            for entry in found
-        ]
-        if len(found) == limit and reply.sent < ANSWER_MAX and last < request.last:
-            self._pending.append(reply)
-        elif last >= request.first:
-            missing = tuple(reply.found.gaps(request.first, last))
-            closing = GapAnswer(request.epoch, request.first, last, missing)
-            messages.append(Message(request.reply_to, closing.encode(), retain=False))
-        return messages
-
-
-class _Reply:
-    """Progress of the answer to one request."""
-
-    def __init__(self, request: GapRequest) -> None:
-        self.request, self.found = request, RangeSet()
-        self.first, self.sent = request.first, 0
+        """Return the answer to the next request, with at most `SLICE` events; [] if there is none."""
+        while self._pending:
+            request = next(iter(self._pending))
+            del self._pending[request]
+            try:
+                found, last = await self._outbox.between(request.epoch, request.first, request.last, SLICE)
+            except EndpointError:
+                continue  # unreadable now, but not lost: the client repeats its request
+            if last >= request.first:  # else the numbers are not used yet
+                gaps = RangeSet((entry.seq, entry.seq) for entry in found).gaps(request.first, last)
+                closing = GapAnswer(request.epoch, request.first, last, tuple(gaps)).encode()
+                events = (entry.payload for entry in found)
+                return [
+                    *(
+                        Message(request.reply_to, each, retain=False, content_type=CONTENT_TYPE)
+                        for each in events
+                    ),
+                    Message(request.reply_to, closing, retain=False),
+                ]
+        return []

@@ -4,7 +4,7 @@ import asyncio
 import logging
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from math import inf
 from random import uniform
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -24,19 +24,11 @@ log = logging.getLogger("slipflow")
 WINDOW = 16  # events, and as many documents, in flight
 CLOSE_TIMEOUT = 3.0  # s, to send what is pending on close
 HEALTH_EVERY = 5.0  # s
+REFUSED_RETRY = 60.0  # s, longest time between two attempts on refused topics
 
 Outgoing: TypeAlias = tuple[
     Message, Entry | None
 ]  # a message, and the event in it if it is one of the outbox
-
-
-@dataclass(slots=True)
-class _Refused:
-    """A topic that the broker refuses, and the message to retry first."""
-
-    first: Outgoing
-    retry: BackOff
-    due: float  # loop time (s) of the next attempt
 
 
 class Sender:
@@ -64,8 +56,10 @@ class Sender:
         self._replies = GapReplies(outbox, topic)
         self._retained: dict[str, Message] = {}  # by topic
         self._changed: dict[str, Message] = {}  # retained documents to publish, by topic
-        self._refused: dict[str, _Refused] = {}  # by topic
+        self._refused = set[str]()  # topics that are skipped until the next attempt
+        self._retried = set[str]()  # topics that were refused before, and are tried again with one message
         self._logged = set[str]()  # topics whose refusal was logged
+        self._retry, self._retry_due = BackOff(last=REFUSED_RETRY), inf  # loop time, s
         self._health_due = 0.0  # loop time, s
         self._link: Link | None = None
         self._wake, self._closing = asyncio.Event(), False
@@ -75,7 +69,7 @@ class Sender:
     @property
     def refused(self) -> list[str]:
         """Topics that the broker refuses."""
-        return sorted(self._refused)
+        return sorted(self._refused | self._retried)
 
     async def start(
         self, identifier: str, will: Message, *retained: Message, connect_required: bool = True
@@ -140,9 +134,8 @@ class Sender:
         from connectors.mqtt.broker_link import connect  # noqa: PLC0415 - aiomqtt takes 0.2 s to import
 
         self._link = link = await connect(self._broker, self._identifier, self._will, self._wake)
-        self._refused.clear()  # access rights may have changed
+        self._retry_refused()  # access rights may have changed
         self._replies.clear()
-        self._outbox.rewind()
         self._changed = dict(self._retained)
         try:
             await link.listen(f"{self._topic}/replay/request")
@@ -176,75 +169,71 @@ class Sender:
         if now >= self._health_due:
             self._health_due = now + HEALTH_EVERY
             self._retain(self._health())
+        if now >= self._retry_due:
+            self._retry_refused()
         entries = await self._outbox.next(WINDOW)
         replies = await self._replies.next()
         outgoing: list[Outgoing] = [
             *((message, None) for message in self._changed.values() if message.topic not in self._refused),
             *self._allowed(entries),
-            *self._due_retries(now),
             *((message, None) for message in replies),
         ]
         sent = list[Entry]()
         refusals = await link.send_all([message for message, _ in outgoing])
         for (message, entry), refusal in zip(outgoing, refusals, strict=True):
             if not refusal:
-                self._accept(message)
+                self._accept(message, entry)
                 sent += [entry] if entry else []
             elif message not in replies:  # the client repeats its request
-                self._refuse((message, entry), refusal)
+                self._refuse(message.topic, refusal, now)
         if sent:
             self._outbox.acknowledge(sent)
             for message in self._documents(sent):
                 self._retain(message)
-        if not outgoing and not entries and not self._replies and not self._closing:
-            due = min([self._health_due, *(refused.due for refused in self._refused.values())])
+        if not outgoing and not entries and not self._closing:
             with suppress(TimeoutError):
-                async with asyncio.timeout_at(due):
+                async with asyncio.timeout_at(min(self._health_due, self._retry_due)):
                     await self._wake.wait()
-        return bool(outgoing or entries or self._replies)
+        return bool(outgoing or entries)
 
     def _retain(self, message: Message) -> None:
         """Publish a retained document now and after each connection, until a newer one replaces it."""
         self._retained[message.topic] = self._changed[message.topic] = message
 
     def _allowed(self, entries: Iterable[Entry]) -> Iterator[Outgoing]:
-        """Yield the events on topics that the broker does not refuse."""
+        """Yield the events on topics that the broker does not refuse, one on each topic that is retried."""
+        skipped = set(self._refused)
         for entry in entries:
             topic = f"{self._topic}/{entry.finger}/event"
-            message = Message(topic, entry.payload, retain=False, content_type=CONTENT_TYPE)
-            if refused := self._refused.get(topic):
-                self._keep_first(refused, (message, entry))
-            else:
-                yield message, entry
+            if topic not in skipped:
+                yield Message(topic, entry.payload, retain=False, content_type=CONTENT_TYPE), entry
+            if topic in self._retried:
+                skipped.add(topic)
 
-    def _due_retries(self, now: float) -> Iterator[Outgoing]:
-        """Yield one message on each refused topic that is due."""
-        for topic, refused in self._refused.items():
-            if refused.due <= now:
-                message, entry = refused.first
-                yield message if entry else self._retained[topic], entry
-
-    def _accept(self, message: Message) -> None:
+    def _accept(self, message: Message, entry: Entry | None) -> None:
         if self._changed.get(message.topic) is message:
             del self._changed[message.topic]
-        if refused := self._refused.pop(message.topic, None):
+        if message.topic in self._retried:
+            self._retried.discard(message.topic)
             self._logged.discard(message.topic)
+            self._retry.reset()
             log.warning("%s: accepts %s again", self._broker, message.topic)
-            if entry := refused.first[1]:
+            if entry:
                 self._outbox.rewind(entry.id)  # later events of this topic are pending, too
 
-    def _refuse(self, outgoing: Outgoing, refusal: str) -> None:
-        topic, now = outgoing[0].topic, asyncio.get_running_loop().time()
-        refused = self._refused.setdefault(topic, _Refused(outgoing, BackOff(), now))
-        if refused.due <= now:  # not again for later messages of the same window
-            refused.due = now + refused.retry.delay()
-        self._keep_first(refused, outgoing)
+    def _refuse(self, topic: str, refusal: str, now: float) -> None:
+        if not self._refused:
+            self._retry_due = now + self._retry.delay()
+        self._refused.add(topic)
+        self._retried.discard(topic)
         self._log_once(topic, f"{self._broker}: {refusal}; retrying")
 
-    def _keep_first(self, refused: _Refused, outgoing: Outgoing) -> None:
-        entry, first = outgoing[1], refused.first[1]
-        if entry and first and entry.id < first.id:
-            refused.first = outgoing
+    def _retry_refused(self) -> None:
+        """Restart at the oldest unacknowledged event, and try the refused topics again."""
+        self._retried |= self._refused
+        self._refused.clear()
+        self._retry_due = inf
+        self._outbox.rewind()
 
     def _log_once(self, topic: str, text: str) -> None:
         if topic not in self._logged:

@@ -90,7 +90,7 @@ async def test_a_replay_is_followed_only_by_its_name(broker: TestBroker) -> None
     async with Consumer(broker.url, "lab", "a-replay") as events:
         assert await anext(events) == expected[0]
     async with Consumer(broker.url, "lab", since="start", report=reports.append) as events:
-        await until(lambda: inside(events, "_link", "_queue").qsize() == 3)
+        await until(lambda: len(inside(events, "_link", "_received")) == 3)
         assert await anext(events) == expected[1]
         publish(broker, 3, "a-replay")
         later = publish(broker, 3, "b")
@@ -120,7 +120,7 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
     broker.publish("slip/v1/lab//head", '{"epoch": "q", "last_seq": 9}', "-r")
     bad.append(("", "the rig has no name"))
     async with Consumer(broker.url, report=reports.append) as events:
-        await until(lambda: inside(events, "_link", "_queue").qsize() == len(bad))
+        await until(lambda: len(inside(events, "_link", "_received")) == len(bad))
         publish(broker, 1)
         assert await take(events, 1) == [1]
     assert len(reports) == len(bad)
@@ -270,7 +270,7 @@ async def test_messages_received_before_a_lost_connection_are_delivered(
         assert await take(events, 1) == [1]
         publish(broker, 2)
         publish(broker, 3)
-        await until(lambda: inside(links[0], "_queue").qsize() == 2)
+        await until(lambda: len(inside(links[0], "_received")) == 2)
         broker.stop()
         await until(lambda: not links[0].alive)
         assert await take(events, 2) == [2, 3]
