@@ -60,6 +60,7 @@ class Outbox:
         self._unsaved = RangeSet()  # acknowledged ids that are not stored yet
         self._write_due, self._sync_due, self._progress = asyncio.Event(), asyncio.Event(), asyncio.Event()
         self._storing = self._failing = False  # a write is in progress; the latest one failed
+        self._ending = False  # no further write begins
         self._tasks: list[asyncio.Task[None]] = []
 
     @property
@@ -192,15 +193,23 @@ class Outbox:
                     break
                 await self._progress.wait()
         finally:
+            await self._end_tasks()
+        if not self._failing:
+            with suppress(OSError, SlipflowError):  # the next run begins a new epoch
+                await asyncio.to_thread(self._end)
+        await asyncio.to_thread(self._log.close)
+
+    async def _end_tasks(self) -> None:
+        self._ending = True
+        try:
+            while self._storing:  # a write in progress cannot be stopped, and its events are stored
+                await self._progress.wait()
+        finally:
             for task in self._tasks:
                 task.cancel()
             await asyncio.gather(*self._tasks, return_exceptions=True)
             if self.unstored:
                 log.error("%s: %s; %d events are lost", self.path, self.error or "not written", self.unstored)
-        if not self._failing:
-            with suppress(OSError, SlipflowError):  # the next run begins a new epoch
-                await asyncio.to_thread(self._end)
-        await asyncio.to_thread(self._log.close)
 
     async def _begin(self) -> None:
         """Open the folder, and mark the epoch as in use before its first number is used."""
@@ -273,7 +282,7 @@ class Outbox:
 
     async def _keep_writing(self) -> None:
         retry = BackOff()
-        while True:
+        while not self._ending:
             await self._write_due.wait()
             self._write_due.clear()
             entries = [entry for entry in self._memory.values() if entry.id > self._written]

@@ -1,4 +1,5 @@
 import asyncio
+import shutil
 import signal
 import socket
 import subprocess
@@ -14,6 +15,7 @@ from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
 from connectors.mqtt.broker_link import Link, connect
 from operators.errors import EndpointError
 from tests.connectors.mqtt.broker_process import PATIENCE, TestBroker, deliver
+from tests.inside import inside
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
@@ -190,16 +192,23 @@ async def test_a_subscription_that_the_broker_refuses_is_an_error() -> None:
         await link.disconnect()
 
 
-@pytest.fixture
-def secure(tmp_path: Path) -> Iterator[TestBroker]:
+@pytest.fixture(scope="module")
+def secured(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestBroker]:
     """A broker that speaks TLS, with a certificate that it signed itself."""
-    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
-    kind = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=test"]
+    folder = tmp_path_factory.mktemp("secure")
+    certificate, key = folder / "certificate.pem", folder / "key.pem"
+    curve = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1"]
+    kind = ["-x509", *curve, "-nodes", "-days", "2", "-subj", "/CN=test"]
     files = ["-addext", "subjectAltName=IP:127.0.0.1", "-keyout", str(key), "-out", str(certificate)]
     subprocess.run(["openssl", "req", *kind, *files], check=True, capture_output=True)
-    broker = TestBroker(tmp_path, "allow_anonymous true", f"certfile {certificate}", f"keyfile {key}")
-    yield broker
-    broker.close()
+    with TestBroker(folder, "allow_anonymous true", f"certfile {certificate}", f"keyfile {key}") as broker:
+        yield broker
+
+
+@pytest.fixture
+def secure(secured: TestBroker, tmp_path: Path) -> TestBroker:
+    shutil.copy(inside(secured, "_log").with_name("certificate.pem"), tmp_path)
+    return secured
 
 
 @pytest.mark.parametrize("name", ["SSL_CERT_FILE", CA])

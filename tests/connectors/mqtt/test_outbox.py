@@ -14,7 +14,7 @@ from connectors.events import Event
 from connectors.mqtt import outbox, outbox_log
 from connectors.mqtt.outbox import Outbox
 from operators.errors import EndpointError, InputError
-from storage.append_log import AppendLog
+from storage.append_log import AppendLog, LogReader
 from tests.connectors.mqtt.broker_process import PATIENCE, until
 from tests.inside import inside
 
@@ -450,11 +450,17 @@ async def test_losses_of_an_ended_close_are_exact(
         disk.write_error = OSError(EIO, "Input/output error")
     await box.append([DRAFT] * 7)
     box.acknowledge((await box.next(8))[:6])
+    await box.append([DRAFT] * 3)
     closing = asyncio.create_task(box.close())
     await asyncio.sleep(0.01)
-    if hangs:  # a second signal ends it
+    if hangs:  # a second signal ends it, after the write in progress
         closing.cancel()
+        await asyncio.sleep(0.01)
+        disk.writes.set()
     await asyncio.wait([closing])
-    assert box.unstored == 6
-    assert caplog.messages[-1].endswith("6 events are lost")
-    disk.writes.set()
+    lost = 3 if hangs else 9
+    assert box.unstored == lost
+    assert caplog.messages[-1].endswith(f"{lost} events are lost")
+    with LogReader(next((tmp_path / "outbox").iterdir())) as reader:
+        events = [record for record in reader.records() if b"specversion" in record.data]
+    assert len(events) == (12 if hangs else 5)
