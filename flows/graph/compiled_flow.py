@@ -158,7 +158,12 @@ class CompiledFlow:
         return [(sink, batch) for stage, batch in self.last_outputs() for sink in stage.sinks]
 
     def outputs(self, batches: Mapping[Entry, Batch]) -> list[tuple[Stage, Batch]]:
-        """Do what `push` does, but return the output of each stage, sources included."""
+        """Do what `push` does, but return the output of each stage, sources included.
+
+        Raises:
+            BatchError: if a source yields a fingertip that it does not declare.
+            OperatorError: if an operator fails or returns another type than it declares.
+        """
         values: list[Batch | None] = [None] * len(self._stages)
         outputs: list[tuple[Stage, Batch]] = []
         stages = self.operator_stages
