@@ -78,7 +78,7 @@ def recover(folder: str | Path) -> Recovery:
     about = read_session(folder)
     try:
         with _exclusive(folder):
-            return _SessionRecovery(folder, about).finish()
+            return Repair(folder, about).finish()
     except OSError as error:
         raise EndpointError(str(folder), f"cannot be recovered: {os_error_reason(error)}") from error
 
@@ -101,8 +101,14 @@ def _exclusive(folder: Path) -> Generator[None]:
             os.close(number)
 
 
-class _SessionRecovery:
-    """Recovery of one locked session: the constructor examines it and changes nothing, `finish` repairs it.
+class Repair:
+    """Repair of one session: the constructor examines it and changes nothing; `finish` needs its lock.
+
+    Attributes:
+        lost: A line for each loss that no earlier recovery has recorded.
+        cut: Those of `lost` at the end, where the recorder was killed.
+        done: A line for each other repair.
+        adopted: Complete files that are not in the manifest.
 
     Raises:
         InputError: if the journal has another version, or a link leads out of the session.
@@ -110,8 +116,8 @@ class _SessionRecovery:
 
     def __init__(self, folder: Path, about: Description) -> None:
         self._folder, self._about, self._session = folder, about, str(about["session"])
-        self._lost, self._cut, self._done = list[str](), list[str](), list[str]()  # as in `Recovery`
-        self._adopted: list[str] = []
+        self.lost, self.cut, self.done = list[str](), list[str](), list[str]()  # as in `Recovery`
+        self.adopted: list[str] = []
         self._journalled = (folder / JOURNAL).is_dir()
         self._before = cast("dict[str, Any]", about.get("recovered", {}))  # by earlier recoveries
         self._known_lost: list[str] = self._before.get("lost", [])
@@ -136,8 +142,9 @@ class _SessionRecovery:
         self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
         self._empty = list[Table]()  # single-file tables without rows whose file is still missing
         self._read_journal()
-        self._lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
+        self.lost += [reason for table, reason in self._doubtful.items() if table not in self._rows]
         self._find_missing()
+        self.lost = [each for each in self.lost if each not in self._known_lost]
 
     def finish(self) -> Recovery:
         """Repair the session.
@@ -152,13 +159,11 @@ class _SessionRecovery:
         parts = self._all_parts()
         rewritten = self._rewrite or {part.path: part for part in parts} != self._listed_before
         if rewritten and not found:
-            self._done.append("its manifest was rewritten")
+            self.done.append("its manifest was rewritten")
         if self._journalled and not found:
-            self._done.append("its journal was deleted: all its rows are in parts")
-        lost = tuple(each for each in self._lost if each not in self._known_lost)
-        result = Recovery(
-            self._session, found, tuple(self._adopted), lost, tuple(self._cut), tuple(self._done)
-        )
+            self.done.append("its journal was deleted: all its rows are in parts")
+        lost, cut = tuple(self.lost), tuple(self.cut)
+        result = Recovery(self._session, found, tuple(self.adopted), lost, cut, tuple(self.done))
         self._describe(result)
         if rewritten:
             self._keep_manifest()
@@ -184,10 +189,10 @@ class _SessionRecovery:
                 continue
             if duplicate:
                 self._aside.append(self._folder / path)
-                self._done.append(f"{duplicate}: it is kept in {DAMAGED!r}")
+                self.done.append(f"{duplicate}: it is kept in {DAMAGED!r}")
                 continue
             parts.append(part)
-            self._adopted.append(path)
+            self.adopted.append(path)
         return sorted(parts, key=lambda part: part_number(part.path))
 
     def _add_unreadable(self, table: Table, path: str, error: InputError, *, last: bool) -> None:
@@ -195,10 +200,10 @@ class _SessionRecovery:
         self._aside.append(self._folder / path)
         self._unreadable.add(path)
         if last and segments(self._folder):
-            self._doubtful[table.name] = f"{table.name}: {error}"
+            self._doubtful[table.name] = f"{error}; it is not in the manifest"
         else:
             self._with_gaps.add(table.name)
-            self._lost.append(f"{table.name}: {error}")
+            self.lost.append(f"{error}; it is not in the manifest")
 
     def _find_missing(self) -> None:
         """Note missing parts, missing rows of a closed session, and a missing journal."""
@@ -207,24 +212,24 @@ class _SessionRecovery:
         paths = {part.path for part in parts} | self._unreadable
         for path, part in self._damaged_list.items():
             if not (self._folder / path).exists() and part.sha256 not in hashes:
-                self._lost.append(f"{path}: is missing: {part.extent}")
-        reported = " ".join([*self._lost, *self._known_lost])
+                self.lost.append(f"{path}: is missing: {part.extent}")
+        reported = " ".join([*self.lost, *self._known_lost])
         missing = [path for path in missing_parts(paths) if path not in reported]
-        self._lost += [f"{path}: is missing, and not in the manifest" for path in missing]
+        self.lost += [f"{path}: is missing, and not in the manifest" for path in missing]
         if self._rewrite and not self._journalled and (text := missing_rows(self._about, parts)):
-            self._lost.append(text)
+            self.lost.append(text)
         if "end_ns" in self._about:
             return
         if not parts and not self._rows:
-            self._done.append("was not closed, and has no rows")
+            self.done.append("was not closed, and has no rows")
         elif not self._journalled:
-            self._cut.append("was not closed and has no journal: rows after its last part are missing")
-            self._lost += self._cut[-1:]
+            self.cut.append("was not closed and has no journal: rows after its last part are missing")
+            self.lost += self.cut[-1:]
 
     def _read_journal(self) -> None:
         """Count the rows of the journal that follow those in parts."""
         missing = missing_segments(self._folder, self._about)
-        self._lost += missing if any(self._parts.values()) or segments(self._folder) else []
+        self.lost += missing if any(self._parts.values()) or segments(self._folder) else []
         damages = dict[Path, Damage | None]()
         for table, rows in self._journal_rows(damages):
             self._rows[table.name] += len(rows)
@@ -232,7 +237,7 @@ class _SessionRecovery:
             self._add_damage(path, damage, last=path in self._newest)
         for name, rows_left in self._left_out.items():
             follow = _count(self._parts[name]) + self._rows[name]
-            self._lost.append(f"{name}: {rows_left} rows that do not follow row {follow}")
+            self.lost.append(f"{name}: {rows_left} rows that do not follow row {follow}")
         if self._left_out:
             self._aside += [path for path in self._logs.values() if path not in self._aside]
         elif SINGLE in self._logs and self._logs[SINGLE] not in self._aside:
@@ -282,9 +287,9 @@ class _SessionRecovery:
         """Note the damage of a segment; `last` if it is the newest segment or the single-file log."""
         if damage:
             reason = "whole frames follow" if damage.more else "the recorder was cut off there"
-            self._lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")
+            self.lost.append(f"{path.name}: its last {damage.size} bytes cannot be read: {reason}")
             self._aside += [path] if damage.more else []
-            self._cut += self._lost[-1:] if last and not damage.more else []
+            self.cut += self.lost[-1:] if last and not damage.more else []
 
     def _commit(self, table: Table, buffer: Buffer) -> None:
         """Write rows as the next part, or as the one file after the rows that it has."""

@@ -9,7 +9,6 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import files, parts, schema
 from storage.description import read_dataset, read_session, recorders
-from storage.journal import SINGLE, SegmentReader, missing_segments
 from storage.layout import (
     DAMAGED,
     DATASET,
@@ -25,12 +24,11 @@ from storage.layout import (
     lacks_description,
     may_exist,
     names_without_description,
-    segments,
     session_names,
-    single_log,
 )
 from storage.lock import locked
-from storage.manifest import Part, missing_parts, missing_rows, part_number, read_manifest
+from storage.manifest import Part, read_manifest
+from storage.recovery import Repair
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
 Progress = Callable[[int, int, str], object]  # files done, total files, session
@@ -172,6 +170,7 @@ class _SessionCheck:
         self.listed: dict[str, Part] = {}
         self.about: Description = {}  # session.json, if it can be read
         try:
+            check_links(folder)
             self.listed = read_manifest(folder)
         except InputError as error:
             self._add("lost", str(error))
@@ -189,11 +188,9 @@ class _SessionCheck:
     def _check_all(self) -> Iterator[None]:
         try:
             check_links(self.folder)
-        except InputError as error:
-            self._add("lost", str(error))
+        except InputError:  # reported already
             return
         self._check_description()
-        self._check_journal()
         for path, part in self.listed.items():
             try:
                 self.read[path] = self._check_part(path, part)
@@ -233,9 +230,6 @@ class _SessionCheck:
                     "lossy" if cut else "lost",
                     f"{'cut off' if cut else 'lost'} before it was recovered: {each}",
                 )
-        elif "end_ns" not in about and not (self.folder / JOURNAL).exists():
-            reason = "was not closed and has no journal: rows after its last part are missing"
-            self._add("lossy", f"{reason}; slipflow recover records this")
         elif about.get("error"):
             self._add("note", f"ended early: {about['error']}")
 
@@ -249,28 +243,6 @@ class _SessionCheck:
             for gap in stream["gaps"]:
                 seconds = (gap["end"] - gap["start"]) / 1e9
                 self._add("note", f"{name} was down for {seconds:.1f} s: {gap['reason']}")
-
-    def _check_journal(self) -> None:
-        if self.recording or not (self.folder / JOURNAL).exists():
-            return
-        self._add("repairable", "has a journal: slipflow recover turns it into parts")
-        for text in missing_segments(self.folder, self.about):
-            self._add("lost" if self.listed or segments(self.folder) else "lossy", text)
-        logs, single = segments(self.folder), single_log(self.folder)
-        session = str(self.about.get("session", self.name))
-        for number, path in [*logs.items(), *([(SINGLE, single)] if single.exists() else [])]:
-            try:
-                with SegmentReader(path, session, number) as reader:
-                    for _ in reader.rows():
-                        pass
-            except InputError as error:
-                self._add("lost", str(error))
-                continue
-            damage = reader.damage
-            if damage and damage.more:
-                self._add("lost", f"{path.name}: is damaged at byte {damage.offset}")
-            elif damage:
-                self._add("lossy", f"{path.name}: its last {damage.size} bytes cannot be read")
 
     def _check_part(self, path: str, part: Part) -> int:
         """Return the rows of a listed part.
@@ -289,50 +261,26 @@ class _SessionCheck:
         return len(rows)
 
     def _check_rest(self) -> None:
-        """Check everything that is not in the manifest."""
+        """Check what a recovery would find: the journal, unlisted files and missing ones."""
         if (self.folder / DAMAGED).exists():
             self._add("repaired", f"has a folder {DAMAGED!r}, with files that a recovery moved there")
-        if self.recording or (self.folder / JOURNAL).exists():
+        if self.recording:
             return
+        if (self.folder / JOURNAL).exists():
+            self._add("repairable", "has a journal: slipflow recover turns it into parts")
         if not (self.folder / MANIFEST).exists():
             self._add("repairable", f"has no {MANIFEST}: slipflow recover rewrites it")
-        self._check_missing([*self.listed, *self._check_unlisted()])
+        try:
+            repair = Repair(self.folder, self.about or {"session": self.name, "end_ns": 0})
+        except InputError as error:
+            self._add("lost", str(error))
+            return
+        for text in repair.lost:
+            self._add("lossy" if text in repair.cut else "lost", text)
+        for text in (*repair.done, *(f"{path} is not in the manifest" for path in repair.adopted)):
+            self._add("repairable", f"{text}: slipflow recover repairs this")
         for path in (*self.folder.glob("*" + files.SCRATCH), *self.folder.glob("*/*" + files.SCRATCH)):
             self._add("note", f"{path.name} was left over: slipflow recover deletes it")
-
-    def _check_unlisted(self) -> list[str]:
-        """Check unlisted files; return all existing files except duplicates."""
-        existing = list[str]()
-        for table in TABLES:
-            found = [path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)]
-            paths = sorted(found, key=part_number)
-            kept = parts.without_duplicates(self.folder, table, paths, self.listed)
-            for path in paths:
-                if path not in kept:
-                    self._add("repairable", f"{path} has duplicate rows: slipflow recover moves it away")
-            existing += kept
-        for path in existing:
-            if path in self.listed:
-                continue
-            try:
-                parts.read_part(inside(self.folder, self.folder / path), schema.schema(_table(path)))
-            except InputError as error:
-                self._add("lost", f"{error}; it is not in the manifest")
-            else:
-                self._add("repairable", f"{path} is not in the manifest: slipflow recover adds it")
-        return existing
-
-    def _check_missing(self, paths: list[str]) -> None:
-        """Check for parts and rows that are in no file, except losses that a recovery has recorded."""
-        recovered = cast("dict[str, Any]", self.about.get("recovered", {}))
-        known: list[str] = recovered.get("lost", [])
-        for path in missing_parts(paths):
-            if not any(path in each for each in known):
-                self._add("lost", f"{path}: is missing, and not in the manifest")
-        if len(self.listed) == len(set(paths)):  # else the rows of unlisted files are unknown
-            text = missing_rows(self.about, self.listed.values())
-            if text and text not in known:
-                self._add("lost", text)
 
 
 def _table(path: str) -> Table:

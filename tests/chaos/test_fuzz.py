@@ -35,8 +35,8 @@ ANY = st.recursive(
 def folder(request: pytest.FixtureRequest) -> Iterator[Path]:
     """A session, whole."""
     with scratch(memory=True) as root:
-        writer = begin(root / "data", part_rows=10)
-        for number in range(25):
+        writer = begin(root / "data", part_rows=6)
+        for number in range(9):
             write(writer, number)
         copytree(writer.folder, root / "killed")
         writer.close()
@@ -87,7 +87,7 @@ def copied(folder: Path) -> Generator[Path]:
         rmtree(copy)
 
 
-@settings(max_examples=120)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_whatever_session_json_says_the_errors_are_typed(folder: Path, data: st.DataObject) -> None:
     with copied(folder) as copy:
@@ -95,7 +95,7 @@ def test_whatever_session_json_says_the_errors_are_typed(folder: Path, data: st.
         files.put_checked(copy / "session.json", changed(about, data))
 
 
-@settings(max_examples=120)
+@settings(max_examples=40)
 @given(data=st.data())
 def test_whatever_a_manifest_lists_the_errors_are_typed(folder: Path, data: st.DataObject) -> None:
     with copied(folder) as copy:
