@@ -3,7 +3,7 @@
 import inspect
 import pickle
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
@@ -276,16 +276,26 @@ def _pickled(value: Value) -> Value:
 
 @every
 @given(seed=seeds, rows=sizes, cuts=cuts)
-def test_cutting_the_input_anywhere_changes_nothing(
+def test_cutting_the_input_changes_nothing_and_late_rows_are_dropped_and_counted(
     case: Case, same: Same, seed: int, rows: int, cuts: list[int]
 ) -> None:
-    streams = case.streams(seed, rows)
-    same(_run(case.step.reset_copy(), _pieces(streams, cuts)), _run(case.step.reset_copy(), [streams]))
+    """Rows of one stamp are kept; neither the input nor an earlier output is modified."""
+    streams, step, clean = case.streams(seed, rows), case.step.reset_copy(), case.step.reset_copy()
+    kept, copies = tuple(_kept(stream) for stream in streams), _pickled(streams)
+    kind, results = output_type(type(step)), [_push(step, piece) for piece in _pieces(streams, cuts)]
+    pushed = _pickled(concat(kind, results))
+    found = concat(kind, [*results, cast("Any", step).flush()])
+    same(found, _run(clean, [kept]))
+    assert step.late == sum(map(len, streams)) - sum(map(len, kept))
+    assert clean.late == 0
+    _push(step, tuple(replace(stream, time=stream.time + 10 * s) for stream in streams))
+    for now, then in zip([*streams, concat(kind, results)], [*copies, pushed], strict=True):
+        same(now, then)
 
 
 @every
 @given(seed=seeds, rows=sizes, cut=st.integers(0, 400))
-def test_pickling_midstream_and_going_on_changes_nothing(
+def test_pickling_midstream_or_a_reset_changes_nothing(
     case: Case, same: Same, seed: int, rows: int, cut: int
 ) -> None:
     streams, step = case.streams(seed, rows), case.step.reset_copy()
@@ -293,7 +303,10 @@ def test_pickling_midstream_and_going_on_changes_nothing(
     before = _push(step, first)
     after = _run(_pickled(step), rest)
     same(_run(step, rest), after)
-    same(concat(type(before), [before, after]), _run(case.step.reset_copy(), [streams]))
+    again = step.reset_copy()
+    assert repr(again) == repr(step)
+    assert again.late == 0
+    same(concat(type(before), [before, after]), _run(again, [streams]))
 
 
 @pytest.mark.parametrize("align", [case.step for case in CASES if isinstance(case.step, Align)], ids=repr)
@@ -327,39 +340,14 @@ def test_every_public_operator_and_join_is_in_the_table() -> None:
 
 
 @every
-@given(seed=seeds, rows=sizes)
-def test_fresh_keeps_the_parameters_and_forgets_the_state(
-    case: Case, same: Same, seed: int, rows: int
-) -> None:
-    streams, step = case.streams(seed, rows), case.step.reset_copy()
-    first = _run(step, [streams])
-    again = step.reset_copy()
-    assert repr(again) == repr(step)
-    assert again.late == 0
-    same(_run(again, [streams]), first)
-
-
-@every
-@given(seed=seeds, rows=sizes)
-def test_late_rows_are_dropped_and_counted_and_rows_of_one_stamp_kept(
-    case: Case, same: Same, seed: int, rows: int
-) -> None:
-    streams, step, clean = case.streams(seed, rows), case.step.reset_copy(), case.step.reset_copy()
-    kept = tuple(_kept(stream) for stream in streams)
-    same(_run(step, [streams]), _run(clean, [kept]))
-    assert step.late == sum(map(len, streams)) - sum(map(len, kept))
-    assert clean.late == 0
-
-
-@every
 def test_an_empty_batch_gives_an_empty_batch(case: Case, same: Same) -> None:
     nothing = tuple(kind.empty() for kind in input_types(type(case.step)))
     same(_run(case.step.reset_copy(), [nothing, nothing]), output_type(type(case.step)).empty())
 
 
 @every
-@pytest.mark.parametrize("rows", [3_000, 30_000])
-def test_a_snapshot_stays_small_for_any_input(case: Case, rows: int) -> None:
+def test_a_snapshot_stays_small_for_any_input(case: Case) -> None:
+    rows = 10_000
     streams = tuple(_kept(stream) for stream in case.streams(1, rows))
     for away in [None, *range(len(streams))]:
         step = case.step.reset_copy()
@@ -367,15 +355,3 @@ def test_a_snapshot_stays_small_for_any_input(case: Case, rows: int) -> None:
         for piece in _pieces(came, range(0, rows, 97)):
             _push(step, piece)
         assert len(pickle.dumps(step)) < case.snapshot
-
-
-@every
-@given(seed=seeds, rows=sizes)
-def test_input_and_output_are_never_modified(case: Case, same: Same, seed: int, rows: int) -> None:
-    streams, step = case.streams(seed, rows), case.step.reset_copy()
-    copies = _pickled(streams)
-    results = [_push(step, piece) for piece in _pieces(streams, range(0, rows, 9))]
-    results_then = _pickled(results)
-    _run(step, [streams] * 4)
-    for now, then in zip([*streams, *results], [*copies, *results_then], strict=True):
-        same(now, then)
