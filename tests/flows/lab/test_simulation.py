@@ -6,15 +6,19 @@ import signal
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 import pytest
+from typer.testing import CliRunner
 
 from connectors import SimulatedRig
+from flows.cli.main import app
 from flows.graph import Flow
 from flows.graph.testing import run_virtually
+from flows.lab import simulation
 from flows.lab.simulation import SimulatedDataset, planned_recordings, simulate
 from flows.learn.splits import SPLITS
 from flows.record import declare_recording
@@ -23,7 +27,7 @@ from flows.run.live_runner import LiveRunner
 from operators import Label, ms
 from operators.errors import EndpointError, ParameterError, SlipflowError
 from storage import Dataset, Session
-from tests.command import slipflow
+from tests.command import error, slipflow
 
 
 def hashes(folder: Path) -> dict[str, str]:
@@ -46,7 +50,8 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> SimulatedDataset:
 def test_the_same_seed_gives_the_same_bytes_in_any_number_of_processes(
     tmp_path: Path, tiny: SimulatedDataset
 ) -> None:
-    again = simulate(tmp_path / "elsewhere" / "again", "tiny", 0, jobs=2)
+    (tmp_path / "empty").mkdir()
+    again = simulate(tmp_path / "empty", "tiny", 0, jobs=2)
     assert hashes(again.out) == hashes(tiny.out)
     assert again.splits == tiny.splits
 
@@ -191,7 +196,7 @@ def test_a_killed_simulation_leaves_a_partial_folder_that_is_reported(tmp_path: 
         simulate(tmp_path / "out", "tiny", 0)
 
 
-def test_an_existing_folder_is_kept_unless_it_is_empty(tmp_path: Path, tiny: SimulatedDataset) -> None:
+def test_an_existing_dataset_or_file_is_kept(tmp_path: Path, tiny: SimulatedDataset) -> None:
     (tmp_path / "file").write_text("")
     before = hashes(tiny.out)
     for path in (tiny.out, tmp_path / "file"):
@@ -200,8 +205,6 @@ def test_an_existing_folder_is_kept_unless_it_is_empty(tmp_path: Path, tiny: Sim
     with pytest.raises(EndpointError, match="cannot be written: "):
         simulate(tmp_path / "file" / "below", "tiny", 0)
     assert hashes(tiny.out) == before
-    (tmp_path / "empty").mkdir()
-    assert hashes(simulate(tmp_path / "empty", "tiny", 0, jobs=1).out) == before
 
 
 def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path) -> None:
@@ -214,27 +217,21 @@ def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_prints_how_to_open_the_dataset(tmp_path: Path, tiny: SimulatedDataset) -> None:
-    out = tmp_path / "data"
-    done = slipflow("simulate", out, "--plan", "tiny")
-    assert done.returncode == 0, done.stderr
-    lines = done.stdout.splitlines()
-    assert lines[3].startswith("all          12 sessions   13,")
-    opening = lines[-1].replace("python", sys.executable, 1)
-    opened = subprocess.run(opening, shell=True, capture_output=True, text=True, check=True)  # noqa: S602
-    assert f"shape: ({tiny.all.samples:_}, " in opened.stdout
-    assert done.stderr == ""
-
-    again = slipflow("simulate", out, "--plan", "tiny")
-    assert again.returncode == 2
-    assert again.stderr.startswith(f"error: {out}: must be a new or empty folder")
-
-
-def test_the_command_prints_json(tmp_path: Path, tiny: SimulatedDataset) -> None:
+def test_the_command_prints_how_to_open_the_dataset(
+    tmp_path: Path, tiny: SimulatedDataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = tmp_path / "data"
     done = slipflow("simulate", out, "--plan", "tiny", "--jobs", "1", "--json")
-    assert done.returncode == 0, done.stderr
+    assert (done.returncode, done.stderr) == (0, "")
     found = json.loads(done.stdout)
     assert found["seconds"] > 0
     assert {**found, "seconds": 0, "dataset": ""} == {**tiny.json(), "seconds": 0, "dataset": ""}
     assert hashes(out) == hashes(tiny.out)
+    assert error("simulate", out, "--plan", "tiny").startswith(f"{out}: must be a new or empty folder")
+
+    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: replace(tiny, out=out))
+    lines = CliRunner().invoke(app, ["simulate", str(out)]).stdout.splitlines()
+    assert lines[3].startswith("all          12 sessions   13,")
+    opening = lines[-1].replace("python", sys.executable, 1)
+    opened = subprocess.run(opening, shell=True, capture_output=True, text=True, check=True)  # noqa: S602
+    assert f"shape: ({tiny.all.samples:_}, " in opened.stdout
