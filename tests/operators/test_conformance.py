@@ -276,10 +276,10 @@ def _pickled(value: Value) -> Value:
 
 @every
 @given(seed=seeds, rows=sizes, cuts=cuts)
-def test_cutting_the_input_changes_nothing_and_late_rows_are_dropped_and_counted(
+def test_cutting_the_input_anywhere_changes_nothing(
     case: Case, same: Same, seed: int, rows: int, cuts: list[int]
 ) -> None:
-    """Rows of one stamp are kept; neither the input nor an earlier output is modified."""
+    """Late rows are dropped and counted, rows of one stamp kept; no input or earlier output is modified."""
     streams, step, clean = case.streams(seed, rows), case.step.reset_copy(), case.step.reset_copy()
     kept, copies = tuple(_kept(stream) for stream in streams), _pickled(streams)
     kind, results = output_type(type(step)), [_push(step, piece) for piece in _pieces(streams, cuts)]
