@@ -27,7 +27,9 @@ class Recorder:
         self.folder = root / "sessions" / session
         self._dataset, self._second = Dataset(root, part_span=10 * s, host="test"), 0
         self._random = np.random.default_rng(0)
-        asyncio.run(self._dataset.open(Run(session, "recorded", Stopped(), START, live=False)))
+        self._loop = asyncio.new_event_loop()
+        run = Run(session, "recorded", Stopped(), START, live=False)
+        self._loop.run_until_complete(self._dataset.open(run))
 
     def record(self, seconds: int, fingers: tuple[int, ...] = (0, 1)) -> None:
         async def write() -> None:
@@ -43,8 +45,9 @@ class Recorder:
                 await self._dataset.write(Motion(time, time, velocity, np.full((125, 6), np.nan)))
                 self._second += 1
 
-        asyncio.run(write())
+        self._loop.run_until_complete(write())
 
     def close(self) -> Path:
-        asyncio.run(self._dataset.close())
+        self._loop.run_until_complete(self._dataset.close())
+        self._loop.close()
         return self.folder
