@@ -324,24 +324,8 @@ def partial_file(path: Path) -> Generator[BinaryIO]:
     """
     if path.exists():
         raise EndpointError(str(path), "exists already; give another name, or remove it")
-    scratch = path.with_name(path.name + PARTIAL)
-    with _reporting(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            file = scratch.open("xb")
-        except FileExistsError:
-            raise _left_over(scratch) from None
-        try:
-            with file:
-                yield file
-                file.flush()
-                fsync(file.fileno())
-            scratch.rename(path)
-            sync(path.parent)
-        except BaseException:
-            with suppress(OSError):
-                scratch.unlink(missing_ok=True)
-            raise
+    with _partial(path, Path.touch) as scratch, scratch.open("wb") as file:
+        yield file
 
 
 @contextmanager
@@ -353,33 +337,32 @@ def partial_folder(path: Path) -> Generator[Path]:
     """
     if path.exists() and not (path.is_dir() and not any(path.iterdir())):
         raise EndpointError(str(path), "must be a new or empty folder")
+    with _partial(path, Path.mkdir) as scratch:
+        yield scratch
+
+
+@contextmanager
+def _partial(path: Path, make: Callable[..., None]) -> Generator[Path]:
+    """Make `<path>.partial`; sync and rename it to `path` if the block succeeds, else delete it."""
     scratch = path.with_name(path.name + PARTIAL)
-    with _reporting(path):
+    try:
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
-            scratch.mkdir()
+            make(scratch, exist_ok=False)
         except FileExistsError:
-            raise _left_over(scratch) from None
+            reason = "is being written by another process, or was left by one that was killed: then remove it"
+            raise EndpointError(str(scratch), reason) from None
         try:
             yield scratch
-            for each in scratch.rglob("*"):
+            for each in (scratch, *scratch.rglob("*")):
                 sync(each)
             scratch.rename(path)
             sync(path.parent)
         except BaseException:
             rmtree(scratch, ignore_errors=True)
+            with suppress(OSError):
+                scratch.unlink(missing_ok=True)
             raise
-
-
-def _left_over(scratch: Path) -> EndpointError:
-    reason = "is being written by another process, or was left by one that was killed: then remove it"
-    return EndpointError(str(scratch), reason)
-
-
-@contextmanager
-def _reporting(path: Path) -> Generator[None]:
-    try:
-        yield
     except OSError as error:
         raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
 

@@ -4,7 +4,6 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
@@ -85,20 +84,6 @@ def read_manifest(folder: Path) -> dict[str, Part]:
     if content.get("sha256") != _digest(",\n".join(part.line for part in parts)):
         raise InputError(str(path), f"is damaged: its sha256 differs from that of its parts; {_FIX}")
     return listed
-
-
-def damaged_parts(folder: Path) -> dict[str, Part]:
-    """Return the readable parts of a damaged manifest by path; any of their values may be wrong."""
-    found = dict[str, Part]()
-    try:
-        lines = files.read(folder / MANIFEST, 64 * files.MiB).decode(errors="replace").splitlines()
-    except InputError:
-        return found
-    for line in lines:  # one part each, as `write_manifest` writes them
-        with suppress(InputError, ValueError, RecursionError):
-            part = _part(line, json.loads(line.strip().removesuffix(",")))
-            found[part.path] = part
-    return found
 
 
 def part_number(path: str) -> int:

@@ -3,7 +3,8 @@
 from __future__ import annotations  # they name classes of pyarrow
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, cast
 
@@ -11,8 +12,8 @@ from operators.errors import EndpointError, InputError
 from storage import files
 from storage.arrow import pa, pq
 from storage.layout import Table, inside
-from storage.manifest import Part, part_number
-from storage.schema import flat, schema, time_schema, times
+from storage.manifest import Part
+from storage.schema import flat, schema
 
 UNPACKED_LIMIT: Final = 512 * files.MiB  # bytes of the rows of one file
 
@@ -123,47 +124,16 @@ def read_part(path: Path, expected: pa.Schema, sha256: str | None = None) -> pa.
     return table
 
 
-def duplicate_reason(folder: Path, table: Table, part: Part, known: Iterable[Part]) -> str:
-    """Return the reason why a file duplicates rows of its table, empty if it does not.
-
-    A duplicate is a copy of another part, or has rows of a fingertip that are not later than those of the
-    parts with lower numbers.
-
-    Args:
-        folder: Folder of the session.
-        table: Table of the file.
-        part: The file.
-        known: The other parts of the table.
-
-    Raises:
-        InputError: if the file cannot be read; others that are damaged are ignored.
-    """
-    others = list(known)
-    for other in others:
-        if other.sha256 == part.sha256:
-            return f"{part.path}: is a copy of {other.path}"
-    for other in others:
-        before, after = sorted((part, other), key=lambda each: part_number(each.path))
-        if before.last > after.first and _overlap(folder, table, before, after, part):
-            return f"{part.path}: has rows of the same time as {other.path}"
-    return ""
-
-
-def without_duplicates(
-    folder: Path, table: Table, paths: Sequence[str], listed: Mapping[str, Part]
-) -> list[str]:
-    """Return the files of a table without unlisted duplicates; unreadable files are kept."""
-    known, found = [listed[path] for path in paths if path in listed], list[str]()
+def without_copies(folder: Path, paths: Iterable[str], listed: Mapping[str, Part]) -> list[str]:
+    """Return the files of a table without unlisted copies of others; unreadable files are kept."""
+    seen, found = {part.sha256 for part in listed.values()}, list[str]()
     for path in paths:
         if path not in listed:
-            try:
-                part = inspect_part(folder, path, table)
-                if duplicate_reason(folder, table, part, known):
+            with suppress(InputError):  # reported when it is read
+                sha256 = hash_part(inside(folder, folder / path))
+                if sha256 in seen:
                     continue
-            except InputError:
-                pass  # reported when it is read
-            else:
-                known.append(part)
+                seen.add(sha256)
         found.append(path)
     return found
 
@@ -223,23 +193,3 @@ def _fields(schema: pa.Schema) -> list[pa.Field[Any]]:
 
 def _unit(field: pa.Field[Any]) -> str:
     return (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
-
-
-def _overlap(folder: Path, table: Table, before: Part, after: Part, part: Part) -> bool:
-    """Return true if a fingertip has rows in `after` that are older than one in `before`."""
-    spans = list[dict[int, tuple[int, int]]]()
-    for each in (before, after):
-        try:
-            spans.append(_spans(folder, table, each))
-        except InputError:
-            if each is part:
-                raise
-            return False  # unknown, since the other is damaged
-    ends, begins = spans
-    return any(begins[finger][0] < ends[finger][1] for finger in ends.keys() & begins.keys())
-
-
-def _spans(folder: Path, table: Table, part: Part) -> dict[int, tuple[int, int]]:
-    """Return the earliest and latest time (ns) by fingertip."""
-    rows = read_part(inside(folder, folder / part.path), time_schema(table), part.sha256)
-    return {finger: (int(time.min()), int(time.max())) for finger, time in times(table, rows).items()}

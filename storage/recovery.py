@@ -21,14 +21,13 @@ from storage.layout import DAMAGED, JOURNAL, MANIFEST, TABLES, TOUCH, Table, che
 from storage.lock import lock
 from storage.manifest import (
     Part,
-    damaged_parts,
     missing_parts,
     missing_rows,
     part_number,
     read_manifest,
     write_manifest,
 )
-from storage.parts import commit_part, duplicate_reason, inspect_part, read_part
+from storage.parts import commit_part, inspect_part, read_part
 from storage.schema import batch_type, schema, to_arrow
 
 PART_ROWS: Final = 100_000  # of a part made from the journal
@@ -59,9 +58,9 @@ class Recovery:
 def recover(folder: str | Path) -> Recovery:
     """Repair a session, so that all its rows are in parts that its manifest lists.
 
-    Complete files that are not listed are added to the manifest, unless they duplicate others. The rows of
+    Complete files that are not listed are added to the manifest, except copies of others. The rows of
     the journal become parts, table by table, up to the first missing row: a table never has a gap. Missing
-    parts are reported as lost. Unreadable files, duplicates and a damaged manifest are moved to the folder
+    parts are reported as lost. Unreadable files, copies and a damaged manifest are moved to the folder
     `damaged`. Finally session.json records the recovery, and the journal is deleted. A session that needs
     no repair is not changed; a recovery that was killed can be run again.
 
@@ -126,13 +125,12 @@ class Repair:
         self._with_gaps: set[str] = set()  # tables with an unreadable file that the journal cannot replace
         self._unreadable: set[str] = set()  # files of tables
         self._aside: list[Path] = []  # files to be moved to `damaged`
-        self._listed, self._damaged_list = dict[str, Part](), dict[str, Part]()  # of the manifest, by path
+        self._listed = dict[str, Part]()  # of the manifest, by path
         self._rewrite = not (folder / MANIFEST).exists()
         try:
             self._listed |= read_manifest(folder)
         except InputError:
             self._rewrite = True
-            self._damaged_list |= damaged_parts(folder)
         self._listed_before = dict(self._listed)
         self._parts = {table.name: self._find_parts(table) for table in TABLES}
         self._logs, single = segments(folder), single_log(folder)
@@ -183,16 +181,15 @@ class Repair:
         for path in sorted(existing - {part.path for part in parts}, key=part_number):
             try:
                 part = inspect_part(self._folder, path, table)
-                duplicate = duplicate_reason(self._folder, table, part, parts)
             except InputError as error:
                 self._add_unreadable(table, path, error, last=path == max(existing, key=part_number))
                 continue
-            if duplicate:
+            if original := next((each.path for each in parts if each.sha256 == part.sha256), None):
                 self._aside.append(self._folder / path)
-                self.done.append(f"{duplicate}: it is kept in {DAMAGED!r}")
-                continue
-            parts.append(part)
-            self.adopted.append(path)
+                self.done.append(f"{path}: is a copy of {original}: it is kept in {DAMAGED!r}")
+            else:
+                parts.append(part)
+                self.adopted.append(path)
         return sorted(parts, key=lambda part: part_number(part.path))
 
     def _add_unreadable(self, table: Table, path: str, error: InputError, *, last: bool) -> None:
@@ -208,11 +205,7 @@ class Repair:
     def _find_missing(self) -> None:
         """Note missing parts, missing rows of a closed session, and a missing journal."""
         parts = self._all_parts()
-        hashes = {part.sha256 for part in parts}
         paths = {part.path for part in parts} | self._unreadable
-        for path, part in self._damaged_list.items():
-            if not (self._folder / path).exists() and part.sha256 not in hashes:
-                self.lost.append(f"{path}: is missing: {part.extent}")
         reported = " ".join([*self.lost, *self._known_lost])
         missing = [path for path in missing_parts(paths) if path not in reported]
         self.lost += [f"{path}: is missing, and not in the manifest" for path in missing]

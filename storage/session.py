@@ -30,7 +30,7 @@ from storage.layout import (
 )
 from storage.lock import locked
 from storage.manifest import Part, read_manifest
-from storage.parts import read_part, without_duplicates
+from storage.parts import read_part, without_copies
 from storage.recovery import recover
 
 if TYPE_CHECKING:
@@ -55,8 +55,8 @@ class Session:
     """Session of a dataset, complete or still being recorded, as a `Recording`: it reads the committed rows.
 
     Rows are read as they were recorded, with the same type, order and bits. Each file is verified when it
-    is read, by its sha256 in the manifest, else by the checksums of its pages. An unlisted file with
-    duplicate rows is not read.
+    is read, by its sha256 in the manifest, else by the checksums of its pages. An unlisted copy of
+    another file is not read.
 
     One part of each table is in memory, however long the session. Fingertips that are read in parallel, as
     in a replay, share it.
@@ -210,7 +210,7 @@ class Session:
             paths = sorted(existing | listed, key=_numbered)
         if set(paths) <= listed:
             return paths
-        return without_duplicates(self.folder, table, paths, self.listed)
+        return without_copies(self.folder, paths, self.listed)
 
     def _rows(self, path: str, expected: "pa.Schema") -> "pa.Table":
         part = self.listed.get(path)
