@@ -14,7 +14,7 @@ from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Description, Run
 from storage import files
-from storage.layout import DATASET, SESSION, SESSIONS, TABLES, Table
+from storage.layout import DATASET, SESSION, SESSIONS, TABLES, Table, inside
 from storage.lock import lock
 
 VERSION: Final = 2  # of the dataset format
@@ -27,7 +27,7 @@ def describe_dataset(root: Path) -> None:
         InputError: if it has another version, or the folder has other files and is not a dataset.
         OSError: if it cannot be written.
     """
-    path = root / DATASET
+    path = inside(root, root / DATASET)
     if not path.exists():
         held = lock(root, wait=True)
         try:
@@ -47,7 +47,7 @@ def read_dataset(root: Path) -> Description:
     Raises:
         InputError: if it cannot be read, or has another version.
     """
-    about = files.read_json(root / DATASET)
+    about = files.read_json(inside(root, root / DATASET))
     _check_version(root / DATASET, about)
     return about
 

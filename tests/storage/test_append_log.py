@@ -1,5 +1,7 @@
 import os
+import struct
 import tracemalloc
+import zlib
 from collections.abc import Callable, Iterator
 from errno import EIO, EMFILE, ENOMEM, ENOSPC
 from pathlib import Path
@@ -50,6 +52,22 @@ def test_records_are_read_back_with_the_offsets_that_append_returned(log: Append
         for number, offset in enumerate(offsets):
             assert [record.data for record in reader.records(offset)] == RECORDS[number:]
     assert log.end == log.path.stat().st_size
+
+
+def test_the_file_is_as_the_format_says(log: AppendLog) -> None:
+    first, second = log.append([b"first", b"second!"])
+    data = log.path.read_bytes()
+    nonce = data[8:24]
+    header = b"SLIPLOG\x01" + nonce + struct.pack("<I", 3) + b"who"
+    seed = zlib.crc32(header)
+    expected, before = header + struct.pack("<I", seed), seed
+    for record in (b"first", b"second!"):
+        frame = b"SLIP" + struct.pack("<I", len(record)) + record
+        position = struct.pack("<QI", len(expected), before)
+        before = zlib.crc32(frame, zlib.crc32(position, seed))
+        expected += frame + struct.pack("<I", before)
+    assert data == expected
+    assert (first, second) == (len(header) + 4, len(header) + 4 + 12 + 5)
 
 
 def test_a_log_is_created_with_records_and_replaces_another(log: AppendLog) -> None:

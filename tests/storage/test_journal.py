@@ -1,4 +1,5 @@
 import json
+import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -93,6 +94,26 @@ def test_rows_come_back_bit_for_bit(
     read = rows(path, 3)
     for kind in KINDS:
         assert one_by_one(kind, read) == one_by_one(kind, written)
+
+
+def test_a_record_is_as_the_format_says() -> None:
+    batch = new_batch(Slips, 2, finger=3)
+    [record] = journal.encode([NumberedRows(7, batch)])
+    head = struct.pack("<BhIQ", 3, 3, 2, 7)  # Slips, finger, rows, number of the first
+    assert record == head + b"".join(bits(batch))
+    about = json.loads(journal.identity("one", 3))
+    assert {key: about[key] for key in ("version", "session", "segment")} == {
+        "version": 4, "session": "one", "segment": 3,
+    }  # fmt: skip
+    assert about["kinds"][3] == {
+        "batch": "Slips",
+        "columns": [
+            ["time", "<i8", [], []],
+            ["state", "|i1", [], []],
+            ["start", "<i8", [], []],
+            ["probability", "<f8", [], []],
+        ],
+    }
 
 
 def test_a_large_batch_becomes_several_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
