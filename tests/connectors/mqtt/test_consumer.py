@@ -300,6 +300,7 @@ async def test_a_killed_consumer_resumes_and_misses_nothing(
                 for _ in range(5):
                     await sink.write(slips(1, 0))
                     found += await take(events, 1)
+                await until(position.exists)
                 position = Path(shutil.copy(position, tmp_path / f"killed{turn}"))  # as a kill leaves it now
             await sink.write(slips(*[1, 0] * turn))
         await until(lambda: not inside(sink, "_outbox").waiting)
