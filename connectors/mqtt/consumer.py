@@ -14,11 +14,12 @@ from connectors.events import Event
 from connectors.fields import Fields
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
-from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads, save
+from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
 from connectors.mqtt.rig_names import is_replay, is_topic_level, rig_topic
 from operators.back_off import BackOff
 from operators.checks import check_choice
-from operators.errors import EndpointError, InputError, SlipflowError
+from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
+from storage.files import put
 
 if TYPE_CHECKING:
     from connectors.mqtt.broker_link import Link
@@ -241,6 +242,6 @@ class Consumer(AsyncIterator[Event]):
         while self._unsaved is not None:  # save again what changed meanwhile
             payload, self._unsaved = self._unsaved, None
             try:
-                await asyncio.to_thread(save, path, payload)
-            except EndpointError as error:
-                self._report(str(error))
+                await asyncio.to_thread(put, path, payload)
+            except OSError as error:
+                self._report(f"{path}: cannot be written: {os_error_reason(error)}")

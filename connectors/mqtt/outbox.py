@@ -20,7 +20,6 @@ from operators.errors import EndpointError, SlipflowError, os_error_reason
 log = logging.getLogger("slipflow")
 
 WRITE_TIMEOUT = 1.0  # s; then events are sent from memory
-EVENTS_PER_TIMEOUT = 1000  # the timeout is extended once per this number of events
 CACHED = 256  # newest events, kept in memory to save reading them back
 MEMORY_MAX = 10_000  # events in memory while the disk cannot be written
 ACKNOWLEDGE_EVERY = 0.2  # s between writes of acknowledgements
@@ -120,7 +119,7 @@ class Outbox:
             self._memory[number] = Entry(number, self.epoch, seq, draft.finger, payload, now)
         self._write_due.set()
         try:
-            async with asyncio.timeout(WRITE_TIMEOUT * (1 + len(drafts) // EVENTS_PER_TIMEOUT)):
+            async with asyncio.timeout(WRITE_TIMEOUT):
                 while self._written < number and not self.error:
                     await self._progress.wait()
         except TimeoutError:

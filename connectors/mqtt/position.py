@@ -15,7 +15,7 @@ from connectors.mqtt.range_set import RangeSet
 from connectors.mqtt.rig_names import is_topic_level
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Json
-from storage.files import put
+from storage.files import read
 from storage.lock import lock_file
 
 RigId: TypeAlias = tuple[str, str]  # site and rig
@@ -78,13 +78,15 @@ class Position:
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
         """Set the newest number of each epoch that a rig keeps, the current epoch last.
 
-        An older head that arrives late is ignored. The gaps of epochs that are no longer kept are closed and
-        reported as lost; the epochs stay known, so that an older head does not bring them back.
+        A head that is older than the one before is ignored: its current epoch is known, and not newer than
+        known. The gaps of epochs that are no longer kept are closed and reported as lost; the epochs stay
+        known, so that an older head does not bring them back.
         """
         epochs = self._rigs.get(rig) or self._add(rig)
         newest = next((name for name in reversed(epochs) if epochs[name].announced), None)
         current, last = list(heads.items())[-1]
-        if (known := epochs.get(current)) and known.announced and (current != newest or last < known.head):
+        known = epochs[current].head if current in epochs else -1
+        if known >= 0 and (last < known or (current != newest and last == known)):
             return []
         for name, head in heads.items():
             epoch = epochs.pop(name, None)  # the order of the epochs becomes that of the head
@@ -226,33 +228,16 @@ def load(path: Path, *, everything: bool = False) -> Position:
     """Read a position from a file; return an empty position if the file does not exist.
 
     Raises:
-        InputError: if the file is damaged or is not a position.
-        EndpointError: if it cannot be read.
+        InputError: if the file cannot be read, is damaged, or is not a position.
     """
-    try:
-        with path.open("rb") as file:
-            payload = file.read(FILE_MAX + 1)
-    except FileNotFoundError:
+    if not path.exists():
         return Position(everything=everything)
-    except OSError as error:
-        raise EndpointError(str(path), f"cannot be read: {os_error_reason(error)}") from None
+    payload = read(path, FILE_MAX)
     try:
         return Position.decode(payload, str(path), everything=everything)
     except InputError as error:
         hint = "is not a position file; name another file, or delete it to start over"
         raise InputError(str(path), f"{error.reason}: {hint}") from None
-
-
-def save(path: Path, payload: bytes) -> None:
-    """Replace a file atomically and durably: after a crash it holds the old or the new position.
-
-    Raises:
-        EndpointError: if it cannot be written.
-    """
-    try:
-        put(path, payload)
-    except OSError as error:
-        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from None
 
 
 def _lost(rig: RigId, epoch: str, first: int, last: int, why: str) -> str:
