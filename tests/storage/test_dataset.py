@@ -3,16 +3,18 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, TypeVarTuple, Unpack
 
 import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from flows.graph.testing import VirtualLoop
 from operators.batch import (
     Clocks,
     Faults,
@@ -35,6 +37,9 @@ from storage.description import describe_session
 from storage.layout import session_names
 from tests.storage.disk_steps import observed
 from tests.storage.made import new_batch, new_run
+
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 
 
 @pytest.fixture
@@ -448,3 +453,49 @@ def test_importing_storage_imports_neither_pyarrow_nor_polars() -> None:
     code = "import storage, sys; print([m for m in ('pyarrow', 'polars', 'scipy') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+class InlineLoop(VirtualLoop):
+    """Virtual time in which disk work takes none."""
+
+    def run_in_executor(
+        self, executor: Executor | None, func: Callable[[Unpack[Ts]], T], *args: *Ts
+    ) -> asyncio.Future[T]:
+        future: asyncio.Future[T] = self.create_future()
+        try:
+            future.set_result(func(*args))
+        except BaseException as error:  # noqa: BLE001 - as an executor does
+            future.set_exception(error)
+        return future
+
+
+def test_a_row_is_in_the_journal_within_50_ms_and_durable_within_a_quarter_of_a_second(
+    tmp_path: Path,
+) -> None:
+    """A power cut costs the rows since the last fsync began."""
+    appended, durable = list[float](), list[float]()
+
+    def note(step: str) -> None:
+        if step == "write_at segment":
+            appended.append(asyncio.get_running_loop().time())
+        if step == "fsync segment":
+            durable.append(asyncio.get_running_loop().time())
+
+    async def main() -> list[float]:
+        dataset, written, loop = Dataset(tmp_path), list[float](), asyncio.get_running_loop()
+        await dataset.open(new_run())
+        with observed(note):
+            for number in range(200):
+                await asyncio.sleep((0.001, 0.013, 0.07)[number % 3])
+                written.append(loop.time())
+                await dataset.write(new_batch(Touch, 1, start=number * 10 * ms))
+            await asyncio.sleep(1)
+        await dataset.close()
+        return written
+
+    with asyncio.Runner(loop_factory=InlineLoop) as runner:
+        written = runner.run(main())
+    for time in written:
+        assert min(each for each in appended if each >= time) - time <= 0.05 + 1e-9
+        assert min(each for each in durable if each >= time) - time <= 0.25 + 1e-9
+    assert max(min(each for each in durable if each >= time) - time for time in written) > 0.1
