@@ -3,10 +3,10 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable, Generator, Iterable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from errno import EACCES, EIO, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, ENXIO, EPERM
+from errno import EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, ENXIO, EPERM
 from pathlib import Path
 from shutil import rmtree
 from stat import S_ISREG
@@ -119,13 +119,14 @@ def put(path: Path, data: bytes) -> None:
     sync(path.parent)
 
 
-def replace(path: Path, data: bytes, *, durable: bool) -> None:
+def replace(path: Path, data: bytes, *, durable: bool = False) -> None:
     """Write a file by renaming a temporary one, so that readers find its old or its new content.
 
     Args:
         path: The file.
         data: Its new content.
-        durable: Sync the content (but not the name) before the rename.
+        durable: Sync the content (but not the name) before the rename. Without it, a power cut may leave the
+            file old, new, missing or with any content until it is synced.
 
     Raises:
         OSError: the file has its old content.
@@ -255,64 +256,12 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
-class DeferredSync:
-    """Files that are written at once and made durable together later, for data that can be reproduced.
-
-    Readers find each file complete. A power cut before `settle` may leave any file old, new, missing or with
-    any content.
-    """
-
-    def __init__(self) -> None:
-        self._files: dict[Path, bytes] = {}  # sha256 of each
-        self._folders: set[Path] = set()
-        self._failed = False  # an fsync failed
-
-    def put(self, path: Path, data: bytes) -> None:
-        """Write a file as `put` does, but not durably.
-
-        Raises:
-            OSError: the file has its old content.
-        """
-        replace(path, data, durable=False)
-        self._files[path] = hashlib.sha256(data).digest()
-        self._folders.add(path.parent)
-
-    def make_folder(self, path: Path, *, new: bool = False) -> None:
-        """Make a folder as `make_folder` does, but not durably.
-
-        Raises:
-            FileExistsError: if it exists and must be `new`.
-            OSError: if it cannot be made.
-        """
-        create_folder(path, new=new)
-        self._folders |= {path, path.parent}
-
-    def settle(self) -> None:
-        """Make all files durable, then their names.
-
-        Raises:
-            OSError: some may not be durable; it may be called again.
-        """
-        if self._failed:  # repeating the fsync alone could falsely succeed
-            self._rewrite()
-        self._failed = True
-        _sync_all(self._files)
-        _sync_all(self._folders)
-        self._failed = False
-        self._files.clear()
-        self._folders.clear()
-
-    def _rewrite(self) -> None:
-        for path, digest in self._files.items():
-            data = path.read_bytes()
-            if hashlib.sha256(data).digest() != digest:
-                raise OSError(EIO, "the disk has lost what was written; run the replay again")
-            replace(path, data, durable=False)
-
-
-def _sync_all(paths: Iterable[Path]) -> None:
+def sync_tree(folder: Path) -> None:
+    """Make all files in a folder durable, then all names in it."""
+    paths = [folder, *folder.rglob("*")]
     with ThreadPoolExecutor(_SYNCED_AT_ONCE) as pool:
-        list(pool.map(sync, sorted(paths)))
+        list(pool.map(sync, (path for path in paths if not path.is_dir())))
+        list(pool.map(sync, (path for path in paths if path.is_dir())))
 
 
 @contextmanager

@@ -5,6 +5,8 @@ import weakref
 from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
+from errno import EIO
+from hashlib import sha256
 from pathlib import Path
 from shutil import rmtree
 
@@ -59,9 +61,9 @@ class SessionWriter:
         self._parts: list[Part] = []
         self._numbers = Counter[str]()  # of parts, by table
         self._journal: Journal | None = None
-        self._deferred = None if run.live else files.DeferredSync()
-        self._put = self._deferred.put if self._deferred else files.put
-        self._make_folder = self._deferred.make_folder if self._deferred else files.make_folder
+        self._put = files.put if run.live else files.replace
+        self._make_folder = files.make_folder if run.live else files.create_folder
+        self._unsynced = False  # an fsync of the files of a replay failed
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
@@ -220,8 +222,8 @@ class SessionWriter:
         self.commit(final=True)
         touch = self._buffers.get(TOUCH.name)
         with self._reporting():
-            if self._deferred:
-                self._deferred.settle()
+            if not self._run.live:
+                self._sync_replay()
             zeroed = touch is not None and touch.kind is Zeroed
             describe_session(
                 self.folder, self._run, host=self._host, tables=self._tables, zeroed=zeroed, ended=True
@@ -229,6 +231,25 @@ class SessionWriter:
             if self._journal:
                 self._journal.remove()
         self._release()
+
+    def _sync_replay(self) -> None:
+        """Make the files of a replay durable; write them again after a failure: fsync could falsely succeed.
+
+        Raises:
+            OSError: it may be tried again.
+        """
+        if self._unsynced:
+            for part in self._parts:
+                data = (self.folder / part.path).read_bytes()
+                if sha256(data).hexdigest() != part.sha256:
+                    raise OSError(EIO, "the disk has lost what was written; run the replay again")
+                files.replace(self.folder / part.path, data)
+            write_manifest(self.folder, self._parts, self._put)
+        self._unsynced = True
+        files.sync_tree(self.folder)
+        for folder in (self.folder.parent, self._root):
+            files.sync(folder)
+        self._unsynced = False
 
     def _buffer(self, batch: Batch) -> Buffer:
         table = TABLE_OF[type(batch)].name

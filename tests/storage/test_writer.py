@@ -79,6 +79,43 @@ def test_a_failure_at_any_step_costs_nothing_but_a_second_try(tmp_path: Path, *,
         assert not (root / "sessions/one/journal").exists()
 
 
+def test_the_files_of_a_replay_are_made_durable_before_their_names_and_before_its_end(tmp_path: Path) -> None:
+    steps = steps_of(partial(record, tmp_path / "data", new_run(live=False), BATCHES))
+    end = max(number for number, step in enumerate(steps) if step == "create_file new session")
+    synced = [(number, step.split()[1]) for number, step in enumerate(steps) if step.startswith("fsync ")]
+    synced = [(number, name) for number, name in synced if "dataset" not in (name, steps[number].split()[-1])]
+    content = [number for number, name in synced if name in {"part", "manifest", "session"} and number < end]
+    names = [
+        number for number, name in synced if name in {"touch", "motion", "one", "sessions"} and number < end
+    ]
+    assert len(content) == len(list((tmp_path / "data/sessions/one").rglob("*.*")))
+    assert max(content) < min(names)
+    assert len(names) >= 4
+
+
+@pytest.mark.parametrize("lost", [False, True])
+def test_after_a_failed_fsync_the_files_of_a_replay_are_written_again(tmp_path: Path, *, lost: bool) -> None:
+    def fail(step: str) -> None:
+        if step == "fsync part":
+            raise OSError(5, "Input/output error")
+
+    writer = _open(tmp_path, new_run(live=False))
+    writer.add(BATCHES[0])
+    with observed(fail), pytest.raises(EndpointError, match="Input/output error"):
+        writer.close()
+    [path] = tmp_path.rglob("*.parquet")
+    before = path.stat().st_ino
+    if lost:
+        path.write_bytes(b"anything")
+        for _ in range(2):
+            with pytest.raises(EndpointError, match="the disk has lost what was written"):
+                writer.close()
+    else:
+        writer.close()
+        assert path.stat().st_ino != before
+    assert Session.open(tmp_path).about["complete"] is not lost
+
+
 def test_after_a_failed_fsync_rows_are_committed_or_journalled_again_from_memory(tmp_path: Path) -> None:
     def fail(step: str) -> None:
         if step == "fsync segment":
