@@ -26,6 +26,7 @@ from typing import Final
 
 from connectors.mqtt.range_set import RangeSet
 from operators.errors import EndpointError, InputError
+from storage import files
 from storage.append_log import AppendLog, LogReader
 from storage.lock import lock
 
@@ -122,11 +123,11 @@ class OutboxLog:
             OSError: if it cannot be read or created.
         """
         self._lock_folder()
-        for path in sorted(self.path.glob("*.log")):
+        paths = sorted(self.path.glob("*.log"))
+        for path in paths:
             with LogReader(path) as reader:
-                self._close_log()
                 self._read_segment(reader)
-                if reader.damage is None or not reader.damage.more:
+                if path == paths[-1] and reader.identity and not (reader.damage and reader.damage.more):
                     self._log = AppendLog.resume(reader)
         stored = RangeSet((number, number) for segment in self._segments for number in segment.ids)
         self.settled.add(1, self.first - 1)
@@ -153,7 +154,7 @@ class OutboxLog:
         """
         if self._lock is None:
             self._lock_folder()
-        if self._log is None or self._log.suspect or self._is_full(self._segments[-1]):
+        if self._log is None or self.suspect or self._log.broken or self._is_full(self._segments[-1]):
             self._start_segment(epoch, entries[0].id if entries else epoch.base + epoch.last + 1)
         assert self._log
         begin = [] if epoch.name == self._epoch else [_encode_epoch(epoch)]
@@ -205,7 +206,7 @@ class OutboxLog:
             if not expired or (oldest.ids and oldest.ids[-1] >= pending):
                 return
             del self._segments[0]
-            oldest.path.unlink(missing_ok=True)
+            files.unlink(oldest.path)
 
     def close(self) -> None:
         """Close the files and unlock the folder."""
@@ -217,7 +218,10 @@ class OutboxLog:
     def _lock_folder(self) -> None:
         if self.path.is_file():
             raise InputError(str(self.path), f"{OLD}: name another outbox, or move the file away")
-        self.path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        missing = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
+        for folder in reversed(missing):
+            folder.mkdir(mode=0o700, exist_ok=True)
+            files.sync(folder.parent)
         self._lock = lock(self.path)
         if self._lock is None:
             reason = "is in use: two runs may not publish as one rig; name another rig or outbox"
@@ -228,6 +232,10 @@ class OutboxLog:
             raise InputError(
                 str(reader.path), "is not part of an outbox: name another outbox, or move it away"
             )
+        if not reader.identity:
+            files.rename(reader.path, reader.path.with_suffix(".damaged"))
+            log.error("%s: damaged, and renamed to .damaged", reader.path)
+            return
         segment = _Segment(reader.path)
         self._segments.append(segment)
         try:

@@ -14,6 +14,7 @@ from connectors.events import Event
 from connectors.mqtt import outbox, outbox_log
 from connectors.mqtt.outbox import Outbox
 from operators.errors import EndpointError, InputError
+from storage import files
 from storage.append_log import AppendLog, LogReader
 from tests.connectors.mqtt.broker_process import PATIENCE, until
 from tests.inside import inside
@@ -407,6 +408,48 @@ async def test_events_whose_fsync_failed_are_written_again(tmp_path: Path, disk:
         epoch = box.epoch
     async with opened(tmp_path / "outbox") as box:
         assert (await kept(box, epoch), box.waiting) == (list(range(1, 8)), 0)
+
+
+async def test_a_failed_write_that_cannot_be_undone_costs_no_event(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_at, failing = files.write_at, [True]
+
+    def fail(descriptor: int, data: bytes | memoryview, offset: int) -> int:
+        if failing:
+            write_at(descriptor, data[:7], offset)
+            raise OSError(EIO, "Input/output error")
+        return write_at(descriptor, data, offset)
+
+    def refuse(*_: int) -> None:
+        raise OSError(EIO, "Input/output error")
+
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 3)
+        monkeypatch.setattr(files, "write_at", fail)
+        monkeypatch.setattr(files, "truncate", refuse)
+        await box.append([DRAFT] * 2)
+        failing.clear()
+        await until(lambda: not box.error)
+        epoch = box.epoch
+    async with opened(tmp_path / "outbox") as box:
+        assert (await kept(box, epoch), box.epoch) == ([1, 2, 3, 4, 5], epoch)
+
+
+async def test_a_segment_without_a_readable_header_is_kept_under_another_name(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 3)
+        epoch = box.epoch
+    [path] = (tmp_path / "outbox").iterdir()
+    flip(path, 10)
+    for _ in range(2):
+        async with opened(tmp_path / "outbox") as box:
+            await box.append([DRAFT])
+            assert box.epoch != epoch
+    assert path.with_suffix(".damaged").exists()
+    assert len(caplog.messages) == 1
 
 
 async def test_an_orderly_close_waits_for_a_slow_disk(
