@@ -117,14 +117,15 @@ class Outbox:
             seq = number - self._epoch.base
             payload = replace(draft, epoch=self.epoch, seq=seq).encode()
             self._memory[number] = Entry(number, self.epoch, seq, draft.finger, payload, now)
+        newest = self._last
         self._write_due.set()
         try:
             async with asyncio.timeout(WRITE_TIMEOUT):
-                while self._written < number and not self.error:
+                while self._written < newest and not self.error:
                     await self._progress.wait()
         except TimeoutError:
             self._fail("the disk does not respond")
-        self._release(number)
+        self._release(newest)
 
     async def next(self, limit: int) -> list[Entry]:
         """Return the next unsent entries, each once unless `rewind` is called; [] if there are none."""

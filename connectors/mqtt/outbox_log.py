@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from connectors.mqtt.range_set import RangeSet
 from operators.errors import EndpointError, InputError
@@ -248,9 +248,9 @@ class OutboxLog:
             log.error("%s: damaged at byte %d; the rest of it is lost", reader.path, reader.damage.offset)
 
     def _read_record(self, segment: _Segment, offset: int, data: bytes) -> None:
-        content = json.loads(data.partition(b"\n")[0])
+        content: Any = json.loads(data.partition(b"\n")[0])
         self.complete = False
-        if isinstance(content, list):
+        if data.startswith(b"["):
             number, _, created = content
             segment.add(number, offset, created)
             self.epochs[-1].last = max(self.epochs[-1].last, number - self.epochs[-1].base)

@@ -1,6 +1,6 @@
 import asyncio
 import json
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from connectors.mqtt import outbox as outbox_module
 from connectors.mqtt.broker import Message
 from connectors.mqtt.gap_replay import GapAnswer, GapReplies, GapRequest
 from connectors.mqtt.outbox import Outbox
+from connectors.mqtt.outbox_log import Entry
 from operators.errors import EndpointError, InputError
 from tests.connectors.mqtt.broker_process import until
 from tests.inside import inside
@@ -155,9 +156,11 @@ def test_events_no_longer_kept_are_listed_as_missing(tmp_path: Path, monkeypatch
         await until(lambda: inside(outbox, "_log").first == 21)
         read_back = inside(outbox, "_log").read
         inside(outbox, "_memory").clear()
-        monkeypatch.setattr(
-            inside(outbox, "_log"), "read", lambda ids: [each for each in read_back(ids) if each.seq != 37]
-        )
+
+        def damaged(ids: Sequence[int]) -> list[Entry]:
+            return [entry for entry in read_back(ids) if entry.seq != 37]
+
+        monkeypatch.setattr(inside(outbox, "_log"), "read", damaged)
         ask(given, outbox.epoch, 1, 10**12)
         events, closings = read(await answers(given))
         assert events == [*range(21, 37), 38, 39, 40]

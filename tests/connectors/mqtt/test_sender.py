@@ -132,7 +132,10 @@ async def opened(tmp_path: Path) -> AsyncGenerator[tuple[Sender, Outbox]]:
 
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sender, "BackOff", lambda **_: BackOff(0.01, 0.02))
+    def back_off(last: float = 0.0) -> BackOff:  # noqa: ARG001
+        return BackOff(0.01, 0.02)
+
+    monkeypatch.setattr(sender, "BackOff", back_off)
     monkeypatch.setattr(sender, "CLOSE_TIMEOUT", 0.2)
 
 
