@@ -1,4 +1,4 @@
-"""Append-only log: a file of records, each of which is in it completely or not at all.
+"""Append-only log: a file of records, each of which is stored completely or not at all.
 
 .. code-block:: text
 
@@ -6,10 +6,10 @@
     header    "SLIPLOG" and version (8 bytes), nonce (16), length of the identity (4), identity, CRC-32 (4)
     frame     "SLIP", length of the record (4), record, CRC-32 (4)
 
-The CRC-32 is zlib's and covers the rest of the header or frame. That of a frame also covers, before it: the
-CRC of the header, and so the random nonce; the frame's offset in the file (8 bytes); the CRC before it (4).
-Bytes of an older log, of a failed append or of a repeated block are never read as records. All numbers
-are little-endian and unsigned.
+The CRC-32 is zlib's. The CRC of the header covers the rest of the header. The CRC of a frame starts from the
+CRC of the header, which covers the random nonce, and covers the frame's offset in the file (8 bytes), the CRC
+before the frame (4), and the rest of the frame. Bytes of an older log, of a failed append or of a repeated
+block are therefore never read as records. All numbers are little-endian and unsigned.
 
 The caller decides when to `sync`, which may run in another thread than `append`. A log has no threads.
 """
@@ -60,7 +60,7 @@ class Damage:
 
 
 class LogReader:
-    """Reader of a log, which has one record in memory at a time. It must be closed.
+    """Reader of a log, with one record in memory at a time. It must be closed.
 
     A log may be read while it is written: the reader ends at the last whole frame.
 
@@ -69,8 +69,8 @@ class LogReader:
 
     Attributes:
         path: The file.
-        identity: What the writer identified the log with; empty if the header is damaged.
-        damage: What cannot be read; known once `records` has ended, at once if it is the header.
+        identity: Identity that the writer gave the log; empty if the header is damaged.
+        damage: Unreadable part; known once `records` has ended, or at once if it is the header.
         end: Offset after the last record that was read.
         crc: CRC before that offset.
         seed: CRC of the header.
@@ -96,7 +96,7 @@ class LogReader:
         """Yield the records up to the end or the first damage.
 
         Args:
-            offset: That of the first record, as a reader or `append` returned it; default: of the first one.
+            offset: Offset to begin at, as a reader or `append` returned it; default: the first record.
 
         Raises:
             OSError: if the file cannot be read; this is never reported as damage.

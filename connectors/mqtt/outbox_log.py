@@ -172,8 +172,8 @@ class OutboxLog:
         Raises:
             OSError: if they may be lost; the log is then `suspect`.
         """
-        if self._log:
-            self._log.sync()
+        if newest := self._log:  # `append` may replace it in another thread
+            newest.sync()
 
     def read(self, ids: Sequence[int]) -> list[Entry]:
         """Return the events with these ids that are stored and intact.

@@ -1,4 +1,4 @@
-"""Names of a rig: its topic, its name in replays, and the file of its outbox."""
+"""Names of a rig: its topic, its name in replays, and the folder of its outbox."""
 
 import os
 from hashlib import sha256

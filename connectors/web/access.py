@@ -116,7 +116,7 @@ class Access:
 
     def accepts_token(self, token: str) -> bool:
         """Return True if `token` is the token."""
-        return self.token is not None and hmac.compare_digest(token.encode(), self.token.encode())
+        return self.token is not None and _equal(token, self.token)
 
     def admits(self, cookie: str | None, authorization: str | None = None) -> bool:
         """Return True if a request with this cookie and this Authorization header has access."""
@@ -124,8 +124,13 @@ class Access:
             return True
         scheme, _, bearer = (authorization or "").partition(" ")
         return (scheme.lower() == "bearer" and self.accepts_token(bearer.strip())) or (
-            cookie is not None and hmac.compare_digest(cookie.encode(), self.cookie.encode())
+            cookie is not None and _equal(cookie, self.cookie)
         )
+
+
+def _equal(received: str, secret: str) -> bool:
+    """Compare in constant time; a header that is not UTF-8 contains surrogates."""
+    return hmac.compare_digest(received.encode(errors="surrogateescape"), secret.encode())
 
 
 def _environment_token(environment: Mapping[str, str]) -> str | None:

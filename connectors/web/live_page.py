@@ -1,6 +1,7 @@
 """Sink that serves a live page of a running flow."""
 
 import asyncio
+import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -24,6 +25,7 @@ _POLL: Final = 0.02  # s, between checks while the page closes
 _POLLS: Final = 50  # until all recorders have written their queues
 _END_POLLS: Final = 25  # until all browsers have fetched the end of the run
 _NAME_MAX: Final = 64  # characters of a browser's name
+_NUMBER: Final = re.compile(r"[0-9]{1,18}")  # of a message
 
 
 class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
@@ -152,7 +154,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         if not self._ended:
             self._seen[browser] = self._loop.time()
         messages: list[bytes] | None = None
-        if query.get("session") == self._run.session and number.isdecimal():
+        if query.get("session") == self._run.session and _NUMBER.fullmatch(number):
             messages = await self._messages.since(int(number))
         end = self._messages.end
         if messages is None:

@@ -76,8 +76,9 @@ class WebServer:
         self._host, self._port, self._access = host, port, access
         self._name, self._any_port, self._files = name, any_port, files
         self._locked = b""
-        self._strangers = dict[web.RequestHandler, None]()  # connections without access, as keys
-        self.admitted = dict[web.RequestHandler, None]()  # and with access; longest silent first
+        # connections without and with access, as keys; the one that was silent longest is first
+        self._unadmitted = dict[web.RequestHandler, None]()
+        self.admitted = dict[web.RequestHandler, None]()
 
     @property
     def url(self) -> str:
@@ -145,12 +146,12 @@ class WebServer:
         server = self._runner.server
         assert server, "the runner is set up before the server listens"
         connection = server()
-        self._keep(connection, self._strangers)
+        self._keep(connection, self._unadmitted)
         return connection
 
     def _keep(self, connection: web.RequestHandler, group: dict[web.RequestHandler, None]) -> None:
         """Note that a connection is in use; close the one of its group that was silent longest."""
-        self._strangers.pop(connection, None)
+        self._unadmitted.pop(connection, None)
         self.admitted.pop(connection, None)
         group[connection] = None
         if len(group) > self._limit:

@@ -6,10 +6,13 @@ import signal
 
 def main() -> None:
     """Import the command line and run it; Ctrl-C during the import ends the process with exit code 130."""
-    signal.signal(signal.SIGINT, _end)
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN  # as a script's `slipflow ... &` inherits it
+    if not ignored:
+        signal.signal(signal.SIGINT, _end)
     from flows.cli.main import main as run
 
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    if not ignored:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     run()
 
 

@@ -75,9 +75,15 @@ def test_a_closed_pipe_ends_quietly() -> None:
     assert (done.returncode, done.stderr) == (1, "")
 
 
-def test_ctrl_c_during_imports_ends_quietly() -> None:
-    code = """
+@pytest.mark.parametrize(
+    ("before", "code", "output"), [("default_int_handler", 130, ""), ("SIG_IGN", 0, "slipflow 0.1.0\n")]
+)
+def test_ctrl_c_during_imports_ends_quietly_unless_the_parent_ignores_it(
+    before: str, code: int, output: str
+) -> None:
+    script = f"""
 import os, signal, sys
+signal.signal(signal.SIGINT, signal.{before})
 class Interrupting:
     def find_spec(self, name, *_):
         if name == "flows.cli.run":
@@ -87,9 +93,9 @@ from flows.cli.__main__ import main
 main()
 """
     done = subprocess.run(
-        [sys.executable, "-c", code, "--version"], capture_output=True, text=True, check=False
+        [sys.executable, "-c", script, "--version"], capture_output=True, text=True, check=False
     )
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (code, output, "")
 
 
 def hiding(cause: BaseException) -> Exception:
