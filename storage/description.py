@@ -153,13 +153,15 @@ def read_session(folder: Path) -> Description:
     """Return the content of session.json.
 
     Raises:
-        InputError: if it cannot be read, is damaged, or has another version.
+        InputError: if it cannot be read, is damaged or invalid, or has another version.
     """
     path = folder / SESSION
     about = files.read_checked(path)
     _check_version(path, about)
     if not isinstance(about.get("session"), str):
         raise InputError(str(path), 'has no "session", the name of the session: restore a copy')
+    if not _can_be_recovered(about):
+        raise InputError(str(path), 'has an invalid entry "tables" or "recovered": restore a copy')
     return about
 
 
@@ -174,6 +176,18 @@ def recorders(about: Description) -> tuple[str, ...]:
     """
     sinks = cast("dict[str, dict[str, Any]]", about.get("sinks", {}))
     return tuple(name for name, sink in sinks.items() if sink.get("records"))
+
+
+def _can_be_recovered(about: Description) -> bool:
+    """Return true if the entries that a recovery uses have the right types."""
+    recovered: Any = about.get("recovered", {})
+    if not isinstance(recovered, dict) or not isinstance(recovered.get("rows", {}), dict):
+        return False
+    lists: list[Any] = [
+        about.get("tables", []),
+        *(recovered.get(key, []) for key in ("adopted", "lost", "cut")),
+    ]
+    return all(isinstance(each, list) and all(isinstance(text, str) for text in each) for each in lists)
 
 
 def _split(descriptions: Iterable[Description]) -> str | None:

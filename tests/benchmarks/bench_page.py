@@ -98,7 +98,7 @@ def lags(tab: "Page", address: str, seconds: float) -> list[float]:
 
 
 def silent(port: int) -> socket.socket:
-    """A client that asks for the stream and never reads."""
+    """A client that asks for messages and never reads."""
     client = socket.create_connection(("127.0.0.1", port))
     client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     client.sendall(b"GET /messages?browser=silent HTTP/1.1\r\nHost: localhost\r\n\r\n")

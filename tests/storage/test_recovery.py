@@ -78,6 +78,17 @@ def test_a_journal_of_another_slipflow_is_refused_and_nothing_is_changed(
     assert {path: path.read_bytes() for path in left.rglob("*") if path.is_file()} == before
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"recovered": []}, {"recovered": {"lost": 1}}, {"recovered": {"rows": []}}, {"tables": [1]}]
+)
+def test_an_invalid_description_is_refused(left: Path, wrong: dict[str, Any]) -> None:
+    about = files.read_checked(left / "session.json")
+    files.put_checked(left / "session.json", {**about, **wrong})
+    with pytest.raises(InputError, match=r'session\.json: has an invalid entry "tables" or "recovered"'):
+        recover(left)
+    assert verify(left).worst == "lost"
+
+
 def test_a_disk_that_is_full_leaves_all_as_it_was_for_another_try(left: Path) -> None:
     def fail(step: str) -> None:
         if step == "fsync new manifest":

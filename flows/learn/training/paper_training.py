@@ -65,7 +65,7 @@ class Windows:
         self._first = self._crops.first[label != UNKNOWN]
         self.slip: Flags = label[label != UNKNOWN] == SLIP  # (n,) label at the newest sample
         if not 0 < self.slip.sum() < len(self.slip):
-            raise InputError("the recordings to train on", "must hold windows of slip and of static")
+            raise InputError("the train or validation split", "must have windows of slip and of static")
 
     def __len__(self) -> int:
         return len(self.slip)

@@ -5,6 +5,7 @@ from contextlib import asynccontextmanager
 from typing import Any, TypeAlias
 
 import pytest
+from aiohttp import ClientSession
 
 from connectors import Page
 from operators.batch import ms, s
@@ -49,6 +50,18 @@ def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> None:
             await page.write(felt(NOW, -9))
             frame = await next_of(heard, "frame")
             assert frame["touch"]["0"]["t"][-1] == 10_000
+        await page.close()
+
+    asyncio.run(main())
+
+
+def test_an_impossible_number_of_a_message_gets_the_first_messages(run: Run) -> None:
+    async def main() -> None:
+        page, query = Page(port=0), {"session": "run1", "next": "9" * 5000}
+        await page.open(run)
+        async with ClientSession() as browser, browser.get(f"{page.url}/messages", params=query) as response:
+            found = await response.json()
+        assert [name for name, _ in found["messages"]] == ["hello", "report"]
         await page.close()
 
     asyncio.run(main())

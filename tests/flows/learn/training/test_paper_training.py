@@ -205,5 +205,5 @@ def test_the_counts_of_the_recordings_give_mean_and_standard_deviation() -> None
 @pytest.mark.parametrize("slip", [True, False])
 def test_recordings_of_one_class_are_refused(slip: bool) -> None:  # noqa: FBT001
     recording = replace(_noise(0, 400), label=np.full(400, slip, np.int8))
-    with pytest.raises(InputError, match="must hold windows of slip and of static"):
+    with pytest.raises(InputError, match="must have windows of slip and of static"):
         Windows([recording], CPU)
