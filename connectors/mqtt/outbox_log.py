@@ -235,6 +235,7 @@ class OutboxLog:
         if not reader.identity:
             files.rename(reader.path, reader.path.with_suffix(".damaged"))
             log.error("%s: damaged, and renamed to .damaged", reader.path)
+            self.complete = False  # the lost records may have used numbers
             return
         segment = _Segment(reader.path)
         self._segments.append(segment)
@@ -244,6 +245,8 @@ class OutboxLog:
         except (ValueError, TypeError, LookupError) as error:
             reason = f"has an invalid record at byte {reader.end}: move it away"
             raise InputError(str(reader.path), reason) from error
+        if reader.damage:
+            self.complete = False
         if reader.damage and reader.damage.more:
             log.error("%s: damaged at byte %d; the rest of it is lost", reader.path, reader.damage.offset)
 

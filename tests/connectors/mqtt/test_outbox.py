@@ -326,6 +326,28 @@ async def test_a_flipped_bit_never_invents_an_event_or_reuses_a_number(
                     )
 
 
+@pytest.mark.parametrize("new_segment", [False, True])
+async def test_numbers_of_a_run_are_not_reused_if_its_first_record_is_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, new_segment: bool
+) -> None:
+    async with opened(tmp_path / "outbox") as box:
+        await box.append([DRAFT] * 3)
+    [before] = (tmp_path / "outbox").iterdir()
+    size = before.stat().st_size
+    if new_segment:
+        monkeypatch.setattr(outbox_log, "SEGMENT_SPAN", -1e9)  # s
+    async with opened(tmp_path / "outbox") as box:
+        used = box.epoch
+        await box.append([DRAFT] * 3)
+    if new_segment:
+        for path in set((tmp_path / "outbox").iterdir()) - {before}:
+            flip(path, 12)  # in its header
+    else:
+        flip(before, size + 12)
+    async with opened(tmp_path / "outbox") as box:
+        assert box.epoch != used
+
+
 async def test_a_damaged_segment_costs_only_its_rest_and_is_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
