@@ -1,4 +1,4 @@
-"""pyarrow, which takes 0.4 s to import, imported at its first use."""
+"""Lazy import of pyarrow, which takes 0.4 s."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Final

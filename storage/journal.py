@@ -143,7 +143,7 @@ class Journal:
         self._committing = self._segments[:-1]
 
     def rotate(self) -> None:
-        """Delete the segments that had only rows which are committed now, and begin the next one.
+        """Delete the segments whose rows are all committed now, and begin the next one.
 
         The segment before it stays: rows may have been added to it since `begin_commit`.
 
@@ -158,7 +158,7 @@ class Journal:
         self._next += 1
 
     def restart(self, single: Iterable[NumberedRows]) -> None:
-        """Begin again while no rows are added: those of multi-part tables are committed.
+        """Replace all segments by new ones, while no rows are added; multi-part tables are committed.
 
         Args:
             single: All rows of single-file tables.

@@ -285,7 +285,7 @@ class Repair:
             self.cut += self.lost[-1:] if last and not damage.more else []
 
     def _commit(self, table: Table, buffer: Buffer) -> None:
-        """Write rows as the next part, or as the one file after the rows that it has."""
+        """Write rows as the next part of a multi-part table, or append them to a single file."""
         rows = to_arrow(table, buffer.batches() or [buffer.kind.empty()])
         parts = self._parts[table.name]
         if table.parted:

@@ -48,7 +48,7 @@ def command_line(context: typer.Context) -> str:
     words = ["slipflow", "experiment", str(context.info_name)]
     for option in context.command.params:
         value: Any = context.params.get(str(option.name))
-        if option.name in _OUTPUT or not value or value == option.default:
+        if option.name in _OUTPUT or value in (option.default, None, []):
             continue
         for each in value if getattr(option, "multiple", False) else [value]:
             words.append(option.opts[0])

@@ -158,7 +158,7 @@ class CompiledFlow:
         return [(sink, batch) for stage, batch in self.last_outputs() for sink in stage.sinks]
 
     def outputs(self, batches: Mapping[Entry, Batch]) -> list[tuple[Stage, Batch]]:
-        """Do what `push` does, but return the output of each stage, sources included.
+        """Push batches as `push` does, and return the output of each stage, including sources.
 
         Raises:
             BatchError: if a source yields a fingertip that it does not declare.
@@ -190,7 +190,7 @@ class CompiledFlow:
         return outputs
 
     def last_outputs(self) -> list[tuple[Stage, Batch]]:
-        """Do what `flush` does, but return the last output of each operator."""
+        """End all streams as `flush` does, and return the last output of each operator."""
         values: list[Batch | None] = [None] * len(self._stages)
         outputs: list[tuple[Stage, Batch]] = []
         for stage in self.operator_stages:

@@ -66,7 +66,7 @@ def tuned(
 
 
 def joined(scores: Sequence[Reals], slips: Sequence[Slips]) -> tuple[Reals, Slips]:
-    """Join recordings to one, so that a setting is evaluated on all at once.
+    """Join recordings into one, so that a setting is evaluated on all at once.
 
     Before each recording, static samples end any slip, and samples without a score separate the onsets.
     """

@@ -19,7 +19,7 @@ from flows.learn.training.augmentation import augmented
 from flows.learn.training.recipe import Recipe
 from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_crops import Crops
-from flows.learn.training.training_loop import Course, Progress, Trained, fit, set_seed, training_device
+from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, set_seed, training_device
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags
 from operators.errors import ParameterError
 
@@ -45,11 +45,11 @@ def train_dense(
         ParameterError: if the training recordings are too short or lack a class, or there are no recordings
             to validate on.
     """
-    return fit(_DenseCourse(train, validation, recipe), progress)
+    return fit(_DenseTask(train, validation, recipe), progress)
 
 
-class _DenseCourse(Course):
-    """Course of dense training."""
+class _DenseTask(TrainingTask):
+    """Dense training of a TCN."""
 
     def __init__(
         self, train: Sequence[LabelledRecording], validation: Sequence[LabelledRecording], recipe: Recipe

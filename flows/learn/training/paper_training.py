@@ -13,7 +13,7 @@ from flows.learn.training.augmentation import MIRROR_X, MIRROR_Y
 from flows.learn.training.paper_networks import paper_network
 from flows.learn.training.recipe import PaperRecipe
 from flows.learn.training.training_crops import Crops
-from flows.learn.training.training_loop import Course, Progress, Trained, fit, training_device
+from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, training_device
 from operators.batch import BAROMETERS, SLIP, UNKNOWN, Flags, Reals
 from operators.errors import InputError
 
@@ -42,14 +42,14 @@ def train_windowed(
         name: One of `PAPER_NETWORKS`.
         train: Recordings of the train split; their counts also determine the standardisation.
         validation: Recordings that choose the epoch.
-        recipe: Course of the training.
+        recipe: Settings of the training.
         progress: Called after each step.
 
     Raises:
         ParameterError: if there is no such network.
         InputError: if the recordings of a split have no slip or no static samples.
     """
-    return fit(_WindowedCourse(name, train, validation, recipe), progress)
+    return fit(_WindowedTask(name, train, validation, recipe), progress)
 
 
 class Windows:
@@ -88,8 +88,8 @@ class Windows:
         return counts.mean(axis=0, dtype=np.float64), np.maximum(counts.std(axis=0, dtype=np.float64), 1)
 
 
-class _WindowedCourse(Course):
-    """Course of training on windows."""
+class _WindowedTask(TrainingTask):
+    """Training of a network of the paper on windows."""
 
     def __init__(
         self,

@@ -27,8 +27,8 @@ class Network(nn.Module):
         """Return the weights."""
 
 
-class Course(ABC):
-    """Course of the training of one network."""
+class TrainingTask(ABC):
+    """Network to train, with its optimiser, loss and validation."""
 
     network: Network
     optimiser: torch.optim.Optimizer
@@ -67,42 +67,42 @@ def set_seed(seed: int) -> None:
     cast("Any", torch).manual_seed(seed)  # has no type annotations
 
 
-def fit(course: Course, progress: Progress) -> Trained:
+def fit(task: TrainingTask, progress: Progress) -> Trained:
     """Train a network, and keep the weights with the best balanced accuracy on validation.
 
     Args:
-        course: Course of the training.
+        task: Network to train.
         progress: Called after each step.
     """
     began, curve, losses = perf_counter(), list[Check](), list[Tensor]()
     arrays: Arrays = {}
-    for step in range(1, course.steps + 1):
-        losses.append(_step(course, step))
+    for step in range(1, task.steps + 1):
+        losses.append(_step(task, step))
         check = None
-        if step % course.check_every == 0 or step == course.steps:
-            found, loss = _evaluate(course), float(np.mean([each.item() for each in losses]))
+        if step % task.check_every == 0 or step == task.steps:
+            found, loss = _evaluate(task), float(np.mean([each.item() for each in losses]))
             check = Check(step, perf_counter() - began, loss, found.accuracy, found.balanced)
             losses.clear()
             curve.append(check)
             if best(curve) is check:
-                arrays = course.network.arrays()
-        progress(step, course.steps, check)
-        if check and course.patience and len(curve) - 1 - curve.index(best(curve)) >= course.patience:
+                arrays = task.network.arrays()
+        progress(step, task.steps, check)
+        if check and task.patience and len(curve) - 1 - curve.index(best(curve)) >= task.patience:
             break
     return Trained(arrays, tuple(curve))
 
 
-def _step(course: Course, step: int) -> Tensor:
-    course.network.train()
-    loss = course.loss(step)
-    course.optimiser.zero_grad()
+def _step(task: TrainingTask, step: int) -> Tensor:
+    task.network.train()
+    loss = task.loss(step)
+    task.optimiser.zero_grad()
     torch.autograd.backward(loss)
-    course.clip()
-    course.optimiser.step()
+    task.clip()
+    task.optimiser.step()
     return loss.detach()
 
 
-def _evaluate(course: Course) -> Confusion:
-    course.network.eval()
+def _evaluate(task: TrainingTask) -> Confusion:
+    task.network.eval()
     with torch.no_grad():
-        return Confusion.of(*course.predict())
+        return Confusion.of(*task.predict())
