@@ -31,7 +31,7 @@ EPOCHS_ANNOUNCED = 100  # newest epochs in the head document
 class Outbox:
     """Numbered events of one rig on disk, kept between runs and used by one process at a time.
 
-    Events are sent once they are written, so that they survive a crash of the process; fsync follows in
+    Events are sent after they are written, so that they survive a crash of the process; fsync follows in
     another thread. Waiting for it would not protect them from a power cut. If the disk fails, or does not
     respond within 1 s, events are sent from memory and written later; if the process is killed before, those
     not yet sent are lost.

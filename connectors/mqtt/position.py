@@ -78,8 +78,8 @@ class Position:
     def announce(self, rig: RigId, heads: dict[str, int]) -> list[str]:
         """Set the newest number of each epoch that a rig keeps, the current epoch last.
 
-        A head that is older than the one before is ignored: its current epoch is known, and not newer than
-        known. The gaps of epochs that are no longer kept are closed and reported as lost; the epochs stay
+        A head that is older than the one before is ignored: it has a lower number of a known epoch, or the
+        known number of an earlier epoch. The gaps of epochs that are no longer kept are closed and reported as lost; the epochs stay
         known, so that an older head does not bring them back.
         """
         epochs = self._rigs.get(rig) or self._add(rig)
@@ -229,6 +229,7 @@ def load(path: Path, *, everything: bool = False) -> Position:
 
     Raises:
         InputError: if the file cannot be read, is damaged, or is not a position.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     if not path.exists():
         return Position(everything=everything)
