@@ -287,6 +287,7 @@ class Outbox:
             self._write_due.clear()
             entries = [entry for entry in self._memory.values() if entry.id > self._written]
             unsaved, self._unsaved, self._storing = self._unsaved, RangeSet(), True
+            before = self._written
             try:
                 await asyncio.to_thread(self._store, entries, unsaved, next(self._pending(1), self._last + 1))
                 if self._log.suspect:
@@ -303,7 +304,9 @@ class Outbox:
             if self.error:
                 self.error = ""
                 log.warning("%s: can be written again; the events kept in memory are in it", self.path)
-            if entries:
+            if self._written < before:  # an fsync failed meanwhile: events before `entries` may be lost
+                self._write_due.set()
+            elif entries:
                 self._written = entries[-1].id
                 self._release(self._written)
                 self._sync_due.set()

@@ -71,8 +71,12 @@ class _Segment:
     time: float = 0.0  # s since 1970, time of the newest event
 
     def add(self, number: int, offset: int, created: float) -> None:
-        self.ids.append(number)
-        self.offsets.append(offset)
+        at = bisect_left(self.ids, number)
+        if at < len(self.ids) and self.ids[at] == number:  # written again after a failed fsync
+            self.offsets[at] = offset
+        else:
+            self.ids.insert(at, number)
+            self.offsets.insert(at, offset)
         self.started, self.time = self.started or created, created
 
     def offset(self, number: int) -> int | None:
@@ -187,9 +191,10 @@ class OutboxLog:
             if not wanted:
                 continue
             with suppress(FileNotFoundError), LogReader(segment.path) as reader:  # may be pruned by now
-                for number, offset in wanted:
+                for _, offset in wanted:
                     if record := next(reader.records(offset), None):
-                        found[number] = self._decode(record.data)
+                        entry = self._decode(record.data)
+                        found[entry.id] = entry
         return [found[number] for number in ids if number in found]
 
     def prune(self, pending: int) -> None:

@@ -79,8 +79,8 @@ class Position:
         """Set the newest number of each epoch that a rig keeps, the current epoch last.
 
         A head that is older than the one before is ignored: it has a lower number of a known epoch, or the
-        known number of an earlier epoch. The gaps of epochs that are no longer kept are closed and reported as lost; the epochs stay
-        known, so that an older head does not bring them back.
+        known number of an earlier epoch. The gaps of epochs that are no longer kept are closed and reported
+        as lost; the epochs stay known, so that an older head does not bring them back.
         """
         epochs = self._rigs.get(rig) or self._add(rig)
         newest = next((name for name in reversed(epochs) if epochs[name].announced), None)

@@ -1,4 +1,5 @@
 import asyncio
+import errno
 import random
 import shutil
 import threading
@@ -275,6 +276,45 @@ async def test_an_outbox_opens_on_a_full_disk_in_a_new_epoch(tmp_path: Path, dis
         disk.write_error = None
         await until(lambda: not box.error)
         assert await kept(box, first) == [1, 2, 3]
+
+
+@pytest.mark.parametrize("late", [False, True])  # the fsync reports its failure after the write
+async def test_events_are_written_again_if_an_fsync_fails_during_a_write(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, late: bool
+) -> None:
+    failed, reported, proceed = threading.Event(), threading.Event(), threading.Event()
+    sync, append = AppendLog.sync, AppendLog.append
+
+    def failing_sync(log: AppendLog) -> None:
+        if failed.is_set():
+            sync(log)
+            return
+        log.suspect = True
+        failed.set()
+        assert proceed.wait(PATIENCE)
+        raise OSError(errno.EIO, "failed")
+
+    def slow_append(log: AppendLog, records: Iterable[bytes]) -> list[int]:
+        if failed.is_set() and not late:
+            proceed.set()
+            assert reported.wait(PATIENCE)
+        return append(log, records)
+
+    async with opened(tmp_path / "outbox") as box:
+        monkeypatch.setattr(AppendLog, "sync", failing_sync)
+        await box.append([DRAFT] * 5)
+        await asyncio.to_thread(failed.wait, PATIENCE)
+        monkeypatch.setattr(AppendLog, "append", slow_append)
+        adding = asyncio.create_task(box.append([DRAFT] * 2))
+        if late:
+            await adding
+            proceed.set()
+        else:
+            await until(lambda: bool(box.error))
+            reported.set()
+        await adding
+        await until(lambda: inside(box, "_durable") == 7)
+        assert inside(box, "_log", "_segments")[-1].ids.tolist() == [*range(1, 8)]
 
 
 async def test_a_record_damaged_in_use_costs_one_event(
