@@ -3,6 +3,7 @@
 import errno
 import os
 import sys
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from types import MappingProxyType
@@ -75,9 +76,11 @@ def main() -> NoReturn:
         code = 130
     except Exception as error:
         code, text = explanation(error)
-        if _debug or not code:
+        if not code:
             raise
-        if text:
+        if _debug:
+            traceback.print_exc()
+        elif text:
             with suppress(OSError):
                 typer.echo(text, err=True)
     _close_output()

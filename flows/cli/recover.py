@@ -27,18 +27,19 @@ def recover(path: DatasetOrSession, *, as_json: AsJson = False) -> None:
     Examples:
       slipflow recover recordings
     """
-    from operators.errors import SlipflowError
+    from operators.errors import InputError, SlipflowError
     from storage.layout import SESSION, SESSIONS, lacks_description, names_without_description, session_names
 
+    if not path.is_dir():
+        reason = "is a file, must be a folder" if path.exists() else "there is no such folder"
+        raise InputError(str(path), reason)
     single = (path / SESSION).exists() or lacks_description(path)
     folders = [path] if single else [path / SESSIONS / name for name in session_names(path)]
     without_description = [
         path / SESSIONS / name for name in ([] if single else names_without_description(path))
     ]
     if not folders and not without_description:
-        raise typer.BadParameter(
-            f"{path} is not a session and has none: give the folder of a dataset or of a session"
-        )
+        raise typer.BadParameter(f"{path} is neither a session nor a dataset with sessions")
     done: list[Recovery] = []
     errors = [f"{folder}: {SESSION} is missing: see slipflow verify" for folder in without_description]
     with progress_bar("recovering") as update:

@@ -1,8 +1,11 @@
 """Compilation of a flow: one new operator per node and fingertip, in the order of declaration."""
 
+import inspect
 import pickle
+import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from flows.graph.flow import Flow
@@ -32,7 +35,7 @@ class Stage:
     _push: Callable[..., Batch] = field(init=False)
     _empty: tuple[Batch, ...] = field(init=False)
     _nothing: Batch = field(init=False)  # usual output without rows
-    _tested: bool = field(init=False)  # an operator of slipflow: its tests check the columns
+    tested: bool = field(init=False)  # an operator of slipflow: its tests check the columns
     _first: int = field(init=False)
     _second: int | None = field(init=False)  # None: an operator, not a join
 
@@ -43,7 +46,7 @@ class Stage:
             self._second = second[0] if second else None
         self._empty = tuple(kind.empty() for kind in self.takes)
         self._nothing = self.gives.empty()
-        self._tested = type(self.operator).__module__.startswith("operators.")
+        self.tested = type(self.operator).__module__.startswith("operators.")
 
     def push(self, values: Sequence[Batch | None]) -> Batch | None:
         """Run the operator on its inputs; return None if there is no input or no output."""
@@ -58,7 +61,7 @@ class Stage:
                 return None
             empty = self._empty
             out = self._push(empty[0] if left is None else left, empty[1] if right is None else right)
-        if self._tested and type(out) is self.gives and out.finger == self.finger and out.time.size:
+        if self.tested and type(out) is self.gives and out.finger == self.finger and out.time.size:
             return out
         return self.checked(out)
 
@@ -225,8 +228,11 @@ class CompiledFlow:
             stage.resume(pickle.loads(state))  # noqa: S301 - the same
 
     def _failure(self, stage: Stage, error: Exception) -> OperatorError:
-        reason = str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"
-        return OperatorError(self._flow, stage.node.name, reason)
+        reason = str(error)
+        if not isinstance(error, SlipflowError):
+            reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
+        location = "" if stage.tested else _location(stage.operator, error)
+        return OperatorError(self._flow, stage.node.name, reason + location)
 
     def _add_stage(self, node: Node, finger: int) -> None:
         inputs = tuple(
@@ -244,3 +250,13 @@ class CompiledFlow:
                 reached.add(stage.index)
                 stages.append(stage)
         return stages
+
+
+def _location(operator: object, error: Exception) -> str:
+    """Return the line of the operator's file at which an error was raised, such as ``(own.py:23)``."""
+    try:
+        file = inspect.getfile(type(operator))
+    except (TypeError, OSError):
+        return ""
+    lines = [each.lineno for each in traceback.extract_tb(error.__traceback__) if each.filename == file]
+    return f" ({Path(file).name}:{lines[-1]})" if lines else ""

@@ -22,7 +22,7 @@ from flows.graph.flow import Flow
 from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
 
-SHIPPED = Path(__file__).parents[1]  # folder of the ready-made flows
+SHIPPED = Path(__file__).parents[1]  # folder of the shipped flows
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Declaration:
 
 
 def shipped_flows() -> list[str]:
-    """Return the names of the ready-made flows.
+    """Return the names of the shipped flows.
 
     >>> shipped_flows()
     ['demo', 'lift', 'live', 'record', 'relabel']
@@ -71,7 +71,7 @@ def shipped_flows() -> list[str]:
 
 
 def load(target: str) -> Declaration:
-    """Load the flow ``FILE[:NAME]``; FILE may be the name of a ready-made flow, such as ``live``.
+    """Load the flow ``FILE[:NAME]``; FILE may be the name of a shipped flow, such as ``live``.
 
     Raises:
         InputError: if the file is missing, is not Python, or does not hold that flow.
@@ -82,9 +82,11 @@ def load(target: str) -> Declaration:
         file = SHIPPED / f"{path}.py"
     if file.is_dir():
         raise InputError(path, "is a folder: name the flow file in it, as FILE.py or FILE.py:FLOW")
+    if not file.is_file() and file.suffix == ".py":
+        raise InputError(path, "there is no such file")
     if not file.is_file():
         known = ", ".join(shipped_flows())
-        raise InputError(path, f"is neither a flow file nor a ready-made flow ({known})")
+        raise InputError(path, f"is neither a flow file nor a shipped flow ({known})")
     found = _declared_in(_imported(file), file)
     if name and name not in found:
         raise InputError(path, f"has no flow {name!r}; it has {', '.join(found) or 'none'}")

@@ -52,7 +52,9 @@ class Parameter:
             if choice is bool and text.lower() in _BOOLEANS:
                 return _BOOLEANS[text.lower()]
             if choice in (str, Path) and not text and self.default != "":
-                break  # probably an unset shell variable; an empty path would be the current folder
+                raise ParameterError(
+                    owner, self.name, text, "non-empty text"
+                )  # probably an unset shell variable; an empty path would be the current folder
             if choice in (int, float, str, Path):
                 try:
                     return choice(text)

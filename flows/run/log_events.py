@@ -3,7 +3,7 @@
 import logging
 from typing import Any
 
-from operators.errors import SlipflowError
+from operators.errors import SlipflowError, os_error_reason
 from operators.ports import Json
 
 log = logging.getLogger("slipflow")
@@ -24,7 +24,10 @@ def reason_of(error: Exception) -> str:
     >>> reason_of(OSError("Connection reset")), reason_of(KeyError("x"))
     ('Connection reset', "KeyError: 'x'")
     """
-    return str(error) if isinstance(error, SlipflowError | OSError) else f"{type(error).__name__}: {error}"
+    if isinstance(error, OSError):
+        reason = os_error_reason(error)
+        return reason if error.filename is None else f"{error.filename}: {reason}"
+    return str(error) if isinstance(error, SlipflowError) else f"{type(error).__name__}: {error}"
 
 
 def warn(name: str, text: str, **about: Json) -> None:

@@ -45,8 +45,10 @@ class Summary:
         """Return the summary as text."""
         lines = [f"{self.session}: {self.seconds:.1f} s"]
         for name, source in self.sources.items():
-            gaps = f"{len(source.gaps)} gaps {source.error}".rstrip()
+            gaps = f"{len(source.gaps)} {'gap' if len(source.gaps) == 1 else 'gaps'}"
+            gaps += f": {source.error}" if source.error else ""
             lines.append(f"  {name}: {source.rows} rows in, {source.late} late, {gaps}")
         for name, sink in self.sinks.items():
-            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped {sink.error}".rstrip())
+            error = f": {sink.error}" if sink.error else ""
+            lines.append(f"  {name}: {sink.rows} rows out, {sink.dropped} dropped{error}")
         return "\n".join(lines)

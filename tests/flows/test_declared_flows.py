@@ -1,4 +1,4 @@
-"""The ready-made flows, built and run over the simulated rig in virtual time."""
+"""The shipped flows, built and run over the simulated rig in virtual time."""
 
 import asyncio
 from pathlib import Path

@@ -124,8 +124,8 @@ def _failures(study: Study) -> Section:
     finding = f"{first} fails in {failures.total()} of {len(study.of(first))} trials"
     if failures:
         finding += f", mostly: {failures.most_common(1)[0][0]}"
-    table = Table(["method", "object", "endings"], rows)
-    return Section("failures", finding, "Failed trials by ending.", [table])
+    tables = [Table(["method", "object", "endings"], rows)] if rows else []
+    return Section("failures", finding, "Failed trials by ending.", tables)
 
 
 def _costs(study: Study) -> Section:

@@ -84,7 +84,7 @@ def test_other_invalid_input_is_a_one_line_error(tmp_path: Path) -> None:
     wrong.write_text("a,b\n1,2\n")
     broken = tmp_path / "broken.py"
     broken.write_text("def broken(:\n")
-    assert "is neither a flow file nor a ready-made flow" in error("run", "nowhere.py")
+    assert "nowhere.py: there is no such file" in error("run", "nowhere.py")
     assert "broken.py:1: invalid syntax" in error("run", str(broken))
     assert "missing.csv" in error("run", "live", "--replay", str(tmp_path / "missing.csv"))
     assert "wrong.csv" in error("run", "live", "--replay", str(wrong))

@@ -210,6 +210,20 @@ def test_an_operator_that_breaks_its_contract_is_named(
         compiled.push({compiled.entries[0]: scores(0.1, finger=2)})
 
 
+def test_a_failing_operator_is_reported_with_the_line_of_its_file() -> None:
+    class Broken(Operator[Scores, Scores]):
+        def process(self, batch: Scores) -> Scores:
+            raise KeyError("threshold")
+
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Broken()).to(TestSink())
+    compiled = CompiledFlow(flow)
+    with pytest.raises(
+        OperatorError, match=r"^flow 'f': Broken: KeyError: 'threshold' \(test_compiled_flow\.py:\d+\)$"
+    ):
+        compiled.push({compiled.entries[0]: scores(0.1)})
+
+
 def test_a_compiled_flow_resumes_from_a_snapshot() -> None:
     flow = Flow("f")
     (flow.source(TestSource(Scores)) | Debounce(consecutive=3)).to(TestSink())

@@ -112,8 +112,10 @@ def test_an_error_in_a_file_is_one_line_with_its_location(tmp_path: Path, code: 
 def test_a_missing_file_and_a_missing_flow_are_reported(tmp_path: Path) -> None:
     with pytest.raises(
         InputError,
-        match=r"nowhere\.py: is neither a flow file nor a ready-made flow \(demo, lift",
+        match=r"nowhere: is neither a flow file nor a shipped flow \(demo, lift",
     ):
+        load("nowhere")
+    with pytest.raises(InputError, match=r"nowhere\.py: there is no such file"):
         load("nowhere.py")
     with pytest.raises(InputError, match="is a folder: name the flow file in it"):
         load(str(tmp_path))

@@ -6,7 +6,7 @@ import pytest
 from flows.run.run_summary import Summary
 from operators import Run
 from operators.batch import s
-from operators.ports import SinkStatus, SourceStatus
+from operators.ports import Gap, SinkStatus, SourceStatus
 
 
 @pytest.fixture
@@ -25,6 +25,16 @@ def test_the_summary_counts_rows_in_and_out(ended: Run) -> None:
         "  dataset: 12 rows out, 0 dropped",
     ]
     assert json.loads(json.dumps(summary.as_dict()))["sources"]["touch"]["rows"] == 300
+
+
+def test_the_summary_gives_the_errors_of_sources_and_sinks(ended: Run) -> None:
+    ended.sources["touch"].error = "bus stuck"
+    ended.sources["touch"].gaps.append(Gap(start=1, end=2, reason="bus stuck"))
+    ended.sinks["dataset"].error = "disk full"
+    assert Summary.of(ended).report().splitlines()[1:] == [
+        "  touch: 300 rows in, 2 late, 1 gap: bus stuck",
+        "  dataset: 12 rows out, 0 dropped: disk full",
+    ]
 
 
 def dropped(run: Run) -> None:
