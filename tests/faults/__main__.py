@@ -1,0 +1,91 @@
+"""Deterministic simulation of the whole system: `make faults`, or `python -m tests.faults --help`."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from functools import partial
+from itertools import count
+from multiprocessing import get_context
+from time import perf_counter
+
+from tests.faults.planted_bugs import PLANTED
+from tests.faults.schedule import Schedule, draw, shrink
+from tests.faults.world import simulate
+
+CHUNK = 20  # schedules per task of a process
+
+
+def main() -> None:
+    """Simulate schedules and report violations."""
+    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    parser.add_argument("--seed", type=int, help="simulate this seed only, print its faults, and shrink them")
+    parser.add_argument("--first", type=int, default=0, help="first seed (default 0)")
+    parser.add_argument("--count", type=int, help="number of schedules (default: until stopped)")
+    parser.add_argument("--jobs", type=int, default=2, help="number of processes (default 2)")
+    parser.add_argument("--bug", choices=PLANTED, help="plant this bug, which a schedule must find")
+    options = parser.parse_args()
+    if options.seed is not None:
+        sys.exit(replay(options.seed, options.bug))
+    try:
+        sys.exit(search(options.first, options.count, options.jobs, options.bug))
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def violations(schedule: Schedule, bug: str | None = None) -> list[str]:
+    """Return the violated invariants of a schedule."""
+    plant = PLANTED[bug] if bug else _plant_nothing
+    return simulate(schedule, plant).violations
+
+
+def replay(seed: int, bug: str | None) -> int:
+    """Simulate one seed, shrink its faults if it violates an invariant, and print both."""
+    schedule = draw(seed)
+    found = violations(schedule, bug)
+    if found:
+        schedule = shrink(schedule, lambda fewer: bool(violations(fewer, bug)))
+        found = violations(schedule, bug)
+    print(f"seed {seed}{', fewest faults that violate an invariant' if found else ''}:")
+    print("\n".join(f"  {fault}" for fault in schedule.faults) or "  no fault is needed")
+    print("\n".join(f"violated: {each}" for each in found) or "no invariant is violated")
+    return 1 if found else 0
+
+
+def search(first: int, limit: int | None, jobs: int, bug: str | None) -> int:
+    """Simulate schedules until `limit` or an interrupt; print the rate and each violation."""
+    start, done, failed = perf_counter(), 0, 0
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        for seeds, found in pool.map(partial(_chunk, bug=bug), _chunks(first, limit), chunksize=1):
+            done += len(seeds)
+            failed += len(found)
+            for seed, texts in found.items():
+                print(f"\nseed {seed}: {texts[0]}\n  replay and shrink: {command(seed, bug)}", flush=True)
+            rate = done / (perf_counter() - start) * 60
+            print(f"\r{done} schedules, {failed} violations, {rate:.0f} per minute", end="", flush=True)
+    print()
+    return 1 if failed else 0
+
+
+def command(seed: int, bug: str | None = None) -> str:
+    """Return the command that replays a seed."""
+    return f".venv/bin/python -m tests.faults --seed {seed}" + (f" --bug '{bug}'" if bug else "")
+
+
+def _chunks(first: int, limit: int | None) -> Iterator[range]:
+    for start in count(first, CHUNK) if limit is None else range(first, first + limit, CHUNK):
+        yield range(start, start + CHUNK if limit is None else min(start + CHUNK, first + limit))
+
+
+def _chunk(seeds: range, bug: str | None) -> tuple[range, dict[int, list[str]]]:
+    found = {seed: violations(draw(seed), bug) for seed in seeds}
+    return seeds, {seed: texts for seed, texts in found.items() if texts}
+
+
+def _plant_nothing(stack: ExitStack) -> None:
+    del stack
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""Invariants that hold at the end of every simulation."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+from operators.errors import SlipflowError
+from storage import Session, recover, verify
+from operators import Slips, Touch
+
+if TYPE_CHECKING:
+    from tests.faults.simulated_rig import Life
+    from tests.faults.world import World
+
+KILL_ROWS: Final = 10  # rows of a table that a kill may lose
+POWER_SPAN: Final = 0.3  # s, before a power loss, whose rows and events may be lost
+REDELIVERED: Final = 0.02  # s, before a kill of the consumer, whose events may be delivered twice
+DISK_FAULTS: Final = frozenset({"disk full", "disk error", "fsync error", "slow disk"})
+
+
+def violations(world: World) -> list[str]:
+    """Return a line for each violated invariant."""
+    return [*_events(world), *_recordings(world)]
+
+
+def _events(world: World) -> Iterator[str]:
+    """Check that the consumer received each event once, and none that the rig did not raise."""
+    raised = {event for life in world.lives for event in life.started_events}
+    counts = Counter(each[3] for each in world.received)
+    invented = counts.keys() - raised
+    if invented:
+        yield f"{len(invented)} events were invented: {sorted(invented)[:3]}"
+    first: dict[object, float] = {}
+    for when, _, _, event in world.received:
+        if event in first and not any(
+            first[event] - REDELIVERED <= kill <= when and kill - first[event] <= REDELIVERED
+            for kill in world.consumer_kills
+        ):
+            yield f"event {event} was delivered at {first[event]:.3f} s and again at {when:.3f} s"
+        first[event] = when
+    must = {event for life in world.lives for event in _kept_events(world, life)}
+    lost = must - counts.keys()
+    if lost:
+        yield f"{len(lost)} of {len(must)} events were lost: {sorted(lost)[:3]}"
+    may_lose = any(life.events.keys() - counts.keys() for life in world.lives)
+    reported = [each for each in world.reports if re.search(r" (is|are) lost", each)]
+    if reported and not may_lose and not _lossy(world):
+        yield f"a loss was reported, but nothing is lost: {reported[0]}"
+
+
+def _lossy(world: World) -> bool:
+    """Return True if numbers may be lost: a power loss or a disk that failed."""
+    return any(fault.kind in DISK_FAULTS | {"power loss"} for fault in world.schedule.faults)
+
+
+def _kept_events(world: World, life: Life) -> Iterator[object]:
+    """Yield the accepted events that must arrive."""
+    for event, when in life.events.items():
+        if life.end == "power loss" and when > life.ended - POWER_SPAN - world.slow:
+            continue
+        if life.end in ("killed", "power loss") and _disk_failed(world, before=life.ended):
+            continue  # events in memory may be lost
+        if _power_lost_after(world, when) and _disk_failed(world, before=when + 1.0):
+            continue
+        yield event
+
+
+def _disk_failed(world: World, *, before: float) -> bool:
+    return any(fault.kind in DISK_FAULTS and fault.start <= before for fault in world.schedule.faults)
+
+
+def _power_lost_after(world: World, when: float) -> bool:
+    return any(fault.kind == "power loss" and fault.start >= when for fault in world.schedule.faults)
+
+
+def _recordings(world: World) -> Iterator[str]:
+    """Check that recovered recordings have the accepted rows, at most the promised ones missing."""
+    root = world.folder / "data"
+    if not root.exists():
+        return
+    for life in world.lives:
+        folder = root / "sessions" / life.session
+        if not folder.exists():
+            if life.rows and life.end != "power loss":
+                yield f"{life.session}: is missing, but had rows"
+            continue
+        try:
+            if life.end != "orderly":
+                recover(folder)
+            yield from _rows(world, life, Session.open(folder))
+            result = verify(folder)
+        except SlipflowError as error:
+            if any(life.rows.values()) or life.end == "orderly":
+                yield f"{life.session} ({life.end}): {error}"
+            continue
+        allowed = {"orderly": ("note",)}.get(life.end, ("note", "repairable", "repaired", "lossy"))
+        if result.worst not in allowed and not _lossy(world):
+            yield f"{life.session} ({life.end}): verify says {result.worst}: {result.findings}"
+
+
+def _rows(world: World, life: Life, session: Session) -> Iterator[str]:
+    for kind, name in ((Touch, "Touch"), (Slips, "Slips")):
+        accepted = life.rows.get(name, [])
+        for finger in (0, 1):
+            expected = [row for row in accepted if row[0] == finger]
+            found = [
+                (finger, int(time), int(value))
+                for batch in session.read(kind, finger)
+                for time, value in zip(
+                    batch.time, batch.counts[:, 0] if isinstance(batch, Touch) else batch.state, strict=True
+                )
+            ]
+            common = min(len(expected), len(found))
+            if found[:common] != expected[:common]:
+                yield f"{life.session}: {name} of finger {finger} has other rows than were accepted"
+            missing = expected[common:]
+            if missing:
+                yield from _missing(world, life, name, missing)
+
+
+def _missing(world: World, life: Life, name: str, missing: list[tuple[int, int, int]]) -> Iterator[str]:
+    text = f"{life.session} ({life.end}): {len(missing)} accepted rows of {name} are missing"
+    if life.end == "power loss" or _power_lost_after(world, life.ended):
+        when = dict(zip(life.rows[name], life.rows_at[name], strict=True))
+        old = [row for row in missing if when[row] < life.ended - POWER_SPAN - 0.05]
+        if old and not _disk_failed(world, before=life.ended):
+            yield f"{text}, {len(old)} older than {POWER_SPAN} s"
+    elif life.end == "killed":
+        if len(missing) > KILL_ROWS:
+            yield text
+    else:
+        yield text

@@ -1,0 +1,74 @@
+"""Schedules of faults: drawn from a seed, printed, and shrunk to the fewest faults."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+from typing import Final
+
+SPAN: Final = 3.0  # s of virtual time in which faults occur
+
+KINDS: Final = {  # of faults: maximum duration, s; 0: momentary
+    "kill rig": 0.0,  # at the next await of any task
+    "kill rig at disk operation": 0.0,
+    "kill consumer": 0.0,
+    "power loss": 0.0,  # of the rig
+    "disk full": 1.0,
+    "disk error": 0.5,  # EIO
+    "fsync error": 0.5,
+    "slow disk": 1.5,
+    "broker down": 1.5,
+    "broker restart without memory": 1.0,
+    "connections cut": 0.0,
+    "slow network": 1.5,
+    "publish refused": 1.0,
+    "source fails": 0.0,
+    "source silent": 1.0,
+    "loop stalls": 0.0,
+    "clock steps": 0.0,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One fault: `start` and `duration` in s of virtual time, `size` from 0 to 1 as its kind needs."""
+
+    kind: str
+    start: float
+    duration: float
+    size: float
+
+    def __str__(self) -> str:
+        lasting = f" for {self.duration:.3f} s" if self.duration else ""
+        return f"{self.start:.3f} s: {self.kind}{lasting} ({self.size:.3f})"
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """Faults of one simulation; the seed also draws all latencies and data."""
+
+    seed: int
+    faults: tuple[Fault, ...]
+
+
+def draw(seed: int) -> Schedule:
+    """Draw up to eight faults, with few kinds in most schedules, so that faults of a kind meet."""
+    random = Random(seed)  # noqa: S311 - reproducible on purpose
+    kinds = random.sample(sorted(KINDS), random.randint(1, 5))
+    faults = [_fault(random, random.choice(kinds)) for _ in range(random.randint(1, 8))]
+    return Schedule(seed, tuple(sorted(faults, key=lambda fault: fault.start)))
+
+
+def shrink(schedule: Schedule, violates: Callable[[Schedule], bool]) -> Schedule:
+    """Remove faults one by one as long as the schedule still violates an invariant."""
+    faults, index = schedule.faults, 0
+    while index < len(faults):
+        fewer = Schedule(schedule.seed, faults[:index] + faults[index + 1 :])
+        if violates(fewer):
+            faults, index = fewer.faults, 0
+        else:
+            index += 1
+    return Schedule(schedule.seed, faults)
+
+
+def _fault(random: Random, kind: str) -> Fault:
+    return Fault(kind, random.uniform(0, SPAN), random.random() * KINDS[kind], random.random())

@@ -1,0 +1,221 @@
+"""Disk faults below real files: kills between any two operations, torn writes, errors, lost caches."""
+
+import errno
+import os
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from typing import Any
+from unittest.mock import patch
+
+from tests.faults.simulated_process import Killed, current
+
+TAILS = ("cut", "zeros", "garbage")  # what follows the last byte that reached the disk
+
+
+@dataclass
+class _Inode:
+    """Content of a file that survives a power loss, and ranges that a failed fsync dropped for good."""
+
+    durable: bytes = b""
+    dropped: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # from, to
+    failed: bool = False  # an fsync failed and its pages may be dropped
+
+
+class SimulatedDisk:
+    """Folder whose files are real and whose operations fail as a schedule says.
+
+    A file is durable as of its last fsync, a name as of the last fsync of its folder. A power loss keeps each
+    later change or not, in any mixture, which is more than file systems are known to do. After an fsync that
+    failed, its pages count as clean: a second fsync succeeds and does not write them (fsync(2), "fsyncgate").
+    """
+
+    def __init__(self, root: Path, random: Random) -> None:
+        self.root, self._random = root, random
+        self.error = 0  # errno of each write, fsync and new file; 0: none
+        self.fsync_error = False  # fsync fails with EIO
+        self.kill_in = 0  # operations of a process until it is killed in the middle of one; 0: never
+        self.operations = 0
+        self._inodes: dict[int, _Inode] = {}
+        self._names: dict[str, dict[str, int]] = {}  # durable inode of each name, by folder
+        self._paths: dict[int, str] = {}  # of open descriptors
+        self._real: dict[str, Callable[..., Any]] = {}
+
+    @contextmanager
+    def attached(self) -> Generator[None]:
+        """Pass the operations of the module `os` through the simulation."""
+        with ExitStack() as stack:
+            for name in ("open", "close", "write", "fsync", "ftruncate"):
+                self._real[name] = getattr(os, name)
+                stack.enter_context(patch.object(os, name, getattr(self, f"_{name}")))
+            for name in ("mkdir", "rmdir", "unlink", "remove", "rename", "replace", "link"):
+                self._real[name] = getattr(os, name)
+                stack.enter_context(patch.object(os, name, self._named(name)))
+            yield
+
+    def lose_power(self) -> None:
+        """Replace the files by what a power loss may leave of them."""
+        image = self._image(str(self.root))
+        self._inodes.clear()
+        self._names.clear()
+        for folder, names in self._folders(str(self.root)):
+            for name in names:
+                path = f"{folder}/{name}"
+                if path not in image and not os.path.isdir(path):
+                    self._real["unlink"](path)
+        for path, content in image.items():
+            if content is None:
+                os.path.isdir(path) or self._real["mkdir"](path)
+                continue
+            descriptor = self._real["open"](path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+            self._real["write"](descriptor, content) if content else None
+            self._inodes[os.fstat(descriptor).st_ino] = _Inode(content)
+            self._real["close"](descriptor)
+        for folder, _, _ in os.walk(self.root, topdown=False):
+            if folder not in image and folder != str(self.root):
+                self._real["rmdir"](folder)
+        for folder, _ in self._folders(str(self.root)):
+            self._names[folder] = _listed(folder)
+
+    def _image(self, folder: str) -> dict[str, bytes | None]:
+        """Return the surviving content by path; None for a folder."""
+        image: dict[str, bytes | None] = {}
+        durable, present = self._names.get(folder, {}), _listed(folder)
+        for name in sorted(durable.keys() | present.keys()):
+            same = durable.get(name) == present.get(name)
+            inode = (present if same or self._random.random() < 0.5 else durable).get(name)
+            if inode is None:
+                continue
+            path = f"{folder}/{name}"
+            if os.path.isdir(path):
+                image[path] = None
+                image |= self._image(path)
+                continue
+            known = self._inodes.get(inode, _Inode())
+            whole = Path(path).read_bytes() if present.get(name) == inode else known.durable
+            image[path] = self._survivor(known, whole)
+        return image
+
+    def _survivor(self, known: _Inode, whole: bytes) -> bytes:
+        """Return the content of a file after a power loss: its durable bytes and some of the later ones."""
+        durable = known.durable
+        if not whole.startswith(durable):  # truncated since its last fsync
+            return durable if self._random.random() < 0.5 else whole
+        rest = whole[len(durable) :]
+        if not rest:
+            return durable
+        at = self._random.choice((0, len(rest), self._random.randrange(len(rest) + 1)))
+        tail = self._random.choice(TAILS)
+        lost = len(rest) - at
+        return durable + rest[:at] + {"cut": b"", "zeros": bytes(lost), "garbage": self._random.randbytes(lost)}[tail]
+
+    def _folders(self, folder: str) -> list[tuple[str, list[str]]]:
+        return [(top, [*folders, *files]) for top, folders, files in os.walk(folder)]
+
+    def _simulated(self, path: str | None) -> bool:
+        return path is not None and path.startswith(str(self.root)) and current() is not None
+
+    def _step(self, path: str | None, *, grows: bool = False) -> None:
+        """Count an operation; kill the process or fail as scheduled.
+
+        Raises:
+            Killed: if the process dies before the operation.
+            OSError: as scheduled.
+        """
+        if not self._simulated(path):
+            return
+        self.operations += 1
+        process = current()
+        if self.kill_in and process and process.name == "rig":
+            self.kill_in -= 1
+            if not self.kill_in:
+                process.kill()
+                raise Killed(process.name)
+        if grows and self.error:
+            raise OSError(self.error, os.strerror(self.error), path)
+
+    def _open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
+        name = os.fspath(path) if not isinstance(path, int) else None
+        new = bool(flags & os.O_CREAT) and isinstance(name, str) and not os.path.lexists(name)
+        if new:
+            self._step(name, grows=True)
+        descriptor: int = self._real["open"](path, flags, mode, dir_fd=dir_fd)
+        if isinstance(name, str) and name.startswith(str(self.root)):
+            self._paths[descriptor] = name
+            if new:
+                self._inodes[os.fstat(descriptor).st_ino] = _Inode()
+        return descriptor
+
+    def _close(self, descriptor: int) -> None:
+        self._paths.pop(descriptor, None)
+        self._real["close"](descriptor)
+
+    def _write(self, descriptor: int, data: Any) -> int:
+        path = self._path(descriptor)
+        if not self._simulated(path):
+            return self._real["write"](descriptor, data)
+        view = memoryview(data).cast("B")
+        part = self._random.randrange(len(view) + 1) if len(view) else 0
+        try:
+            self._step(path, grows=True)
+        except (Killed, OSError) as error:
+            full = isinstance(error, OSError) and error.errno == errno.ENOSPC
+            if isinstance(error, Killed) or (full and part < len(view)):  # torn
+                self._real["write"](descriptor, view[:part])
+            if full and 0 < part < len(view):
+                return part  # a full disk takes the first bytes, as write(2) says
+            raise
+        return self._real["write"](descriptor, data)
+
+    def _fsync(self, descriptor: int) -> None:
+        path = self._path(descriptor)
+        if path is None or not path.startswith(str(self.root)):
+            self._real["fsync"](descriptor)
+            return
+        self._step(path)
+        status = os.fstat(descriptor)
+        folder = os.path.isdir(f"/proc/self/fd/{descriptor}")
+        if current() and (self.fsync_error or self.error == errno.EIO):
+            if not folder:
+                known = self._inodes.setdefault(status.st_ino, _Inode())
+                known.dropped.append((len(known.durable), status.st_size))
+            raise OSError(errno.EIO, os.strerror(errno.EIO), path)
+        if folder:
+            self._names[path] = _listed(path)
+            return
+        known = self._inodes.setdefault(status.st_ino, _Inode())
+        content = bytearray(Path(f"/proc/self/fd/{descriptor}").read_bytes())
+        for start, end in known.dropped:
+            content[start:end] = bytes(max(0, min(end, len(content)) - start))
+        known.durable = bytes(content)
+
+    def _ftruncate(self, descriptor: int, size: int) -> None:
+        path = self._path(descriptor)
+        self._step(path)
+        if self._simulated(path) and self.error == errno.EIO:
+            raise OSError(errno.EIO, os.strerror(errno.EIO), path)
+        self._real["ftruncate"](descriptor, size)
+
+    def _named(self, name: str) -> Callable[..., Any]:
+        def operate(path: Any, *args: Any, **options: Any) -> Any:
+            text = os.fspath(path)
+            self._step(text if isinstance(text, str) else None, grows=name in ("mkdir", "link"))
+            return self._real[name](path, *args, **options)
+
+        return operate
+
+    def _path(self, descriptor: int) -> str | None:
+        try:
+            return os.readlink(f"/proc/self/fd/{descriptor}")
+        except OSError:
+            return None
+
+
+def _listed(folder: str) -> dict[str, int]:
+    try:
+        with os.scandir(folder) as entries:
+            return {entry.name: entry.inode() for entry in entries}
+    except FileNotFoundError:
+        return {}

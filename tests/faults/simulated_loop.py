@@ -1,0 +1,54 @@
+"""Event loop in virtual time whose executor runs in the loop: one thread, one order of events per seed."""
+
+import asyncio
+from collections.abc import Callable
+from random import Random
+from typing import Any, TypeVar
+
+from flows.graph.testing import VirtualLoop
+
+from tests.faults.simulated_process import create_task
+
+T = TypeVar("T")
+
+
+class SimulatedLoop(VirtualLoop):
+    """Virtual-time loop with an inline executor.
+
+    A function for the executor runs whole at some time within its latency; its result arrives at the end of
+    it. `latency` (s) is drawn for each call, so that a slow disk delays the tasks that wait for it.
+    """
+
+    def __init__(self, random: Random) -> None:
+        super().__init__()
+        self._random = random
+        self.set_task_factory(create_task)
+        self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
+
+    def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> "asyncio.Future[T]":  # type: ignore[override]
+        """Run a function later in the loop; cancelling the future does not stop it, as with a thread."""
+        del executor
+        future: asyncio.Future[T] = self.create_future()
+        latency = self.latency()
+        start = self._random.random() * latency
+
+        def run() -> None:
+            try:
+                result = func(*args)
+            except BaseException as error:  # noqa: BLE001 - carried to the waiting task
+                self.call_later(latency - start, _fail, future, error)
+            else:
+                self.call_later(latency - start, _finish, future, result)
+
+        self.call_later(start, run)
+        return future
+
+
+def _finish(future: "asyncio.Future[T]", result: T) -> None:
+    if not future.done():
+        future.set_result(result)
+
+
+def _fail(future: "asyncio.Future[Any]", error: BaseException) -> None:
+    if not future.done():
+        future.set_exception(error)

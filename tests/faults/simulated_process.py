@@ -1,0 +1,81 @@
+"""Simulated process: a set of tasks, links and file descriptors that a kill ends at once."""
+
+import asyncio
+import os
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from contextvars import Context, ContextVar, copy_context
+from typing import Any
+from weakref import WeakSet
+
+
+class Killed(BaseException):
+    """End of the simulated process: no later instruction of it has an effect."""
+
+
+class SimulatedProcess:
+    """Tasks started by `start`, and what they own.
+
+    Code finds its process with `current`. After `kill`, each access to disk or network raises `Killed`, so
+    that `finally` blocks and background tasks of the killed process change nothing.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name, self.alive = name, True
+        self.on_kill: list[Callable[[], object]] = []  # close what the operating system would close
+        self._tasks = WeakSet[asyncio.Task[Any]]()
+        self._context: Context = copy_context()
+        self._context.run(_CURRENT.set, self)
+
+    def start(self, main: Coroutine[Any, Any, Any]) -> "asyncio.Task[Any]":
+        """Start the main task; tasks that it creates inherit the process."""
+        return asyncio.get_running_loop().create_task(main, context=self._context)
+
+    def kill(self) -> None:
+        """End the process as SIGKILL does."""
+        if not self.alive:
+            return
+        self.alive = False
+        for call in self.on_kill:
+            call()
+        for task in list(self._tasks):
+            task.cancel()
+
+    def add(self, task: "asyncio.Task[Any]") -> None:
+        """Cancel a task when the process is killed."""
+        self._tasks.add(task)
+
+    def own_descriptor(self, number: int) -> None:
+        """Close a descriptor when the process is killed, as the locks of a killed process are released."""
+
+        def close() -> None:
+            with suppress(OSError):
+                os.close(number)
+
+        self.on_kill.append(close)
+
+
+def create_task(
+    loop: asyncio.AbstractEventLoop, main: Coroutine[Any, Any, Any], context: Context | None = None
+) -> "asyncio.Task[Any]":
+    """Create a task that belongs to the process of its context; for `loop.set_task_factory`."""
+    task: asyncio.Task[Any] = asyncio.Task(main, loop=loop, context=context)
+    process = _CURRENT.get() if context is None else context.get(_CURRENT)
+    if process:
+        process.add(task)
+    return task
+
+
+_CURRENT: ContextVar[SimulatedProcess | None] = ContextVar("process", default=None)
+
+
+def current() -> SimulatedProcess | None:
+    """Return the process of the running code; None for the observer, which no fault affects.
+
+    Raises:
+        Killed: if the process was killed.
+    """
+    process = _CURRENT.get()
+    if process and not process.alive:
+        raise Killed(process.name)
+    return process

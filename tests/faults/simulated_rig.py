@@ -1,0 +1,120 @@
+"""Rig and consumer of the simulation: devices with numbered rows, and what each side has seen."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from dataclasses import dataclass, field
+from random import Random
+
+import numpy as np
+
+from connectors import Mqtt
+from connectors.events import Event
+from operators import Operator, Slips, Touch
+from operators.batch import Clocks, Faults, ms
+from operators.ports import Clock, Source
+from storage.dataset import Dataset, Recordable
+from tests.faults.simulated_process import current
+
+EVENT_EVERY = 5  # rows
+PERIOD = 20 * ms
+Identity = tuple[str, str, int]  # session, finger, time (ns)
+
+
+@dataclass
+class Life:
+    """One life of the rig, from start to end, kill or power loss."""
+
+    session: str
+    end: str = "running"  # running, orderly, refused, killed, power loss
+    ended: float = 0.0  # loop time, s
+    rows: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)  # accepted: finger, time, value
+    rows_at: dict[str, list[float]] = field(default_factory=dict)  # loop time (s) of each
+    started_events: set[Identity] = field(default_factory=set)  # handed to the sink
+    events: dict[Identity, float] = field(default_factory=dict)  # accepted by the sink: loop time, s
+    error: str = ""
+
+
+class Device(Source[Touch]):
+    """Fingertip in virtual time whose rows are numbered; faults make it fail or fall silent."""
+
+    def __init__(self, finger: int, random: Random) -> None:
+        self._finger, self._random = finger, random
+        self.failing, self.silent_until, self.ended = False, 0.0, False
+        self._number = 0
+
+    @property
+    def kind(self) -> type[Touch]:
+        """Type of the batches."""
+        return Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """The fingertip."""
+        return (self._finger,)
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
+        """Yield batches of 1 to 14 rows, most of them short."""
+        loop = asyncio.get_running_loop()
+        while not self.ended:
+            rows = self._random.choice((1, 1, 1, 2, 3, 14))
+            await asyncio.sleep(rows * PERIOD / 1e9)
+            current()
+            if self.failing:
+                self.failing = False
+                raise OSError("the device was unplugged")
+            if loop.time() < self.silent_until:
+                continue
+            newest = clock.now()
+            numbers = np.arange(self._number, self._number + rows)
+            self._number += rows
+            time = newest - PERIOD * np.arange(rows - 1, -1, -1)
+            counts = np.repeat(numbers[:, None] % 1000, 6, axis=1).astype(np.int16)  # (n, 6)
+            yield Touch(time, counts, counts, np.ones(counts.shape, np.bool_), finger=self._finger)
+
+
+class EveryFifth(Operator[Touch, Slips]):
+    """Slip event at each fifth row, alternately onset and end."""
+
+    def process(self, batch: Touch) -> Slips:
+        """Return the events of a batch."""
+        number = batch.counts[:, 0]
+        chosen = number % EVENT_EVERY == 0
+        time, number = batch.time[chosen], number[chosen]
+        state = (number // EVENT_EVERY % 2 == 0).astype(np.int8)
+        return Slips(time, state, time, np.full(len(time), 0.9), finger=batch.finger)
+
+
+class WatchedDataset(Dataset):
+    """Dataset that notes the accepted rows."""
+
+    life: Life
+
+    async def write(self, batch: Recordable) -> None:
+        """Write and note a batch."""
+        assert isinstance(batch, Touch | Slips), "the flow records nothing else"
+        await super().write(batch)
+        current()
+        table = type(batch).__name__
+        found = self.life.rows.setdefault(table, [])
+        values = batch.counts[:, 0] if isinstance(batch, Touch) else batch.state
+        found += zip([batch.finger] * len(batch), batch.time.tolist(), values.tolist(), strict=True)
+        self.life.rows_at.setdefault(table, []).extend([asyncio.get_running_loop().time()] * len(batch))
+
+
+class WatchedMqtt(Mqtt):
+    """Event sink that notes the accepted events."""
+
+    life: Life
+
+    async def write(self, batch: Slips | Faults | Clocks) -> None:
+        """Write and note a batch."""
+        new = [(self.life.session, str(batch.finger), time) for time in batch.time.tolist()]
+        self.life.started_events |= set(new)
+        await super().write(batch)
+        current()
+        self.life.events |= dict.fromkeys(new, asyncio.get_running_loop().time())
+
+
+def identity(event: Event) -> Identity:
+    """Return what identifies an event independent of its number."""
+    return (event.session or "", event.finger, event.time)

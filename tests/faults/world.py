@@ -1,0 +1,352 @@
+"""One simulation: a rig that records and publishes, a broker, a consumer, and the faults of a schedule."""
+
+import asyncio
+import errno
+import hashlib
+import logging
+import secrets
+import time
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from random import Random
+from shutil import rmtree
+from tempfile import mkdtemp
+from typing import Any, Final
+from unittest.mock import patch
+
+from connectors import Consumer
+from connectors.mqtt import broker_link
+from flows.graph import Flow
+from flows.run.live_runner import LiveRunner
+from operators.errors import SlipflowError
+from tests.faults.invariants import violations
+from tests.faults.schedule import SPAN, Fault, Schedule
+from tests.faults.simulated_broker import SimulatedBroker
+from tests.faults.simulated_disk import SimulatedDisk
+from tests.faults.simulated_loop import SimulatedLoop
+from tests.faults.simulated_process import Killed, SimulatedProcess, current
+from tests.faults.simulated_rig import (
+    Device,
+    EveryFifth,
+    Identity,
+    Life,
+    WatchedDataset,
+    WatchedMqtt,
+    identity,
+)
+
+START: Final = 1_700_000_000 * 10**9  # ns, host time at the start
+QUIET: Final = 90.0  # s; limit for everything to arrive after the last fault
+URL: Final = "mqtt://broker"
+TASKS_MAX: Final = 80
+
+
+@dataclass
+class Outcome:
+    """Result of a simulation."""
+
+    violations: list[str]
+    digest: str  # of everything that was observed; the same for the same schedule
+    operations: int  # of the rig on its disk
+    events: int
+    rows: int
+
+
+@dataclass
+class World:
+    """State of one simulation that the invariants examine."""
+
+    schedule: Schedule
+    folder: Path
+    lives: list[Life] = field(default_factory=list[Life])
+    received: list[tuple[float, str, int, Identity]] = field(
+        default_factory=list[tuple[float, str, int, Identity]]
+    )
+    consumer_kills: list[float] = field(default_factory=list[float])
+    reports: list[str] = field(default_factory=list[str])
+    errors: list[str] = field(default_factory=list[str])  # unexpected ones
+    boot: int = 0
+
+    def __post_init__(self) -> None:
+        self.random = Random(self.schedule.seed)  # noqa: S311 - reproducible on purpose
+        self.disk = SimulatedDisk(self.folder, Random(self.random.random()))  # noqa: S311
+        self.broker = SimulatedBroker(Random(self.random.random()))  # noqa: S311
+        self.loop = SimulatedLoop(Random(self.random.random()))  # noqa: S311
+        self.loop.latency = self._latency
+        self.loop.set_exception_handler(self._unhandled)
+        self.devices = [Device(finger, Random(self.random.random())) for finger in (0, 1)]  # noqa: S311
+        self.rig: SimulatedProcess | None = None
+        self.runner: LiveRunner | None = None
+        self.consumer: SimulatedProcess | None = None
+        self.healed = self.finished = False
+        self.slow = 0.0  # s, mean latency of the slow disk
+        self._step = 0  # ns, of the host's clock
+
+    def host_time(self) -> int:
+        """Return the simulated host's time, ns."""
+        return START + round(self.loop.time() * 1e9) + self._step
+
+    async def main(self) -> None:
+        """Run the schedule, then let everything arrive."""
+        for fault in self.schedule.faults:
+            self.loop.call_at(fault.start, self._apply, fault)
+        rig = self.loop.create_task(self._keep_rig())
+        consumer = self.loop.create_task(self._keep_consumer())
+        await asyncio.sleep(SPAN + self.random.random())
+        self._heal()
+        if self.runner:
+            self.runner.stop()
+        await rig
+        with suppress(TimeoutError):
+            async with asyncio.timeout(QUIET):
+                await self._deliver_rest()
+        self.finished = True
+        if self.consumer:
+            self.consumer.kill()
+        await consumer
+
+    async def _keep_rig(self) -> None:
+        """Restart the rig whenever it ends, as a service manager does."""
+        while not self.healed:
+            await self._live(Life(f"run-{len(self.lives)}"))
+            await asyncio.sleep(self.random.uniform(0.01, 0.5))
+
+    async def _live(self, life: Life, *, devices: bool = True) -> None:
+        self.lives.append(life)
+        self.rig = SimulatedProcess("rig")
+        task = self.rig.start(self._record(life, devices=devices))
+        try:
+            await task
+        except (Killed, asyncio.CancelledError):
+            life.end = life.end if life.end == "power loss" else "killed"
+        except SlipflowError as error:
+            life.end, life.error = "refused", str(error)
+        else:
+            life.end = "orderly" if self.rig.alive else "killed"
+        life.ended = life.ended or self.loop.time()
+        self.runner = None
+        self.rig.kill()
+
+    async def _record(self, life: Life, *, devices: bool) -> None:
+        flow = Flow("faults")
+        dataset = WatchedDataset(self.folder / "data", part_span=400_000_000)
+        mqtt = WatchedMqtt(URL, outbox=self.folder / "outbox", connect_required=False)
+        dataset.life = mqtt.life = life
+        for device in self.devices if devices else ():
+            touch = flow.source(device)
+            touch.to(dataset)
+            slips = touch | EveryFifth()
+            slips.to(dataset)
+            slips.to(mqtt)
+        runner = self.runner = LiveRunner(flow, life.session, signals=False)
+        await runner.execute()
+        if runner.run.error:
+            life.error = runner.run.error
+        life.error += "".join(f" {name}: {sink.error}" for name, sink in runner.run.sinks.items() if sink.error)
+
+    async def _keep_consumer(self) -> None:
+        while not self.finished:
+            self.consumer = SimulatedProcess("consumer")
+            task = self.consumer.start(self._consume())
+            with suppress(Killed, asyncio.CancelledError, SlipflowError):
+                await task
+            if task.done() and not task.cancelled() and (error := task.exception()):
+                if not isinstance(error, Killed | SlipflowError):
+                    self.errors.append(f"the consumer ended with {error!r}")
+            self.consumer.kill()
+            await asyncio.sleep(self.random.uniform(0.05, 0.5))
+
+    async def _consume(self) -> None:
+        position = self.folder / "consumer" / "position"
+        async with Consumer(
+            URL, site="lab", position_file=position, since="start", report=self.reports.append
+        ) as events:
+            async for event in events:
+                current()
+                self.received.append((self.loop.time(), event.epoch, event.seq, identity(event)))
+                if self.random.random() < 0.3:
+                    await asyncio.sleep(self.random.expovariate(200))
+                current()
+
+    async def _deliver_rest(self) -> None:
+        """Run the rig without devices until the consumer has all events."""
+        life = Life("last")
+        flow_end = self.loop.create_task(self._live(life, devices=True))
+        for device in self.devices:
+            device.silent_until = float("inf")
+        expected = {event for each in self.lives for event in each.events}
+        while expected - {each[3] for each in self.received} and self.loop.time() < SPAN + QUIET / 2:
+            await asyncio.sleep(0.2)
+        await asyncio.sleep(5.0)  # what is delivered twice or invented arrives too
+        if self.runner:
+            self.runner.stop()
+        await flow_end
+
+    def _latency(self) -> float:
+        process = current()
+        slow = self.slow if process and process.name == "rig" else 0.0
+        return self.random.uniform(20e-6, 500e-6) + (self.random.expovariate(1 / slow) if slow else 0.0)
+
+    def _unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        del loop
+        if not isinstance(context.get("exception"), Killed):
+            self.errors.append(f"unhandled: {context.get('message')} {context.get('exception')!r}")
+
+    def _apply(self, fault: Fault) -> None:
+        if not self.healed:
+            start, end = _EFFECTS[fault.kind]
+            start(self, fault)
+            if end:
+                self.loop.call_later(fault.duration, end, self)
+
+    def _heal(self) -> None:
+        self.healed = True
+        for _, end in _EFFECTS.values():
+            if end:
+                end(self)
+        self.disk.kill_in = 0
+        for device in self.devices:
+            device.failing, device.silent_until = False, 0.0
+
+    def kill_rig(self, fault: Fault) -> None:
+        """Kill the rig."""
+        del fault
+        if self.rig:
+            self.rig.kill()
+
+    def kill_rig_at_operation(self, fault: Fault) -> None:
+        """Kill the rig in one of its next disk operations."""
+        self.disk.kill_in = 1 + int(fault.size * 60)
+
+    def kill_consumer(self, fault: Fault) -> None:
+        """Kill the consumer."""
+        del fault
+        if self.consumer:
+            self.consumer_kills.append(self.loop.time())
+            self.consumer.kill()
+
+    def lose_power(self, fault: Fault) -> None:
+        """Cut the rig's power: its process ends, and its disk keeps what was durable and some of the rest."""
+        del fault
+        if not self.rig or not self.lives:
+            return
+        if self.rig.alive and self.lives[-1].end == "running":
+            self.lives[-1].end, self.lives[-1].ended = "power loss", self.loop.time()
+        self.rig.kill()
+        self.boot += 1
+        self.disk.lose_power()
+
+    def stall(self, fault: Fault) -> None:
+        """Stop everything on the rig's host for up to 0.3 s."""
+        self.loop.stall(0.3 * fault.size)
+
+    def step_clock(self, fault: Fault) -> None:
+        """Set the host's clock by up to an hour."""
+        self._step += int((fault.size - 0.5) * 7200 * 10**9)
+
+
+def _set(name: str, value: Callable[[Fault], Any], rest: Any) -> "_Effect":
+    """Return an effect that sets an attribute of the world and later resets it."""
+    owner, _, attribute = name.rpartition(".")
+
+    def start(world: World, fault: Fault) -> None:
+        setattr(getattr(world, owner) if owner else world, attribute, value(fault))
+
+    def end(world: World) -> None:
+        setattr(getattr(world, owner) if owner else world, attribute, rest)
+
+    return start, end
+
+
+def _device(world: World, fault: Fault) -> Device:
+    return world.devices[int(fault.size * 1e6) % 2]
+
+
+def _fail_device(world: World, fault: Fault) -> None:
+    _device(world, fault).failing = True
+
+
+def _silence_device(world: World, fault: Fault) -> None:
+    _device(world, fault).silent_until = world.loop.time() + fault.duration
+
+
+_Effect = tuple[Callable[[World, Fault], None], Callable[[World], None] | None]
+_EFFECTS: Final[dict[str, _Effect]] = {
+    "kill rig": (World.kill_rig, None),
+    "kill rig at disk operation": (World.kill_rig_at_operation, None),
+    "kill consumer": (World.kill_consumer, None),
+    "power loss": (World.lose_power, None),
+    "disk full": _set("disk.error", lambda _: errno.ENOSPC, 0),
+    "disk error": _set("disk.error", lambda _: errno.EIO, 0),
+    "fsync error": _set("disk.fsync_error", lambda _: True, False),
+    "slow disk": _set("slow", lambda fault: 0.3 * fault.size, 0.0),
+    "broker down": (lambda world, _: world.broker.stop(forget=False), lambda world: world.broker.start()),
+    "broker restart without memory": (
+        lambda world, _: world.broker.stop(forget=True),
+        lambda world: world.broker.start(),
+    ),
+    "connections cut": (lambda world, _: world.broker.cut_all(), None),
+    "slow network": _set("broker.delay", lambda fault: 0.2 * fault.size, 1e-3),
+    "publish refused": _set(
+        "broker.refused", lambda fault: {"event" if fault.size < 0.5 else "head"}, set[str]()
+    ),
+    "source fails": (_fail_device, None),
+    "source silent": (_silence_device, None),
+    "loop stalls": (World.stall, None),
+    "clock steps": (World.step_clock, None),
+}
+
+
+def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda _: None) -> Outcome:
+    """Run one schedule and examine what is left.
+
+    Args:
+        schedule: Seed and faults.
+        prepare: Called with a stack of contexts that last as long as the simulation; plants bugs.
+    """
+    folder = Path(mkdtemp(prefix="faults-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+    try:
+        (folder / "consumer").mkdir()
+        rig = folder / "rig"
+        rig.mkdir()
+        world = World(schedule, folder)
+        with _simulated(world) as stack:
+            prepare(stack)
+            world.loop.run_until_complete(world.main())
+            found = [*world.errors, *violations(world)]
+        observed = repr((world.received, world.reports, world.lives, found)).replace(str(folder), "")
+        return Outcome(
+            [each.replace(str(folder), "") for each in found],
+            hashlib.sha256(observed.encode()).hexdigest(),
+            world.disk.operations,
+            sum(len(life.events) for life in world.lives),
+            sum(len(rows) for life in world.lives for rows in life.rows.values()),
+        )
+    finally:
+        rmtree(folder, ignore_errors=True)
+
+
+@contextmanager
+def _simulated(world: World) -> Generator[ExitStack]:
+    """Replace clock, randomness, disk and network of the process by those of the world."""
+    random = Random(world.schedule.seed)  # noqa: S311 - reproducible on purpose
+    quiet = logging.getLogger("slipflow")
+    level = quiet.level
+    with ExitStack() as stack:
+        enter = stack.enter_context
+        quiet.setLevel(logging.CRITICAL)
+        stack.callback(quiet.setLevel, level)
+        enter(patch.object(time, "time_ns", world.host_time))
+        enter(patch.object(time, "time", lambda: world.host_time() / 1e9))
+        enter(patch.object(time, "monotonic_ns", lambda: round(world.loop.time() * 1e9)))
+        enter(patch.object(time, "monotonic", world.loop.time))
+        enter(patch.object(secrets, "token_hex", lambda size=8: random.randbytes(size).hex()))
+        enter(patch.object(broker_link, "connect", world.broker.connect))
+        enter(world.disk.attached())
+        try:
+            yield stack
+        finally:
+            asyncio.set_event_loop(None)
+            world.loop.close()
