@@ -2,11 +2,11 @@
 
 import argparse
 import sys
+from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
-from functools import partial
-from itertools import count
+from itertools import count, islice
 from multiprocessing import get_context
 from time import perf_counter
 
@@ -57,7 +57,7 @@ def search(first: int, limit: int | None, jobs: int, bug: str | None) -> int:
     """Simulate schedules until `limit` or an interrupt; print the rate and each violation."""
     start, done, failed = perf_counter(), 0, 0
     with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
-        for seeds, found in pool.map(partial(_chunk, bug=bug), _chunks(first, limit), chunksize=1):
+        for seeds, found in _completed(pool, _chunks(first, limit), 2 * jobs, bug):
             done += len(seeds)
             failed += len(found)
             for seed, texts in found.items():
@@ -76,6 +76,16 @@ def command(seed: int, bug: str | None = None) -> str:
 def _chunks(first: int, limit: int | None) -> Iterator[range]:
     for start in count(first, CHUNK) if limit is None else range(first, first + limit, CHUNK):
         yield range(start, start + CHUNK if limit is None else min(start + CHUNK, first + limit))
+
+
+def _completed(
+    pool: ProcessPoolExecutor, chunks: Iterator[range], ahead: int, bug: str | None
+) -> Iterator[tuple[range, dict[int, list[str]]]]:
+    """Yield the results of chunks in order, with `ahead` of them submitted."""
+    pending = deque(pool.submit(_chunk, seeds, bug) for seeds in islice(chunks, ahead))
+    while pending:
+        yield pending.popleft().result()
+        pending += [pool.submit(_chunk, seeds, bug) for seeds in islice(chunks, 1)]
 
 
 def _chunk(seeds: range, bug: str | None) -> tuple[range, dict[int, list[str]]]:
