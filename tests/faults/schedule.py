@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from random import Random
 from typing import Final
 
-SPAN: Final = 3.0  # s of virtual time in which faults occur
+SPAN: Final = 1.5  # s of virtual time in which faults occur
 
 KINDS: Final = {  # of faults: maximum duration, s; 0: momentary
     "kill rig": 0.0,  # at the next await of any task

@@ -40,14 +40,13 @@ class SimulatedDisk:
         self.operations = 0
         self._inodes: dict[int, _Inode] = {}
         self._names: dict[str, dict[str, int]] = {}  # durable inode of each name, by folder
-        self._paths: dict[int, str] = {}  # of open descriptors
         self._real: dict[str, Callable[..., Any]] = {}
 
     @contextmanager
     def attached(self) -> Generator[None]:
         """Pass the operations of the module `os` through the simulation."""
         with ExitStack() as stack:
-            for name in ("open", "close", "write", "fsync", "ftruncate"):
+            for name in ("open", "write", "pwrite", "fsync", "ftruncate"):
                 self._real[name] = getattr(os, name)
                 stack.enter_context(patch.object(os, name, getattr(self, f"_{name}")))
             for name in ("mkdir", "rmdir", "unlink", "remove", "rename", "replace", "link"):
@@ -142,32 +141,33 @@ class SimulatedDisk:
         if new:
             self._step(name, grows=True)
         descriptor: int = self._real["open"](path, flags, mode, dir_fd=dir_fd)
-        if isinstance(name, str) and name.startswith(str(self.root)):
-            self._paths[descriptor] = name
-            if new:
-                self._inodes[os.fstat(descriptor).st_ino] = _Inode()
+        if new and self._simulated(name):
+            self._inodes[os.fstat(descriptor).st_ino] = _Inode()
         return descriptor
 
-    def _close(self, descriptor: int) -> None:
-        self._paths.pop(descriptor, None)
-        self._real["close"](descriptor)
-
     def _write(self, descriptor: int, data: Any) -> int:
+        return self._torn(descriptor, data, self._real["write"])
+
+    def _pwrite(self, descriptor: int, data: Any, offset: int) -> int:
+        return self._torn(descriptor, data, lambda number, part: self._real["pwrite"](number, part, offset))
+
+    def _torn(self, descriptor: int, data: Any, write: Callable[[int, Any], int]) -> int:
+        """Write all, or on a kill or a full disk any first part."""
         path = self._path(descriptor)
         if not self._simulated(path):
-            return self._real["write"](descriptor, data)
+            return write(descriptor, data)
         view = memoryview(data).cast("B")
-        part = self._random.randrange(len(view) + 1) if len(view) else 0
+        part = self._random.randrange(len(view)) if view else 0
         try:
             self._step(path, grows=True)
-        except (Killed, OSError) as error:
-            full = isinstance(error, OSError) and error.errno == errno.ENOSPC
-            if isinstance(error, Killed) or (full and part < len(view)):  # torn
-                self._real["write"](descriptor, view[:part])
-            if full and 0 < part < len(view):
-                return part  # a full disk takes the first bytes, as write(2) says
+        except Killed:
+            write(descriptor, view[:part])
             raise
-        return self._real["write"](descriptor, data)
+        except OSError as error:
+            if error.errno == errno.ENOSPC and part:
+                return write(descriptor, view[:part])  # write(2): as many bytes as there is room for
+            raise
+        return write(descriptor, data)
 
     def _fsync(self, descriptor: int) -> None:
         path = self._path(descriptor)
