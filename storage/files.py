@@ -99,9 +99,9 @@ def unlink(path: Path) -> None:
     path.unlink(missing_ok=True)
 
 
-def create_folder(path: Path, *, new: bool = False) -> None:
+def create_folder(path: Path, *, new: bool = False, mode: int = 0o777) -> None:
     """Make a folder, which may exist unless it must be `new`."""
-    path.mkdir(exist_ok=not new)
+    path.mkdir(mode, exist_ok=not new)
 
 
 def remove_folder(path: Path) -> None:
@@ -168,14 +168,16 @@ def hash_json(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def make_folder(path: Path, *, new: bool = False) -> None:
-    """Make a folder durably.
+def make_folder(path: Path, *, new: bool = False, parents: bool = False, mode: int = 0o777) -> None:
+    """Make a folder durably, with `parents` also the missing ones above it.
 
     Raises:
         FileExistsError: if it exists and must be `new`.
         OSError: if it cannot be made; a `new` one does not exist then.
     """
-    create_folder(path, new=new)
+    if parents and not path.parent.exists():
+        make_folder(path.parent, parents=True)
+    create_folder(path, new=new, mode=mode)
     try:
         sync(path.parent)
     except OSError:

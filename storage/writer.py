@@ -67,7 +67,7 @@ class SessionWriter:
         if root.exists() and not root.is_dir():
             raise EndpointError(str(root), "is a file, must be a folder: give the dataset another name")
         with self._reporting():
-            root.mkdir(parents=True, exist_ok=True)
+            files.make_folder(root, parents=True)
             describe_dataset(root)
             self._make_folder(root / SESSIONS)
             try:

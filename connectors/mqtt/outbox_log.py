@@ -223,10 +223,7 @@ class OutboxLog:
     def _lock_folder(self) -> None:
         if self.path.is_file():
             raise InputError(str(self.path), f"{OLD}: name another outbox, or move the file away")
-        missing = [folder for folder in (self.path, *self.path.parents) if not folder.exists()]
-        for folder in reversed(missing):
-            folder.mkdir(mode=0o700, exist_ok=True)
-            files.sync(folder.parent)
+        files.make_folder(self.path, parents=True, mode=0o700)
         self._lock = lock(self.path)
         if self._lock is None:
             reason = "is in use: two runs may not publish as one rig; name another rig or outbox"

@@ -2,14 +2,14 @@
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from random import Random
 
 from connectors.mqtt.broker import Broker, Message
 from operators.errors import EndpointError
-from tests.faults.simulated_process import SimulatedProcess, current
+from tests.faults.simulated_process import current
 
 TIMEOUT = 3.0  # s, as in `broker_link`
 WILL_DELAY = 2.0  # s
@@ -44,7 +44,11 @@ class SimulatedBroker:
         self.published: list[Message] = []
 
     async def connect(
-        self, broker: Broker, identifier: str, will: tuple[str, bytes] | None = None
+        self,
+        broker: Broker,
+        identifier: str,
+        will: Message | None = None,
+        changed: asyncio.Event | None = None,
     ) -> "SimulatedLink":
         """Connect as `broker_link.connect` does."""
         process = current()
@@ -59,8 +63,8 @@ class SimulatedBroker:
             session.link.cut("session taken over")
         if session is None or session.left + SESSION_EXPIRY < loop.time():
             session = self._sessions[identifier] = _Session()
-        session.will = Message(will[0], will[1]) if will else None
-        session.link = link = SimulatedLink(self, session, process, str(broker))
+        session.will = will
+        session.link = link = SimulatedLink(self, session, str(broker), changed or asyncio.Event())
         process.on_kill.append(lambda: link.cut("process killed"))
         for message in session.unacknowledged:
             link.deliver(message)
@@ -133,13 +137,11 @@ class SimulatedLink:
     """One connection of a client, as `broker_link.Link`."""
 
     def __init__(
-        self, broker: SimulatedBroker, session: _Session, process: SimulatedProcess, url: str
+        self, broker: SimulatedBroker, session: _Session, url: str, changed: asyncio.Event
     ) -> None:
-        self._broker, self._session, self._process, self._url = broker, session, process, url
+        self._broker, self._session, self._url, self._changed = broker, session, url, changed
         self._loop = asyncio.get_running_loop()
         self._inbox = deque[Message]()
-        self._changed = asyncio.Event()
-        self._calls: list[Callable[[], object]] = []
         self._lost = ""  # reason; empty while connected
         self._answers = set[asyncio.Future[str]]()
         self._next = 0.0  # loop time (s): packets of one client arrive in order
@@ -151,15 +153,11 @@ class SimulatedLink:
         """False after the connection was lost."""
         return not self._lost
 
-    def on_lost(self, call: Callable[[], object]) -> None:
-        """Register `call`, to be called when the connection is lost."""
-        self._calls.append(call)
-
-    async def send(self, topic: str, payload: bytes, *, qos: int = 1, retain: bool = False) -> None:
-        """Publish one message and wait for its acknowledgement."""
-        [refusal] = await self.send_all([Message(topic, payload, qos, retain)])
-        if refusal:
-            raise EndpointError(self._url, refusal)
+    def post(self, message: Message) -> None:
+        """Publish a message without waiting for its acknowledgement."""
+        current()
+        if not self._lost:
+            self._publish(message)
 
     async def send_all(self, messages: Sequence[Message]) -> list[str]:
         """Publish messages in order, then wait for all acknowledgements."""
@@ -187,15 +185,20 @@ class SimulatedLink:
 
     async def receive(self) -> tuple[str, bytes]:
         """Return topic and payload of the next message."""
-        while not self._inbox:
-            current()
-            if self._lost:
-                raise EndpointError(self._url, f"connection lost ({self._lost})")
+        while (message := self.next_received()) is None:
             self._changed.clear()
             await self._changed.wait()
+        return message
+
+    def next_received(self) -> tuple[str, bytes] | None:
+        """Return topic and payload of the next message; None if there is none yet."""
         current()
-        message = self._inbox.popleft()
-        return message.topic, message.payload
+        if self._inbox:
+            message = self._inbox.popleft()
+            return message.topic, message.payload
+        if self._lost:
+            raise EndpointError(self._url, f"connection lost ({self._lost})")
+        return None
 
     async def disconnect(self) -> None:
         """Disconnect; the broker discards the will."""
@@ -257,8 +260,6 @@ class SimulatedLink:
                 answer.set_exception(ConnectionError(reason))
                 answer.exception()  # mark as retrieved
         self._changed.set()
-        for call in self._calls:
-            call()
 
 
 def matches(pattern: str, topic: str) -> bool:

@@ -1,6 +1,7 @@
 """Disk faults below real files: kills between any two operations, torn writes, errors, lost caches."""
 
 import errno
+import fcntl
 import os
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager
@@ -10,7 +11,7 @@ from random import Random
 from typing import Any
 from unittest.mock import patch
 
-from tests.faults.simulated_process import Killed, current
+from tests.faults.simulated_process import Killed, SimulatedProcess, current
 
 TAILS = ("cut", "zeros", "garbage")  # what follows the last byte that reached the disk
 
@@ -40,13 +41,15 @@ class SimulatedDisk:
         self.operations = 0
         self._inodes: dict[int, _Inode] = {}
         self._names: dict[str, dict[str, int]] = {}  # durable inode of each name, by folder
+        self._open_files = set[int]()
+        self._locks = dict[int, SimulatedProcess]()
         self._real: dict[str, Callable[..., Any]] = {}
 
     @contextmanager
     def attached(self) -> Generator[None]:
         """Pass the operations of the module `os` through the simulation."""
         with ExitStack() as stack:
-            for name in ("open", "write", "pwrite", "fsync", "ftruncate"):
+            for name in ("open", "close", "write", "pwrite", "fsync", "ftruncate"):
                 self._real[name] = getattr(os, name)
                 stack.enter_context(patch.object(os, name, getattr(self, f"_{name}")))
             for name in ("mkdir", "rmdir", "unlink", "remove", "rename", "replace", "link"):
@@ -77,6 +80,27 @@ class SimulatedDisk:
                 self._real["rmdir"](folder)
         for folder, _ in self._folders(str(self.root)):
             self._names[folder] = _listed(folder)
+
+    def noting_locks(self, flock: Callable[..., int | None]) -> Callable[..., int | None]:
+        """Return a lock function whose locks end when the process that holds them is killed."""
+
+        def locked(descriptor: int, *, wait: bool) -> int | None:
+            found, process = flock(descriptor, wait=wait), current()
+            if process and found is not None:
+                self._locks[found] = process
+                process.on_kill.append(lambda: self._unlock(found, process))
+            return found
+
+        return locked
+
+    def _unlock(self, descriptor: int, process: SimulatedProcess) -> None:
+        if self._locks.get(descriptor) is process:
+            fcntl.flock(descriptor, fcntl.LOCK_UN)
+
+    def close_files(self) -> None:
+        """Close the files that killed processes left open."""
+        for descriptor in list(self._open_files):
+            self._close(descriptor)
 
     def _image(self, folder: str) -> dict[str, bytes | None]:
         """Return the surviving content by path; None for a folder."""
@@ -141,6 +165,8 @@ class SimulatedDisk:
         if new:
             self._step(name, grows=True)
         descriptor: int = self._real["open"](path, flags, mode, dir_fd=dir_fd)
+        if isinstance(name, str) and name.startswith(str(self.root)):
+            self._open_files.add(descriptor)
         if new and self._simulated(name):
             self._inodes[os.fstat(descriptor).st_ino] = _Inode()
         return descriptor
@@ -150,6 +176,11 @@ class SimulatedDisk:
 
     def _pwrite(self, descriptor: int, data: Any, offset: int) -> int:
         return self._torn(descriptor, data, lambda number, part: self._real["pwrite"](number, part, offset))
+
+    def _close(self, descriptor: int) -> None:
+        self._open_files.discard(descriptor)
+        self._locks.pop(descriptor, None)
+        self._real["close"](descriptor)
 
     def _torn(self, descriptor: int, data: Any, write: Callable[[int, Any], int]) -> int:
         """Write all, or on a kill or a full disk any first part."""

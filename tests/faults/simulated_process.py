@@ -1,9 +1,7 @@
 """Simulated process: a set of tasks, links and file descriptors that a kill ends at once."""
 
 import asyncio
-import os
 from collections.abc import Callable, Coroutine
-from contextlib import suppress
 from contextvars import Context, ContextVar, copy_context
 from typing import Any
 from weakref import WeakSet
@@ -44,15 +42,6 @@ class SimulatedProcess:
     def add(self, task: "asyncio.Task[Any]") -> None:
         """Cancel a task when the process is killed."""
         self._tasks.add(task)
-
-    def own_descriptor(self, number: int) -> None:
-        """Close a descriptor when the process is killed, as the locks of a killed process are released."""
-
-        def close() -> None:
-            with suppress(OSError):
-                os.close(number)
-
-        self.on_kill.append(close)
 
 
 def create_task(

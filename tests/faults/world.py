@@ -2,9 +2,10 @@
 
 import asyncio
 import errno
+import gc
 import hashlib
 import logging
-import secrets
+import os
 import time
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
@@ -17,10 +18,11 @@ from typing import Any, Final
 from unittest.mock import patch
 
 from connectors import Consumer
-from connectors.mqtt import broker_link
+from connectors.mqtt import broker_link, consumer, outbox, sender
 from flows.graph import Flow
 from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
+from storage import lock
 from tests.faults.invariants import violations
 from tests.faults.schedule import SPAN, Fault, Schedule
 from tests.faults.simulated_broker import SimulatedBroker
@@ -67,7 +69,6 @@ class World:
     consumer_kills: list[float] = field(default_factory=list[float])
     reports: list[str] = field(default_factory=list[str])
     errors: list[str] = field(default_factory=list[str])  # unexpected ones
-    boot: int = 0
 
     def __post_init__(self) -> None:
         self.random = Random(self.schedule.seed)  # noqa: S311 - reproducible on purpose
@@ -235,7 +236,6 @@ class World:
         if self.rig.alive and self.lives[-1].end == "running":
             self.lives[-1].end, self.lives[-1].ended = "power loss", self.loop.time()
         self.rig.kill()
-        self.boot += 1
         self.disk.lose_power()
 
     def stall(self, fault: Fault) -> None:
@@ -342,11 +342,18 @@ def _simulated(world: World) -> Generator[ExitStack]:
         enter(patch.object(time, "time", lambda: world.host_time() / 1e9))
         enter(patch.object(time, "monotonic_ns", lambda: round(world.loop.time() * 1e9)))
         enter(patch.object(time, "monotonic", world.loop.time))
-        enter(patch.object(secrets, "token_hex", lambda size=8: random.randbytes(size).hex()))
+        for module in (outbox, consumer):
+            enter(patch.object(module, "token_hex", lambda size: random.randbytes(size).hex()))
+        for module in (sender, consumer):
+            enter(patch.object(module, "uniform", random.uniform))
+        enter(patch.object(os, "urandom", random.randbytes))
+        enter(patch.object(lock, "_flock", world.disk.noting_locks(lock._flock)))
         enter(patch.object(broker_link, "connect", world.broker.connect))
         enter(world.disk.attached())
         try:
             yield stack
         finally:
-            asyncio.set_event_loop(None)
+            gc.collect()  # finalizers of killed processes close their files now, not in the next simulation
+            world.disk.close_files()
             world.loop.close()
+
