@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 KILL_ROWS: Final = 10  # rows of a table that a kill may lose
 POWER_SPAN: Final = 0.3  # s, before a power loss, whose rows and events may be lost
 REDELIVERED: Final = 0.02  # s, before a kill of the consumer, whose events may be delivered twice
+REPAIR: Final = 0.7  # s, after a fault of the disk, in which what it delayed is written again
 DISK_FAULTS: Final = frozenset({"disk full", "disk error", "fsync error", "slow disk"})
 
 
@@ -29,12 +30,12 @@ def violations(world: World) -> list[str]:
 def _events(world: World) -> Iterator[str]:
     """Check that the consumer received each event once, and none that the rig did not raise."""
     raised = {event for life in world.lives for event in life.started_events}
-    counts = Counter(each[3] for each in world.received)
+    counts = Counter(event for _, event in world.received)
     invented = counts.keys() - raised
     if invented:
         yield f"{len(invented)} events were invented: {sorted(invented)[:3]}"
     first: dict[object, float] = {}
-    for when, _, _, event in world.received:
+    for when, event in world.received:
         if event in first and not any(
             first[event] - REDELIVERED <= kill <= when and kill - first[event] <= REDELIVERED
             for kill in world.consumer_kills
@@ -42,10 +43,10 @@ def _events(world: World) -> Iterator[str]:
             yield f"event {event} was delivered at {first[event]:.3f} s and again at {when:.3f} s"
         first[event] = when
     must = {event for life in world.lives for event in _kept_events(world, life)}
-    lost = must - counts.keys()
+    lost = must - world.processed
     if lost:
         yield f"{len(lost)} of {len(must)} events were lost: {sorted(lost)[:3]}"
-    may_lose = any(life.events.keys() - counts.keys() for life in world.lives)
+    may_lose = any(life.events.keys() - world.processed for life in world.lives)
     reported = [each for each in world.reports if re.search(r" (is|are) lost", each)]
     if reported and not may_lose and not _lossy(world):
         yield f"a loss was reported, but nothing is lost: {reported[0]}"
@@ -59,21 +60,32 @@ def _lossy(world: World) -> bool:
 def _kept_events(world: World, life: Life) -> Iterator[object]:
     """Yield the accepted events that must arrive."""
     for event, when in life.events.items():
-        if life.end == "power loss" and when > life.ended - POWER_SPAN - world.slow:
+        lost_power = _next_power_loss(world, when)
+        if lost_power is not None and not _durable(world, when, lost_power):
             continue
-        if life.end in ("killed", "power loss") and _disk_failed(world, before=life.ended):
+        if life.end == "killed" and _disk_fails(world, when, life.ended):
             continue  # events in memory may be lost
-        if _power_lost_after(world, when) and _disk_failed(world, before=when + 1.0):
-            continue
         yield event
 
 
-def _disk_failed(world: World, *, before: float) -> bool:
-    return any(fault.kind in DISK_FAULTS and fault.start <= before for fault in world.schedule.faults)
+def _next_power_loss(world: World, when: float) -> float | None:
+    """Return the time (s) of the first power loss after `when`."""
+    return next((each for each in world.power_losses if each >= when), None)
 
 
-def _power_lost_after(world: World, when: float) -> bool:
-    return any(fault.kind == "power loss" and fault.start >= when for fault in world.schedule.faults)
+def _durable(world: World, when: float, lost_power: float) -> bool:
+    """Return True if what was accepted at `when` must survive a power loss."""
+    return when < lost_power - POWER_SPAN and not _disk_fails(world, when, lost_power)
+
+
+def _disk_fails(world: World, first: float, last: float) -> bool:
+    """Return True if a fault of the disk delays what is accepted from `first` on beyond `last`."""
+    return any(
+        fault.kind in DISK_FAULTS
+        and fault.start <= first + POWER_SPAN
+        and fault.start + fault.duration >= last - REPAIR
+        for fault in world.schedule.faults
+    )
 
 
 def _recordings(world: World) -> Iterator[str]:
@@ -123,13 +135,11 @@ def _rows(world: World, life: Life, session: Session) -> Iterator[str]:
 
 def _missing(world: World, life: Life, name: str, missing: list[tuple[int, int, int]]) -> Iterator[str]:
     text = f"{life.session} ({life.end}): {len(missing)} accepted rows of {name} are missing"
-    if life.end == "power loss" or _power_lost_after(world, life.ended):
+    lost_power = _next_power_loss(world, life.ended) if life.end != "orderly" else None
+    if lost_power is not None:
         when = dict(zip(life.rows[name], life.rows_at[name], strict=True))
-        old = [row for row in missing if when[row] < life.ended - POWER_SPAN - 0.05]
-        if old and not _disk_failed(world, before=life.ended):
-            yield f"{text}, {len(old)} older than {POWER_SPAN} s"
-    elif life.end == "killed":
-        if len(missing) > KILL_ROWS:
-            yield text
-    else:
+        old = [row for row in missing if _durable(world, when[row], lost_power)]
+        if old:
+            yield f"{text}, {len(old)} of them older than {POWER_SPAN} s"
+    elif len(missing) > (KILL_ROWS if life.end == "killed" else 0):
         yield text

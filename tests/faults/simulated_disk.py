@@ -140,6 +140,11 @@ class SimulatedDisk:
     def _simulated(self, path: str | None) -> bool:
         return path is not None and path.startswith(str(self.root)) and current() is not None
 
+    def _fails(self) -> bool:
+        """Return True if the running process has the disk that fails; the consumer has another one."""
+        process = current()
+        return process is not None and process.name == "rig"
+
     def _step(self, path: str | None, *, grows: bool = False) -> None:
         """Count an operation; kill the process or fail as scheduled.
 
@@ -151,12 +156,12 @@ class SimulatedDisk:
             return
         self.operations += 1
         process = current()
-        if self.kill_in and process and process.name == "rig":
+        if self.kill_in and process and self._fails():
             self.kill_in -= 1
             if not self.kill_in:
                 process.kill()
                 raise Killed(process.name)
-        if grows and self.error:
+        if grows and self.error and self._fails():
             raise OSError(self.error, os.strerror(self.error), path)
 
     def _open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
@@ -208,7 +213,7 @@ class SimulatedDisk:
         self._step(path)
         status = os.fstat(descriptor)
         folder = os.path.isdir(f"/proc/self/fd/{descriptor}")
-        if current() and (self.fsync_error or self.error == errno.EIO):
+        if self._fails() and (self.fsync_error or self.error == errno.EIO):
             if not folder:
                 known = self._inodes.setdefault(status.st_ino, _Inode())
                 known.dropped.append((len(known.durable), status.st_size))
@@ -225,7 +230,7 @@ class SimulatedDisk:
     def _ftruncate(self, descriptor: int, size: int) -> None:
         path = self._path(descriptor)
         self._step(path)
-        if self._simulated(path) and self.error == errno.EIO:
+        if self._simulated(path) and self._fails() and self.error == errno.EIO:
             raise OSError(errno.EIO, os.strerror(errno.EIO), path)
         self._real["ftruncate"](descriptor, size)
 

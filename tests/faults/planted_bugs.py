@@ -1,0 +1,104 @@
+"""Bugs that are planted on purpose, to prove that the simulation finds such bugs."""
+
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any, Final
+from unittest.mock import patch
+
+from connectors.mqtt import consumer, gap_replay, outbox, outbox_log, position
+from storage import append_log, dataset, files, journal, writer
+
+Plant = Callable[[ExitStack], object]
+
+
+def _set(owner: Any, name: str, value: Any) -> Plant:
+    """Return a plant that replaces one attribute."""
+    return lambda stack: stack.enter_context(patch.object(owner, name, value))
+
+
+def _all(*plants: Plant) -> Plant:
+    return lambda stack: [plant(stack) for plant in plants]
+
+
+def _replace_without_fsync(path: Path, data: bytes, *, durable: bool) -> None:
+    del durable
+    _REPLACE(path, data, durable=False)
+
+
+def _delete_journal_first(self: Any, **options: Any) -> None:
+    if self._journal and self._committing:
+        self._journal.rotate()
+    _COMMIT_SELECTED(self, **options)
+
+
+def _forget_failure(self: append_log.AppendLog) -> None:
+    with suppress(OSError):
+        _SYNC(self)
+    self.suspect = False
+
+
+def _append_without_truncation(self: append_log.AppendLog, records: Any) -> list[int]:
+    with patch.object(files, "truncate", lambda _descriptor, _size: None):
+        return _APPEND(self, records)
+
+
+def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:
+    event = _PROCESS(self, topic, payload)
+    self._mark_done()
+    return event
+
+
+async def _answer_missing(self: gap_replay.GapReplies) -> Any:
+    if self._pending:
+        reply = self._pending.popleft()
+        first, last = reply.request.first, reply.request.last
+        answer = gap_replay.GapAnswer(reply.request.epoch, first, last, ((first, last),))
+        return [gap_replay.Message(reply.request.reply_to, answer.encode(), retain=False)]
+    return []
+
+
+def _continue_epoch(self: outbox_log.OutboxLog) -> None:
+    _OPEN(self)
+    self.complete = bool(self.epochs)
+
+
+_REPLACE = files.replace
+_COMMIT_SELECTED = writer.SessionWriter._commit_selected
+_SYNC = append_log.AppendLog.sync
+_APPEND = append_log.AppendLog.append
+_PROCESS = consumer.Consumer._process
+_OPEN = outbox_log.OutboxLog.open
+
+PLANTED: Final[dict[str, Plant]] = {
+    "parts are not synced before they are listed": _set(files, "replace", _replace_without_fsync),
+    "names are not synced": _set(files, "sync", lambda _path: None),
+    "the journal is deleted before its rows are in parts": _set(
+        writer.SessionWriter, "_commit_selected", _delete_journal_first
+    ),
+    "a failed fsync is ignored": _set(append_log.AppendLog, "sync", _forget_failure),
+    "the journal is synced every second": _set(dataset, "SYNC_INTERVAL", 1.0),
+    "rows wait for the journal without limit": _all(
+        _set(journal, "MAX_WAITING", 1000),
+        _set(journal, "APPEND_AT", 1000),
+        _set(writer, "APPEND_AT", 1000),
+        _set(dataset, "APPEND_INTERVAL", 1.0),
+    ),
+    "a failed append is not undone": _set(
+        append_log.AppendLog, "append", _append_without_truncation
+    ),
+    "events are not sent again after a lost connection": _set(
+        outbox.Outbox, "rewind", lambda _self, before=1: None
+    ),
+    "a new run continues the numbers of a killed one": _set(
+        outbox_log.OutboxLog, "open", _continue_epoch
+    ),
+    "the consumer does not remove duplicates": _set(position.Position, "take", lambda _self, _event: True),
+    "the consumer does not request missed events": _set(
+        consumer.Consumer, "_request_missed", lambda self, _link: setattr(self, "_check_due", float("inf"))
+    ),
+    "the consumer saves its position before an event is processed": _set(
+        consumer.Consumer, "_process", _save_before_processing
+    ),
+    "gaps are answered as lost": _set(gap_replay.GapReplies, "next", _answer_missing),
+}
