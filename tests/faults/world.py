@@ -2,14 +2,15 @@
 
 import asyncio
 import errno
-import gc
 import hashlib
 import logging
 import os
 import time
+import weakref
 from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
 from random import Random
 from shutil import rmtree
@@ -340,6 +341,8 @@ def _simulated(world: World) -> Generator[ExitStack]:
         enter = stack.enter_context
         quiet.setLevel(logging.CRITICAL)
         stack.callback(quiet.setLevel, level)
+        finalizers = list[Callable[[], object]]()
+        enter(patch.object(weakref, "finalize", partial(_finalize_at_end, finalizers)))
         enter(patch.object(time, "time_ns", world.host_time))
         enter(patch.object(time, "time", lambda: world.host_time() / 1e9))
         enter(patch.object(time, "monotonic_ns", lambda: round(world.loop.time() * 1e9)))
@@ -356,7 +359,18 @@ def _simulated(world: World) -> Generator[ExitStack]:
         try:
             yield stack
         finally:
-            gc.collect()  # finalizers of killed processes close their files now, not in the next simulation
+            for finalize in finalizers:  # of killed processes; later their descriptors belong to others
+                finalize()
             world.disk.close_files()
             world.loop.close()
 
+
+
+def _finalize_at_end(
+    finalizers: list[Callable[[], object]], owner: object, call: Callable[..., object], *args: object
+) -> Callable[[], object]:
+    """Replace `weakref.finalize`: the result runs once, when it is called or at the end of the simulation."""
+    del owner
+    finalizer = cache(partial(call, *args))
+    finalizers.append(finalizer)
+    return finalizer
