@@ -7,9 +7,10 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
+from operators import Slips, Touch
 from operators.errors import SlipflowError
 from storage import Session, recover, verify
-from operators import Slips, Touch
+from tests.faults.schedule import STALL_MAX
 
 if TYPE_CHECKING:
     from tests.faults.simulated_rig import Life
@@ -61,7 +62,7 @@ def _kept_events(world: World, life: Life) -> Iterator[object]:
     """Yield the accepted events that must arrive."""
     for event, when in life.events.items():
         lost_power = _next_power_loss(world, when)
-        if lost_power is not None and not _durable(world, when, lost_power):
+        if lost_power is not None and not _durable(world, when, min(lost_power, life.ended)):
             continue
         if life.end == "killed" and _disk_fails(world, when, life.ended):
             continue  # events in memory may be lost
@@ -73,9 +74,14 @@ def _next_power_loss(world: World, when: float) -> float | None:
     return next((each for each in world.power_losses if each >= when), None)
 
 
-def _durable(world: World, when: float, lost_power: float) -> bool:
-    """Return True if what was accepted at `when` must survive a power loss."""
-    return when < lost_power - POWER_SPAN and not _disk_fails(world, when, lost_power)
+def _durable(world: World, when: float, ended: float) -> bool:
+    """Return True if what was accepted at `when` by a life that ended must survive a power loss."""
+    stalled = sum(
+        STALL_MAX * fault.size
+        for fault in world.schedule.faults
+        if fault.kind == "loop stalls" and when - STALL_MAX <= fault.start <= ended
+    )
+    return when < ended - POWER_SPAN - stalled and not _disk_fails(world, when, ended)
 
 
 def _disk_fails(world: World, first: float, last: float) -> bool:
@@ -138,7 +144,7 @@ def _missing(world: World, life: Life, name: str, missing: list[tuple[int, int, 
     lost_power = _next_power_loss(world, life.ended) if life.end != "orderly" else None
     if lost_power is not None:
         when = dict(zip(life.rows[name], life.rows_at[name], strict=True))
-        old = [row for row in missing if _durable(world, when[row], lost_power)]
+        old = [row for row in missing if _durable(world, when[row], life.ended)]
         if old:
             yield f"{text}, {len(old)} of them older than {POWER_SPAN} s"
     elif len(missing) > (KILL_ROWS if life.end == "killed" else 0):

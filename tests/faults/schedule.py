@@ -7,6 +7,8 @@ from typing import Final
 
 SPAN: Final = 1.5  # s of virtual time in which faults occur
 
+STALL_MAX: Final = 0.3  # s, of the whole host
+
 KINDS: Final = {  # of faults: maximum duration, s; 0: momentary
     "kill rig": 0.0,  # at the next await of any task
     "kill rig at disk operation": 0.0,

@@ -25,7 +25,7 @@ from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
 from storage import lock
 from tests.faults.invariants import violations
-from tests.faults.schedule import SPAN, Fault, Schedule
+from tests.faults.schedule import SPAN, STALL_MAX, Fault, Schedule
 from tests.faults.simulated_broker import SimulatedBroker
 from tests.faults.simulated_disk import SimulatedDisk
 from tests.faults.simulated_loop import SimulatedLoop
@@ -243,7 +243,7 @@ class World:
 
     def stall(self, fault: Fault) -> None:
         """Stop everything on the rig's host for up to 0.3 s."""
-        self.loop.stall(0.3 * fault.size)
+        self.loop.stall(STALL_MAX * fault.size)
 
     def step_clock(self, fault: Fault) -> None:
         """Set the host's clock by up to an hour."""
