@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
 
-from connectors.mqtt import consumer, gap_replay, outbox, outbox_log, position
+from connectors.mqtt import consumer, gap_replay, outbox_log, position
+from connectors.mqtt.broker import Message
 from storage import append_log, dataset, files, journal, writer
 
 Plant = Callable[[ExitStack], object]
@@ -38,9 +39,17 @@ def _forget_failure(self: append_log.AppendLog) -> None:
     self.suspect = False
 
 
-def _append_without_truncation(self: append_log.AppendLog, records: Any) -> list[int]:
-    with patch.object(files, "truncate", lambda _descriptor, _size: None):
-        return _APPEND(self, records)
+def _resume_after_damage(reader: append_log.LogReader) -> append_log.AppendLog:
+    for _ in reader.records():
+        pass
+    size = reader.path.stat().st_size
+    return append_log.AppendLog(reader.path, size, reader.crc, reader.seed)
+
+
+def _prune_unsent(self: outbox_log.OutboxLog, pending: int) -> None:
+    del pending
+    self._keep = 1
+    _PRUNE(self, 2**62)
 
 
 def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:
@@ -49,13 +58,14 @@ def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:
     return event
 
 
-async def _answer_missing(self: gap_replay.GapReplies) -> Any:
-    if self._pending:
-        reply = self._pending.popleft()
-        first, last = reply.request.first, reply.request.last
-        answer = gap_replay.GapAnswer(reply.request.epoch, first, last, ((first, last),))
-        return [gap_replay.Message(reply.request.reply_to, answer.encode(), retain=False)]
-    return []
+async def _answer_missing(self: gap_replay.GapReplies) -> list[Message]:
+    messages = list[Message]()
+    for request in self._pending:
+        first, last = request.first, request.last
+        answer = gap_replay.GapAnswer(request.epoch, first, last, ((first, last),))
+        messages.append(Message(request.reply_to, answer.encode(), retain=False))
+    self.clear()
+    return messages
 
 
 def _continue_epoch(self: outbox_log.OutboxLog) -> None:
@@ -66,7 +76,7 @@ def _continue_epoch(self: outbox_log.OutboxLog) -> None:
 _REPLACE = files.replace
 _COMMIT_SELECTED = writer.SessionWriter._commit_selected
 _SYNC = append_log.AppendLog.sync
-_APPEND = append_log.AppendLog.append
+_PRUNE = outbox_log.OutboxLog.prune
 _PROCESS = consumer.Consumer._process
 _OPEN = outbox_log.OutboxLog.open
 
@@ -84,12 +94,10 @@ PLANTED: Final[dict[str, Plant]] = {
         _set(writer, "APPEND_AT", 1000),
         _set(dataset, "APPEND_INTERVAL", 1.0),
     ),
-    "a failed append is not undone": _set(
-        append_log.AppendLog, "append", _append_without_truncation
+    "a log is continued after its torn tail": _set(
+        append_log.AppendLog, "resume", staticmethod(_resume_after_damage)
     ),
-    "events are not sent again after a lost connection": _set(
-        outbox.Outbox, "rewind", lambda _self, before=1: None
-    ),
+    "unsent events are deleted": _set(outbox_log.OutboxLog, "prune", _prune_unsent),
     "a new run continues the numbers of a killed one": _set(
         outbox_log.OutboxLog, "open", _continue_epoch
     ),

@@ -65,7 +65,7 @@ class World:
     folder: Path
     lives: list[Life] = field(default_factory=list[Life])
     received: list[tuple[float, Identity]] = field(default_factory=list[tuple[float, Identity]])
-    processed: set[Identity] = field(default_factory=set[Identity])  # to the end, by the consumer
+    processed: dict[Identity, float] = field(default_factory=dict[Identity, float])  # loop time of the end, s
     consumer_kills: list[float] = field(default_factory=list[float])
     power_losses: list[float] = field(default_factory=list[float])
     reports: list[str] = field(default_factory=list[str])
@@ -171,7 +171,7 @@ class World:
                 if self.random.random() < 0.3:
                     await asyncio.sleep(self.random.expovariate(200))
                 current()
-                self.processed.add(identity(event))
+                self.processed.setdefault(identity(event), self.loop.time())
 
     async def _deliver_rest(self) -> None:
         """Run the rig without devices until the consumer has all events."""
@@ -180,7 +180,7 @@ class World:
         for device in self.devices:
             device.silent_until = float("inf")
         expected = {event for each in self.lives for event in each.events}
-        while expected - self.processed and self.loop.time() < SPAN + QUIET / 2:
+        while expected - self.processed.keys() and self.loop.time() < SPAN + QUIET / 2:
             await asyncio.sleep(0.2)
         await asyncio.sleep(5.0)  # what is delivered twice or invented arrives too
         if self.runner:
