@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 from typing import Any, Final
 from unittest.mock import patch
@@ -11,6 +13,14 @@ from connectors.mqtt.broker import Message
 from storage import append_log, dataset, files, journal, writer
 
 Plant = Callable[[ExitStack], object]
+
+
+@dataclass(frozen=True)
+class Bug:
+    """A bug, and kinds of faults that reveal it."""
+
+    plant: Plant
+    kinds: tuple[str, ...]
 
 
 def _set(owner: Any, name: str, value: Any) -> Plant:
@@ -58,6 +68,11 @@ def _save_before_processing(self: Any, topic: str, payload: bytes) -> Any:
     return event
 
 
+def _never_request(self: consumer.Consumer, link: object) -> None:
+    del link
+    self._check_due = inf
+
+
 async def _answer_missing(self: gap_replay.GapReplies) -> list[Message]:
     messages = list[Message]()
     for request in self._pending:
@@ -80,33 +95,50 @@ _PRUNE = outbox_log.OutboxLog.prune
 _PROCESS = consumer.Consumer._process
 _OPEN = outbox_log.OutboxLog.open
 
-PLANTED: Final[dict[str, Plant]] = {
-    "parts are not synced before they are listed": _set(files, "replace", _replace_without_fsync),
-    "names are not synced": _set(files, "sync", lambda _path: None),
-    "the journal is deleted before its rows are in parts": _set(
-        writer.SessionWriter, "_commit_selected", _delete_journal_first
+POWER = ("power loss",)
+KILLS = ("kill rig", "kill rig at disk operation")
+
+PLANTED: Final[dict[str, Bug]] = {
+    "parts are not synced before they are listed": Bug(
+        _set(files, "replace", _replace_without_fsync), POWER
     ),
-    "a failed fsync is ignored": _set(append_log.AppendLog, "sync", _forget_failure),
-    "the journal is synced every second": _set(dataset, "SYNC_INTERVAL", 1.0),
-    "rows wait for the journal without limit": _all(
-        _set(journal, "MAX_WAITING", 1000),
-        _set(journal, "APPEND_AT", 1000),
-        _set(writer, "APPEND_AT", 1000),
-        _set(dataset, "APPEND_INTERVAL", 1.0),
+    "names are not synced": Bug(_set(files, "sync", lambda _path: None), POWER),
+    "the journal is deleted before its rows are in parts": Bug(
+        _set(writer.SessionWriter, "_commit_selected", _delete_journal_first), KILLS
     ),
-    "a log is continued after its torn tail": _set(
-        append_log.AppendLog, "resume", staticmethod(_resume_after_damage)
+    "a failed fsync is ignored": Bug(
+        _set(append_log.AppendLog, "sync", _forget_failure), ("fsync error", "power loss")
     ),
-    "unsent events are deleted": _set(outbox_log.OutboxLog, "prune", _prune_unsent),
-    "a new run continues the numbers of a killed one": _set(
-        outbox_log.OutboxLog, "open", _continue_epoch
+    "the journal is synced every second": Bug(_set(dataset, "SYNC_INTERVAL", 1.0), POWER),
+    "rows wait for the journal without limit": Bug(
+        _all(
+            _set(journal, "MAX_WAITING", 1000),
+            _set(journal, "APPEND_AT", 1000),
+            _set(writer, "APPEND_AT", 1000),
+            _set(dataset, "APPEND_INTERVAL", 1.0),
+        ),
+        KILLS,
     ),
-    "the consumer does not remove duplicates": _set(position.Position, "take", lambda _self, _event: True),
-    "the consumer does not request missed events": _set(
-        consumer.Consumer, "_request_missed", lambda self, _link: setattr(self, "_check_due", float("inf"))
+    "a log is continued after its torn tail": Bug(
+        _set(append_log.AppendLog, "resume", staticmethod(_resume_after_damage)),
+        (*KILLS, "power loss", "broker down"),
     ),
-    "the consumer saves its position before an event is processed": _set(
-        consumer.Consumer, "_process", _save_before_processing
+    "unsent events are deleted": Bug(
+        _set(outbox_log.OutboxLog, "prune", _prune_unsent), ("broker down",)
     ),
-    "gaps are answered as lost": _set(gap_replay.GapReplies, "next", _answer_missing),
+    "a new run continues the numbers of a killed one": Bug(
+        _set(outbox_log.OutboxLog, "open", _continue_epoch), POWER
+    ),
+    "the consumer does not remove duplicates": Bug(
+        _set(position.Position, "take", lambda _self, _event: True), ("connections cut",)
+    ),
+    "the consumer does not request missed events": Bug(
+        _set(consumer.Consumer, "_request_missed", _never_request), ("broker restart without memory",)
+    ),
+    "the consumer saves its position before an event is processed": Bug(
+        _set(consumer.Consumer, "_process", _save_before_processing), ("kill consumer",)
+    ),
+    "gaps are answered as lost": Bug(
+        _set(gap_replay.GapReplies, "next", _answer_missing), ("broker restart without memory",)
+    ),
 }

@@ -1,6 +1,6 @@
 """Schedules of faults: drawn from a seed, printed, and shrunk to the fewest faults."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from random import Random
 from typing import Final
@@ -52,10 +52,10 @@ class Schedule:
     faults: tuple[Fault, ...]
 
 
-def draw(seed: int) -> Schedule:
-    """Draw up to eight faults, with few kinds in most schedules, so that faults of a kind meet."""
+def draw(seed: int, kinds: Sequence[str] = tuple(KINDS)) -> Schedule:
+    """Draw up to eight faults of at most five kinds, so that faults of a kind meet."""
     random = Random(seed)  # noqa: S311 - reproducible on purpose
-    kinds = random.sample(sorted(KINDS), random.randint(1, 5))
+    kinds = random.sample(sorted(kinds), min(random.randint(1, 5), len(kinds)))
     faults = [_fault(random, random.choice(kinds)) for _ in range(random.randint(1, 8))]
     return Schedule(seed, tuple(sorted(faults, key=lambda fault: fault.start)))
 

@@ -17,8 +17,7 @@ CHUNK = 20  # schedules per task of a process
 
 def violations(schedule: Schedule, bug: str | None = None) -> list[str]:
     """Return the violated invariants of a schedule."""
-    plant = PLANTED[bug] if bug else _plant_nothing
-    return simulate(schedule, plant).violations
+    return simulate(schedule, PLANTED[bug].plant if bug else _plant_nothing).violations
 
 
 def replay(seed: int, bug: str | None) -> int:

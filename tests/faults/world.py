@@ -319,7 +319,8 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
             prepare(stack)
             world.loop.run_until_complete(world.main())
             found = [*world.errors, *violations(world)]
-        observed = repr((world.received, world.reports, world.lives, found)).replace(str(folder), "")
+        lives = [(life.session, life.end, life.ended, life.rows, life.events) for life in world.lives]
+        observed = repr((world.received, world.reports, lives, found)).replace(str(folder), "")
         return Outcome(
             [each.replace(str(folder), "") for each in found],
             hashlib.sha256(observed.encode()).hexdigest(),

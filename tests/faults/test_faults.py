@@ -1,0 +1,60 @@
+"""Deterministic simulation: no fault violates an invariant, and planted bugs are found."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.faults.planted_bugs import PLANTED
+from tests.faults.schedule import KINDS, Schedule, draw, shrink
+from tests.faults.search import command, violations
+from tests.faults.world import simulate
+
+SCHEDULES = 150
+
+
+def test_no_fault_violates_an_invariant() -> None:
+    found = {seed: violations(draw(seed)) for seed in range(SCHEDULES)}
+    assert not any(found.values()), "\n".join(
+        f"{texts[0]}; replay and shrink: {command(seed)}" for seed, texts in found.items() if texts
+    )
+
+
+def test_the_schedules_have_every_kind_of_fault() -> None:
+    assert {fault.kind for seed in range(SCHEDULES) for fault in draw(seed).faults} == set(KINDS)
+
+
+def test_without_faults_one_run_records_and_delivers_everything() -> None:
+    outcome = simulate(Schedule(0, ()))
+    assert not outcome.violations
+    assert outcome.events > 20
+    assert outcome.rows > 150
+
+
+def test_a_seed_gives_the_same_history_in_another_process() -> None:
+    seeds = [seed for seed in range(30) if seed % 3 == 0]
+    text = (
+        "from tests.faults.schedule import draw; from tests.faults.world import simulate\n"
+        f"print(*[simulate(draw(seed)).digest for seed in {seeds}])"
+    )
+    root = Path(__file__).parents[2]
+    other = subprocess.run([sys.executable, "-c", text], cwd=root, capture_output=True, text=True, check=True)
+    assert other.stdout.split() == [simulate(draw(seed)).digest for seed in seeds]
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_bug_is_found(name: str) -> None:
+    assert any(violations(draw(seed, PLANTED[name].kinds), name) for seed in range(100)), name
+
+
+def test_a_schedule_is_shrunk_to_the_faults_that_matter() -> None:
+    name = "unsent events are deleted"
+    seed = next(seed for seed in range(100) if len(draw(seed).faults) > 3 and violations(draw(seed), name))
+    schedule = draw(seed)
+    fewest = shrink(schedule, lambda fewer: bool(violations(fewer, name)))
+    assert len(fewest.faults) < len(schedule.faults)
+    assert violations(fewest, name)
+    for index in range(len(fewest.faults)):
+        fewer = Schedule(seed, fewest.faults[:index] + fewest.faults[index + 1 :])
+        assert not violations(fewer, name), "each remaining fault is needed"
