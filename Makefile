@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-cluster cluster chaos scene check docs bench models clean
+.PHONY: demo test test-slow test-cluster cluster chaos faults scene check docs bench models clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -23,6 +23,10 @@ test-cluster:  ## jobs on a real Flink cluster, which is killed in parts: about 
 chaos:  ## break what can be broken while it records and publishes; prints each promise: about an hour
 	@deploy/prepare test
 	.venv/bin/python -m tests.chaos.run
+
+faults:  ## simulate the whole system under drawn faults until stopped; prints schedules per minute
+	@deploy/prepare test
+	.venv/bin/python -m tests.faults
 
 scene:  ## measure how real the simulated scene is, for docs/explanations/scene.md; judge=FILE trace=FILE: real data
 	@deploy/prepare test

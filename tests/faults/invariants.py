@@ -11,9 +11,9 @@ from operators import Slips, Touch
 from operators.errors import SlipflowError
 from storage import Session, recover, verify
 from tests.faults.schedule import STALL_MAX
+from tests.faults.simulated_rig import Identity, Life, Row, numbered_rows
 
 if TYPE_CHECKING:
-    from tests.faults.simulated_rig import Identity, Life
     from tests.faults.world import World
 
 KILL_ROWS: Final = 10  # rows of a table that a kill may lose
@@ -61,7 +61,7 @@ def _lossy(world: World) -> bool:
     return any(fault.kind in DISK_FAULTS | {"power loss"} for fault in world.schedule.faults)
 
 
-def _kept_events(world: World, life: Life) -> Iterator[object]:
+def _kept_events(world: World, life: Life) -> Iterator[Identity]:
     """Yield the accepted events that must arrive."""
     for event, when in life.events.items():
         lost_power = _next_power_loss(world, when)
@@ -127,13 +127,7 @@ def _rows(world: World, life: Life, session: Session) -> Iterator[str]:
         accepted = life.rows.get(name, [])
         for finger in (0, 1):
             expected = [row for row in accepted if row[0] == finger]
-            found = [
-                (finger, int(time), int(value))
-                for batch in session.read(kind, finger)
-                for time, value in zip(
-                    batch.time, batch.counts[:, 0] if isinstance(batch, Touch) else batch.state, strict=True
-                )
-            ]
+            found = [row for batch in session.read(kind, finger) for row in numbered_rows(batch)]
             common = min(len(expected), len(found))
             if found[:common] != expected[:common]:
                 yield f"{life.session}: {name} of finger {finger} has other rows than were accepted"
@@ -142,7 +136,7 @@ def _rows(world: World, life: Life, session: Session) -> Iterator[str]:
                 yield from _missing(world, life, name, missing)
 
 
-def _missing(world: World, life: Life, name: str, missing: list[tuple[int, int, int]]) -> Iterator[str]:
+def _missing(world: World, life: Life, name: str, missing: list[Row]) -> Iterator[str]:
     text = f"{life.session} ({life.end}): {len(missing)} accepted rows of {name} are missing"
     lost_power = _next_power_loss(world, life.ended) if life.end != "orderly" else None
     if lost_power is not None:

@@ -54,7 +54,7 @@ class Schedule:
 
 def draw(seed: int, kinds: Sequence[str] = tuple(KINDS)) -> Schedule:
     """Draw up to eight faults of at most five kinds, so that faults of a kind meet."""
-    random = Random(seed)  # noqa: S311 - reproducible on purpose
+    random = Random(seed)
     kinds = random.sample(sorted(kinds), min(random.randint(1, 5), len(kinds)))
     faults = [_fault(random, random.choice(kinds)) for _ in range(random.randint(1, 8))]
     return Schedule(seed, tuple(sorted(faults, key=lambda fault: fault.start)))

@@ -136,9 +136,7 @@ class SimulatedBroker:
 class SimulatedLink:
     """One connection of a client, as `broker_link.Link`."""
 
-    def __init__(
-        self, broker: SimulatedBroker, session: _Session, url: str, changed: asyncio.Event
-    ) -> None:
+    def __init__(self, broker: SimulatedBroker, session: _Session, url: str, changed: asyncio.Event) -> None:
         self._broker, self._session, self._url, self._changed = broker, session, url, changed
         self._loop = asyncio.get_running_loop()
         self._inbox = deque[Message]()

@@ -62,24 +62,28 @@ class SimulatedDisk:
         image = self._image(str(self.root))
         self._inodes.clear()
         self._names.clear()
-        for folder, names in self._folders(str(self.root)):
+        for folder, _, names in os.walk(self.root, topdown=False):
             for name in names:
-                path = f"{folder}/{name}"
-                if path not in image and not os.path.isdir(path):
-                    self._real["unlink"](path)
-        for path, content in image.items():
-            if content is None:
-                os.path.isdir(path) or self._real["mkdir"](path)
-                continue
-            descriptor = self._real["open"](path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
-            self._real["write"](descriptor, content) if content else None
-            self._inodes[os.fstat(descriptor).st_ino] = _Inode(content)
-            self._real["close"](descriptor)
-        for folder, _, _ in os.walk(self.root, topdown=False):
+                if f"{folder}/{name}" not in image:
+                    self._real["unlink"](f"{folder}/{name}")
             if folder not in image and folder != str(self.root):
                 self._real["rmdir"](folder)
-        for folder, _ in self._folders(str(self.root)):
+        for path, content in image.items():
+            self._restore(path, content)
+        for folder, _, _ in os.walk(self.root):
             self._names[folder] = _listed(folder)
+
+    def _restore(self, path: str, content: bytes | None) -> None:
+        """Create a folder (None), or a file with a content that is durable."""
+        if content is None:
+            if not os.path.isdir(path):
+                self._real["mkdir"](path)
+            return
+        descriptor = self._real["open"](path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        if content:
+            self._real["write"](descriptor, content)
+        self._inodes[os.fstat(descriptor).st_ino] = _Inode(content)
+        self._real["close"](descriptor)
 
     def noting_locks(self, flock: Callable[..., int | None]) -> Callable[..., int | None]:
         """Return a lock function whose locks end when the process that holds them is killed."""
@@ -132,10 +136,11 @@ class SimulatedDisk:
         at = self._random.choice((0, len(rest), self._random.randrange(len(rest) + 1)))
         tail = self._random.choice(TAILS)
         lost = len(rest) - at
-        return durable + rest[:at] + {"cut": b"", "zeros": bytes(lost), "garbage": self._random.randbytes(lost)}[tail]
-
-    def _folders(self, folder: str) -> list[tuple[str, list[str]]]:
-        return [(top, [*folders, *files]) for top, folders, files in os.walk(folder)]
+        return (
+            durable
+            + rest[:at]
+            + {"cut": b"", "zeros": bytes(lost), "garbage": self._random.randbytes(lost)}[tail]
+        )
 
     def _simulated(self, path: str | None) -> bool:
         return path is not None and path.startswith(str(self.root)) and current() is not None
@@ -165,12 +170,12 @@ class SimulatedDisk:
             raise OSError(self.error, os.strerror(self.error), path)
 
     def _open(self, path: Any, flags: int, mode: int = 0o777, *, dir_fd: int | None = None) -> int:
-        name = os.fspath(path) if not isinstance(path, int) else None
-        new = bool(flags & os.O_CREAT) and isinstance(name, str) and not os.path.lexists(name)
+        name = _text(path)
+        new = bool(flags & os.O_CREAT) and name is not None and not os.path.lexists(name)
         if new:
             self._step(name, grows=True)
         descriptor: int = self._real["open"](path, flags, mode, dir_fd=dir_fd)
-        if isinstance(name, str) and name.startswith(str(self.root)):
+        if name is not None and name.startswith(str(self.root)):
             self._open_files.add(descriptor)
         if new and self._simulated(name):
             self._inodes[os.fstat(descriptor).st_ino] = _Inode()
@@ -236,8 +241,7 @@ class SimulatedDisk:
 
     def _named(self, name: str) -> Callable[..., Any]:
         def operate(path: Any, *args: Any, **options: Any) -> Any:
-            text = os.fspath(path)
-            self._step(text if isinstance(text, str) else None, grows=name in ("mkdir", "link"))
+            self._step(_text(path), grows=name in ("mkdir", "link"))
             return self._real[name](path, *args, **options)
 
         return operate
@@ -247,6 +251,12 @@ class SimulatedDisk:
             return os.readlink(f"/proc/self/fd/{descriptor}")
         except OSError:
             return None
+
+
+def _text(path: int | str | bytes | os.PathLike[str]) -> str | None:
+    """Return a path as text; None for a descriptor or bytes."""
+    found = path if isinstance(path, int) else os.fspath(path)
+    return found if isinstance(found, str) else None
 
 
 def _listed(folder: str) -> dict[str, int]:

@@ -6,8 +6,7 @@ from random import Random
 from typing import Any, TypeVar
 
 from flows.graph.testing import VirtualLoop
-
-from tests.faults.simulated_process import create_task
+from tests.faults.simulated_process import adopt
 
 T = TypeVar("T")
 
@@ -22,8 +21,13 @@ class SimulatedLoop(VirtualLoop):
     def __init__(self, random: Random) -> None:
         super().__init__()
         self._random = random
-        self.set_task_factory(create_task)
         self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
+
+    def create_task(self, coro: Any, **options: Any) -> "asyncio.Task[Any]":
+        """Create a task that belongs to the process of its context."""
+        task = super().create_task(coro, **options)
+        adopt(task, options.get("context"))
+        return task
 
     def run_in_executor(self, executor: Any, func: Callable[..., T], *args: Any) -> "asyncio.Future[T]":  # type: ignore[override]
         """Run a function later in the loop; cancelling the future does not stop it, as with a thread."""

@@ -44,15 +44,11 @@ class SimulatedProcess:
         self._tasks.add(task)
 
 
-def create_task(
-    loop: asyncio.AbstractEventLoop, main: Coroutine[Any, Any, Any], context: Context | None = None
-) -> "asyncio.Task[Any]":
-    """Create a task that belongs to the process of its context; for `loop.set_task_factory`."""
-    task: asyncio.Task[Any] = asyncio.Task(main, loop=loop, context=context)
+def adopt(task: "asyncio.Task[Any]", context: Context | None) -> None:
+    """Let a new task end with the process of its context, by default the running one."""
     process = _CURRENT.get() if context is None else context.get(_CURRENT)
     if process:
         process.add(task)
-    return task
 
 
 _CURRENT: ContextVar[SimulatedProcess | None] = ContextVar("process", default=None)

@@ -10,7 +10,7 @@ import numpy as np
 from connectors import Mqtt
 from connectors.events import Event
 from operators import Operator, Slips, Touch
-from operators.batch import Clocks, Faults, ms
+from operators.batch import Batch, Clocks, Faults, ms
 from operators.ports import Clock, Source
 from storage.dataset import Dataset, Recordable
 from tests.faults.simulated_process import current
@@ -18,6 +18,7 @@ from tests.faults.simulated_process import current
 EVENT_EVERY = 5  # rows
 PERIOD = 20 * ms
 Identity = tuple[str, str, int]  # session, finger, time (ns)
+Row = tuple[int, int, int]  # finger, time (ns), value
 
 
 @dataclass
@@ -27,10 +28,12 @@ class Life:
     session: str
     end: str = "running"  # running, orderly, refused, killed, power loss
     ended: float = 0.0  # loop time, s
-    rows: dict[str, list[tuple[int, int, int]]] = field(default_factory=dict)  # accepted: finger, time, value
-    rows_at: dict[str, list[float]] = field(default_factory=dict)  # loop time (s) of each
-    started_events: set[Identity] = field(default_factory=set)  # handed to the sink
-    events: dict[Identity, float] = field(default_factory=dict)  # accepted by the sink: loop time, s
+    rows: dict[str, list[Row]] = field(default_factory=dict[str, list[Row]])  # accepted, by type
+    rows_at: dict[str, list[float]] = field(default_factory=dict[str, list[float]])  # loop time (s) of each
+    started_events: set[Identity] = field(default_factory=set[Identity])  # handed to the sink
+    events: dict[Identity, float] = field(
+        default_factory=dict[Identity, float]
+    )  # accepted by the sink: loop time, s
     error: str = ""
 
 
@@ -91,13 +94,10 @@ class WatchedDataset(Dataset):
 
     async def write(self, batch: Recordable) -> None:
         """Write and note a batch."""
-        assert isinstance(batch, Touch | Slips), "the flow records nothing else"
         await super().write(batch)
         current()
         table = type(batch).__name__
-        found = self.life.rows.setdefault(table, [])
-        values = batch.counts[:, 0] if isinstance(batch, Touch) else batch.state
-        found += zip([batch.finger] * len(batch), batch.time.tolist(), values.tolist(), strict=True)
+        self.life.rows.setdefault(table, []).extend(numbered_rows(batch))
         self.life.rows_at.setdefault(table, []).extend([asyncio.get_running_loop().time()] * len(batch))
 
 
@@ -113,6 +113,13 @@ class WatchedMqtt(Mqtt):
         await super().write(batch)
         current()
         self.life.events |= dict.fromkeys(new, asyncio.get_running_loop().time())
+
+
+def numbered_rows(batch: Batch) -> list[Row]:
+    """Return what identifies the rows of a batch."""
+    assert isinstance(batch, Touch | Slips), "the flow records nothing else"
+    values = batch.counts[:, 0] if isinstance(batch, Touch) else batch.state
+    return list(zip([batch.finger] * len(batch), batch.time.tolist(), values.tolist(), strict=True))
 
 
 def identity(event: Event) -> Identity:

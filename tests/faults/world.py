@@ -41,6 +41,7 @@ from tests.faults.simulated_rig import (
 )
 
 START: Final = 1_700_000_000 * 10**9  # ns, host time at the start
+MEMORY: Final = Path("/dev/shm")  # noqa: S108 - files in memory, which fsync does not slow down
 QUIET: Final = 90.0  # s; limit for everything to arrive after the last fault
 URL: Final = "mqtt://broker"
 TASKS_MAX: Final = 80
@@ -72,13 +73,13 @@ class World:
     errors: list[str] = field(default_factory=list[str])  # unexpected ones
 
     def __post_init__(self) -> None:
-        self.random = Random(self.schedule.seed)  # noqa: S311 - reproducible on purpose
-        self.disk = SimulatedDisk(self.folder, Random(self.random.random()))  # noqa: S311
-        self.broker = SimulatedBroker(Random(self.random.random()))  # noqa: S311
-        self.loop = SimulatedLoop(Random(self.random.random()))  # noqa: S311
+        self.random = Random(self.schedule.seed)
+        self.disk = SimulatedDisk(self.folder, Random(self.random.random()))
+        self.broker = SimulatedBroker(Random(self.random.random()))
+        self.loop = SimulatedLoop(Random(self.random.random()))
         self.loop.latency = self._latency
         self.loop.set_exception_handler(self._unhandled)
-        self.devices = [Device(finger, Random(self.random.random())) for finger in (0, 1)]  # noqa: S311
+        self.devices = [Device(finger, Random(self.random.random())) for finger in (0, 1)]
         self.rig: SimulatedProcess | None = None
         self.runner: LiveRunner | None = None
         self.consumer: SimulatedProcess | None = None
@@ -146,7 +147,9 @@ class World:
         await runner.execute()
         if runner.run.error:
             life.error = runner.run.error
-        life.error += "".join(f" {name}: {sink.error}" for name, sink in runner.run.sinks.items() if sink.error)
+        life.error += "".join(
+            f" {name}: {sink.error}" for name, sink in runner.run.sinks.items() if sink.error
+        )
 
     async def _keep_consumer(self) -> None:
         while not self.finished:
@@ -154,9 +157,9 @@ class World:
             task = self.consumer.start(self._consume())
             with suppress(Killed, asyncio.CancelledError, SlipflowError):
                 await task
-            if task.done() and not task.cancelled() and (error := task.exception()):
-                if not isinstance(error, Killed | SlipflowError):
-                    self.errors.append(f"the consumer ended with {error!r}")
+            error = task.exception() if task.done() and not task.cancelled() else None
+            if error and not isinstance(error, Killed | SlipflowError):
+                self.errors.append(f"the consumer ended with {error!r}")
             self.consumer.kill()
             await asyncio.sleep(self.random.uniform(0.05, 0.5))
 
@@ -180,7 +183,9 @@ class World:
         for device in self.devices:
             device.silent_until = float("inf")
         expected = {event for each in self.lives for event in each.events}
-        while expected - self.processed.keys() and self.loop.time() < SPAN + QUIET / 2:
+        for _ in range(round(QUIET / 2 / 0.2)):
+            if not expected - self.processed.keys():
+                break
             await asyncio.sleep(0.2)
         await asyncio.sleep(5.0)  # what is delivered twice or invented arrives too
         if self.runner:
@@ -250,7 +255,7 @@ class World:
         self._step += int((fault.size - 0.5) * 7200 * 10**9)
 
 
-def _set(name: str, value: Callable[[Fault], Any], rest: Any) -> "_Effect":
+def _set(name: str, value: Callable[[Fault], Any], rest: Any = 0) -> "_Effect":
     """Return an effect that sets an attribute of the world and later resets it."""
     owner, _, attribute = name.rpartition(".")
 
@@ -281,9 +286,9 @@ _EFFECTS: Final[dict[str, _Effect]] = {
     "kill rig at disk operation": (World.kill_rig_at_operation, None),
     "kill consumer": (World.kill_consumer, None),
     "power loss": (World.lose_power, None),
-    "disk full": _set("disk.error", lambda _: errno.ENOSPC, 0),
-    "disk error": _set("disk.error", lambda _: errno.EIO, 0),
-    "fsync error": _set("disk.fsync_error", lambda _: True, False),
+    "disk full": _set("disk.error", lambda _: errno.ENOSPC),
+    "disk error": _set("disk.error", lambda _: errno.EIO),
+    "fsync error": _set("disk.fsync_error", lambda _: True, rest=False),
     "slow disk": _set("slow", lambda fault: 0.5 * fault.size, 0.0),
     "broker down": (lambda world, _: world.broker.stop(forget=False), lambda world: world.broker.start()),
     "broker restart without memory": (
@@ -309,7 +314,7 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
         schedule: Seed and faults.
         prepare: Called with a stack of contexts that last as long as the simulation; plants bugs.
     """
-    folder = Path(mkdtemp(prefix="faults-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
+    folder = Path(mkdtemp(prefix="faults-", dir=MEMORY if MEMORY.is_dir() else None))
     try:
         (folder / "consumer").mkdir()
         rig = folder / "rig"
@@ -335,9 +340,13 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
 @contextmanager
 def _simulated(world: World) -> Generator[ExitStack]:
     """Replace clock, randomness, disk and network of the process by those of the world."""
-    random = Random(world.schedule.seed)  # noqa: S311 - reproducible on purpose
+    random = Random(world.schedule.seed)
     quiet = logging.getLogger("slipflow")
     level = quiet.level
+
+    def token(size: int) -> str:
+        return random.randbytes(size).hex()
+
     with ExitStack() as stack:
         enter = stack.enter_context
         quiet.setLevel(logging.CRITICAL)
@@ -349,11 +358,11 @@ def _simulated(world: World) -> Generator[ExitStack]:
         enter(patch.object(time, "monotonic_ns", lambda: round(world.loop.time() * 1e9)))
         enter(patch.object(time, "monotonic", world.loop.time))
         for module in (outbox, consumer):
-            enter(patch.object(module, "token_hex", lambda size: random.randbytes(size).hex()))
+            enter(patch.object(module, "token_hex", token))
         for module in (sender, consumer):
             enter(patch.object(module, "uniform", random.uniform))
         enter(patch.object(os, "urandom", random.randbytes))
-        enter(patch.object(lock, "_flock", world.disk.noting_locks(lock._flock)))
+        enter(patch.object(lock, "_flock", world.disk.noting_locks(vars(lock)["_flock"])))
         enter(patch.object(broker_link, "connect", world.broker.connect))
         enter(patch.object(outbox_log, "SEGMENT_EVENTS", 12))  # so that segments end within a schedule
         enter(world.disk.attached())
@@ -364,7 +373,6 @@ def _simulated(world: World) -> Generator[ExitStack]:
                 finalize()
             world.disk.close_files()
             world.loop.close()
-
 
 
 def _finalize_at_end(
