@@ -11,7 +11,7 @@ from tests.faults.schedule import KINDS, Schedule, draw, shrink
 from tests.faults.search import command, violations
 from tests.faults.world import simulate
 
-SCHEDULES = 150
+SCHEDULES = 100
 
 
 def test_no_fault_violates_an_invariant() -> None:
