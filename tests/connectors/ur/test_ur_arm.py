@@ -325,7 +325,7 @@ def test_an_arm_that_may_not_move_is_not_opened() -> None:
                 pass
 
     with pytest.raises(EndpointError, match="emergency stop"):
-        run_virtually(main())
+        asyncio.run(main())
 
 
 def test_a_missing_controller_is_an_error() -> None:
