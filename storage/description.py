@@ -180,14 +180,15 @@ def recorders(about: Description) -> tuple[str, ...]:
 
 def _can_be_recovered(about: Description) -> bool:
     """Return true if the entries that a recovery uses have the right types."""
-    recovered: Any = about.get("recovered", {})
-    if not isinstance(recovered, dict) or not isinstance(recovered.get("rows", {}), dict):
+    if not isinstance(about.get("recovered", {}), dict):
         return False
-    lists: list[Any] = [
-        about.get("tables", []),
-        *(recovered.get(key, []) for key in ("adopted", "lost", "cut")),
-    ]
-    return all(isinstance(each, list) and all(isinstance(text, str) for text in each) for each in lists)
+    recovered = cast("dict[str, Any]", about.get("recovered", {}))
+    lists = [about.get("tables", []), *(recovered.get(key, []) for key in ("adopted", "lost", "cut"))]
+    return isinstance(recovered.get("rows", {}), dict) and all(map(_is_texts, lists))
+
+
+def _is_texts(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(each, str) for each in cast("list[object]", value))
 
 
 def _split(descriptions: Iterable[Description]) -> str | None:

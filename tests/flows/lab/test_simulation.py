@@ -229,7 +229,10 @@ def test_the_command_prints_how_to_open_the_dataset(
     assert hashes(out) == hashes(tiny.out)
     assert error("simulate", out, "--plan", "tiny").startswith(f"{out}: must be a new or empty folder")
 
-    monkeypatch.setattr(simulation, "simulate", lambda *_, **__: replace(tiny, out=out))
+    def simulated(*_: object, **__: object) -> SimulatedDataset:
+        return replace(tiny, out=out)
+
+    monkeypatch.setattr(simulation, "simulate", simulated)
     lines = CliRunner().invoke(app, ["simulate", str(out)]).stdout.splitlines()
     assert lines[3].startswith("all          12 sessions   13,")
     opening = lines[-1].replace("python", sys.executable, 1)
