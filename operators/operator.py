@@ -59,6 +59,10 @@ class Step(ABC):
         """Return a copy with the same parameters and initial state."""
         return replace(self)
 
+    def prepare(self) -> None:
+        """Do slow set-up, such as loading compiled code, before the first push; runners call this."""
+        return
+
     @property
     @abstractmethod
     def late(self) -> int:

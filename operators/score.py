@@ -1,6 +1,7 @@
 """Scoring of samples by a detector."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -42,17 +43,23 @@ class Score(Operator[Zeroed, Scores]):
 
     detector: Detector
     hop: int = 1
-    _scorer: "_Streamed | _Windowed" = field(init=False, repr=False, compare=False)
     _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid counts
     _due: int = field(default=0, init=False, repr=False)  # samples until the next score
 
     def __post_init__(self) -> None:
         check_at_least("Score", "hop", self.hop, 1, "sample")
-        stream = _stream(self.detector)
-        windowed = _Windowed(self.detector, Window(self.detector.length, self.hop))
-        self._scorer = windowed if stream is None else _Streamed(stream)
         self._last = np.zeros(BAROMETERS, np.int16)
         self._due = self.detector.length
+
+    @cached_property
+    def _scorer(self) -> "_Streamed | _Windowed":  # created when used: a stream loads numba, which takes 0.8 s
+        stream = _stream(self.detector)
+        windowed = _Windowed(self.detector, Window(self.detector.length, self.hop))
+        return windowed if stream is None else _Streamed(stream)
+
+    def prepare(self) -> None:
+        """Create the detector's stream."""
+        _ = self._scorer
 
     def process(self, batch: Zeroed) -> Scores:
         """Return a score for each window whose newest sample is in the batch."""

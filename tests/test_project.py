@@ -164,6 +164,13 @@ def test_help_imports_no_heavy_package() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_check_imports_no_heavy_package() -> None:
+    heavy = {"scipy", "polars", "pyarrow", "torch", "aiomqtt", "numba", "onnxruntime", "matplotlib"}
+    code = f"import sys; from flows.cli.check import check; check('live'); print({heavy} & {{*sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "set()"
+
+
 def test_the_code_blocks_of_the_readme_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)

@@ -239,6 +239,8 @@ class CompiledFlow:
             self._stage_of[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
         )
         operator = node.part.reset_copy() if isinstance(node.part, Operator | Join) else None
+        if operator is not None:
+            operator.prepare()
         kind = cast("type[Batch]", node.gives)
         self._stage_of[node, finger] = len(self._stages)
         self._stages.append(Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind))

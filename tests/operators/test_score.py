@@ -103,7 +103,7 @@ def test_a_detector_whose_compiler_is_not_installed_is_given_windows() -> None:
     found = Score(_Uncompiled(length=5)).push(touch)
     np.testing.assert_array_equal(found.probability, Score(_Keeper(length=5)).push(touch).probability)
     with pytest.raises(ModuleNotFoundError, match="torch"):
-        Score(_Uncompiled(length=5, missing="torch"))
+        Score(_Uncompiled(length=5, missing="torch")).prepare()
 
 
 def test_a_hop_out_of_range_is_refused() -> None:
