@@ -52,7 +52,9 @@ class Score(Operator[Zeroed, Scores]):
         self._due = self.detector.length
 
     @cached_property
-    def _scorer(self) -> "_Streamed | _Windowed":  # created when used: a stream loads numba, which takes 0.8 s
+    def _scorer(
+        self,
+    ) -> "_Streamed | _Windowed":  # created when used: a stream loads numba, which takes 0.8 s
         stream = _stream(self.detector)
         windowed = _Windowed(self.detector, Window(self.detector.length, self.hop))
         return windowed if stream is None else _Streamed(stream)
