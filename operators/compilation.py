@@ -1,11 +1,33 @@
 """Compilation of functions with numba; machine code is cached on disk where that is possible."""
 
+import logging
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 from numba import njit
+from numba.core import event
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+log = logging.getLogger("slipflow.compilation")
+
+
+class _Announcer(event.Listener):
+    """Listener that logs when this process compiles for the first time; loading cached code is not logged."""
+
+    announced = False
+
+    def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
+        """Log the first compilation."""
+        if not self.announced:
+            self.announced = True
+            log.info("compiling for this machine; this takes some seconds, and later runs load the result")
+
+    def on_end(self, event: object) -> None:
+        """Log nothing."""
+
+
+event.register("numba:compile", _Announcer())
 
 
 def compile_function(signatures: Any = None, **options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - numba's

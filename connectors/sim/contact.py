@@ -121,7 +121,9 @@ def sum_springs(model: ContactModel, pad: Pad, state: FingerState) -> None:
         s, sx, sy = s + k, sx + k * x, sy + k * y
         sxx, sxy, syy = sxx + k * x * x, sxy + k * x * y, syy + k * y * y
         sg, sgx, sgy = sg + kg, sgx + kg * x, sgy + kg * y
-    state.springs[:] = s, sx, sy, sxx, sxy, syy, sg, sgx, sgy
+    sums = state.springs
+    sums[0], sums[1], sums[2], sums[3], sums[4] = s, sx, sy, sxx, sxy
+    sums[5], sums[6], sums[7], sums[8] = syy, sg, sgx, sgy
 
 
 @vectorized

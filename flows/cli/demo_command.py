@@ -11,7 +11,6 @@ from flows.cli.event_log import Format, Log, with_json_console
 from flows.cli.execution import execute, separate_result
 from flows.cli.live_view import Listen, Metrics, NoBrowser, WithPage, add_metrics, add_page
 from flows.cli.options import AsJson, Duration, Recordings, Seed
-from flows.cli.terminal import note
 
 
 def demo(
@@ -61,7 +60,6 @@ def demo(
     if metrics:
         add_metrics(flow, metrics)
     typer.echo(flow, err=True)
-    note("starting; the first run compiles the simulated physics, which takes some seconds")
     with separate_result(as_json=as_json, log=log):
         done = asyncio.run(execute(flow, log=log, limit=limit))
     summary = Summary.of(done)

@@ -71,7 +71,6 @@ async def _serve(
     from connectors.emulators.virtual_lab import virtual_lab
     from connectors.sim.scene import commanded_scene
 
-    note("starting; the first start compiles the simulated physics, which takes some seconds")
     serving = virtual_lab(commanded_scene(surface), seed, host=listen, gripper=gripper)
     async with serving as lab:
         for device, address in lab.addresses.items():

@@ -10,7 +10,8 @@ The result of a sample depends neither on the number of samples nor on the numbe
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -24,19 +25,6 @@ from operators.detectors.weights import Floats
 from operators.errors import ParameterError
 
 _TAPS, _CHANNELS, _DILATION, _RINGS, _KERNEL, _SKIP = range(6)  # columns of the table of layers
-_SIGNATURES: Final = [
-    types.boolean(
-        types.Array(scalar, 3, "A", readonly=True),  # any strides, writeable or not
-        types.float64[:, ::1],
-        types.float32[:, ::1],
-        types.int64,
-        types.float32[::1],
-        types.int64[:, ::1],
-    )
-    for scalar in (types.int16, types.float64)
-]
-
-
 _VECTORIZED: Final = {"reassoc", "contract", "nsz"}  # sums in any order
 
 
@@ -58,7 +46,6 @@ def _product(row: Floats, run: Floats) -> np.float32:
     return value
 
 
-@compile_function(_SIGNATURES, fastmath=_VECTORIZED)  # compile at import, before the first sample
 def advance(  # noqa: PLR0917 - a compiled function takes no keywords
     counts: Counts | Reals, probability: Reals, memory: Floats, seen: int, weights: Floats, layers: Times
 ) -> bool:
@@ -109,6 +96,21 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
     return True
 
 
+@cache
+def _compiled(code: str) -> Callable[..., bool]:
+    """Return `advance`, compiled for counts of one type, given as numpy's type code: h or d."""
+    scalar = types.int16 if code == "h" else types.float64
+    counts = types.Array(scalar, 3, "A", readonly=True)  # any strides, writeable or not
+    arrays = (
+        types.float64[:, ::1],
+        types.float32[:, ::1],
+        types.int64,
+        types.float32[::1],
+        types.int64[:, ::1],
+    )
+    return compile_function(types.boolean(counts, *arrays), fastmath=_VECTORIZED)(advance)
+
+
 class TcnStream:
     """State of a TCN for one or more fingertips; can be pickled.
 
@@ -145,6 +147,7 @@ class TcnStream:
         self._weights = np.concatenate(weights)
         self._memory = np.zeros((fingers, memory + 2), np.float32)
         self._seen = 0  # samples
+        _compiled("h")  # before the first sample
 
     def push(self, counts: Counts | Reals) -> Reals:
         """Return the probability of slip of the next samples (n, fingers, 6) of zeroed counts; (n, fingers).
@@ -154,10 +157,11 @@ class TcnStream:
         """
         if counts.dtype.char != "h":  # int16
             counts = counts.astype(np.float64)
+        kernel = _compiled(counts.dtype.char)
         fingers = len(self._memory)
         probability = np.empty((len(counts), fingers))
         arrays = self._weights, self._layers
-        if counts.ndim != 3 or not advance(counts, probability, self._memory, self._seen, *arrays):  # noqa: PLR2004
+        if counts.ndim != 3 or not kernel(counts, probability, self._memory, self._seen, *arrays):  # noqa: PLR2004
             raise ParameterError("TcnStream", "shape of the counts", counts.shape, f"(n, {fingers}, 6)")
         self._seen += len(counts)
         return probability

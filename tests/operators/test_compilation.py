@@ -1,3 +1,8 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 from numba.core import caching
 from numba.core.registry import CPUDispatcher
@@ -14,3 +19,24 @@ def test_a_function_is_compiled_where_no_cache_can_be_written(monkeypatch: pytes
 
     assert isinstance(twice, CPUDispatcher)
     assert twice(21) == 42
+
+
+def test_a_process_announces_that_it_compiles_and_the_next_one_loads_the_result(tmp_path: Path) -> None:
+    (tmp_path / "twice.py").write_text(
+        "import logging\nfrom operators.compilation import compile_function\n"
+        "@compile_function()\ndef twice(value): return 2 * value\n"
+        "logging.basicConfig(level=logging.INFO, format='%(message)s')\n"
+        "twice(21), twice(2.1)\n"
+    )
+    found = [
+        subprocess.run(
+            [sys.executable, tmp_path / "twice.py"],
+            check=True,
+            capture_output=True,
+            text=True,
+            env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)},
+        ).stderr
+        for _ in range(2)
+    ]
+    assert found[0].count("compiling for this machine") == 1
+    assert found[1] == ""
