@@ -33,7 +33,7 @@ class Console(Sink[Slips | Faults]):
 
     shared = True  # a parallel replay sorts the lines of all processes
 
-    stream: TextIO = field(default_factory=lambda: sys.stdout, repr=False)
+    stream: TextIO | None = field(default=None, repr=False)  # None: sys.stdout
     format: Literal["text", "json"] = "text"
     _run: Run | None = field(default=None, init=False, repr=False)
 
@@ -43,7 +43,11 @@ class Console(Sink[Slips | Faults]):
     @property
     def destination(self) -> str:
         """Name of the stream."""
-        return str(getattr(self.stream, "name", "console"))
+        return str(getattr(self._out, "name", "console"))
+
+    @property
+    def _out(self) -> TextIO:
+        return self.stream or sys.stdout  # which commands redirect
 
     async def open(self, run: Run) -> None:
         """Use the clock and the recording name of this run."""
@@ -85,14 +89,14 @@ class Console(Sink[Slips | Faults]):
             **details,
         }
         # one write per line: other processes may print to the same stream
-        self.stream.write(f"{encode(document).decode()}\n")
-        self.stream.flush()
+        self._out.write(f"{encode(document).decode()}\n")
+        self._out.flush()
 
     def _print(self, time: int, finger: int, text: str, style: str) -> None:
         line = f"{timestamp(time)[:23].replace('T', ' ')}  finger {finger_name(finger)}  {text}"
-        if self.stream.isatty():
+        if self._out.isatty():
             from rich.console import Console as Terminal  # noqa: PLC0415 - for terminals only
 
-            Terminal(file=self.stream).print(line, style=style, highlight=False, markup=False)
+            Terminal(file=self._out).print(line, style=style, highlight=False, markup=False)
         else:
-            print(line, file=self.stream, flush=True)
+            print(line, file=self._out, flush=True)

@@ -27,7 +27,7 @@ class _Announcer(event.Listener):
         """Log nothing."""
 
 
-event.register("numba:compile", _Announcer())
+cast("Any", event).register("numba:compile", _Announcer())
 
 
 def compile_function(signatures: Any = None, **options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - numba's

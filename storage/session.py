@@ -76,6 +76,9 @@ class Session:
     _open: WeakValueDictionary[str, _Part] = field(  # parts being read, by path
         default_factory=WeakValueDictionary[str, _Part], init=False, repr=False, compare=False
     )
+    _only: dict[str, _Part] = field(  # part of a table with one part, by its name, until it is read
+        default_factory=dict[str, _Part], init=False, repr=False, compare=False
+    )
 
     def __reduce__(self) -> tuple[type[Self], tuple[Path, Description, Mapping[str, Part]]]:
         """Pickle the session without the rows in memory."""
@@ -172,21 +175,31 @@ class Session:
         table = TABLE_OF.get(kind)
         if table is None:
             return
-        before: type[Batch] | None = None
+        _only, before = self._only.pop(table.name, None), None  # keeps the part until it is read
         for path in self._paths(table):
-            part = self._open.get(path)
-            if part is None:
-                rows = self._rows(path, schema.schema(table))
-                stored = self._kind(table, path, rows, before)
-                part = self._open[path] = _Part(stored, schema.from_arrow(table, stored, rows))
+            part = self._part(table, path, before)
             before = part.kind
             if issubclass(before, kind):
                 yield part
 
+    def _part(self, table: Table, path: str, before: type[Batch] | None = None) -> _Part:
+        """Return a part in memory, or read it."""
+        part = self._open.get(path)
+        if part is None:
+            rows = self._rows(path, schema.schema(table))
+            stored = self._kind(table, path, rows, before)
+            part = self._open[path] = _Part(stored, schema.from_arrow(table, stored, rows))
+        return part
+
     def _part_fingers(self, table: Table) -> Iterator[_PartFingers]:
         """Yield type and fingertips of each part of a table."""
         before: type[Batch] | None = None
-        for path in self._paths(table):
+        paths = self._paths(table)
+        if len(paths) == 1:  # a short session: read the file once
+            part = self._only[table.name] = self._part(table, paths[0])
+            yield part.kind, frozenset(part.by_finger)
+            return
+        for path in paths:
             rows = self._rows(path, schema.finger_schema(table))
             before = self._kind(table, path, rows, before)
             yield before, schema.fingers(table, rows)

@@ -36,7 +36,7 @@ def replay_all(
     from flows.run.stop_signals import stopping
 
     replays = Replays(target, settings, recordings, session)
-    if jobs is None and (exclusive := replays.exclusive_sinks()):
+    if jobs is None and (exclusive := replays.exclusive_sinks):
         note(f"replaying one recording at a time: only one process can write to {', '.join(exclusive)}")
     began, done = perf_counter(), list["Replayed"]()
     with stopping() as stopped, progress_bar(f"replaying {target}") as update:

@@ -4,8 +4,8 @@ import asyncio
 import logging
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 from io import StringIO
 from pathlib import Path
 
@@ -33,11 +33,11 @@ class Replayed:
     error: str = ""  # reason of an early end; empty: none
 
 
-@dataclass(frozen=True)
+@dataclass(eq=False)
 class Replays:
     """Replays of one flow over many recordings.
 
-    Each process builds the flow again, since flows and open sinks cannot be pickled.
+    Each process builds the flow and its event loop once, since neither can be pickled.
 
     Args:
         target: Flow, as `flows.graph.loading.load` takes it.
@@ -51,13 +51,26 @@ class Replays:
     recordings: Sequence[Path]
     session: str
 
-    def exclusive_sinks(self) -> list[str]:
-        """Return the sinks that only one process at a time may write to.
+    def __getstate__(self) -> dict[str, object]:
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @cached_property
+    def flow(self) -> Flow:
+        """Flow of this process.
 
         Raises:
-            SlipflowError: if the flow cannot be built.
+            SlipflowError: if it cannot be built.
         """
-        return _exclusive_sinks(load(self.target).flow(self.settings))
+        return load(self.target).flow(self.settings)
+
+    @cached_property
+    def _loop(self) -> asyncio.Runner:
+        return asyncio.Runner()
+
+    @property
+    def exclusive_sinks(self) -> list[str]:
+        """Sinks that only one process at a time may write to."""
+        return [n.name for n in self.flow.sinks() if isinstance(n.part, Sink) and not n.part.shared]
 
     def run(
         self,
@@ -79,17 +92,36 @@ class Replays:
             ParameterError: if `jobs` is below 1, or above 1 with an exclusive sink.
             SlipflowError: if the flow cannot be built.
         """
-        flow = load(self.target).flow(self.settings)
-        if exclusive := _exclusive_sinks(flow):
+        if exclusive := self.exclusive_sinks:
             if jobs not in (None, 1):
                 must_be = f"1: {', '.join(exclusive)} cannot be shared by processes"
                 raise ParameterError("replay", "jobs", jobs, must_be)
             jobs = 1
-        log_replay_destinations(flow)
+        log_replay_destinations(self.flow)
         width = len(str(len(self.recordings)))
         tasks = [(path, f"{self.session}-{n:0{width}d}") for n, path in enumerate(self.recordings, 1)]
-        work = partial(_replay, self.target, dict(self.settings))
-        yield from WorkerPool(work, tasks, _lost, stopped, progress).results(jobs)
+        try:
+            yield from WorkerPool(self._replay, tasks, _lost, stopped, progress).results(jobs)
+        finally:
+            self._loop.close()
+            del self._loop
+
+    def _replay(self, task: tuple[Path, str], stopped: Stopped) -> Replayed:
+        """Replay one recording; any error becomes part of the result."""
+        path, session = task
+        runner, printed, error = None, StringIO(), ""
+        try:
+            with redirect_stdout(printed):
+                runner = ReplayRunner(self.flow, open_recording(path, log.warning), session)
+                self._loop.run(runner.execute(lambda _: stopped()))
+            error = runner.run.error
+        except SlipflowError as failure:
+            error = str(failure)
+        except Exception as failure:
+            log.exception("%s", path)
+            error = f"{type(failure).__name__}: {failure}"
+        summary = None if runner is None else Summary.of(runner.run)
+        return Replayed(str(path), summary, printed.getvalue(), error)
 
 
 def recordings(paths: Iterable[Path]) -> list[Path]:
@@ -141,28 +173,6 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     for each in trace.warnings:
         warn(f"warning: {path}: {each} (slipflow import has --units)")
     return trace
-
-
-def _exclusive_sinks(flow: Flow) -> list[str]:
-    return [node.name for node in flow.sinks() if isinstance(node.part, Sink) and not node.part.shared]
-
-
-def _replay(target: str, settings: Mapping[str, str], task: tuple[Path, str], stopped: Stopped) -> Replayed:
-    """Replay one recording; any error becomes part of the result."""
-    path, session = task
-    runner, printed, error = None, StringIO(), ""
-    try:
-        with redirect_stdout(printed):
-            runner = ReplayRunner(load(target).flow(settings), open_recording(path, log.warning), session)
-            asyncio.run(runner.execute(lambda _: stopped()))
-        error = runner.run.error
-    except SlipflowError as failure:
-        error = str(failure)
-    except Exception as failure:
-        log.exception("%s", path)
-        error = f"{type(failure).__name__}: {failure}"
-    summary = None if runner is None else Summary.of(runner.run)
-    return Replayed(str(path), summary, printed.getvalue(), error)
 
 
 def _lost(task: tuple[Path, str], reason: str) -> Replayed:

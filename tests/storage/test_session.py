@@ -202,6 +202,21 @@ def test_the_files_are_checked_once_for_whose_rows_they_hold(
     assert session.fingers(Touch) == (0, 2)
 
 
+def test_the_file_of_a_short_session_is_read_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = list[Path]()
+
+    def counted(path: Path, *args: Any) -> Any:  # noqa: ANN401 - as `read_part`
+        opened.append(path)
+        return read_part(path, *args)
+
+    monkeypatch.setattr("storage.session.read_part", counted)
+    session = Session.open(folder)
+    assert (session.fingers(Slips), session.fingers(Touch)) == ((0,), (0, 2))
+    assert len(list(session.read(Slips, 0))) == 1
+    assert [path.name for path in opened if path.parent.name != "touch"] == ["slips.parquet"]
+    assert not vars(session)["_open"]
+
+
 def test_a_session_pickles_while_it_is_read(folder: Path) -> None:
     session = Session.open(folder)
     rows = session.read(Touch, 0)

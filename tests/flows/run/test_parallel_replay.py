@@ -31,7 +31,7 @@ def felt(out: str = "out", broker: str = "", spoilt: bool = False) -> Flow:
     if broker:
         slips.to(Mqtt(broker))
     if spoilt:
-        slips.to(TestSink(failures=[ValueError("no number")]))
+        slips.to(TestSink(failures=[ValueError("no number")] * 2))
     return flow
 """
 
@@ -90,6 +90,17 @@ def test_two_processes_give_the_bytes_and_lines_that_one_gives(
     assert all("touch/part-000000.parquet" in parts and "slips.parquet" in parts for _, parts in files)
 
 
+def test_a_process_builds_the_flow_once(four: list[Path], tmp_path: Path) -> None:
+    note = f"\nwith open({str(tmp_path / 'builds')!r}, 'a') as file:\n    print('built', file=file)\n"
+    (tmp_path / "noted.py").write_text(FLOW + note)
+    built = list[int]()
+    for jobs in (1, 2):
+        found = replay(f"{tmp_path / 'noted.py'}:felt", four, tmp_path / "out" / str(jobs), jobs)
+        assert [each.error for each in found] == [""] * 4
+        built.append(len((tmp_path / "builds").read_text().split()) - sum(built))
+    assert built == [1, 3]  # the first process checks the flow
+
+
 def test_a_damaged_session_is_reported_and_the_others_go_on(felt: str, dataset: Path, tmp_path: Path) -> None:
     paths = recordings([copytree(dataset, tmp_path / "dataset")])[:3]
     part = paths[1] / "touch/part-000000.parquet"
@@ -113,7 +124,7 @@ def test_a_sink_that_publishes_as_one_rig_needs_one_process(
 ) -> None:
     settings = {"out": str(tmp_path), "broker": "mqtt://localhost"}
     replays = Replays(felt, settings, four, "again")
-    assert replays.exclusive_sinks() == ["mqtt"]
+    assert replays.exclusive_sinks == ["mqtt"]
     with pytest.raises(ParameterError, match="jobs is 2, must be 1: mqtt cannot be shared by processes"):
         list(replays.run(2))
 
