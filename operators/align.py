@@ -6,7 +6,7 @@ from typing import Final, Literal, get_args
 
 import numpy as np
 
-from operators.batch import Flags, Motion, Reals, Sample, Zeroed, constant, fast_constructor, ms, s
+from operators.batch import Flags, Motion, Reals, Sample, Zeroed, constant, ms, s
 from operators.chain import Chain
 from operators.checks import check_at_least, check_choice
 from operators.operator import Join
@@ -15,7 +15,6 @@ from operators.rotation import Real, interpolate_rotation
 How = Literal["nearest", "previous", "linear"]
 
 _FAR: Final = 2**62  # ns, exceeds the distance between any two stamps
-_new_sample: Final = fast_constructor(Sample)
 _MATCHED: Final = constant([True])  # (1,)
 _UNMATCHED: Final = constant([False])  # (1,)
 _NO_MOTION: Final = constant([[nan] * 6])  # (1, 6)
@@ -172,6 +171,6 @@ def _interpolate_pose(first: list[Real], second: list[Real], fraction: Real) -> 
 
 
 def _sample(rows: Zeroed, velocity: Reals, pose: Reals, matched: Flags) -> Sample:
-    return _new_sample(
-        rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, rows.finger
+    return Sample(
+        rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, finger=rows.finger
     )

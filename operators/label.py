@@ -15,7 +15,6 @@ from operators.batch import (
     Reals,
     Sample,
     constant,
-    fast_constructor,
     ms,
 )
 from operators.checks import check_at_least
@@ -25,7 +24,6 @@ from operators.rotation import Real, Vector, quaternion, rotate, square_root
 from operators.tail import Tail
 
 _AXES: Final = 3
-_new_labelled: Final = fast_constructor(Labelled)
 _LABELS: Final = {label: constant([label], np.int8) for label in (SLIP, STATIC, UNKNOWN)}  # (1,) each
 
 
@@ -163,7 +161,7 @@ def _planar_speed(velocity: Vector[Real], normal: Vector[Real]) -> Real:
 
 
 def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
-    return _new_labelled(
+    return Labelled(
         rows.time,
         rows.counts,
         rows.temperature,
@@ -173,5 +171,5 @@ def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
         rows.matched,
         speed,
         label,
-        rows.finger,
+        finger=rows.finger,
     )

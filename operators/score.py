@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed, fast_constructor
+from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed
 from operators.checks import check_at_least
 from operators.detectors.detector import Detector, Stream, Streaming
 from operators.forward_fill import forward_fill
@@ -15,7 +15,6 @@ from operators.window import Window
 
 _BLOCK: Final = 64  # windows per call of a detector; few enough to stay in the cache
 MISSING: Final = 3  # largest number of invalid cells in the newest sample
-_new_scores: Final = fast_constructor(Scores)
 
 
 @dataclass
@@ -78,7 +77,7 @@ class Score(Operator[Zeroed, Scores]):
         if not complete:
             missing = BAROMETERS - batch.valid[rows].sum(axis=1)  # (n,)
             probability = np.where(missing > MISSING, np.nan, probability)
-        return _new_scores(batch.time[rows], probability, batch.finger)
+        return Scores(batch.time[rows], probability, finger=batch.finger)
 
 
 def _stream(detector: Detector) -> Stream | None:

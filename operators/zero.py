@@ -5,14 +5,13 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed, fast_constructor
+from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.tail import Tail
 
 _FULL: Final = 1023  # counts, of the 10-bit converter
-_new_zeroed: Final = fast_constructor(Zeroed)
 
 
 @dataclass
@@ -78,4 +77,4 @@ class Zero(Operator[Touch, Zeroed]):
 
     def _subtract(self, batch: Touch, offset: Counts) -> Zeroed:
         valid = batch.valid if self._known is None else batch.valid & self._known
-        return _new_zeroed(batch.time, batch.counts - offset, batch.temperature, valid, batch.finger)
+        return Zeroed(batch.time, batch.counts - offset, batch.temperature, valid, finger=batch.finger)

@@ -1,11 +1,10 @@
-from dataclasses import FrozenInstanceError
 from typing import Any
 
 import numpy as np
 import pytest
 
 from operators import Batch, BatchError, Labelled, Motion, Scores, Slips, Touch, Windows, Zeroed, concat
-from operators.batch import columns, constant, fast_constructor
+from operators.batch import columns, constant
 
 KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
 
@@ -13,27 +12,6 @@ KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
 def _columns(kind: type[Batch], rows: int) -> list[Any]:
     shapes = [(rows, *(max(size, 1) for size in column.shape)) for column in columns(kind).values()]
     return [np.zeros(shape, c.dtype) for shape, c in zip(shapes, columns(kind).values(), strict=True)]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_fast_constructor_gives_the_same_batch_as_the_constructor(kind: type[Batch]) -> None:
-    values = _columns(kind, 3)
-    made, constructed = fast_constructor(kind)(*values, 5), kind(*values, finger=5)
-    assert type(made) is kind
-    assert made.finger == constructed.finger == 5
-    for name in columns(kind):
-        assert getattr(made, name) is getattr(constructed, name)
-
-
-def test_a_batch_of_a_fast_constructor_is_frozen() -> None:
-    made: Any = fast_constructor(Scores)(*_columns(Scores, 1), 5)
-    with pytest.raises(FrozenInstanceError):
-        made.finger = 6
-
-
-def test_a_fast_constructor_takes_every_column() -> None:
-    with pytest.raises(ValueError, match="shorter than"):
-        fast_constructor(Scores)(*_columns(Scores, 1))
 
 
 def test_a_constant_cannot_be_written_to() -> None:

@@ -13,14 +13,14 @@ from flows.graph.node import Node
 from flows.run.cluster.work_units import RecordingEnd, RowRange, WorkUnit
 from flows.run.cluster.worker import checked_type
 from flows.run.replay_runner import in_slices, replayed
-from operators.batch import EVERY, Batch, Times, column
+from operators.batch import EVERY, Batch, Times, batch_type, column
 from operators.errors import FlowError, InputError
 from operators.ports import Description, SomeBatch, Source
 from storage import Dataset, Session
 from storage.layout import TABLE_OF, inside
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@batch_type
 class _RowTimes(Batch):
     """Times of rows and their positions in the files: enough to split a recording."""
 
