@@ -6,7 +6,7 @@ from math import isnan
 from typing import Final
 
 from flows.learn.evaluation.event_metrics import Reference
-from flows.learn.stress.stress_fields import GRIDS, Grid
+from flows.learn.stress.stress_fields import FIELDS, StressField
 from flows.learn.stress.stress_study import Stress
 from flows.report.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
 
@@ -72,9 +72,9 @@ def abstention(of: Stress) -> Figure:
 
 def _panels(lines: Sequence[_Line], text: str) -> tuple[Figure, list[Axes]]:
     """Draw values from nominal to broken, or from the lowest to the highest if there are two sides."""
-    rows = -(-len(GRIDS) // _COLUMNS)
+    rows = -(-len(FIELDS) // _COLUMNS)
     figure, axes = grid(rows, _COLUMNS, (13, 2.1 * rows), sharey=True)
-    for number, (axis, (field, values)) in enumerate(zip(axes, GRIDS.items(), strict=False)):
+    for number, (axis, (field, values)) in enumerate(zip(axes, FIELDS.items(), strict=False)):
         shown = sorted(values.values) if len(values.sides) > 1 else list(values.values)
         for place, (name, height) in enumerate(lines):
             heights = [height(field, value) for value in shown]
@@ -91,14 +91,14 @@ def _panels(lines: Sequence[_Line], text: str) -> tuple[Figure, list[Axes]]:
         _scale(axis, values, shown)
         if number % _COLUMNS == 0:
             axis.set_ylabel(text, fontsize=8)
-    for axis in axes[len(GRIDS) :]:
+    for axis in axes[len(FIELDS) :]:
         axis.set_axis_off()
     handles, names = axes[0].get_legend_handles_labels()
     figure.legend(handles, names, loc="outside upper center", ncols=min(len(names), 8))
-    return figure, axes[: len(GRIDS)]
+    return figure, axes[: len(FIELDS)]
 
 
-def _scale(axis: Axes, values: Grid, shown: Sequence[float]) -> None:
+def _scale(axis: Axes, values: StressField, shown: Sequence[float]) -> None:
     axis.axvline(shown.index(values.values[0]), color=FAINT, linewidth=0.8, zorder=0)
     axis.set_xticks(range(len(shown)), [values.number(value) for value in shown])
     axis.set(xlim=(-0.4, len(shown) - 0.6))

@@ -5,7 +5,7 @@ from typing import Final
 
 from flows.learn.evaluation.event_metrics import Performance, Reference
 from flows.learn.stress import stress_figure
-from flows.learn.stress.stress_fields import FALL, GOALS, GRIDS
+from flows.learn.stress.stress_fields import FALL, FIELDS, GOALS
 from flows.learn.stress.stress_figure import MEASURES
 from flows.learn.stress.stress_study import Stress
 from flows.report.report_page import Report, Section
@@ -20,7 +20,7 @@ _AGAINST: Final[dict[Reference, str]] = {
 def stress_report(of: Stress, command: str) -> Report:
     """Return the report of a stress study that `command` made."""
     text = (
-        f"{len(of.names)} detectors along {len(GRIDS)} stress fields, each from nominal to broken; the line "
+        f"{len(of.names)} detectors along {len(FIELDS)} stress fields, each from nominal to broken; the line "
         f"in a panel marks nominal. The {of.recordings} recordings of each condition are simulated with "
         f"seed {of.seed}; those of a field differ only by the stress. For slip speed all strokes are "
         "translations at 50 mm/s, slowed down; otherwise the plan is a small version of the paper's. The "
@@ -37,7 +37,7 @@ def stress_report(of: Stress, command: str) -> Report:
         "recordings": of.recordings,
         "debounce": debounce,
         "missing": dict(of.missing),
-        "fields": {field: list(grid.values) for field, grid in GRIDS.items()},
+        "fields": {field: list(grid.values) for field, grid in FIELDS.items()},
     }
     sections = [
         goals(of),
@@ -64,8 +64,8 @@ def goals(of: Stress) -> Section:
 def breaking(of: Stress) -> Section:
     """Return the section with the breaking points of each detector."""
     first = of.names[0]
-    broken = sum(value is not None for field in GRIDS for value in of.breaking(first, field).values())
-    sides = sum(len(grid.sides) for grid in GRIDS.values())
+    broken = sum(value is not None for field in FIELDS for value in of.breaking(first, field).values())
+    sides = sum(len(grid.sides) for grid in FIELDS.values())
     return Section(
         "balanced",
         f"{first} loses {FALL:g} points of balanced accuracy in {broken} of {sides} directions of stress",
@@ -80,14 +80,14 @@ def breaking(of: Stress) -> Section:
 def events(of: Stress, key: str) -> Section:
     """Return the section with false alarms, missed slips or delay."""
     first, measure = of.names[0], MEASURES[key]
-    value, field = max((_worst(of, first, field, key), field) for field in GRIDS)
+    value, field = max((_worst(of, first, field, key), field) for field in FIELDS)
     nominal = getattr(_nominal(of, first), key)
     rows: list[list[Value]] = [
-        [GRIDS[each].text, *(_worst(of, name, each, key) for name in of.names)] for each in GRIDS
+        [FIELDS[each].text, *(_worst(of, name, each, key) for name in of.names)] for each in FIELDS
     ]
     return Section(
         key.replace("_", "-"),
-        f"{measure.text}: {first} from {show(nominal)} at nominal to {show(value)} ({GRIDS[field].text})",
+        f"{measure.text}: {first} from {show(nominal)} at nominal to {show(value)} ({FIELDS[field].text})",
         "Of debounced events, by the label. The table gives the worst value along each field.",
         [Table(["field", *of.names], rows)],
         lambda: stress_figure.panels(of, measure),
@@ -115,7 +115,7 @@ def abstention(of: Stress) -> Section:
     """Return the section with the shares of samples that are degraded or have no score."""
     first = of.names[0]
     rows = list[list[Value]]()
-    for field, grid in GRIDS.items():
+    for field, grid in FIELDS.items():
         for side, values in grid.sides.items():
             nominal, hardest = (of.outcome(field, value) for value in (values[0], values[-1]))
             shares = [hardest.degraded, nominal.degraded, hardest.unscored[first]]
@@ -143,7 +143,7 @@ def _goals(of: Stress, reference: Reference) -> Table:
 
 def _breaking(of: Stress, reference: Reference) -> Table:
     rows = list[list[Value]]()
-    for field, grid in GRIDS.items():
+    for field, grid in FIELDS.items():
         points = {name: of.breaking(name, field, reference) for name in of.names}
         for side, values in grid.sides.items():
             broken = [points[name][side] for name in of.names]
@@ -155,14 +155,14 @@ def _breaking(of: Stress, reference: Reference) -> Table:
 
 def _side_name(field: str, side: str) -> str:
     """Return the name of a field, with the side if it has two."""
-    grid = GRIDS[field]
+    grid = FIELDS[field]
     names = [grid.text, *([grid.unit] if grid.unit else []), *([side] if len(grid.sides) > 1 else [])]
     return ", ".join(names)
 
 
 def _first() -> tuple[str, float]:
-    field = next(iter(GRIDS))
-    return field, GRIDS[field].values[0]
+    field = next(iter(FIELDS))
+    return field, FIELDS[field].values[0]
 
 
 def _nominal(of: Stress, name: str, reference: Reference = "label") -> Performance:
@@ -171,5 +171,5 @@ def _nominal(of: Stress, name: str, reference: Reference = "label") -> Performan
 
 def _worst(of: Stress, name: str, field: str, key: str) -> float:
     """Return the highest value of a measure along a field; NaN if there is none."""
-    found: list[float] = [getattr(of.at(name, field, value), key) for value in GRIDS[field].values]
+    found: list[float] = [getattr(of.at(name, field, value), key) for value in FIELDS[field].values]
     return max((each for each in found if not isnan(each)), default=nan)

@@ -15,14 +15,13 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from connectors.sim.paper_plan import PaperPlan as Plan
-from connectors.sim.stress_profiles import stressed
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.event_metrics import REFERENCES, Performance, Reference
 from flows.learn.evaluation.methods import methods
 from flows.learn.evaluation.sample_metrics import percent
 from flows.learn.labelled_recordings import WARM_UP, simulated_recordings
 from flows.learn.scoring import probabilities
-from flows.learn.stress.stress_fields import GRIDS, breaking_point, plan_of
+from flows.learn.stress.stress_fields import FIELDS, breaking_point, plan_of, stressed
 from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread, process_map
 from operators import Debounce
@@ -74,7 +73,7 @@ class Stress:
             side: breaking_point(
                 values, [self.at(name, field, value, reference).balanced for value in values]
             )
-            for side, values in GRIDS[field].sides.items()
+            for side, values in FIELDS[field].sides.items()
         }
 
 
@@ -137,7 +136,7 @@ def run_stress(
     progress: Progress = lambda _done, _all: None,
 ) -> Stress:
     """Evaluate detectors with their debounce under every stress; see `stress`."""
-    conditions = [(field, value) for field, grid in GRIDS.items() for value in grid.values]
+    conditions = [(field, value) for field, grid in FIELDS.items() for value in grid.values]
     distinct = list(dict.fromkeys(map(_distinct, conditions)))
     progress(0, len(distinct))
     outcomes: dict[Condition, Outcome] = {}
@@ -174,10 +173,10 @@ def _outcome(
 def _distinct(condition: Condition) -> Condition:
     """Return the condition that gives the same recordings: the nominal value is the same in every field."""
     field, value = condition
-    if value != GRIDS[field].values[0] or field == "slip_speed":
+    if value != FIELDS[field].values[0] or field == "slip_speed":
         return condition
-    first = next(iter(GRIDS))
-    return first, GRIDS[first].values[0]
+    first = next(iter(FIELDS))
+    return first, FIELDS[first].values[0]
 
 
 def _share(flags: Sequence[Flags]) -> float:

@@ -9,7 +9,6 @@ import pytest
 
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Faults, Move, Moves, Scene
-from connectors.sim.stress_profiles import stressed
 from flows.lab.simulation import planned_recordings
 from flows.learn.labelled_recordings import (
     LabelledRecording,
@@ -19,6 +18,7 @@ from flows.learn.labelled_recordings import (
     simulated_recordings,
 )
 from flows.learn.splits import SPLITS, TURNS
+from flows.learn.stress.stress_fields import stressed
 from operators.batch import Flags
 from operators.errors import InputError
 from storage.files import put_checked, read_checked

@@ -3,20 +3,99 @@ from math import nan
 import numpy as np
 import pytest
 
+from connectors.sim import finger
+from connectors.sim.arm_motion import Controller
+from connectors.sim.finger import Finger
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import Scene
-from connectors.sim.stress_profiles import FIELDS, stressed
-from flows.learn.stress.stress_fields import GOALS, GRIDS, Grid, breaking_point, plan_of
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Move, Moves, Scene
+from flows.learn.stress.stress_fields import (
+    FIELDS,
+    GOALS,
+    StressField,
+    breaking_point,
+    plan_of,
+    stressed,
+)
+from operators.batch import Reals, columns
+
+PLAN = Moves((Move("hold", 0.4, force=2.0), Move("translation", 0.5, 0.1, 30.0, 0.1)))
+PLAIN = Scene(PLAN)
+HARD = {
+    "noise": 14.0, "gain": 1.3, "offset": 30.0, "drift": 20.0, "dead": 2, "stuck": 2, "floored": 2,
+    "touch_jitter": 0.005, "touch_dropped": 0.3, "touch_clock_offset": -0.1, "touch_clock_rate": 1e-3,
+    "motion_jitter": 0.005, "motion_dropped": 0.3, "motion_clock_offset": 0.1, "motion_clock_rate": 1e-3,
+    "vibration": 3e-4, "friction": 0.5, "stick_slip": 0.0, "force": 0.2, "slip_speed": 0.1,
+}  # fmt: skip
+SHOWN = {  # streams and truth that each field changes
+    "noise": ("touch",),
+    "gain": ("touch",),
+    "offset": ("touch",),
+    "drift": ("touch",),
+    "dead": ("touch",),
+    "stuck": ("touch",),
+    "floored": ("touch",),
+    "touch_jitter": ("touch",),
+    "touch_dropped": ("touch", "truth"),
+    "touch_clock_offset": ("touch",),
+    "touch_clock_rate": ("touch",),
+    "motion_jitter": ("motion",),
+    "motion_dropped": ("motion",),
+    "motion_clock_offset": ("motion",),
+    "motion_clock_rate": ("motion",),
+    "vibration": ("touch", "truth"),
+    "friction": ("touch", "truth"),
+    "stick_slip": ("touch", "truth"),
+    "force": ("touch", "truth"),
+    "slip_speed": ("touch", "motion", "truth"),
+}
 
 
-def test_every_field_has_a_grid() -> None:
-    assert GRIDS.keys() == FIELDS.keys()
+def recorded(scene: Scene) -> dict[str, bytes]:
+    """All bytes of both streams and of the truth."""
+    taken, motion = Finger(scene, 3).take(1000), Controller(scene, 3).take(1000)
+    assert taken is not None
+    assert motion is not None
+    parts = {"touch": taken[0], "motion": motion, "truth": taken[1]}
+    return {
+        part: b"".join(getattr(batch, name).tobytes() for name in columns(type(batch)))
+        for part, batch in parts.items()
+    }
 
 
-@pytest.mark.parametrize("field", GRIDS)
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_field_changes_what_it_should_and_nothing_else(field: str) -> None:
+    nominal, hard = recorded(PLAIN), recorded(stressed(PLAIN, field, HARD[field]))
+    changed = tuple(part for part, recording in nominal.items() if hard[part] != recording)
+    assert changed == SHOWN[field]
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_change_to_the_nominal_value_changes_no_byte(field: str) -> None:
+    assert recorded(FIELDS[field].change(PLAIN, FIELDS[field].nominal)) == recorded(PLAIN)
+
+
+def test_force_and_speed_are_the_plans() -> None:
+    def truth(field: str, value: float) -> tuple[float, float]:
+        taken = Finger(stressed(PLAIN, field, value), 0).take(75)
+        assert taken is not None
+        return float(taken[1].force[-1]), float(np.hypot(*taken[1].velocity[-1, :2]))
+
+    assert truth("force", 0.5) == pytest.approx((1.0, 0.1))
+    assert truth("slip_speed", 0.5) == pytest.approx((2.0, 0.05))
+
+
+def test_without_stick_slip_a_moving_surface_holds_as_well_as_one_at_rest() -> None:
+    p, half = (stressed(PLAIN, "stick_slip", value).parameters for value in (0.0, 0.5))
+    assert p.static_friction == p.kinetic_friction == Parameters().kinetic_friction
+    assert half.static_friction == pytest.approx(
+        (Parameters().static_friction + Parameters().kinetic_friction) / 2
+    )
+
+
+@pytest.mark.parametrize("field", FIELDS)
 def test_a_grid_begins_at_nominal_and_each_side_goes_on_from_there(field: str) -> None:
-    grid = GRIDS[field]
-    assert grid.values[0] == FIELDS[field].nominal
+    grid = FIELDS[field]
     assert sum(len(side) - 1 for side in grid.sides.values()) == len(grid.values) - 1
     for side in grid.sides.values():
         distances = [abs(value - grid.values[0]) for value in side]
@@ -24,15 +103,15 @@ def test_a_grid_begins_at_nominal_and_each_side_goes_on_from_there(field: str) -
         assert len(side) > 2
 
 
-@pytest.mark.parametrize("field", GRIDS)
+@pytest.mark.parametrize("field", FIELDS)
 def test_every_value_is_one_that_the_field_can_have(field: str) -> None:
-    for value in GRIDS[field].values[1:]:
+    for value in FIELDS[field].values[1:]:
         assert stressed(Scene(), field, value) != Scene()
 
 
 def test_the_goals_are_on_the_grids() -> None:
     for goal in GOALS:
-        assert goal.value in GRIDS[goal.field].values, goal.text
+        assert goal.value in FIELDS[goal.field].values, goal.text
 
 
 def test_slip_speed_is_one_speed_and_no_rotation() -> None:
@@ -45,7 +124,7 @@ def test_slip_speed_is_one_speed_and_no_rotation() -> None:
     ]
     assert {move.motion for move in strokes} == {"translation"}
     assert {round(move.speed, 6) for move in strokes} == {0.01}
-    assert GRIDS["slip_speed"].show(0.2) == "10 mm/s"
+    assert FIELDS["slip_speed"].show(0.2) == "10 mm/s"
     assert plan_of("noise", PaperPlan(repeats=1)) == PaperPlan(repeats=1)
 
 
@@ -70,5 +149,32 @@ def test_values_may_fall_towards_what_is_broken() -> None:
 
 
 def test_a_grid_of_two_sides_begins_each_at_nominal() -> None:
-    assert Grid((1, 2, 4, 0.5), "any").sides == {"up": (1, 2, 4), "down": (1, 0.5)}
-    assert Grid((1, 0.5), "any").sides == {"down": (1, 0.5)}
+    assert StressField(_unchanged, (1, 2, 4, 0.5), "any").sides == {"up": (1, 2, 4), "down": (1, 0.5)}
+    assert StressField(_unchanged, (1, 0.5), "any").sides == {"down": (1, 0.5)}
+
+
+def _unchanged(scene: Scene, value: float) -> Scene:
+    del value
+    return scene
+
+
+class _Unpaid:
+    """Stands where nobody should come."""
+
+    def __call__(self, *_: object) -> Reals:
+        raise AssertionError("computed though the scene does not name it")
+
+    random = standard_normal = __call__
+
+
+def test_a_scene_without_vibration_or_noise_computes_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    quiet = Scene(PLAN, parameters=Parameters(noise=0.0))
+    monkeypatch.setattr(finger, "vibration_velocity", _Unpaid())
+    for field, drawn in (("vibration", "_noise"), ("noise", "_noise")):
+        simulation = Finger(quiet, 0)
+        monkeypatch.setattr(simulation.cells, drawn, _Unpaid())
+        assert simulation.take(50) is not None
+        simulation = Finger(stressed(quiet, field, 1e-4), 0)
+        monkeypatch.setattr(simulation.cells, drawn, _Unpaid())
+        with pytest.raises(AssertionError, match="does not name"):
+            simulation.take(50)

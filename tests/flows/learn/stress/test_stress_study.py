@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.stress_profiles import stressed
 from flows.learn.evaluation.event_metrics import Performance
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress import stress_figure
-from flows.learn.stress.stress_fields import GOALS, GRIDS
+from flows.learn.stress.stress_fields import FIELDS, GOALS, stressed
 from flows.learn.stress.stress_report import stress_report
 from flows.learn.stress.stress_study import Stress, run_stress, stress
 from operators import Debounce
@@ -44,13 +43,13 @@ def found() -> Stress:
 
 
 def test_every_value_of_every_field_is_evaluated(found: Stress) -> None:
-    values = {(field, value) for field, grid in GRIDS.items() for value in grid.values}
+    values = {(field, value) for field, grid in FIELDS.items() for value in grid.values}
     assert found.outcomes.keys() == values
     assert (found.names, found.recordings) == (("psd", "always"), 1)
 
 
 def test_a_detector_that_always_predicts_slip_has_50_percent_and_breaks_nowhere(found: Stress) -> None:
-    for field, grid in GRIDS.items():
+    for field, grid in FIELDS.items():
         for value in grid.values:
             if (field, value) != ("dead", 4):
                 assert found.at("always", field, value).balanced == 50
@@ -77,7 +76,7 @@ def test_health_reports_dead_stuck_and_floored_cells_but_not_noise(found: Stress
 
 
 def test_nominal_is_the_same_recordings_in_every_field_but_slip_speed(found: Stress) -> None:
-    nominal = {field: found.outcome(field, grid.values[0]) for field, grid in GRIDS.items()}
+    nominal = {field: found.outcome(field, grid.values[0]) for field, grid in FIELDS.items()}
     del nominal["slip_speed"]
     assert len({id(outcome) for outcome in nominal.values()}) == 1
 
@@ -96,8 +95,8 @@ def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None
 
 
 def test_two_processes_find_what_one_finds(found: Stress, monkeypatch: pytest.MonkeyPatch) -> None:
-    few = {"dead": GRIDS["dead"]}
-    monkeypatch.setattr("flows.learn.stress.stress_study.GRIDS", few)
+    few = {"dead": FIELDS["dead"]}
+    monkeypatch.setattr("flows.learn.stress.stress_study.FIELDS", few)
     subjects = {"psd": (Psd(), Debounce())}
     done = list[tuple[int, int]]()
 
@@ -106,13 +105,13 @@ def test_two_processes_find_what_one_finds(found: Stress, monkeypatch: pytest.Mo
 
     again = run_stress(subjects, {}, SEED, TINY, jobs=2, progress=progress)
     assert done == [(number, 5) for number in range(6)]
-    for value in GRIDS["dead"].values:
+    for value in FIELDS["dead"].values:
         assert repr(again.at("psd", "dead", value)) == repr(found.at("psd", "dead", value))
 
 
 def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "flows.learn.stress.stress_study.GRIDS", {"noise": GRIDS["noise"], "dead": GRIDS["dead"]}
+        "flows.learn.stress.stress_study.FIELDS", {"noise": FIELDS["noise"], "dead": FIELDS["dead"]}
     )
     seeds, log = list[int](), list[str]()
 
@@ -132,8 +131,8 @@ def test_methods_are_fitted_and_tuned_on_other_recordings(monkeypatch: pytest.Mo
 def test_the_report_has_every_section_and_every_figure(
     found: Stress, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    few = {field: GRIDS[field] for field in ("noise", "gain", "slip_speed")}  # drawing all takes long
-    monkeypatch.setattr("flows.learn.stress.stress_figure.GRIDS", few)
+    few = {field: FIELDS[field] for field in ("noise", "gain", "slip_speed")}  # drawing all takes long
+    monkeypatch.setattr("flows.learn.stress.stress_figure.FIELDS", few)
     paths = stress_report(found, "slipflow stress").write(tmp_path, "stress")
     assert [path.suffix for path in paths] == [".html", ".md", ".json", *[".svg"] * 6]
     markdown, page = paths[1].read_text(), paths[0].read_text()
@@ -150,7 +149,7 @@ def test_the_report_has_every_section_and_every_figure(
 def test_goals_and_breaking_points_are_in_the_json(found: Stress) -> None:
     data = stress_report(found, "slipflow stress").json()
     assert data["missing"] == {"oracle": "there is none"}
-    assert data["fields"].keys() == GRIDS.keys()
+    assert data["fields"].keys() == FIELDS.keys()
     goals, _ = data["sections"]["goals"]["tables"]
     assert [row["stress"] for row in goals["rows"]] == ["nominal", *(goal.text for goal in GOALS)]
     assert goals["rows"][0]["always"] == 50
@@ -162,7 +161,7 @@ def test_goals_and_breaking_points_are_in_the_json(found: Stress) -> None:
 def test_each_field_has_a_panel(found: Stress) -> None:
     figure = stress_figure.panels(found, stress_figure.MEASURES["missed"])
     titles = [axis.get_title("left") for axis in figure.axes]
-    assert [title.partition(",")[0] for title in titles if title] == [grid.text for grid in GRIDS.values()]
+    assert [title.partition(",")[0] for title in titles if title] == [grid.text for grid in FIELDS.values()]
 
 
 def test_a_terminal_shows_goals_and_breaking_points(found: Stress) -> None:
