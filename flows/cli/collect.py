@@ -16,8 +16,9 @@ from flows.cli.options import AsJson, Recordings, Seed
 from flows.cli.terminal import note
 
 if TYPE_CHECKING:
+    from connectors.takktile.i2c_access import I2cBus
     from connectors.ur.control_process import Pose
-    from flows.lab.collection.collector import CollectionResult, Setup
+    from flows.lab.collection.collector import Collector
     from flows.lab.collection.stroke_plan import CollectionPlan
 
 VIRTUAL_MARGIN = 0.03  # m; a virtual arm stops late on a busy host
@@ -110,22 +111,21 @@ def collect(
         _print_path(chosen, robot, seed, virtual=virtual, as_json=as_json)
     else:
         from connectors.emulators.lab_loop import run_lab
+        from connectors.ur.control_process import check_ur_rtde
 
-        setup = _setup(robot or "127.0.0.1", bus, rows, out)
+        check_ur_rtde()
         execute = run_lab if virtual else asyncio.run
-        _report(execute(_collect(chosen, setup, seed, virtual=virtual)), as_json=as_json)
+        work = _collect(
+            chosen, robot or "127.0.0.1", bus, _row_numbers(rows), out=out, seed=seed, virtual=virtual
+        )
+        _report(execute(work), as_json=as_json)
 
 
-def _setup(robot: str, bus: str, rows: str, out: Path) -> "Setup":
-    from connectors.ur.control_process import check_ur_rtde
-    from flows.lab.collection.collector import Setup
-
-    check_ur_rtde()
+def _row_numbers(rows: str) -> tuple[int, ...]:
     try:
-        numbers = tuple(int(row) for row in rows.split(","))
+        return tuple(int(row) for row in rows.split(","))
     except ValueError:
         raise typer.BadParameter(f"--rows {rows}: must be row numbers such as 0,1") from None
-    return Setup(robot, out, int(bus) if bus.isdigit() else bus, numbers)
 
 
 def _on_virtual_lab(plan: "CollectionPlan") -> "CollectionPlan":
@@ -168,26 +168,36 @@ def _print_path(
     typer.echo(json.dumps(found) if as_json else plan_table(found))
 
 
-async def _collect(plan: "CollectionPlan", setup: "Setup", seed: int, *, virtual: bool) -> "CollectionResult":
+async def _collect(
+    plan: "CollectionPlan",
+    robot: str,
+    bus: str,
+    rows: tuple[int, ...],
+    *,
+    out: Path,
+    seed: int,
+    virtual: bool,
+) -> "Collector":
     from connectors.emulators.virtual_lab import virtual_lab
     from connectors.sim.scene import commanded_scene
     from flows.lab.collection.collector import collect
     from flows.run.clocks import LoopClock
 
     async with AsyncExitStack() as running:
+        devices: int | str | I2cBus = int(bus) if bus.isdigit() else bus
         clock = None
         if virtual:
             note("starting the virtual lab; the first start compiles its physics, which takes some seconds")
             scene = commanded_scene(plan.surfaces[0].shape, plan.surfaces[0].radius)
-            serving = virtual_lab(scene, seed, fingers=setup.rows, host=setup.robot)
+            serving = virtual_lab(scene, seed, fingers=rows, host=robot)
             lab = await running.enter_async_context(serving)
             lab.wait_for_commands()
-            setup, clock = replace(setup, bus=lab.bus), LoopClock(lab.scene.now())
+            devices, clock = lab.bus, LoopClock(lab.scene.now())
         note(f"to pause and to resume: kill -USR1 {os.getpid()}")
-        return await collect(plan, setup, seed=seed, log=note, clock=clock)
+        return await collect(plan, robot, out, bus=devices, rows=rows, seed=seed, log=note, clock=clock)
 
 
-def _report(result: "CollectionResult", *, as_json: bool) -> None:
+def _report(result: "Collector", *, as_json: bool) -> None:
     """Print the result, and set the exit code."""
     from flows.lab.collection.collection_report import describe_result, result_text
 

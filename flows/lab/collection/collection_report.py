@@ -6,7 +6,7 @@ from typing import Any
 from connectors.ur.control_process import Pose
 from connectors.ur.path_follower import Point
 from flows.lab.collection.arm_path import Extent
-from flows.lab.collection.collector import CollectionResult
+from flows.lab.collection.collector import Collector
 from flows.lab.collection.stroke_plan import Stroke, StrokeSeries, total_extent
 
 
@@ -14,7 +14,7 @@ def describe_plan(
     series: Sequence[StrokeSeries], low: Point, high: Point, here: Pose | None = None
 ) -> dict[str, Any]:
     """Return the path, duration and bounds of a plan in a workspace (m), from the arm's pose if known."""
-    whole, press = total_extent(series, here), series[0].press
+    whole, press = total_extent(series, here), series[0].plan.press
     contacts = [_contact_seconds(stroke, each) for each in series for stroke in each.strokes]
     return {
         "sessions": [_describe_series(each) for each in series],
@@ -60,10 +60,10 @@ def plan_table(plan: dict[str, Any]) -> str:
     return "\n".join([head, *rows, total.rstrip(), box, touching, pressed])
 
 
-def describe_result(result: CollectionResult) -> dict[str, Any]:
+def describe_result(result: Collector) -> dict[str, Any]:
     """Return the strokes and sessions of a collection."""
     return {
-        "strokes": result.strokes,
+        "strokes": result.driver.strokes,
         "sessions": [
             {
                 "session": run.session,
@@ -92,14 +92,10 @@ def result_text(result: dict[str, Any]) -> str:
 
 
 def _describe_series(series: StrokeSeries) -> dict[str, Any]:
-    path, surface = Extent.of(series.steps, series.begin.pose), series.surface
+    path = Extent.of(series.steps, series.begin.pose)
     return {
         "session": series.name,
-        "surface": surface.shape,
-        "radius": None if surface.shape == "plane" else surface.radius,
-        "speed": series.speed,
-        "split": series.split,
-        "strokes": len(series.strokes),
+        **series.describe(),
         "seconds": round(path.seconds, 3),
         "low": list(path.low),
         "high": list(path.high),

@@ -43,46 +43,25 @@ FIRST_SAMPLE: Final = 10.0  # s; longest wait for the first sample of a fingerti
 _POLL: Final = 0.05  # s
 
 
-@dataclass(frozen=True)
-class Setup:
-    """Addresses of the devices, and the dataset.
-
-    Attributes:
-        robot: Address of the UR controller.
-        out: Folder of the dataset.
-        bus: I2C bus of the fingertips, see `TakkTile`.
-        rows: Rows of the fingertips on the bus.
-    """
-
-    robot: str
-    out: Path
-    bus: int | str | I2cBus = 1
-    rows: tuple[int, ...] = (0,)
-
-
-@dataclass(frozen=True)
-class CollectionResult:
-    """Outcome of a collection."""
-
-    runs: list[Run]  # one for each series that was started
-    strokes: int
-    error: str  # reason why the arm was stopped; empty: it was not
-    interrupted: bool
-
-
 async def collect(
     plan: CollectionPlan,
-    setup: Setup,
+    robot: str,
+    out: Path,
     *,
+    bus: int | str | I2cBus = 1,
+    rows: tuple[int, ...] = (0,),
     seed: int = 0,
     log: Callable[[str], None] = lambda _: None,
     clock: Clock | None = None,
-) -> CollectionResult:
+) -> "Collector":
     """Execute a plan and record it; SIGUSR1 pauses and resumes, SIGINT and SIGTERM stop the arm first.
 
     Args:
         plan: Plan of the strokes.
-        setup: Devices and dataset.
+        robot: Address of the UR controller.
+        out: Folder of the dataset.
+        bus: I2C bus of the fingertips, see `TakkTile`.
+        rows: Rows of the fingertips on the bus.
         seed: Random seed of the order of directions.
         log: Called with progress messages.
         clock: Clock of all sessions; default: `LoopClock`.
@@ -93,26 +72,26 @@ async def collect(
         SlipflowError: if a session cannot be recorded; the arm stands still.
     """
     clock = clock or LoopClock()
-    here = await read_pose(setup.robot, clock)
+    here = await read_pose(robot, clock)
     series = plan.series(here, seed)
     low, high = workspace(series, here, plan.limits)
-    touch = TakkTile(setup.bus, setup.rows)
+    touch = TakkTile(bus, rows)
     await _check_sampling(touch, clock)
     await asyncio.to_thread(arrow.load)
     limits = plan.limits
     bounds = Bounds(low, high, limits.force)
-    arm = UrArm(setup.robot, bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
+    arm = UrArm(robot, bounds, clock, watchdog=limits.watchdog, path_tolerance=limits.margin)
     collector = Collector(
         arm,
         touch,
-        UrMotion(setup.robot),
-        lambda: Dataset(setup.out),
+        UrMotion(robot),
+        out,
         clock,
         plan,
         {"plan": plan.name, "seed": seed, "workspace": [*low, *high], "force_limit": limits.force},
         log,
     )
-    error, stop = "", collector.interrupt
+    stop = collector.interrupt
     actions = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: collector.pause_or_resume}
     with signal_handlers(actions):
         try:
@@ -121,8 +100,8 @@ async def collect(
         except EndpointError as stopped:
             if not arm.fault or not (collector.runs or collector.interrupted):
                 raise
-            error = str(stopped)
-    return CollectionResult(collector.runs, collector.driver.strokes, error, collector.interrupted)
+            collector.error = str(stopped)
+    return collector
 
 
 async def _check_sampling(touch: TakkTile, clock: Clock) -> None:
@@ -176,26 +155,28 @@ class Collector:
         arm: Open arm.
         touch: Source of the fingertips.
         motion: Source of the arm's motion.
-        dataset: Factory of the sink, one per session.
+        out: Folder of the dataset.
         clock: Clock of all sessions.
         plan: The plan, for its limits and label delay.
         about: Description of the collection, copied to every session.
         log: Called with progress messages.
         driver: Driver of the arm.
         runs: One run for each series so far.
+        error: Reason why the arm was stopped; empty: it was not.
         interrupted: True after `interrupt`.
     """
 
     arm: UrArm
     touch: Source[Touch]
     motion: Source[Motion]
-    dataset: Callable[[], Dataset]
+    out: Path
     clock: Clock
     plan: CollectionPlan
     about: dict[str, Json]
     log: Callable[[str], None] = lambda _: None
     driver: StrokeDriver = field(init=False)
     runs: list[Run] = field(default_factory=list[Run], init=False)
+    error: str = field(default="", init=False)
     interrupted: bool = field(default=False, init=False)
     _runner: LiveRunner | None = field(default=None, init=False)
 
@@ -233,8 +214,8 @@ class Collector:
 
     async def _record(self, series: StrokeSeries, name: str) -> None:
         monitor = ContactMonitor()
-        self.driver.about = {**self.about, **_describe(series)}
-        flow = self._declare(series.surface.pose, monitor)
+        self.driver.about = {**self.about, "recording": series.name, **series.describe()}
+        flow = self._declare(series.surface.middle, monitor)
         # signals are handled by the collection, which stops the arm first
         runner = self._runner = LiveRunner(flow, name, clock=self.clock, signals=False)
         self.runs.append(runner.run)
@@ -262,7 +243,7 @@ class Collector:
 
         At the pose `surface` the fingertip just touches the surface.
         """
-        flow, dataset = Flow("collect"), self.dataset()
+        flow, dataset = Flow("collect"), Dataset(self.out)
         touch, motion = flow.source(self.touch, "touch"), flow.source(self.motion, "motion")
         samples = (touch | Zero()) & (motion | DeviceClock()) | Align(within=20 * ms)
         label = Label(speed=0.003, rotation=0.2, delay=self.plan.label_delay)  # m/s, rad/s; paper
@@ -307,18 +288,3 @@ class Collector:
                     )
                     self.arm.fail(reason)
             await self.clock.sleep_until(now + round(_POLL * s))
-
-
-def _describe(series: StrokeSeries) -> dict[str, Json]:
-    surface, press = series.surface, series.press
-    return {
-        "recording": series.name,
-        "surface": surface.shape,
-        "radius": None if surface.shape == "plane" else surface.radius,
-        "place": list(surface.pose),
-        "speed": series.speed,
-        "depth": press.depth if press.force is None else None,
-        "force": press.force,
-        "strokes": len(series.strokes),
-        "split": series.split,
-    }

@@ -106,7 +106,7 @@ class StrokeDriver(Source[Episodes]):
             await self._wait_until_resumed()
             while not await self._make_unless_paused(series, stroke, monitor):
                 await self._wait_until_resumed()
-                up = raise_pose(_pose(self._arm.state), series.surface.pose, series.clearance)
+                up = raise_pose(_pose(self._arm.state), series.surface.middle, series.plan.path.clearance)
                 await self.follow([Line(up, series.begin.speed, series.begin.acceleration)])
             self.strokes += 1
 

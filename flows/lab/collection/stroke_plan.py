@@ -17,7 +17,6 @@ from typing import Annotated, Final, TypeAlias
 
 import numpy as np
 
-from connectors.sim.scene import Curvature
 from connectors.ur.control_process import WATCHDOG, Pose
 from connectors.ur.path_follower import Point
 from flows.graph.quantity import Duration, Force, Length, Speed
@@ -33,10 +32,11 @@ from flows.lab.collection.arm_path import (
     offset_pose,
     spin_velocity,
 )
-from flows.lab.collection.surfaces import RADIUS, Surface
+from flows.lab.collection.surfaces import Surface
 from flows.learn.splits import TURNS
 from operators.checks import check_above, check_at_least, check_between
 from operators.errors import ParameterError
+from operators.ports import Json
 
 Seconds: TypeAlias = Annotated[float, "s"]
 
@@ -45,22 +45,6 @@ MAX_SPEED: Final = 0.3  # m/s; above it `Label` gives no label
 MIN_SENSOR_TIMEOUT: Final = 0.05  # s; a fingertip is sampled every 10 ms
 MIN_WATCHDOG: Final = 0.1  # Hz
 _DIRECTIONS: Final = 8
-
-
-@dataclass(frozen=True, slots=True)
-class PlannedSurface:
-    """Surface of a plan, see `Surface`; without a pose it is at the arm's pose at the start."""
-
-    shape: Curvature = "plane"
-    radius: Length = RADIUS
-    pose: Pose | None = None
-
-    def __post_init__(self) -> None:
-        self.located((0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-
-    def located(self, here: Pose) -> Surface:
-        """Return the surface for an arm at a pose."""
-        return Surface(self.shape, self.pose or here, self.radius)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,16 +150,33 @@ class StrokeSeries:
     surface: Surface
     speed: float | None  # m/s; None: rotations
     begin: Line  # to the start, in the air
-    clearance: float  # m above the middle of the surface, in the air
-    baseline: Wait
     strokes: tuple[Stroke, ...]
     split: str
-    press: Press
+    plan: "CollectionPlan"
+
+    @property
+    def baseline(self) -> Wait:
+        """Standstill in the air before the strokes."""
+        return Wait(self.plan.path.baseline)
 
     @property
     def steps(self) -> tuple[Step, ...]:
         """Steps of the whole path, from any pose; it ends in the air."""
         return self.begin, self.baseline, *chain.from_iterable(stroke.steps for stroke in self.strokes)
+
+    def describe(self) -> dict[str, Json]:
+        """Return surface, speed, press and number of strokes as JSON data."""
+        surface, press = self.surface, self.plan.press
+        return {
+            "surface": surface.shape,
+            "radius": None if surface.shape == "plane" else surface.radius,
+            "place": list(surface.middle),
+            "speed": self.speed,
+            "depth": press.depth if press.force is None else None,
+            "force": press.force,
+            "strokes": len(self.strokes),
+            "split": self.split,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +197,7 @@ class CollectionPlan:
     rotations: int = 5
     rounds: int = 2
     label_delay: Duration = 0
-    surfaces: tuple[PlannedSurface, ...] = (PlannedSurface(),)
+    surfaces: tuple[Surface, ...] = (Surface(),)
     press: Press = Press()
     path: PathSettings = PathSettings()
     limits: Limits = Limits()
@@ -245,11 +246,9 @@ class CollectionPlan:
                         surface,
                         speed,
                         self._through_air(surface, 0.0, 0.0),
-                        self.path.clearance,
-                        Wait(self.path.baseline),
                         tuple(self._strokes(surface, speed, random)),
                         TURNS[(first + len(series)) % len(TURNS)],
-                        self.press,
+                        self,
                     )
                 )
         return series
@@ -267,11 +266,11 @@ class CollectionPlan:
 
     def _rotation(self, surface: Surface, spin: float) -> Stroke:
         time, acceleration = self.path.rotation_time, self.path.rotation_acceleration
-        slide = Slide(spin_velocity(surface.pose, spin), time, acceleration)
+        slide = Slide(spin_velocity(surface.middle, spin), time, acceleration)
         ramp = abs(spin) / acceleration
         angle = spin * (time if ramp <= time else time**2 / ramp)
-        begin = replace(surface, pose=offset_pose(surface.pose, yaw=-angle / 2))
-        end = replace(surface, pose=slide.end(begin.pose))
+        begin = replace(surface, pose=offset_pose(surface.middle, yaw=-angle / 2))
+        end = replace(surface, pose=slide.end(begin.middle))
         return Stroke(
             0.0,
             spin,
@@ -322,7 +321,7 @@ class CollectionPlan:
     def _through_air(self, surface: Surface, x: float, y: float) -> Line:
         """Return the move to above an offset (m) from the middle; all are at one height, above the middle."""
         path = self.path
-        pose = offset_pose(surface.pose, (x, y, -path.clearance))
+        pose = offset_pose(surface.middle, (x, y, -path.clearance))
         return Line(pose, path.travel_speed, path.acceleration)
 
 

@@ -1,11 +1,12 @@
 """Geometry of the surfaces for strokes: a plane, a sphere, or a horizontal cylinder. No I/O."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, get_args
 
 from connectors.sim.scene import Curvature, Scene, surface_drop
 from connectors.ur.control_process import Pose
+from flows.graph.quantity import Length
 from flows.lab.collection.arm_path import offset_pose
 from operators.checks import check_between, check_choice
 from operators.errors import ParameterError
@@ -20,24 +21,35 @@ _SPACING: Final = 0.002  # m, between the points along an arc
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A surface at a pose.
+    """A surface; a table [[surfaces]] of a plan file.
 
     Attributes:
         shape: One of plane, sphere, cylinder_x, cylinder_y (axis along the fingertip's x or y).
-        pose: TCP pose at which the fingertip just touches the middle of the surface, its highest point.
         radius: Radius of a curved surface, m.
+        pose: TCP pose at which the fingertip just touches the middle of the surface, its highest point; None:
+            the arm's pose at the start, see `located`.
 
     Raises:
         ParameterError: on an unknown shape, or a radius out of range.
     """
 
-    shape: Curvature
-    pose: Pose
-    radius: float = RADIUS
+    shape: Curvature = "plane"
+    radius: Length = RADIUS
+    pose: Pose | None = None
 
     def __post_init__(self) -> None:
         check_choice("Surface", "shape", self.shape, get_args(Curvature))
         check_between("Surface", "radius", self.radius, MIN_RADIUS, MAX_RADIUS, unit="m")
+
+    def located(self, here: Pose) -> "Surface":
+        """Return the surface for an arm at a pose."""
+        return replace(self, pose=self.pose or here)
+
+    @property
+    def middle(self) -> Pose:
+        """Pose of a located surface."""
+        assert self.pose, "the surface has been located"
+        return self.pose
 
     @property
     def curvatures(self) -> tuple[float, float]:
@@ -47,10 +59,10 @@ class Surface:
     def at(self, x: float, y: float, depth: float = 0.0) -> Pose:
         """Return the pose of the fingertip pressed by a depth (m) at an offset (m) from the middle.
 
-        >>> round(Surface("sphere", (0.4, 0, 0.1, math.pi, 0, 0), radius=0.05).at(0.03, 0.0)[2], 6)
+        >>> round(Surface("sphere", 0.05, (0.4, 0, 0.1, math.pi, 0, 0)).at(0.03, 0.0)[2], 6)
         0.09
         """
-        return offset_pose(self.pose, (x, y, surface_drop(self.curvatures, x, y) + depth))
+        return offset_pose(self.middle, (x, y, surface_drop(self.curvatures, x, y) + depth))
 
     def waypoints(self, x: float, y: float) -> list[float]:
         """Return the waypoints from (-x, -y) to (x, y) (m) over the surface, as multiples of (x, y).
@@ -60,8 +72,7 @@ class Surface:
         Raises:
             ParameterError: if the surface is too steep at the end.
 
-        >>> plane = Surface("plane", (0.4, 0, 0.1, math.pi, 0, 0))
-        >>> plane.waypoints(0.03, 0.0)
+        >>> Surface("plane").waypoints(0.03, 0.0)
         [1.0]
         """
         kx, ky = self.curvatures

@@ -19,15 +19,15 @@ from connectors.emulators.pressing_arm import STIFFNESS
 from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
 from connectors.sim.scene import Curvature, commanded_scene
 from connectors.ur.control_process import Pose
-from flows.lab.collection.collector import CollectionResult, Setup, collect, workspace
+from flows.lab.collection.collector import Collector, collect, workspace
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
     Limits,
     PathSettings,
-    PlannedSurface,
     Press,
     StrokeSeries,
 )
+from flows.lab.collection.surfaces import Surface
 from flows.run.clocks import LoopClock
 from operators import (
     EVERY,
@@ -91,7 +91,7 @@ PRESSED = ShortPlan(
 
 
 class Made(NamedTuple):
-    collected: CollectionResult
+    collected: Collector
     truth: Truth
     out: Path
 
@@ -127,12 +127,12 @@ def made(
         async with virtual_lab(commanded_scene(surface), host=HOST) as lab:
             lab.wait_for_commands()
             limits = Limits(force=limit, margin=0.05, sensor_timeout=1.0, watchdog=0.1)  # for a busy host
-            surfaces = (PlannedSurface(surface, pose=place),)
+            surfaces = (Surface(surface, pose=place),)
             planned = replace(plan, limits=limits, surfaces=surfaces)
             acting = asyncio.create_task(do(lab))
             async with asyncio.timeout(120):
                 collected = await collect(
-                    planned, Setup(HOST, out, lab.bus), seed=1, clock=LoopClock(lab.scene.now())
+                    planned, HOST, out, bus=lab.bus, seed=1, clock=LoopClock(lab.scene.now())
                 )
             acting.cancel()
             lab.scene.advance(lab.scene.now())  # to see that the arm stands
@@ -155,7 +155,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 def test_all_strokes_are_recorded_completely(quick: Made) -> None:
     collected = quick.collected
-    assert (collected.strokes, collected.error, collected.interrupted) == (8, "", False)
+    assert (collected.driver.strokes, collected.error, collected.interrupted) == (8, "", False)
     assert quick.about["complete"]
     touch = concat(Touch, list(quick.session.read(Touch, 0)))
     motion = concat(Motion, list(quick.session.read(Motion, -1)))
@@ -223,14 +223,14 @@ def turns(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 def test_rotations_slip_too(turns: Made) -> None:
-    assert (turns.collected.strokes, turns.collected.error) == (STROKES, "")
+    assert (turns.collected.driver.strokes, turns.collected.error) == (STROKES, "")
     labelled = concat(Labelled, list(turns.session.read(Labelled, 0)))
     assert (labelled.label == SLIP).sum() > STROKES * 20
     assert {each["motion"] for each in turns.session.frame("episodes").to_dicts()} == {"hold", "rotation"}
 
 
 def test_sigusr1_pauses_and_resumes(turns: Made) -> None:
-    assert (turns.collected.strokes, turns.collected.error) == (STROKES, "")
+    assert (turns.collected.driver.strokes, turns.collected.error) == (STROKES, "")
     assert len(turns.session.frame("episodes")) - STROKES in (
         1,
         2,
@@ -250,7 +250,7 @@ def pressed(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 
 def test_a_force_is_kept_over_a_sphere(pressed: Made) -> None:
-    assert (pressed.collected.strokes, pressed.collected.error) == (STROKES, "")
+    assert (pressed.collected.driver.strokes, pressed.collected.error) == (STROKES, "")
     _, *strokes = pressed.session.frame("episodes").to_dicts()
     assert len(strokes) == STROKES
     for each in strokes:
@@ -290,7 +290,7 @@ def test_session_json_has_depth_and_force(quick: Made, pressed: Made) -> None:
 def interrupted(done: Made, why: str) -> None:
     """Check that a collection ended early, with the arm at rest and the recorded part committed."""
     assert why in done.collected.error
-    assert done.collected.strokes < 8
+    assert done.collected.driver.strokes < 8
     assert not done.about["complete"]
     assert why in done.about["error"]
     velocity = done.truth.velocity[-1]

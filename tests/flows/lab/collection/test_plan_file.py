@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 
 from flows.lab.collection.plan_file import SHIPPED, load_plan
-from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, PlannedSurface, Press
+from flows.lab.collection.stroke_plan import CollectionPlan, Limits, PathSettings, Press
+from flows.lab.collection.surfaces import Surface
 from operators import InputError, ParameterError
 from operators.errors import SlipflowError
 
@@ -41,7 +42,7 @@ def test_the_shipped_plans_can_be_read() -> None:
 def test_the_papers_plan_shows_the_defaults_of_all_keys() -> None:
     assert load_plan("paper") == CollectionPlan()
     text = SHIPPED["paper"].read_text()
-    for settings in (CollectionPlan, PlannedSurface, Press, PathSettings, Limits):
+    for settings in (CollectionPlan, Surface, Press, PathSettings, Limits):
         missing = [
             key for key in settings.__slots__ if f"\n{key} =" not in text and f"\n# {key} =" not in text
         ]
@@ -54,7 +55,7 @@ def test_an_own_plan_overrides_the_defaults(tmp_path: Path) -> None:
         speeds=(0.01, 0.02),
         repeats=2,
         label_delay=70_000_000,
-        surfaces=(PlannedSurface("sphere", 0.06, (0.4, 0.0, 0.1, 3.1416, 0.0, 0.0)),),
+        surfaces=(Surface("sphere", 0.06, (0.4, 0.0, 0.1, 3.1416, 0.0, 0.0)),),
         press=Press(force=2.0, tare_time=0.3),
         path=PathSettings(acceleration=1.0),
         limits=Limits(workspace=(0.3, -0.1, 0.0, 0.5, 0.1, 0.2), require_contact=False),

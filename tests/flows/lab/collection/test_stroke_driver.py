@@ -15,7 +15,8 @@ from flows.graph.testing import run_virtually
 from flows.lab.collection.arm_path import Extent, Slide, Trace
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_driver import StrokeDriver
-from flows.lab.collection.stroke_plan import CollectionPlan, PlannedSurface, Press, StrokeSeries
+from flows.lab.collection.stroke_plan import CollectionPlan, Press, StrokeSeries
+from flows.lab.collection.surfaces import Surface
 from flows.run.clocks import LoopClock
 from operators import EndpointError, Episodes, s
 from operators.batch import MOTIONS, SURFACES, columns
@@ -102,7 +103,7 @@ def session(strokes: int = 2, *, rotations: bool = False, force: float | None = 
         repeats=1,
         rotations=int(rotations),
         rounds=1,
-        surfaces=(PlannedSurface("sphere"),),
+        surfaces=(Surface("sphere"),),
         press=Press(force=force),
     )
     (whole,) = plan.series(PLACE, seed=0)

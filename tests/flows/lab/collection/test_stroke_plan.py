@@ -13,18 +13,18 @@ from flows.lab.collection.stroke_plan import (
     CollectionPlan,
     Limits,
     PathSettings,
-    PlannedSurface,
     Press,
     StrokeSeries,
     total_extent,
 )
+from flows.lab.collection.surfaces import Surface
 from operators import ParameterError
 
 PLACE: Pose = (0.4, 0.0, 0.1, math.pi, 0.0, 0.0)
 
 
-def only(plan: CollectionPlan, surface: PlannedSurface | None = None, place: Pose = PLACE) -> StrokeSeries:
-    (series,) = replace(plan, surfaces=(surface or PlannedSurface(),)).series(place, seed=0)
+def only(plan: CollectionPlan, surface: Surface | None = None, place: Pose = PLACE) -> StrokeSeries:
+    (series,) = replace(plan, surfaces=(surface or Surface(),)).series(place, seed=0)
     return series
 
 
@@ -33,7 +33,7 @@ TURNS = CollectionPlan(speeds=(), rotations=1)
 
 
 def test_the_papers_plan_has_all_surfaces_speeds_directions_and_rotations() -> None:
-    surfaces = (PlannedSurface(), PlannedSurface("sphere", pose=offset_pose(PLACE, (0.2, 0, 0))))
+    surfaces = (Surface(), Surface("sphere", pose=offset_pose(PLACE, (0.2, 0, 0))))
     sessions = replace(load_plan("paper"), surfaces=surfaces).series(PLACE, seed=3)
     counted = Counter((each.surface.shape, each.speed) for each in sessions)
     assert counted == {
@@ -108,7 +108,7 @@ def test_the_seed_determines_the_order_of_directions() -> None:
         {"speeds": ()},
         {"rounds": 0},
         {"surfaces": ()},
-        {"surfaces": (PlannedSurface(), PlannedSurface("sphere"))},
+        {"surfaces": (Surface(), Surface("sphere"))},
         {"press": Press(search_height=0.02)},
         {"press": Press(force=50.0)},
     ],
@@ -137,7 +137,7 @@ def test_invalid_settings_are_refused(settings: Press, change: dict[str, Any]) -
 
 
 def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
-    for stroke in only(STROKES, PlannedSurface("sphere")).strokes:
+    for stroke in only(STROKES, Surface("sphere")).strokes:
         down = stroke.approach[-1].end(PLACE)
         (trace,) = [step for step in stroke.contact if isinstance(step, Trace)]
         centre = (0.4, 0.0, 0.1 - 0.06 - STROKES.press.depth)
@@ -148,13 +148,13 @@ def test_over_a_sphere_a_stroke_keeps_its_depth() -> None:
 
 
 def test_through_the_air_the_arm_is_above_the_highest_point() -> None:
-    for stroke in only(STROKES, PlannedSurface("sphere")).strokes:
+    for stroke in only(STROKES, Surface("sphere")).strokes:
         for step in (stroke.approach[0], *stroke.retreat):
             assert step.end(PLACE)[2] == pytest.approx(0.11)
 
 
 def test_along_a_cylinder_strokes_are_straight() -> None:
-    strokes = only(STROKES, PlannedSurface("cylinder_x")).strokes
+    strokes = only(STROKES, Surface("cylinder_x")).strokes
     straight = {
         math.degrees(each.direction)
         for each in strokes
@@ -165,7 +165,7 @@ def test_along_a_cylinder_strokes_are_straight() -> None:
 
 def test_with_a_force_a_stroke_tares_and_then_searches_from_above_the_surface() -> None:
     plan = replace(STROKES, press=Press(force=2.0, max_depth=0.003))
-    for surface in (PlannedSurface(), PlannedSurface("sphere")):
+    for surface in (Surface(), Surface("sphere")):
         session = only(plan, surface)
         for stroke in session.strokes:
             above, tare, near, down = stroke.approach

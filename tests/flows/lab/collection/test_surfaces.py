@@ -6,7 +6,6 @@ import pytest
 
 from connectors.sim.scene import Curvature, Scene
 from connectors.ur.control_process import Pose
-from flows.lab.collection.stroke_plan import PlannedSurface
 from flows.lab.collection.surfaces import STEEPEST, Surface
 from operators import ParameterError
 
@@ -16,24 +15,24 @@ CURVATURES: list[Curvature] = ["plane", "sphere", "cylinder_x", "cylinder_y"]
 
 @pytest.mark.parametrize("curvature", CURVATURES)
 def test_a_surface_is_curved_as_the_simulated_one_by_default(curvature: Curvature) -> None:
-    assert Surface(curvature, PLACE).curvatures == Scene(curvature=curvature).curvatures
-    assert max(Surface("sphere", PLACE, 0.1).curvatures) == pytest.approx(10.0)
+    assert Surface(curvature).curvatures == Scene(curvature=curvature).curvatures
+    assert max(Surface("sphere", 0.1).curvatures) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize("place", [PLACE, (0.1, 0.2, 0.3, 0.5, -1.0, 0.7)])
 def test_the_fingertip_stays_on_a_sphere(place: Pose) -> None:
-    surface = Surface("sphere", place, 0.05)
-    centre = np.array(Surface("plane", place).at(0.0, 0.0, 0.05)[:3])
+    surface = Surface("sphere", 0.05, place)
+    centre = np.array(Surface("plane", pose=place).at(0.0, 0.0, 0.05)[:3])
     for x, y in ((0.0, 0.0), (0.02, -0.01), (-0.03, 0.0)):
         for depth in (0.0, 0.002):
             *here, a, b, c = surface.at(x, y, depth)
-            inward = np.array(Surface("plane", place).at(0.0, 0.0, depth)[:3]) - place[:3]
+            inward = np.array(Surface("plane", pose=place).at(0.0, 0.0, depth)[:3]) - place[:3]
             assert math.dist(np.array(here) - inward, centre) == pytest.approx(0.05)
             assert (a, b, c) == place[3:]
 
 
 def test_a_path_is_straight_along_a_cylinder_and_bent_across() -> None:
-    surface = Surface("cylinder_x", PLACE)
+    surface = Surface("cylinder_x")
     assert surface.waypoints(0.03, 0.0) == [1.0]
     across = surface.waypoints(0.0, -0.03)
     assert across[-1] == 1.0
@@ -42,26 +41,26 @@ def test_a_path_is_straight_along_a_cylinder_and_bent_across() -> None:
 
 
 def test_too_steep_a_path_is_refused_with_the_least_radius() -> None:
-    Surface("sphere", PLACE, 0.03 / math.sin(STEEPEST) * 1.001).waypoints(0.03, 0.0)
+    Surface("sphere", 0.03 / math.sin(STEEPEST) * 1.001).waypoints(0.03, 0.0)
     with pytest.raises(ParameterError, match=r"0\.0424 m for strokes of 0\.0300 m"):
-        Surface("sphere", PLACE, 0.04).waypoints(0.03, 0.0)
+        Surface("sphere", 0.04).waypoints(0.03, 0.0)
     with pytest.raises(ParameterError, match=r"0\.0300 m for strokes of 0\.0300 m"):
-        Surface("cylinder_y", PLACE, 0.02).waypoints(0.03 * math.sqrt(0.5), 0.03 * math.sqrt(0.5))
-    Surface("cylinder_x", PLACE, 0.02).waypoints(0.03, 0.0)  # along its axis
+        Surface("cylinder_y", 0.02).waypoints(0.03 * math.sqrt(0.5), 0.03 * math.sqrt(0.5))
+    Surface("cylinder_x", 0.02).waypoints(0.03, 0.0)  # along its axis
 
 
 def test_a_planned_surface_without_a_pose_is_where_the_arm_is() -> None:
-    assert PlannedSurface("plane").located(PLACE) == Surface("plane", PLACE)
+    assert Surface().located(PLACE) == Surface("plane", pose=PLACE)
     there: Pose = (0.1, 0.2, 0.3, math.pi, 0.0, 0.0)
-    assert PlannedSurface("sphere", 0.1, there).located(PLACE) == Surface("sphere", there, 0.1)
+    assert Surface("sphere", 0.1, there).located(PLACE) == Surface("sphere", 0.1, there)
 
 
 @pytest.mark.parametrize("radius", [0.0, -0.06, math.inf, math.nan])
 def test_an_invalid_radius_is_refused(radius: float) -> None:
     with pytest.raises(ParameterError, match="radius"):
-        Surface("sphere", PLACE, radius)
+        Surface("sphere", radius)
 
 
 def test_an_unknown_shape_is_refused() -> None:
     with pytest.raises(ParameterError, match="cylinder_x"):
-        Surface(cast("Any", "cube"), PLACE)
+        Surface(cast("Any", "cube"))
