@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -42,5 +43,5 @@ def write_report(report: "Report", folder: Path, name: str, *, as_json: bool) ->
 
 def method_options(models: Sequence[Path], names: Sequence[str]) -> str:
     """Return the command-line options that select these models and methods, for the command in a report."""
-    given = [*(f"--model {path.name}" for path in models), *(f"--method {name}" for name in names)]
+    given = [*(f"--model {quote(str(path))}" for path in models), *(f"--method {name}" for name in names)]
     return "".join(f" {option}" for option in given)

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.sim.finger import simulate_scene
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import episode
@@ -90,6 +89,8 @@ def simulated_recordings(
 
 def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = "") -> LabelledRecording:
     """Simulate one scene; zero, align and label its samples."""
+    from connectors.sim.finger import simulate_scene  # noqa: PLC0415 - loads numba: only to simulate
+
     touch, motion, truth = simulate_scene(scene, seed)
     labelled, faults = _label(touch, motion)
     moves = [episode(move, start, 0, scene) for start, move in scene.moves(seed)]

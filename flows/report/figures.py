@@ -22,6 +22,7 @@ SHADE: Final = "#f3d9b1"  # background of slip
 MAIN: Final = "#0b6e99"
 SECOND: Final = "#d1495b"
 CELLS: Final = ("#0b6e99", "#e08e1b", "#2a9d5c", "#c2417c", "#7b5ea7", "#8a6d3b")  # cells 0 to 5
+_DPI: Final = 110  # of .png, and of images in .svg
 STYLE: Final[Any] = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans", "Helvetica", "Arial", "sans-serif"],
@@ -108,22 +109,27 @@ def save(figure: Figure, path: Path) -> None:
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with _style():
-        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=110)
+        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else None, dpi=_DPI)
 
 
-def inline(figure: Figure, name: str, text: str) -> str:
-    """Return a figure as SVG for an HTML page, without prolog and external references.
+def svg(figure: Figure) -> str:
+    """Return a figure as the text of an SVG file."""
+    drawn = StringIO()
+    with _style():
+        figure.savefig(drawn, format="svg", metadata={"Date": None}, dpi=_DPI)
+    return drawn.getvalue()
+
+
+def inline(drawn: str, name: str, text: str) -> str:
+    """Return an SVG file as an element of an HTML page, without prolog and external references.
 
     Args:
-        figure: Figure to convert.
+        drawn: Text of the file.
         name: Letters and hyphens; prefix that makes the identifiers unique on a page with several figures.
         text: Description for screen readers.
     """
-    drawn = StringIO()
-    with _style():
-        figure.savefig(drawn, format="svg", metadata={"Date": None})
-    _, _, svg = drawn.getvalue().partition("<svg ")
-    head, _, body = svg.partition(">")
+    _, _, element = drawn.partition("<svg ")
+    head, _, body = element.partition(">")
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body.replace("xlink:href", "href"))
     size = re.search(r'viewBox="[^"]+"', head)

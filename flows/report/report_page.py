@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from flows.report.figures import Figure, inline, missing_matplotlib, save
+from flows.report.figures import Figure, inline, missing_matplotlib, svg
 from flows.report.table import Table
 from operators.errors import EndpointError, os_error_reason
 
@@ -40,20 +40,20 @@ class Section:
     terminal: bool = True  # False: left out of the terminal text
 
     @cached_property
-    def figure(self) -> Figure | None:
-        """Figure; None if the section has none or matplotlib is not installed."""
-        return None if self.draw is None or missing_matplotlib() else self.draw()
+    def svg(self) -> str:
+        """Figure as the text of an SVG file; empty if there is none or matplotlib is not installed."""
+        return "" if self.draw is None or missing_matplotlib() else svg(self.draw())
 
     def html(self) -> str:
         """Return the section as an HTML element."""
-        figure = "" if self.figure is None else inline(self.figure, self.name, self.finding)
+        figure = inline(self.svg, self.name, self.finding) if self.svg else ""
         parts = [f"<h2>{escape(self.finding)}</h2>", f"<p>{escape(self.text)}</p>", figure]
         body = "\n".join([*parts, *(table.html() for table in self.tables)])
         return f'<section id="{self.name}">\n{body}\n</section>'
 
     def markdown(self, figure: str) -> str:
         """Return the section as Markdown; the file `figure` holds its figure."""
-        shown = [f"![{self.finding}]({figure})"] if self.figure is not None else []
+        shown = [f"![{self.finding}]({figure})"] if self.svg else []
         return "\n\n".join([f"## {self.finding}", self.text, *shown, *(t.markdown() for t in self.tables)])
 
 
@@ -113,9 +113,9 @@ class Report:
             for path, text in zip(paths, texts.values(), strict=True):
                 path.write_text(text, encoding="utf-8")
             for section in self.sections:
-                if section.figure is not None:
+                if section.svg:
                     paths.append(folder / _figure_file(name, section))
-                    save(section.figure, paths[-1])
+                    paths[-1].write_text(section.svg, encoding="utf-8")
         except OSError as error:
             raise EndpointError(str(folder), f"cannot be written: {os_error_reason(error)}") from error
         return paths

@@ -11,7 +11,7 @@ from typing import Final
 from flows.learn.chart.detector_speed import costs
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
 from flows.learn.evaluation.event_metrics import Performance
-from flows.learn.evaluation.methods import methods
+from flows.learn.evaluation.methods import trained_methods, with_baselines
 from flows.learn.labelled_recordings import by_split, load
 from flows.learn.scoring import probabilities
 from flows.learn.train_extra import require_train_extra
@@ -111,6 +111,7 @@ def chart(
             split, or a method or model does not exist.
     """
     require_train_extra("chart")
+    trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
     train, validation, test = by_split(load(dataset)).values()
     for split, part in (("validation", validation), ("test", test)):
@@ -118,7 +119,7 @@ def chart(
             reason = f"has no {split} split: `slipflow simulate` makes datasets with all splits"
             raise InputError(str(dataset), reason)
     with one_thread():
-        chosen, missing = methods(train, models, names, log)
+        chosen, missing = with_baselines(trained, train, names, log)
     for name, reason in missing.items():
         log(f"skipped: {name}: {reason}")
     detectors = {method.name: method.detector for method in chosen}

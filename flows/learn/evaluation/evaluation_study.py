@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from connectors.sim.truth import STICK
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
 from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, filled
-from flows.learn.evaluation.methods import Method, methods
+from flows.learn.evaluation.methods import Method, trained_methods, with_baselines
 from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
 from flows.learn.labelled_recordings import LabelledRecording, load
@@ -87,12 +87,13 @@ def evaluate(
         InputError: if the train extra is missing, or the dataset, split, a method or a model does not exist.
     """
     require_train_extra("evaluate")
+    trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
     everything = load(dataset)
     recordings = _of_split(dataset, everything, split)
     parts = {name: [each for each in everything if each.split == name] for name in ("train", "validation")}
     with one_thread():
-        chosen, missing = methods(parts["train"], models, names, log)
+        chosen, missing = with_baselines(trained, parts["train"], names, log)
         if not chosen:
             raise InputError("evaluate", "; ".join(f"{name}: {why}" for name, why in missing.items()))
         evaluator = _Evaluator(recordings, parts["validation"], budget)

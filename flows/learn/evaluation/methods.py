@@ -32,19 +32,12 @@ class Method:
     debounce: Debounce | None = None  # from its model card
 
 
-def methods(
-    training: Sequence[LabelledRecording],
-    models: Sequence[Path] = (),
-    names: Collection[str] = (),
-    log: Log = lambda _: None,
-) -> tuple[list[Method], dict[str, str]]:
-    """Return the methods, and the reasons why others are missing, by name.
+def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) -> list[Method]:
+    """Return the methods that have weights: shipped ones and model files.
 
     Args:
-        training: Recordings that the baselines are fitted to.
         models: Files of weights to compare as well.
         names: Only these methods, and those of `models`; empty: all.
-        log: Receives progress messages.
 
     Raises:
         InputError: if a file does not hold the weights of a detector, or a name is unknown.
@@ -58,18 +51,35 @@ def methods(
     unknown = sorted(set(names) - {*found, *_BASELINES, *TRAINED})
     if unknown:
         raise InputError(", ".join(unknown), f"is not a method; known are {', '.join([*found, *_BASELINES])}")
-    missing = {name: "no model ships: give one as --model FILE" for name in TRAINED if name not in found}
+    return [method for name, method in found.items() if not names or name in {*names, *given}]
+
+
+def with_baselines(
+    trained: Sequence[Method],
+    training: Sequence[LabelledRecording],
+    names: Collection[str] = (),
+    log: Log = lambda _: None,
+) -> tuple[list[Method], dict[str, str]]:
+    """Return the methods with weights and the baselines, and the reasons why others are missing, by name.
+
+    Args:
+        trained: Methods that `trained_methods` returned for `names`.
+        training: Recordings that the baselines are fitted to.
+        names: Only these methods; empty: all.
+        log: Receives progress messages.
+    """
+    found, loaded = list(trained), {method.name for method in trained}
+    wanted = names or {*TRAINED, *_BASELINES}
+    reason = "no model ships: give one as --model FILE"
+    missing = {name: reason for name in TRAINED if name in wanted and name not in loaded}
     for name, (length, fit) in _BASELINES.items():
-        if names and name not in names:
-            continue
-        log(f"fitting {name}")
-        try:
-            found[name] = _fitted(name, length, fit, training)
-        except InputError as error:
-            missing[name] = error.reason
-    wanted = {*names, *given} if names else {*found, *missing}
-    chosen = [method for name, method in found.items() if name in wanted]
-    return chosen, {name: reason for name, reason in missing.items() if name in wanted}
+        if name in wanted:
+            log(f"fitting {name}")
+            try:
+                found.append(_fitted(name, length, fit, training))
+            except InputError as error:
+                missing[name] = error.reason
+    return found, missing
 
 
 def _psd(seen: Counts, slip: Flags) -> Detector:

@@ -6,7 +6,6 @@ from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from flows.learn.train_extra import sklearn
 from operators.batch import Codes, Flags, Reals
@@ -167,6 +166,8 @@ def distance(label: Codes) -> Reals:
     within = np.append(same, True) & np.insert(same, 0, True)  # (n,) not at a change
     if within.all():
         return np.full(len(label), np.inf)
+    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415 - slow to import
+
     steps: Reals = distance_transform_edt(within)
     return steps * _PERIOD_MS
 

@@ -17,7 +17,7 @@ import numpy as np
 from connectors.sim.paper_plan import PaperPlan as Plan
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.event_metrics import REFERENCES, Performance, Reference
-from flows.learn.evaluation.methods import methods
+from flows.learn.evaluation.methods import trained_methods, with_baselines
 from flows.learn.evaluation.sample_metrics import percent
 from flows.learn.labelled_recordings import WARM_UP, simulated_recordings
 from flows.learn.scoring import probabilities
@@ -110,11 +110,12 @@ def stress(
     check_at_least("stress", "seed", seed, 0)
     if jobs is not None:
         check_at_least("stress", "jobs", jobs, 1)
+    trained = trained_methods(models, names)
     fitting = simulated_recordings(training, seed + _FITTING)
     nominal = simulated_recordings(training, seed + _TUNING)
     detectors = dict[str, tuple[Detector, Debounce]]()
     with one_thread():
-        chosen, missing = methods(fitting, models, names, log)
+        chosen, missing = with_baselines(trained, fitting, names, log)
         for name, reason in missing.items():
             log(f"skipped: {name}: {reason}")
         for method in chosen:

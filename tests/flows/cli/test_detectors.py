@@ -43,6 +43,12 @@ def test_mistakes_are_one_line_each(tiny: Path, tmp_path: Path) -> None:
         assert "Traceback" not in done.stderr
 
 
+def test_a_missing_model_is_reported_before_the_dataset_is_read(tmp_path: Path) -> None:
+    for command in ("evaluate", "chart"):
+        done = slipflow(command, "nowhere", "--model", "missing.safetensors", cwd=tmp_path)
+        assert done.stderr == "error: missing.safetensors: cannot be read: No such file or directory\n"
+
+
 def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
     size = ("--filters", "4", "--steps", "20", "-o", "small.safetensors", "--curve", "curve.svg")
     done = slipflow("train", str(tiny), *size, "--json", cwd=tmp_path)
@@ -58,13 +64,14 @@ def test_train_and_onnx_write_files(tiny: Path, tmp_path: Path) -> None:
 
 
 def test_evaluate_prints_tables_of_given_models_and_named_methods(tiny: Path, tmp_path: Path) -> None:
-    options = ("--method", "psd", "--model", str(shipped("tcn")), "--out", "here")
+    model = str(shipped("tcn"))
+    options = ("--method", "psd", "--model", model, "--out", "here")
     done = slipflow("evaluate", str(tiny), *options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     table, _, _ = done.stdout[done.stdout.index("| method") :].partition("\n\n")
     assert {row.split()[1] for row in table.splitlines()[2:]} == {"psd", "tcn_2"}
     assert "| rotation" in done.stdout
-    assert (tmp_path / "here" / "evaluation.html").exists()
+    assert f" --model {model} --method psd" in (tmp_path / "here" / "evaluation.html").read_text()
 
 
 def test_only_a_tcn_can_be_exported_and_only_to_an_existing_folder(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from unittest.mock import patch
 
 import pytest
 
-from flows.report.figures import Figure, grid, styled
+from flows.report.figures import Figure, grid, styled, svg
 from flows.report.report_page import Report, Section, make_output_folder
 from flows.report.table import Table
 from operators.errors import EndpointError
@@ -123,6 +123,13 @@ def test_the_figures_in_the_markdown_file_are_written_next_to_it(tmp_path: Path)
     figures = [path.name for path in paths if path.suffix == ".svg"]
     assert figures == ["found-one.svg", "found-two.svg"]
     assert all(f"]({name})" in markdown for name in figures)
+    assert "</svg>" in paths[-1].read_text()
+
+
+def test_each_figure_is_rendered_once(tmp_path: Path) -> None:
+    with patch("flows.report.report_page.svg", wraps=svg) as rendered:
+        report().write(tmp_path, "found")
+    assert rendered.call_count == 2
 
 
 def test_a_folder_below_a_file_is_refused(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 import numpy as np
 
 from flows.learn.evaluation.baselines import GradientBoosting, Logistic, activity, activity_and_steps
+from flows.run.processes import one_thread
 from operators.batch import Counts, Flags
 
 
@@ -14,7 +15,8 @@ def shaking(seed: int) -> tuple[Counts, Flags]:
 
 
 def test_gradient_boosting_detects_shaking() -> None:
-    fitted = GradientBoosting.fitted(*shaking(0))
+    with one_thread():  # as in evaluations; busy cores slow several threads down
+        fitted = GradientBoosting.fitted(*shaking(0))
     other, truth = shaking(1)
     assert ((fitted.score(other) > 0.5) == truth).mean() > 0.95
 

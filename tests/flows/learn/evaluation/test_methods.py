@@ -1,11 +1,12 @@
 import json
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from flows.learn.evaluation.methods import methods
+from flows.learn.evaluation.methods import Method, trained_methods, with_baselines
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
 from operators.detectors import TRAINED, Psd
@@ -32,6 +33,15 @@ def model(path: Path, **about: object) -> Path:
     if about:
         path.with_suffix(".json").write_text(json.dumps(about))
     return path
+
+
+def methods(
+    training: Sequence[LabelledRecording],
+    models: Sequence[Path] = (),
+    names: Collection[str] = (),
+    log: Callable[[str], object] = lambda _: None,
+) -> tuple[list[Method], dict[str, str]]:
+    return with_baselines(trained_methods(models, names), training, names, log)
 
 
 def test_baselines_are_fitted_to_the_training_split(training: list[LabelledRecording]) -> None:
