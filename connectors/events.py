@@ -17,6 +17,8 @@ from operators.batch import BAROMETERS, EVERY, Faults
 from operators.health import FaultKind
 from operators.ports import Json
 
+_JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
+
 CONTENT_TYPE: Final = "application/cloudevents+json"  # CloudEvents MQTT binding 1.0.2, section 3.2
 
 
@@ -157,7 +159,10 @@ def encode(document: Json) -> bytes:
     >>> encode({"p": float("nan"), "rates": [100.0, float("inf")]})
     b'{"p":null,"rates":[100.0,null]}'
     """
-    return json.dumps(_finite(document), separators=(",", ":"), allow_nan=False).encode()
+    try:
+        return _JSON.encode(document).encode()
+    except ValueError:  # not finite
+        return _JSON.encode(_finite(document)).encode()
 
 
 def timestamp(time: int) -> str:

@@ -15,7 +15,9 @@ else:
             self._name: Final = name
 
         def __getattr__(self, attribute: str) -> object:
-            return getattr(import_module(self._name), attribute)
+            found: object = getattr(import_module(self._name), attribute)
+            vars(self)[attribute] = found  # the next read does not come here
+            return found
 
     pa, pq = _Lazy("pyarrow"), _Lazy("pyarrow.parquet")
 

@@ -6,13 +6,13 @@ import platform
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final, cast
 
 from operators.batch import s
 from operators.errors import InputError
 from operators.ports import Description, Run
+from operators.software import software_version
 from storage import files
 from storage.layout import DATASET, SESSION, SESSIONS, TABLES, Table, inside
 from storage.lock import lock
@@ -83,7 +83,7 @@ def describe_session(
         "flow": run.flow,
         "start": _rfc3339(run.start),
         "start_ns": run.start,
-        "software": f"slipflow {version('slipflow')}",
+        "software": f"slipflow {software_version()}",
         "host": platform.node() if host is None else host,
         "declaration": list(run.declaration),
         "tables": [table.name for table in tables],

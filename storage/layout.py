@@ -21,6 +21,7 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
@@ -226,6 +227,14 @@ def inside(folder: Path, path: Path) -> Path:
     Raises:
         InputError: if it is not.
     """
-    if not path.resolve().is_relative_to(folder.resolve()):
+    if _has_links(folder, path) and not path.resolve().is_relative_to(folder.resolve()):
         raise InputError(str(path), f"is a link that leads out of {folder}: replace it by the files")
     return path
+
+
+def _has_links(folder: Path, path: Path) -> bool:
+    """Return False if no name between `folder` and `path` is a link or leads upwards."""
+    if not path.is_relative_to(folder) or ".." in path.parts:
+        return True
+    between = takewhile(lambda each: each != folder, (path, *path.parents))
+    return any(os.path.islink(each) for each in between)  # noqa: PTH114 - false if access is denied

@@ -7,6 +7,7 @@ the fields.
 from __future__ import annotations  # they name classes of pyarrow
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, Final, cast
 
 import numpy as np
@@ -20,6 +21,7 @@ from storage.layout import TABLE_OF, Table
 _KINDS: Final = {kind.__name__: kind for kind in TABLE_OF}
 
 
+@cache
 def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
     """Return the Arrow schema of a table; its metadata "batch" has the type of its batches.
 
@@ -30,6 +32,7 @@ def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
     return pa.schema(_fields(table), {"batch": (kind or table.kind).__name__})
 
 
+@cache
 def finger_schema(table: Table) -> pa.Schema:
     """Return the schema of the one column that `fingers` needs: the fingertip, or else the time.
 
@@ -41,6 +44,7 @@ def finger_schema(table: Table) -> pa.Schema:
     return pa.schema([field for field in _fields(table) if field.name == name])
 
 
+@cache
 def time_schema(table: Table) -> pa.Schema:
     """Return the schema of the columns that `times` needs."""
     return pa.schema([field for field in _fields(table) if field.name in {"time", "finger"}])

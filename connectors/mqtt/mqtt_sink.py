@@ -4,7 +4,6 @@ import logging
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 
 from connectors.events import Event, Fault, encode, faults, finger_name, timestamp
@@ -18,6 +17,7 @@ from operators.batch import SLIP, Clocks, Faults, Slips, ms
 from operators.checks import check_at_least, check_between
 from operators.errors import ParameterError
 from operators.ports import Json, Run, Sink
+from operators.software import software_version
 
 log = logging.getLogger("slipflow")
 
@@ -199,7 +199,7 @@ class Mqtt(Sink[Slips | Faults | Clocks]):
 
     def _status(self, state: str, since: int | None) -> Message:
         document: dict[str, Json] = {
-            "version": version("slipflow"),
+            "version": software_version(),
             "since": None if since is None else timestamp(since),  # unknown for a will
         }
         return self._message("status", {"state": state, **self._identity(), **document})

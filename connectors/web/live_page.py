@@ -5,7 +5,6 @@ import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from importlib.metadata import version
 from typing import Final
 
 from connectors.events import encode
@@ -15,6 +14,7 @@ from connectors.web.page_frames import Frames, Rows, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.checks import check_between
 from operators.ports import Json, Run, Sink
+from operators.software import software_version
 
 FRAME_EVERY: Final = 0.025  # s, shortest time between frames
 GATHER: Final = 0.002  # s before a frame, so that it contains all rows derived from one sample
@@ -168,7 +168,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         """Return the first messages to a browser: the run with all kept rows, and a report."""
         run = self._run
         about: dict[str, Json] = {
-            "version": version("slipflow"),
+            "version": software_version(),
             "session": run.session,
             "flow": run.flow,
             "live": run.live,

@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Final
 
 from operators import Slips, Touch
+from operators.batch import Batch
 from operators.errors import SlipflowError
 from storage import Session, recover, verify
 from tests.faults.schedule import STALL_MAX
-from tests.faults.simulated_rig import Identity, Life, Row, numbered_rows
+from tests.faults.simulated_rig import FINGERS, Identity, Life, Row, numbered_rows
 
 if TYPE_CHECKING:
     from tests.faults.world import World
@@ -124,16 +126,24 @@ def _recordings(world: World) -> Iterator[str]:
 
 def _rows(world: World, life: Life, session: Session) -> Iterator[str]:
     for kind, name in ((Touch, "Touch"), (Slips, "Slips")):
-        accepted = life.rows.get(name, [])
-        for finger in (0, 1):
+        accepted, recorded = life.rows.get(name, []), _read(session, kind)
+        for finger in FINGERS:
             expected = [row for row in accepted if row[0] == finger]
-            found = [row for batch in session.read(kind, finger) for row in numbered_rows(batch)]
+            found = [row for row in recorded if row[0] == finger]
             common = min(len(expected), len(found))
             if found[:common] != expected[:common]:
                 yield f"{life.session}: {name} of finger {finger} has other rows than were accepted"
             missing = expected[common:]
             if missing:
                 yield from _missing(world, life, name, missing)
+
+
+def _read(session: Session, kind: type[Batch]) -> list[Row]:
+    """Return the rows of both fingertips, each file read once."""
+    found = list[Row]()
+    for batches in zip_longest(*(session.read(kind, finger) for finger in FINGERS)):
+        found += [row for batch in batches if batch for row in numbered_rows(batch)]
+    return found
 
 
 def _missing(world: World, life: Life, name: str, missing: list[Row]) -> Iterator[str]:

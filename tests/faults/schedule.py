@@ -1,15 +1,16 @@
 """Schedules of faults: drawn from a seed, printed, and shrunk to the fewest faults."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from random import Random
 from typing import Final
 
-SPAN: Final = 1.5  # s of virtual time in which faults occur
+SPANS: Final = (0.4, 0.4, 0.8, 1.5)  # s of virtual time in which faults occur: short ones are cheaper
+SPAN: Final = SPANS[-1]  # s
 
 STALL_MAX: Final = 0.3  # s, of the whole host
 
-KINDS: Final = {  # of faults: maximum duration, s; 0: momentary
+KINDS: Final = {  # of faults: maximum duration in the longest span, s; 0: momentary
     "kill rig": 0.0,  # at the next await of any task
     "kill rig at disk operation": 0.0,
     "kill consumer": 0.0,
@@ -50,27 +51,30 @@ class Schedule:
 
     seed: int
     faults: tuple[Fault, ...]
+    span: float = SPAN  # s
 
 
 def draw(seed: int, kinds: Sequence[str] = tuple(KINDS)) -> Schedule:
     """Draw up to eight faults of at most five kinds, so that faults of a kind meet."""
     random = Random(seed)
     kinds = random.sample(sorted(kinds), min(random.randint(1, 5), len(kinds)))
-    faults = [_fault(random, random.choice(kinds)) for _ in range(random.randint(1, 8))]
-    return Schedule(seed, tuple(sorted(faults, key=lambda fault: fault.start)))
+    span = random.choice(SPANS)
+    faults = [_fault(random, random.choice(kinds), span) for _ in range(random.randint(1, 8))]
+    return Schedule(seed, tuple(sorted(faults, key=lambda fault: fault.start)), span)
 
 
 def shrink(schedule: Schedule, violates: Callable[[Schedule], bool]) -> Schedule:
     """Remove faults one by one as long as the schedule still violates an invariant."""
     faults, index = schedule.faults, 0
     while index < len(faults):
-        fewer = Schedule(schedule.seed, faults[:index] + faults[index + 1 :])
+        fewer = replace(schedule, faults=faults[:index] + faults[index + 1 :])
         if violates(fewer):
             faults, index = fewer.faults, 0
         else:
             index += 1
-    return Schedule(schedule.seed, faults)
+    return replace(schedule, faults=faults)
 
 
-def _fault(random: Random, kind: str) -> Fault:
-    return Fault(kind, random.uniform(0, SPAN), random.random() * KINDS[kind], random.random())
+def _fault(random: Random, kind: str, span: float) -> Fault:
+    duration = random.random() * KINDS[kind] * span / SPAN
+    return Fault(kind, random.uniform(0, span), duration, random.random())

@@ -8,6 +8,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
+from stat import S_ISDIR
 from typing import Any
 from unittest.mock import patch
 
@@ -34,14 +35,14 @@ class SimulatedDisk:
     """
 
     def __init__(self, root: Path, random: Random) -> None:
-        self.root, self._random = root, random
+        self._root, self._random = str(root), random
         self.error = 0  # errno of each write, fsync and new file; 0: none
         self.fsync_error = False  # fsync fails with EIO
         self.kill_in = 0  # operations of a process until it is killed in the middle of one; 0: never
         self.operations = 0
         self._inodes: dict[int, _Inode] = {}
         self._names: dict[str, dict[str, int]] = {}  # durable inode of each name, by folder
-        self._open_files = set[int]()
+        self._open_files = dict[int, str]()  # paths by descriptor
         self._locks = dict[int, SimulatedProcess]()
         self._real: dict[str, Callable[..., Any]] = {}
 
@@ -59,18 +60,18 @@ class SimulatedDisk:
 
     def lose_power(self) -> None:
         """Replace the files by what a power loss may leave of them."""
-        image = self._image(str(self.root))
+        image = self._image(self._root)
         self._inodes.clear()
         self._names.clear()
-        for folder, _, names in os.walk(self.root, topdown=False):
+        for folder, _, names in os.walk(self._root, topdown=False):
             for name in names:
                 if f"{folder}/{name}" not in image:
                     self._real["unlink"](f"{folder}/{name}")
-            if folder not in image and folder != str(self.root):
+            if folder not in image and folder != self._root:
                 self._real["rmdir"](folder)
         for path, content in image.items():
             self._restore(path, content)
-        for folder, _, _ in os.walk(self.root):
+        for folder, _, _ in os.walk(self._root):
             self._names[folder] = _listed(folder)
 
     def _restore(self, path: str, content: bytes | None) -> None:
@@ -143,7 +144,7 @@ class SimulatedDisk:
         )
 
     def _simulated(self, path: str | None) -> bool:
-        return path is not None and path.startswith(str(self.root)) and current() is not None
+        return path is not None and path.startswith(self._root) and current() is not None
 
     def _fails(self) -> bool:
         """Return True if the running process has the disk that fails; the consumer has another one."""
@@ -175,8 +176,8 @@ class SimulatedDisk:
         if new:
             self._step(name, grows=True)
         descriptor: int = self._real["open"](path, flags, mode, dir_fd=dir_fd)
-        if name is not None and name.startswith(str(self.root)):
-            self._open_files.add(descriptor)
+        if name is not None and name.startswith(self._root):
+            self._open_files[descriptor] = name
         if new and self._simulated(name):
             self._inodes[os.fstat(descriptor).st_ino] = _Inode()
         return descriptor
@@ -188,13 +189,13 @@ class SimulatedDisk:
         return self._torn(descriptor, data, lambda number, part: self._real["pwrite"](number, part, offset))
 
     def _close(self, descriptor: int) -> None:
-        self._open_files.discard(descriptor)
+        self._open_files.pop(descriptor, None)
         self._locks.pop(descriptor, None)
         self._real["close"](descriptor)
 
     def _torn(self, descriptor: int, data: Any, write: Callable[[int, Any], int]) -> int:
         """Write all, or on a kill or a full disk any first part."""
-        path = self._path(descriptor)
+        path = self._open_files.get(descriptor)
         if not self._simulated(path):
             return write(descriptor, data)
         view = memoryview(data).cast("B")
@@ -211,13 +212,13 @@ class SimulatedDisk:
         return write(descriptor, data)
 
     def _fsync(self, descriptor: int) -> None:
-        path = self._path(descriptor)
-        if path is None or not path.startswith(str(self.root)):
+        path = self._open_files.get(descriptor)
+        if path is None:
             self._real["fsync"](descriptor)
             return
         self._step(path)
         status = os.fstat(descriptor)
-        folder = os.path.isdir(f"/proc/self/fd/{descriptor}")
+        folder = S_ISDIR(status.st_mode)
         if self._fails() and (self.fsync_error or self.error == errno.EIO):
             if not folder:
                 known = self._inodes.setdefault(status.st_ino, _Inode())
@@ -227,13 +228,14 @@ class SimulatedDisk:
             self._names[path] = _listed(path)
             return
         known = self._inodes.setdefault(status.st_ino, _Inode())
-        content = bytearray(Path(f"/proc/self/fd/{descriptor}").read_bytes())
+        known.durable = os.pread(descriptor, status.st_size, 0)
         for start, end in known.dropped:
+            content = bytearray(known.durable)
             content[start:end] = bytes(max(0, min(end, len(content)) - start))
-        known.durable = bytes(content)
+            known.durable = bytes(content)
 
     def _ftruncate(self, descriptor: int, size: int) -> None:
-        path = self._path(descriptor)
+        path = self._open_files.get(descriptor)
         self._step(path)
         if self._simulated(path) and self._fails() and self.error == errno.EIO:
             raise OSError(errno.EIO, os.strerror(errno.EIO), path)
@@ -245,12 +247,6 @@ class SimulatedDisk:
             return self._real[name](path, *args, **options)
 
         return operate
-
-    def _path(self, descriptor: int) -> str | None:
-        try:
-            return os.readlink(f"/proc/self/fd/{descriptor}")
-        except OSError:
-            return None
 
 
 def _text(path: int | str | bytes | os.PathLike[str]) -> str | None:

@@ -2,13 +2,15 @@
 
 import asyncio
 from collections.abc import Callable
+from heapq import heappop
 from random import Random
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from flows.graph.testing import VirtualLoop
 from tests.faults.simulated_process import adopt
 
 T = TypeVar("T")
+TURNS_MAX: Final = 1_000_000  # of the loop in a simulation
 
 
 class SimulatedLoop(VirtualLoop):
@@ -21,7 +23,29 @@ class SimulatedLoop(VirtualLoop):
     def __init__(self, random: Random) -> None:
         super().__init__()
         self._random = random
+        self._turns = 0
         self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
+
+    def _run_once(self) -> None:
+        """Run what is ready, as asyncio's own method does, but without sockets, signals or other threads.
+
+        Raises:
+            AssertionError: if tasks keep each other busy.
+        """
+        ready, scheduled = self._ready, self._scheduled
+        if not ready and scheduled:
+            self._virtual.time = max(self._virtual.time, scheduled[0].when())
+        due = self._virtual.time + self._clock_resolution
+        while scheduled and (scheduled[0].when() < due or scheduled[0].cancelled()):
+            handle = heappop(scheduled)
+            handle._scheduled = False
+            ready.append(handle)
+        self._turns += 1
+        assert self._turns < TURNS_MAX, "tasks keep each other busy"
+        for _ in range(len(ready)):
+            handle = ready.popleft()
+            if not handle.cancelled():
+                handle._run()
 
     def create_task(self, coro: Any, **options: Any) -> "asyncio.Task[Any]":
         """Create a task that belongs to the process of its context."""

@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
+from math import inf
 from random import Random
 
 import numpy as np
@@ -15,6 +16,7 @@ from operators.ports import Clock, Source
 from storage.dataset import Dataset, Recordable
 from tests.faults.simulated_process import current
 
+FINGERS = (0, 1)
 EVENT_EVERY = 5  # rows
 PERIOD = 20 * ms
 Identity = tuple[str, str, int]  # session, finger, time (ns)
@@ -66,6 +68,7 @@ class Device(Source[Touch]):
                 self.failing = False
                 raise OSError("the device was unplugged")
             if loop.time() < self.silent_until:
+                await self._stay_silent(loop)
                 continue
             newest = clock.now()
             numbers = np.arange(self._number, self._number + rows)
@@ -73,6 +76,11 @@ class Device(Source[Touch]):
             time = newest - PERIOD * np.arange(rows - 1, -1, -1)
             counts = np.repeat(numbers[:, None] % 1000, 6, axis=1).astype(np.int16)  # (n, 6)
             yield Touch(time, counts, counts, np.ones(counts.shape, np.bool_), finger=self._finger)
+
+    async def _stay_silent(self, loop: asyncio.AbstractEventLoop) -> None:
+        if self.silent_until == inf:
+            await loop.create_future()
+        await asyncio.sleep(self.silent_until - loop.time())
 
 
 class EveryFifth(Operator[Touch, Slips]):

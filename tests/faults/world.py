@@ -11,6 +11,7 @@ from collections.abc import Callable, Generator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache, partial
+from math import inf
 from pathlib import Path
 from random import Random
 from shutil import rmtree
@@ -25,12 +26,13 @@ from flows.run.live_runner import LiveRunner
 from operators.errors import SlipflowError
 from storage import lock
 from tests.faults.invariants import violations
-from tests.faults.schedule import SPAN, STALL_MAX, Fault, Schedule
+from tests.faults.schedule import STALL_MAX, Fault, Schedule
 from tests.faults.simulated_broker import SimulatedBroker
 from tests.faults.simulated_disk import SimulatedDisk
 from tests.faults.simulated_loop import SimulatedLoop
 from tests.faults.simulated_process import Killed, SimulatedProcess, current
 from tests.faults.simulated_rig import (
+    FINGERS,
     Device,
     EveryFifth,
     Identity,
@@ -44,7 +46,9 @@ START: Final = 1_700_000_000 * 10**9  # ns, host time at the start
 MEMORY: Final = Path("/dev/shm")  # noqa: S108 - files in memory, which fsync does not slow down
 QUIET: Final = 90.0  # s; limit for everything to arrive after the last fault
 URL: Final = "mqtt://broker"
-TASKS_MAX: Final = 80
+LAST: Final = "last"  # session of the life without faults
+LIMIT: Final = 600.0  # s, of virtual time
+REST: Final = (1.0, 1.0, 1.0, 5.0)  # s
 
 
 @dataclass
@@ -79,7 +83,7 @@ class World:
         self.loop = SimulatedLoop(Random(self.random.random()))
         self.loop.latency = self._latency
         self.loop.set_exception_handler(self._unhandled)
-        self.devices = [Device(finger, Random(self.random.random())) for finger in (0, 1)]
+        self.devices = [Device(finger, Random(self.random.random())) for finger in FINGERS]
         self.rig: SimulatedProcess | None = None
         self.runner: LiveRunner | None = None
         self.consumer: SimulatedProcess | None = None
@@ -97,7 +101,7 @@ class World:
             self.loop.call_at(fault.start, self._apply, fault)
         rig = self.loop.create_task(self._keep_rig())
         consumer = self.loop.create_task(self._keep_consumer())
-        await asyncio.sleep(SPAN + self.random.random())
+        await asyncio.sleep(self.schedule.span + self.random.random() * self.schedule.span)
         self._heal()
         if self.runner:
             self.runner.stop()
@@ -114,12 +118,12 @@ class World:
         """Restart the rig whenever it ends, as a service manager does."""
         while not self.healed:
             await self._live(Life(f"run-{len(self.lives)}"))
-            await asyncio.sleep(self.random.uniform(0.01, 0.5))
+            await asyncio.sleep(self.random.uniform(0.01, self.schedule.span / 3))
 
-    async def _live(self, life: Life, *, devices: bool = True) -> None:
+    async def _live(self, life: Life) -> None:
         self.lives.append(life)
         self.rig = SimulatedProcess("rig")
-        task = self.rig.start(self._record(life, devices=devices))
+        task = self.rig.start(self._record(life))
         try:
             await task
         except (Killed, asyncio.CancelledError):
@@ -132,18 +136,21 @@ class World:
         self.runner = None
         self.rig.kill()
 
-    async def _record(self, life: Life, *, devices: bool) -> None:
+    async def _record(self, life: Life) -> None:
         flow = Flow("faults")
-        dataset = WatchedDataset(self.folder / "data", part_span=400_000_000)
+        dataset = WatchedDataset(self.folder / "data", part_span=round(self.schedule.span * 0.4e9))
         mqtt = WatchedMqtt(URL, outbox=self.folder / "outbox", connect_required=False)
         dataset.life = mqtt.life = life
-        for device in self.devices if devices else ():
+        for device in self.devices:
             touch = flow.source(device)
-            touch.to(dataset)
             slips = touch | EveryFifth()
-            slips.to(dataset)
             slips.to(mqtt)
+            if life.session != LAST:
+                touch.to(dataset)
+                slips.to(dataset)
         runner = self.runner = LiveRunner(flow, life.session, signals=False)
+        if self.healed and life.session != LAST:  # stopped in the moment in which it started
+            runner.stop()
         await runner.execute()
         if runner.run.error:
             life.error = runner.run.error
@@ -161,7 +168,7 @@ class World:
             if error and not isinstance(error, Killed | SlipflowError):
                 self.errors.append(f"the consumer ended with {error!r}")
             self.consumer.kill()
-            await asyncio.sleep(self.random.uniform(0.05, 0.5))
+            await asyncio.sleep(self.random.uniform(0.05, self.schedule.span / 3))
 
     async def _consume(self) -> None:
         position = self.folder / "consumer" / "position"
@@ -178,16 +185,16 @@ class World:
 
     async def _deliver_rest(self) -> None:
         """Run the rig without devices until the consumer has all events."""
-        life = Life("last")
-        flow_end = self.loop.create_task(self._live(life, devices=True))
+        life = Life(LAST)
+        flow_end = self.loop.create_task(self._live(life))
         for device in self.devices:
-            device.silent_until = float("inf")
+            device.silent_until = inf
         expected = {event for each in self.lives for event in each.events}
         for _ in range(round(QUIET / 2 / 0.2)):
             if not expected - self.processed.keys():
                 break
             await asyncio.sleep(0.2)
-        await asyncio.sleep(5.0)  # what is delivered twice or invented arrives too
+        await asyncio.sleep(self.random.choice(REST))  # what is delivered twice or invented arrives too
         if self.runner:
             self.runner.stop()
         await flow_end
@@ -322,7 +329,7 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
         world = World(schedule, folder)
         with _simulated(world) as stack:
             prepare(stack)
-            world.loop.run_until_complete(world.main())
+            world.loop.run_until_complete(asyncio.wait_for(world.main(), LIMIT))
             found = [*world.errors, *violations(world)]
         lives = [(life.session, life.end, life.ended, life.rows, life.events) for life in world.lives]
         observed = repr((world.received, world.reports, lives, found)).replace(str(folder), "")

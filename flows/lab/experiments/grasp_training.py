@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +22,7 @@ from flows.learn.training.trained_model import Model, label_scores, write_model
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import GraspTcn
 from operators.errors import ParameterError
+from operators.software import software_version
 
 GRASPS: Final = 4000  # recordings of up to 5 s
 STROKES: Final = PaperPlan(repeats=3, rotations=2, parameters=Parameters(noise=0.6))  # 44 recordings
@@ -107,7 +107,7 @@ def _data_card(kinds: dict[str, list[LabelledRecording]], seed: int) -> dict[str
     """Return the part of the model card about the training data."""
     return {
         "detector": GraspTcn.name,
-        "software": f"slipflow {version('slipflow')}",
+        "software": f"slipflow {software_version()}",
         "data": [
             {
                 "simulated": kind,

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -20,6 +19,7 @@ from flows.learn.training.trained_model import Model, label_scores, provenance, 
 from operators.checks import check_at_least, check_between, check_choice
 from operators.detectors import TRAINED, Detector
 from operators.errors import InputError, ParameterError
+from operators.software import software_version
 from storage import load_weights
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def train(
     shifted = parts if lag is None else {split: relabelled(found, lag) for split, found in parts.items()}
     about: dict[str, Any] = {
         "detector": method,
-        "software": f"slipflow {version('slipflow')}",
+        "software": f"slipflow {software_version()}",
         "data": [provenance(dataset, found) for dataset, found in recordings.items()],
         "label_lag_s": lag,
     }
