@@ -21,7 +21,6 @@ from storage.layout import TABLE_OF, Table
 _KINDS: Final = {kind.__name__: kind for kind in TABLE_OF}
 
 
-@cache
 def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
     """Return the Arrow schema of a table; its metadata "batch" has the type of its batches.
 
@@ -29,7 +28,7 @@ def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
     >>> schema(TOUCH).field("counts").type
     FixedSizeListType(fixed_size_list<item: int16>[6])
     """
-    return pa.schema(_fields(table), {"batch": (kind or table.kind).__name__})
+    return _schema(table, (kind or table.kind).__name__)
 
 
 @cache
@@ -120,6 +119,11 @@ def flat(column: pa.ChunkedArray[Any]) -> pa.Array[Any]:
     array: Any = column.combine_chunks()
     values: pa.Array[Any] = array.flatten() if pa.types.is_fixed_size_list(array.type) else array
     return values
+
+
+@cache
+def _schema(table: Table, batch: str) -> pa.Schema:
+    return pa.schema(_fields(table), {"batch": batch})
 
 
 def _fields(table: Table) -> list[pa.Field[Any]]:

@@ -1,6 +1,7 @@
 """Event loop in virtual time whose executor runs in the loop: one thread, one order of events per seed."""
 
 import asyncio
+from collections import deque
 from collections.abc import Callable
 from heapq import heappop
 from random import Random
@@ -19,6 +20,10 @@ class SimulatedLoop(VirtualLoop):
     A function for the executor runs whole at some time within its latency; its result arrives at the end of
     it. `latency` (s) is drawn for each call, so that a slow disk delays the tasks that wait for it.
     """
+
+    _ready: deque[asyncio.Handle]  # of asyncio's loop, like the next two
+    _scheduled: list[asyncio.TimerHandle]
+    _clock_resolution: float
 
     def __init__(self, random: Random) -> None:
         super().__init__()
