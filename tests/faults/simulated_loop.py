@@ -42,9 +42,7 @@ class SimulatedLoop(VirtualLoop):
             self._virtual.time = max(self._virtual.time, scheduled[0].when())
         due = self._virtual.time + self._clock_resolution
         while scheduled and (scheduled[0].when() < due or scheduled[0].cancelled()):
-            handle = heappop(scheduled)
-            handle._scheduled = False
-            ready.append(handle)
+            ready.append(heappop(scheduled))
         self._turns += 1
         assert self._turns < TURNS_MAX, "tasks keep each other busy"
         for _ in range(len(ready)):
