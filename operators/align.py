@@ -2,22 +2,40 @@
 
 from dataclasses import dataclass, field
 from math import isfinite, nan
-from typing import Final, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
-from operators.batch import Flags, Motion, Reals, Sample, Zeroed, constant, ms, s
-from operators.chain import Chain
+from operators.batch import (
+    Batch,
+    Flags,
+    Motion,
+    Reals,
+    Sample,
+    Times,
+    Zeroed,
+    batch_type,
+    column,
+    ms,
+    s,
+)
+from operators.chain import END, Chain
 from operators.checks import check_at_least, check_choice
+from operators.compilation import row_loop
 from operators.operator import Join
-from operators.rotation import Real, interpolate_rotation
+from operators.rotation import interpolate_rotation
+from operators.tail import Tail
 
 How = Literal["nearest", "previous", "linear"]
 
-_FAR: Final = 2**62  # ns, exceeds the distance between any two stamps
-_MATCHED: Final = constant([True])  # (1,)
-_UNMATCHED: Final = constant([False])  # (1,)
-_NO_MOTION: Final = constant([[nan] * 6])  # (1, 6)
+_NEAREST, _, _LINEAR = range(len(get_args(How)))
+
+
+@batch_type
+class _Kept(Batch):
+    """Motion without the stamps of the device."""
+
+    values: Reals = field(metadata=column(np.float64, 12))  # (n, 12) velocity and pose
 
 
 @dataclass
@@ -57,10 +75,8 @@ class Align(Join[Zeroed, Motion, Sample]):
     how: How = "nearest"
     wait: int = 100 * ms
     keep: int = 10 * s
-    _motion: Chain[Motion] = field(
-        default_factory=lambda: Chain(Motion), init=False, repr=False, compare=False
-    )
-    _newest: int = field(default=-_FAR, init=False, repr=False)  # ns, newest motion
+    _motion: "Tail[_Kept]" = field(default_factory=lambda: Tail(_Kept), init=False, repr=False, compare=False)
+    _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -77,100 +93,106 @@ class Align(Join[Zeroed, Motion, Sample]):
         if left.time.size:
             self._held.append(left)
         passed = self._late_left.newest - self.wait  # ns, touch up to this time has waited long enough
-        rows = self._held.take(max(self._newest, passed + 1))
-        samples = Sample.empty() if rows is None else self._match(rows, oldest)
+        samples = self._match(self._held.take(max(self._newest, passed + 1)), oldest)
         if right.time.size:
-            # drop many rows at once: dropping single rows is slow
-            self._motion.forget(self._newest - self.keep - self.within, self.keep // 8)
+            self._forget(self._newest - self.keep - self.within)
         return samples
 
     def flush(self) -> Sample:
         """Return the held touch samples, matched with the motion so far."""
-        rows = self._held.take(_FAR)
-        return Sample.empty() if rows is None else self._match(rows, -_FAR)
+        return self._match(self._held.take(), -END)
 
     def _store(self, motion: Motion) -> None:
-        if motion.time.size == 1:
-            [velocity] = motion.velocity.tolist()
-            kept = isfinite(sum(velocity)) or all(map(isfinite, velocity))  # a sum may overflow
-        else:
-            rows = np.all(np.isfinite(motion.velocity), axis=1)  # (n,)
-            motion = motion if np.all(rows) else motion[rows]
-            kept = motion.time.size > 0
-        if kept:
-            self._motion.append(motion)
-            self._newest = motion.time.item(-1)
+        kept = self._motion
+        kept.reserve(motion.time.size)
+        block, before = kept.block, kept.stop
+        kept.stop = _keep(motion.time, motion.velocity, motion.pose, block.time, block.values, before)
+        if kept.stop > before:
+            self._newest = block.time.item(kept.stop - 1)
+
+    def _forget(self, oldest: int) -> None:
+        kept = self._motion
+        if len(kept) and kept.block.time.item(kept.start) < oldest - self.keep // 8:  # many rows at once
+            kept.drop(int(kept.time.searchsorted(oldest)))
 
     def _match(self, rows: Zeroed, oldest: int) -> Sample:
-        if rows.time.size == 1:
-            return self._match_one(rows, oldest)
-        motion = self._motion.over(rows.time.item(0), rows.time.item(-1))
-        time = motion.time
-        after = time.searchsorted(rows.time, "right")  # (n,) index of the first newer row
-        around = np.concatenate(([-_FAR], time, [_FAR]))
-        since, ahead = rows.time - around[after], around[after + 1] - rows.time  # (n,) ns
-        if self.how == "previous":
-            matched = since <= self.within
-        elif self.how == "nearest":
-            matched = np.minimum(since, ahead) <= self.within
-            after += ahead <= since
-        else:
-            matched = (since == 0) | (np.maximum(since, ahead) <= self.within)
-        matched &= rows.time >= oldest
+        size, kept = rows.time.size, self._motion
+        if not size:
+            return Sample.empty()
+        velocity, pose, matched = np.empty((size, 6)), np.empty((size, 6)), np.empty(size, np.bool_)
+        limits = kept.start, kept.stop, self.within, oldest
+        _match(
+            rows.time,
+            kept.block.time,
+            kept.block.values,
+            limits,
+            get_args(How).index(self.how),
+            velocity,
+            pose,
+            matched,
+        )
+        values = rows.counts, rows.temperature, rows.valid, velocity, pose, matched
+        return Sample(rows.time, *values, finger=rows.finger)
+
+
+@row_loop
+def _keep(  # noqa: PLR0917 - compiled functions take no keywords
+    time: Times, velocity: Reals, pose: Reals, /, stamps: Times, values: Reals, stop: int
+) -> int:
+    """Store rows with finite velocity from index `stop` on, and return the new stop."""
+    for row in range(len(time)):
+        finite = True
+        for axis in range(6):
+            values[stop, axis], values[stop, 6 + axis] = velocity[row, axis], pose[row, axis]
+            finite = finite and isfinite(velocity[row, axis])
+        stamps[stop] = time[row]
+        stop += finite
+    return stop
+
+
+@row_loop
+def _match(  # noqa: PLR0917 - compiled functions take no keywords
+    time: Times,
+    stamps: Times,
+    values: Reals,
+    /,
+    limits: tuple[int, int, int, int],
+    how: int,
+    velocity: Reals,
+    pose: Reals,
+    matched: Flags,
+) -> None:
+    start, stop, within, oldest = limits
+    after = stop  # index of the first motion after the row
+    while after > start and stamps[after - 1] > time[0]:
         after -= 1
-        if matched.all():
-            velocity, pose = motion.velocity.take(after, axis=0), motion.pose.take(after, axis=0)
-        else:
-            velocity, pose = np.full((len(rows), 6), np.nan), np.full((len(rows), 6), np.nan)
-            source = after[matched]
-            velocity[matched], pose[matched] = motion.velocity[source], motion.pose[source]
-        if self.how == "linear":
-            inside = matched & (since > 0)
-            source = after[inside] + 1
-            fraction = since[inside] / (since + ahead)[inside]  # (m,)
-            with np.errstate(invalid="ignore"):  # infinite values become NaN
-                linear = _interpolate(list(velocity[inside].T), list(motion.velocity[source].T), fraction)
-                pose_rows = _interpolate_pose(list(pose[inside].T), list(motion.pose[source].T), fraction)
-            velocity[inside], pose[inside] = np.transpose(linear), np.transpose(pose_rows)
-        return _sample(rows, velocity, pose, matched)
-
-    def _match_one(self, rows: Zeroed, oldest: int) -> Sample:
-        instant = rows.time.item(0)
-        before, after = self._motion.around(instant)
-        since = instant - before.time.item(0) if before is not None else _FAR
-        ahead = after.time.item(0) - instant if after is not None else _FAR
-        motion, distance = before, since
-        if self.how == "nearest" and ahead <= since:
-            motion, distance = after, ahead
-        elif self.how == "linear" and since:
+    for row in range(len(time)):
+        instant = time[row]
+        while after < stop and stamps[after] <= instant:
+            after += 1
+        since = instant - stamps[after - 1] if after > start else END
+        ahead = stamps[after] - instant if after < stop else END
+        source, distance = after - 1, since
+        if how == _NEAREST and ahead <= since:
+            source, distance = after, ahead
+        elif how == _LINEAR and since:
             distance = max(since, ahead)
-        if motion is None or distance > self.within or instant < oldest:
-            return _sample(rows, _NO_MOTION, _NO_MOTION, _UNMATCHED)
-        velocity, pose = motion.velocity, motion.pose
-        if self.how == "linear" and since and after is not None:
-            fraction = since / (since + ahead)
-            with np.errstate(invalid="ignore"):
-                linear = _interpolate(velocity[0].tolist(), after.velocity[0].tolist(), fraction)
-                pose_rows = _interpolate_pose(pose[0].tolist(), after.pose[0].tolist(), fraction)
-            velocity, pose = np.array([linear]), np.array([pose_rows])
-        return _sample(rows, velocity, pose, _MATCHED)
+        matched[row] = distance <= within and instant >= oldest
+        if not matched[row]:
+            velocity[row], pose[row] = nan, nan
+        elif how == _LINEAR and since:
+            _interpolate(values[source], values[after], since / (since + ahead), velocity[row], pose[row])
+        else:
+            velocity[row], pose[row] = values[source, :6], values[source, 6:]
 
 
-def _interpolate(first: list[Real], second: list[Real], fraction: Real) -> list[Real]:
-    """Interpolate each component linearly."""
-    return [a + fraction * (b - a) for a, b in zip(first, second, strict=True)]
-
-
-def _interpolate_pose(first: list[Real], second: list[Real], fraction: Real) -> list[Real]:
-    """Interpolate a pose: the position linearly, the rotation at constant rate."""
-    x, y, z = _interpolate(first[:3], second[:3], fraction)
-    u, v, w = interpolate_rotation(
-        (first[3], first[4], first[5]), (second[3], second[4], second[5]), fraction
-    )
-    return [x, y, z, u, v, w]
-
-
-def _sample(rows: Zeroed, velocity: Reals, pose: Reals, matched: Flags) -> Sample:
-    return Sample(
-        rows.time, rows.counts, rows.temperature, rows.valid, velocity, pose, matched, finger=rows.finger
-    )
+def _interpolate(first: Reals, second: Reals, fraction: float, velocity: Reals, pose: Reals) -> None:
+    """Interpolate velocity and position linearly, the rotation at constant rate."""
+    for axis in range(6):
+        velocity[axis] = first[axis] + fraction * (second[axis] - first[axis])
+    for axis in range(3):
+        low, high = float(first[6 + axis]), float(second[6 + axis])  # infinite values become NaN
+        pose[axis] = low + fraction * (high - low)
+    start = float(first[9]), float(first[10]), float(first[11])
+    end = float(second[9]), float(second[10]), float(second[11])
+    pose[3], pose[4], pose[5] = interpolate_rotation(start, end, fraction)

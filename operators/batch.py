@@ -3,7 +3,7 @@
 The same code processes batches of one row, in a live run, and of a million rows, in a replay.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from types import MappingProxyType
@@ -86,9 +86,14 @@ class Batch:
         """
         empty: Self | None = _empty.get(cls)
         if empty is None:
-            shapes = [(c.dtype, (0, *(max(size, 0) for size in c.shape))) for c in columns(cls).values()]
-            empty = _empty[cls] = cls(*(np.empty(shape, dtype) for dtype, shape in shapes))
+            empty = _empty[cls] = cls.zeros(0)
         return empty
+
+    @classmethod
+    def zeros(cls, rows: int = 1) -> Self:
+        """Return a batch of zeros."""
+        shapes = [(c.dtype, (rows, *(max(size, 0) for size in c.shape))) for c in columns(cls).values()]
+        return cls(*(np.zeros(shape, dtype) for dtype, shape in shapes))
 
     def check(self) -> Self:
         """Return this batch if the type and shape of each column are valid; fast for batches of one row.
@@ -179,7 +184,7 @@ def layout(kind: type[Batch]) -> Layout:
     return found
 
 
-def concat(kind: type[AnyBatch], batches: Sequence[AnyBatch]) -> AnyBatch:
+def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
     """Concatenate batches of one fingertip; empty ones are skipped.
 
     Raises:

@@ -1,8 +1,8 @@
 """Slip labels from the arm's motion."""
 
 from dataclasses import dataclass, field
-from math import hypot, inf, isfinite, isnan
-from typing import Any, Final
+from math import hypot, inf, isfinite, isnan, nan, sqrt
+from typing import Final
 
 import numpy as np
 
@@ -10,21 +10,33 @@ from operators.batch import (
     SLIP,
     STATIC,
     UNKNOWN,
+    Batch,
     Codes,
     Labelled,
     Reals,
     Sample,
-    constant,
+    Times,
+    batch_type,
+    column,
     ms,
 )
+from operators.chain import END, Chain
 from operators.checks import check_at_least
+from operators.compilation import row_loop
 from operators.errors import ParameterError
 from operators.operator import Operator
-from operators.rotation import Real, Vector, quaternion, rotate, square_root
+from operators.rotation import quaternion, rotate
 from operators.tail import Tail
 
 _AXES: Final = 3
-_LABELS: Final = {label: constant([label], np.int8) for label in (SLIP, STATIC, UNKNOWN)}  # (1,) each
+
+
+@batch_type
+class _Known(Batch):
+    """Speed and label by the motion at `time`."""
+
+    speed: Reals = field(metadata=column(np.float64))  # (n,)
+    label: Codes = field(metadata=column(np.int8))  # (n,)
 
 
 @dataclass
@@ -66,14 +78,15 @@ class Label(Operator[Sample, Labelled]):
     normal: tuple[float, ...] = (0.0, 0.0, 1.0)
     delay: int = 0
     within: int = 20 * ms
-    _unit: Vector[float] = field(default=(0.0, 0.0, 1.0), init=False, repr=False)
+    _parameters: Reals = field(init=False, repr=False, compare=False)  # speed, limit, rotation, unit normal
+    _limits: Times = field(init=False, repr=False, compare=False)  # delay, within
     # samples labelled by the motion at their own time
-    _tail: Tail[Labelled] = field(
-        default_factory=lambda: Tail(Labelled), init=False, repr=False, compare=False
+    _held: Chain[Labelled] = field(
+        default_factory=lambda: Chain(Labelled), init=False, repr=False, compare=False
     )
-    _held: int = field(
-        default=0, init=False, repr=False
-    )  # number of newest rows of the tail that are held back
+    _known: "Tail[_Known]" = field(
+        default_factory=lambda: Tail(_Known), init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         if not 0 <= self.speed < self.limit:
@@ -84,92 +97,89 @@ class Label(Operator[Sample, Labelled]):
         length = hypot(*self.normal)
         if len(self.normal) != _AXES or not 0 < length < inf:
             raise ParameterError("Label", "normal", self.normal, "three finite numbers, not all 0")
-        x, y, z = self.normal
-        self._unit = (x / length, y / length, z / length)
+        rotation = nan if self.rotation is None else self.rotation
+        unit = (component / length for component in self.normal)
+        self._parameters = np.array([self.speed, self.limit, rotation, *unit])
+        self._limits = np.array([self.delay, self.within])
 
     def process(self, batch: Sample) -> Labelled:
         """Return the labelled batch, or the delayed samples that it completes."""
-        labelled = self._label(batch)
+        speed, label = np.empty(batch.time.size), np.empty(batch.time.size, np.int8)
+        _label(batch.velocity, batch.pose, self._parameters, speed, label)
+        labelled = _labelled(batch, speed, label)
         if self.delay == 0:
             return labelled
-        tail = self._tail
-        tail.append(labelled)
-        self._held += len(batch)
-        newest, held = batch.time.item(-1), tail.stop - self._held
-        result = self._release(int(tail.block.time[held : tail.stop].searchsorted(newest - self.delay)))
+        self._held.append(labelled)
+        self._known.append(_Known(batch.time, speed, label))
+        newest = batch.time.item(-1)
+        result = self._release(newest - self.delay)
         oldest = newest + min(self.delay, 0) - self.within  # ns, oldest motion still needed
-        tail.drop(min(int(tail.time.searchsorted(oldest)), len(tail) - self._held))
+        self._known.drop(int(self._known.time.searchsorted(oldest)))
         return result
 
     def flush(self) -> Labelled:
         """Return the delayed samples, labelled by the motion so far."""
-        return self._release(self._held)
+        return self._release(END)
 
-    def _release(self, count: int) -> Labelled:
-        if not count:
-            return Labelled.empty()
-        tail, time = self._tail, self._tail.time
-        held = tail.stop - self._held
-        rows = tail.block[held : held + count]
-        self._held -= count
-        instant = rows.time + self.delay  # (n,)
-        source = time.searchsorted(instant, "right") - 1  # (n,) -1: none
-        known = (source >= 0) & (instant - time[source] <= self.within)
-        source += tail.start
-        speed = np.where(known, tail.block.speed[source], np.nan)
-        label = np.where(known, tail.block.label[source], np.int8(UNKNOWN))
+    def _release(self, before: int) -> Labelled:
+        rows, known = self._held.take(before), self._known
+        if not rows.time.size:
+            return rows
+        block, speed, label = known.block, np.empty(rows.time.size), np.empty(rows.time.size, np.int8)
+        _shift(rows.time, block.time, block.speed, block.label, known.stop, self._limits, speed, label)
         return _labelled(rows, speed, label)
 
-    def _label(self, batch: Sample) -> Labelled:
-        if batch.time.size == 1:
-            [(_, _, _, x, y, z)], [(u, v, w, a, b, c)] = batch.pose.tolist(), batch.velocity.tolist()
-            posed = isfinite(x) and isfinite(y) and isfinite(z)
-            speed = _planar_speed(
-                (u, v, w), rotate(self._unit, quaternion((x, y, z))) if posed else self._unit
-            )
-            slip, known = speed > self.speed, speed < self.limit
-            if self.rotation is not None:
-                angular = square_root(a * a + b * b + c * c)
-                slip, known = slip or angular > self.rotation, known and not isnan(angular)
-            label = (SLIP if slip else STATIC) if known else UNKNOWN
-            return _labelled(batch, np.array([speed]), _LABELS[label])
-        turned = batch.pose[:, 3:]  # (n, 3)
-        finite = np.isfinite(turned)
-        velocity = batch.velocity.T  # (6, n)
-        with np.errstate(over="ignore", invalid="ignore"):
-            normal: Vector[Any] = self._unit
-            if finite.any():
-                turned = np.where(np.all(finite, axis=1)[:, None], turned, 0.0)
-                normal = rotate(self._unit, quaternion((turned[:, 0], turned[:, 1], turned[:, 2])))
-            speeds = _planar_speed((velocity[0], velocity[1], velocity[2]), normal)  # (n,)
-            slips, knowns = speeds > self.speed, speeds < self.limit
-            if self.rotation is not None:
-                angulars = square_root(
-                    velocity[3] * velocity[3] + velocity[4] * velocity[4] + velocity[5] * velocity[5]
-                )
-                slips, knowns = slips | (angulars > self.rotation), knowns & ~np.isnan(angulars)
-        labels = np.where(knowns, np.where(slips, SLIP, STATIC), UNKNOWN).astype(np.int8)
-        return _labelled(batch, speeds, labels)
+
+@row_loop
+def _label(velocity: Reals, pose: Reals, /, parameters: Reals, speeds: Reals, labels: Codes) -> None:
+    speed, limit, rotation = float(parameters[0]), float(parameters[1]), float(parameters[2])
+    unit = float(parameters[3]), float(parameters[4]), float(parameters[5])
+    for row in range(len(velocity)):
+        normal = unit
+        x, y, z = float(pose[row, 3]), float(pose[row, 4]), float(pose[row, 5])
+        if isfinite(x) and isfinite(y) and isfinite(z):
+            normal = rotate(normal, quaternion((x, y, z)))
+        u, v, w = float(velocity[row, 0]), float(velocity[row, 1]), float(velocity[row, 2])
+        x, y, z = normal
+        planar = _length(y * w - z * v, z * u - x * w, x * v - y * u)
+        slip, known = planar > speed, planar < limit
+        if not isnan(rotation):
+            angular = _length(float(velocity[row, 3]), float(velocity[row, 4]), float(velocity[row, 5]))
+            slip, known = slip or angular > rotation, known and not isnan(angular)
+        speeds[row] = planar
+        labels[row] = (SLIP if slip else STATIC) if known else UNKNOWN
 
 
-def _planar_speed(velocity: Vector[Real], normal: Vector[Real]) -> Real:
-    """Return the length of the component of a velocity perpendicular to a unit normal."""
-    u, v, w = velocity
-    x, y, z = normal
-    a, b, c = y * w - z * v, z * u - x * w, x * v - y * u
-    return square_root(a * a + b * b + c * c)
+@row_loop
+def _shift(  # noqa: PLR0917 - compiled functions take no keywords
+    time: Times,
+    stamps: Times,
+    known_speeds: Reals,
+    known_labels: Codes,
+    /,
+    stop: int,
+    limits: Times,
+    speeds: Reals,
+    labels: Codes,
+) -> None:
+    """Label each row by the last one up to its time + delay, if that is within the limit."""
+    delay, within = limits[0], limits[1]
+    after = stop  # index of the first stamp beyond the instant
+    while after > 0 and stamps[after - 1] > time[0] + delay:
+        after -= 1
+    for row in range(len(time)):
+        instant = time[row] + delay
+        while after < stop and stamps[after] <= instant:
+            after += 1
+        known = after > 0 and instant - stamps[after - 1] <= within
+        speeds[row] = known_speeds[after - 1] if known else nan
+        labels[row] = known_labels[after - 1] if known else UNKNOWN
+
+
+def _length(x: float, y: float, z: float) -> float:
+    return sqrt(x * x + y * y + z * z)
 
 
 def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
-    return Labelled(
-        rows.time,
-        rows.counts,
-        rows.temperature,
-        rows.valid,
-        rows.velocity,
-        rows.pose,
-        rows.matched,
-        speed,
-        label,
-        finger=rows.finger,
-    )
+    values = rows.counts, rows.temperature, rows.valid, rows.velocity, rows.pose, rows.matched
+    return Labelled(rows.time, *values, speed, label, finger=rows.finger)

@@ -60,8 +60,15 @@ class Step(ABC):
         return replace(self)
 
     def prepare(self) -> None:
-        """Do slow set-up, such as loading compiled code, before the first push; runners call this."""
-        return
+        """Do slow set-up, such as loading compiled code, before the first push; runners call this.
+
+        An operator of slipflow compiles its loops: a copy processes a row of zeros.
+        """
+        kind = type(self)
+        if kind.__module__.startswith("operators."):
+            copy: Any = self.reset_copy()
+            copy.push(*(batch_type.zeros() for batch_type in input_types(kind)))
+            copy.flush()
 
     @property
     @abstractmethod

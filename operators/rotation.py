@@ -1,34 +1,31 @@
 """Rotation vectors: the direction is the axis, the length the angle in rad.
 
-The functions take components, as floats for one row or as arrays for many rows; both give identical bits.
+The functions use `math` only, so that compiled loops can call them and give the same bits.
 """
 
-from math import sqrt
-from typing import Any, Final, TypeAlias, TypeVar
+from math import atan2, cos, inf, nan, sin, sqrt
+from typing import Final, TypeAlias
 
-import numpy as np
-
-from operators.batch import Reals
-
-Real = TypeVar("Real", float, Reals)  # one value, or (n,) of them
-Vector: TypeAlias = tuple[Real, Real, Real]
-Quaternion: TypeAlias = tuple[Real, Real, Real, Real]  # w, x, y, z; of unit length
+Vector: TypeAlias = tuple[float, float, float]
+Quaternion: TypeAlias = tuple[float, float, float, float]  # w, x, y, z; of unit length
 
 _TINY: Final = 1e-300  # added to angles, to avoid a division by zero
 
 
-def quaternion(rotation: Vector[Real]) -> Quaternion[Real]:
-    """Return the unit quaternion of a rotation vector."""
+def quaternion(rotation: Vector) -> Quaternion:
+    """Return the unit quaternion of a rotation vector; NaN if it is not finite."""
     x, y, z = rotation
-    half = square_root(x * x + y * y + z * z) / 2 + _TINY
-    scale = _each(np.sin, half) / half / 2
-    return _each(np.cos, half), scale * x, scale * y, scale * z
+    half = sqrt(x * x + y * y + z * z) / 2 + _TINY
+    if not half < inf:
+        return nan, nan, nan, nan
+    scale = sin(half) / half / 2
+    return cos(half), scale * x, scale * y, scale * z
 
 
-def rotate(vector: tuple[float, float, float], by: Quaternion[Real]) -> Vector[Real]:
-    """Rotate a constant vector.
+def rotate(vector: Vector, by: Quaternion) -> Vector:
+    """Rotate a vector.
 
-    >>> rotate((0.0, 0.0, 1.0), quaternion((np.pi / 2, 0.0, 0.0)))
+    >>> rotate((0.0, 0.0, 1.0), quaternion((3.141592653589793 / 2, 0.0, 0.0)))
     (0.0, -1.0, 2.220446049250313e-16)
     """
     w, x, y, z = by
@@ -37,7 +34,7 @@ def rotate(vector: tuple[float, float, float], by: Quaternion[Real]) -> Vector[R
     return a + w * u + (y * t - z * v), b + w * v + (z * u - x * t), c + w * t + (x * v - y * u)
 
 
-def interpolate_rotation(first: Vector[Real], second: Vector[Real], fraction: Real) -> Vector[Real]:
+def interpolate_rotation(first: Vector, second: Vector, fraction: float) -> Vector:
     """Interpolate between two rotations along the shortest path.
 
     Args:
@@ -51,12 +48,12 @@ def interpolate_rotation(first: Vector[Real], second: Vector[Real], fraction: Re
     >>> interpolate_rotation((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 0.25)
     (0.0, 0.25, 0.0)
     """
-    start = w, x, y, z = quaternion(first)
+    w, x, y, z = quaternion(first)
     a, b, c = _vector(_product((w, -x, -y, -z), quaternion(second)))
-    return _vector(_product(start, quaternion((fraction * a, fraction * b, fraction * c))))
+    return _vector(_product((w, x, y, z), quaternion((fraction * a, fraction * b, fraction * c))))
 
 
-def compose(first: Vector[Real], by: Vector[Real]) -> Vector[Real]:
+def compose(first: Vector, by: Vector) -> Vector:
     """Return the rotation vector of `first` followed by `by`, both in the base frame.
 
     >>> compose((0.0, 0.0, 1.0), by=(0.0, 0.0, 1.0))
@@ -65,7 +62,7 @@ def compose(first: Vector[Real], by: Vector[Real]) -> Vector[Real]:
     return _vector(_product(quaternion(by), quaternion(first)))
 
 
-def rotation_difference(first: Vector[Real], second: Vector[Real]) -> Vector[Real]:
+def rotation_difference(first: Vector, second: Vector) -> Vector:
     """Return the shortest rotation, in the base frame, from `first` to `second`.
 
     >>> rotation_difference((0.0, 0.0, 1.5), (0.0, 0.0, 1.0))
@@ -75,7 +72,7 @@ def rotation_difference(first: Vector[Real], second: Vector[Real]) -> Vector[Rea
     return _vector(_product(quaternion(second), (w, -x, -y, -z)))
 
 
-def _product(p: Quaternion[Real], q: Quaternion[Real]) -> Quaternion[Real]:
+def _product(p: Quaternion, q: Quaternion) -> Quaternion:
     a, b, c, d = p
     w, x, y, z = q
     return (
@@ -86,23 +83,9 @@ def _product(p: Quaternion[Real], q: Quaternion[Real]) -> Quaternion[Real]:
     )
 
 
-def _vector(q: Quaternion[Real]) -> Vector[Real]:
+def _vector(q: Quaternion) -> Vector:
     w, x, y, z = q
-    sine = square_root(x * x + y * y + z * z) + _TINY
-    angle = 2 * _each(np.arctan2, sine, abs(w)) * (1.0 - 2.0 * (w < 0))  # q and -q are one rotation
+    sine = sqrt(x * x + y * y + z * z) + _TINY
+    angle = 2 * atan2(sine, abs(w)) * (1.0 if w >= 0 else -1.0)  # q and -q are one rotation
     scale = angle / sine
     return scale * x, scale * y, scale * z
-
-
-def square_root(value: Real) -> Real:
-    """Return the square root."""
-    if isinstance(value, float):
-        return sqrt(value)
-    return _each(np.sqrt, value)
-
-
-def _each(function: np.ufunc, *values: Real) -> Real:
-    """Apply a numpy function; return Python floats for floats, since their arithmetic is faster."""
-    found: Any = function(*values)
-    result: Real = found if found.ndim else found.item()
-    return result

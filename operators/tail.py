@@ -5,7 +5,7 @@ from typing import Any, Final, Generic
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import AnyBatch, Times, layout
+from operators.batch import EVERY, AnyBatch, Times, layout
 
 _ROWS: Final = 1024  # smallest size of a block
 
@@ -53,8 +53,7 @@ class Tail(Generic[AnyBatch]):
     def append(self, batch: AnyBatch) -> None:
         """Append copies of rows; columns that the type lacks are dropped."""
         size = batch.time.size
-        if self.stop + size > self._size or self._finger != batch.finger:
-            self._renew(batch)
+        self.reserve(size, batch.finger)
         stop = self.stop + size
         if size == 1:
             for cells, values in zip(self._cells, self._take(batch), strict=True):
@@ -68,14 +67,17 @@ class Tail(Generic[AnyBatch]):
         """Drop the oldest `count` rows."""
         self.start += count
 
-    def _renew(self, batch: AnyBatch) -> None:
+    def reserve(self, rows: int, finger: int = EVERY) -> None:
+        """Make room for rows in the block from `stop` on."""
+        if self.stop + rows <= self._size and self._finger == finger:
+            return
         kept = len(self)
-        size = max(_ROWS, 2 * kept + len(batch))
+        size = max(_ROWS, 2 * kept + rows)
         columns = self._take(self.block)
         arrays: list[Any] = [np.empty((size, *old.shape[1:]), old.dtype) for old in columns]
         for array, column in zip(arrays, columns, strict=True):
             array[:kept] = column[self.start : self.stop]
-        self.__setstate__(type(self.block)(*arrays, finger=batch.finger))
+        self.__setstate__(type(self.block)(*arrays, finger=finger))
         self.stop = kept
 
     def __getstate__(self) -> AnyBatch:

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed
+from operators.chain import Chain
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
-from operators.tail import Tail
 
 _FULL: Final = 1023  # counts, of the 10-bit converter
 
@@ -40,7 +40,7 @@ class Zero(Operator[Touch, Zeroed]):
     _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (1, 6)
     # (6,) cells with a baseline; None: all
     _known: Flags | None = field(default=None, init=False, repr=False, compare=False)
-    _held: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
+    _held: Chain[Touch] = field(default_factory=lambda: Chain(Touch), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_at_least("Zero", "scans", self.scans, 1, "sample")
@@ -66,7 +66,7 @@ class Zero(Operator[Touch, Zeroed]):
         return self._release() if len(self._held) else Zeroed.empty()
 
     def _release(self) -> Zeroed:
-        held, self._held = self._held.rows, Tail(Touch)
+        held = self._held.take()
         first = held[: self.scans]
         known = np.any(first.valid, axis=0)  # (6,)
         self._known = None if np.all(known) else known

@@ -26,8 +26,8 @@ def _chain(scores: Scores, sizes: list[int]) -> Chain[Scores]:
     return chain
 
 
-def _values(*batches: Scores | None) -> list[float]:
-    return [value for batch in batches if batch is not None for value in batch.probability.tolist()]
+def _values(*batches: Scores) -> list[float]:
+    return [value for batch in batches for value in batch.probability.tolist()]
 
 
 @given(time=stamps, sizes=sizes, before=instants)
@@ -37,42 +37,9 @@ def test_the_rows_older_than_an_instant_are_taken_once_and_in_order(
     scores = _scores(time)
     chain = _chain(scores, sizes)
     assert _values(chain.take(before)) == _values(scores[scores.time < before])
-    assert chain.take(before) is None
-    assert _values(chain.take(100)) == _values(scores[scores.time >= before])
-
-
-@given(time=stamps, sizes=sizes, instant=instants)
-def test_the_rows_around_an_instant_are_the_last_up_to_it_and_the_first_after(
-    time: list[int], sizes: list[int], instant: int
-) -> None:
-    scores = _scores(time)
-    before, after = _chain(scores, sizes).around(instant)
-    assert _values(before) == _values(scores[scores.time <= instant][-1:])
-    assert _values(after) == _values(scores[scores.time > instant][:1])
-
-
-@given(time=stamps, sizes=sizes, span=st.tuples(instants, instants).map(sorted))
-def test_the_rows_over_a_span_reach_from_the_last_up_to_it_to_the_first_after(
-    time: list[int], sizes: list[int], span: list[int]
-) -> None:
-    scores, (first, last) = _scores(time), span
-    found = _chain(scores, sizes).over(first, last)
-    up_to, after = scores[scores.time <= first], scores[scores.time > last]
-    wanted = scores[max(len(up_to) - 1, 0) : len(scores) - len(after) + 1]
-    values = _values(found)
-    assert set(_values(wanted)) <= set(values)
-    assert values == sorted(values)
-
-
-@given(time=stamps, sizes=sizes, before=instants, slack=st.integers(0, 10))
-def test_rows_are_forgotten_only_when_one_is_older_by_more_than_the_slack(
-    time: list[int], sizes: list[int], before: int, slack: int
-) -> None:
-    scores = _scores(time)
-    chain = _chain(scores, sizes)
-    chain.forget(before, slack)
-    kept = scores[scores.time >= before] if time[0] < before - slack else scores
-    assert _values(chain.take(100)) == _values(kept)
+    assert not len(chain.take(before))
+    assert len(chain) == len(scores[scores.time >= before])
+    assert _values(chain.take()) == _values(scores[scores.time >= before])
 
 
 def test_a_batch_that_is_taken_whole_is_not_copied() -> None:
@@ -88,11 +55,11 @@ def test_a_pickle_holds_only_the_rows_in_use_and_resumes(
 ) -> None:
     scores = _scores(time)
     chain = _chain(scores, sizes)
-    chain.forget(before)
+    chain.take(before)
     again = pickle.loads(pickle.dumps(chain))  # noqa: S301 our own bytes
     later = Scores(np.array([40]), np.array([99.0]), finger=3)
     again.append(later)
-    assert _values(again.take(100)) == _values(scores[scores.time >= before], later)
+    assert _values(again.take()) == _values(scores[scores.time >= before], later)
 
 
 def test_a_pickle_is_small_whatever_the_batches_were_cut_from() -> None:

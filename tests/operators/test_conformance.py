@@ -2,6 +2,7 @@
 
 import inspect
 import pickle
+import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -328,6 +329,31 @@ def test_whichever_stream_lags_within_the_wait_the_join_is_the_same(
         for row in order.tolist()
     ]
     same(_run(align.reset_copy(), one_by_one), _run(align.reset_copy(), [(left, right)]))
+
+
+@pytest.fixture
+def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Switches to the loops as plain Python, as where numba is not installed."""
+
+    def switch() -> None:
+        for name, module in list(sys.modules.items()):
+            if name.startswith("operators.") and not name.startswith("operators.detectors"):
+                for key, value in list(vars(module).items()):
+                    if hasattr(value, "__wrapped__"):
+                        monkeypatch.setattr(module, key, value.__wrapped__)
+
+    return switch
+
+
+@every
+def test_loops_give_the_same_bits_compiled_and_as_plain_python(
+    case: Case, same: Same, uncompiled: Callable[[], None]
+) -> None:
+    streams = [case.streams(seed, 300) for seed in range(5)]
+    compiled = [_run(case.step.reset_copy(), [each]) for each in streams]
+    uncompiled()
+    for each, expected in zip(streams, compiled, strict=True):
+        same(_run(case.step.reset_copy(), [each]), expected)
 
 
 # --- what else every one of them owes --------------------------------------------------------------------

@@ -3,17 +3,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
-from operators.batch import Reals
 from operators.rotation import compose, interpolate_rotation, quaternion, rotate, rotation_difference
 
 angles = st.floats(-4, 4)
 vectors = st.tuples(angles, angles, angles)
 parts = st.floats(0, 1)
-
-
-def _columns(*rows: tuple[float, float, float]) -> tuple[Reals, Reals, Reals]:
-    x, y, z = np.array(rows).T
-    return x, y, z
 
 
 @given(rotation=vectors, vector=vectors)
@@ -54,19 +48,6 @@ def test_a_rotation_and_the_difference_compose_to_the_other(
     assert np.linalg.norm(way) < np.pi + 1e-9
     end = Rotation.from_rotvec(compose(first, by=way))
     assert (end.inv() * Rotation.from_rotvec(second)).magnitude() < 1e-7
-
-
-@given(rows=st.lists(st.tuples(vectors, vectors, parts), min_size=1, max_size=9))
-def test_floats_and_arrays_agree_bit_for_bit(
-    rows: list[tuple[tuple[float, float, float], tuple[float, float, float], float]],
-) -> None:
-    firsts, seconds, part = zip(*rows, strict=True)
-    found = interpolate_rotation(_columns(*firsts), _columns(*seconds), np.array(part))
-    np.testing.assert_array_equal(np.transpose(found), [interpolate_rotation(*row) for row in rows])
-    turned = rotate((0.6, 0.0, 0.8), quaternion(_columns(*firsts)))
-    np.testing.assert_array_equal(
-        np.transpose(turned), [rotate((0.6, 0.0, 0.8), quaternion(row)) for row in firsts]
-    )
 
 
 def test_no_rotation_turns_nothing() -> None:
