@@ -79,8 +79,11 @@ class Align(Join[Zeroed, Motion, Sample]):
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
 
+    _code: int = field(init=False, repr=False)  # position of `how` in its choices
+
     def __post_init__(self) -> None:
         check_choice("Align", "how", self.how, get_args(How))
+        self._code = get_args(How).index(self.how)
         check_at_least("Align", "within", self.within, 0, "ns")
         check_at_least("Align", "keep", self.keep, 0, "ns")
         check_at_least("Align", "wait", self.wait, 0 if self.how == "previous" else self.within, "ns")
@@ -179,11 +182,13 @@ def _match(  # noqa: PLR0917 - compiled functions take no keywords
             distance = max(since, ahead)
         matched[row] = distance <= within and instant >= oldest
         if not matched[row]:
-            velocity[row], pose[row] = nan, nan
+            for axis in range(6):
+                velocity[row, axis] = pose[row, axis] = nan
         elif how == _LINEAR and since:
             _interpolate(values[source], values[after], since / (since + ahead), velocity[row], pose[row])
         else:
-            velocity[row], pose[row] = values[source, :6], values[source, 6:]
+            for axis in range(6):
+                velocity[row, axis], pose[row, axis] = values[source, axis], values[source, 6 + axis]
 
 
 def _interpolate(first: Reals, second: Reals, fraction: float, velocity: Reals, pose: Reals) -> None:

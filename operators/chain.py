@@ -22,7 +22,7 @@ class Chain(Generic[AnyBatch]):
     """
 
     def __init__(self, kind: type[AnyBatch], *batches: AnyBatch) -> None:
-        self._kind, self._batches = kind, deque(batches)
+        self._kind, self._batches, self._empty = kind, deque(batches), kind.empty()
 
     def __len__(self) -> int:
         return sum(map(len, self._batches))
@@ -33,7 +33,10 @@ class Chain(Generic[AnyBatch]):
 
     def take(self, before: int = END) -> AnyBatch:
         """Remove and return the rows older than `before` (ns)."""
-        batches, taken = self._batches, list[AnyBatch]()
+        batches = self._batches
+        if not batches or batches[0].time.item(0) >= before:
+            return self._empty
+        taken: list[AnyBatch] = []
         while batches and batches[0].time.item(-1) < before:
             taken.append(batches.popleft())
         if batches and batches[0].time.item(0) < before:

@@ -21,7 +21,8 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
-from operators.batch import Batch, Reals
+from operators.batch import Batch, Counts, Reals, Times
+from operators.compilation import row_loop
 from tests.benchmarks.machine import commit, machine
 from tests.benchmarks.peers.job import Job, Meter
 from tests.benchmarks.peers.push_graph import prepare
@@ -37,39 +38,39 @@ LIMIT = 400.0  # counts^2 per sample: energy of the steps at which the score is 
 class StepEnergy(Operator[Zeroed, Scores]):
     """Mean energy of the steps in the newest `LENGTH` samples, summed incrementally and exactly."""
 
-    _sums: list[int] = field(default_factory=lambda: [0] * LENGTH, init=False, repr=False)
-    _seen: int = field(
-        default=0, init=False, repr=False
-    )  # samples; the sum up to the k-th is at k mod LENGTH
-    _last: list[int] | None = field(default=None, init=False, repr=False)  # (6,)
+    _sums: Times = field(init=False, repr=False, compare=False)  # (LENGTH,) up to the k-th at k mod LENGTH
+    _last: Times = field(init=False, repr=False, compare=False)  # (6,) counts of the newest sample
+    _seen: int = field(default=0, init=False, repr=False)  # samples
+
+    def __post_init__(self) -> None:
+        self._sums, self._last = np.zeros(LENGTH, np.int64), np.zeros(6, np.int64)
 
     def process(self, batch: Zeroed) -> Scores:
         """Score the samples that complete a window."""
-        seen, sums = self._seen, self._sums
-        if batch.time.size == 1:
-            [newest] = batch.counts.tolist()
-            last, slot = self._last or newest, seen % LENGTH
-            total = sums[slot - 1]
-            for count, before in zip(newest, last, strict=True):
-                total += (count - before) * (count - before)
-            energy = (total - sums[slot]) / LENGTH
-            sums[slot] = total
-            self._last, self._seen = newest, seen + 1
-            if seen < LENGTH - 1:
-                return Scores.empty()
-            return Scores(batch.time, np.array([energy / (energy + LIMIT)]), finger=batch.finger)
-        counts = batch.counts.astype(np.int64)  # (n, 6)
-        steps = np.diff(counts, axis=0, prepend=counts[:1] if self._last is None else [self._last])  # (n, 6)
-        slot = seen % LENGTH  # of the oldest
-        steps_energy = np.einsum("ij,ij->i", steps, steps)  # (n,)
-        totals = sums[slot - 1] + steps_energy.cumsum()  # (n,)
-        ordered = np.concatenate((sums[slot:], sums[:slot], totals))  # (LENGTH + n,)
-        self._last, self._seen = counts[-1].tolist(), seen + len(batch)
-        newest, slot = ordered[-LENGTH:].tolist(), LENGTH - self._seen % LENGTH
-        self._sums = newest[slot:] + newest[:slot]
+        size, seen = batch.time.size, self._seen
+        scores = np.empty(size)
+        energies(batch.counts, self._sums, self._last, seen, scores)
+        self._seen += size
         first = max(LENGTH - 1 - seen, 0)  # of the batch, that completes a window
-        energies = (ordered[LENGTH + first :] - ordered[first:-LENGTH]) / LENGTH
-        return Scores(batch.time[first:], energies / (energies + LIMIT), finger=batch.finger)
+        if not first:
+            return Scores(batch.time, scores, finger=batch.finger)
+        return Scores(batch.time[first:], scores[first:], finger=batch.finger)
+
+
+@row_loop
+def energies(counts: Counts, /, sums: Times, last: Times, seen: int, scores: Reals) -> None:
+    """Score each sample, and store the sums."""
+    total = sums[seen % LENGTH - 1]
+    for row in range(len(counts)):
+        for cell in range(6):
+            count = int(counts[row, cell])
+            step = count - last[cell] if seen + row else 0
+            last[cell] = count
+            total += step * step
+        slot = (seen + row) % LENGTH
+        energy = (total - sums[slot]) / LENGTH
+        sums[slot] = total
+        scores[row] = energy / (energy + LIMIT)
 
 
 def streams(samples: int, seed: int) -> tuple[Touch, Motion]:
