@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from operators.batch import SLIP, STATIC, UNKNOWN, Scores, Slips
+from operators.batch import SLIP, STATIC, UNKNOWN, Reals, Scores, Slips, Times
 from operators.checks import check_at_least
+from operators.compilation import row_loop
 from operators.errors import ParameterError
 from operators.operator import Operator
 
@@ -39,11 +40,8 @@ class Debounce(Operator[Scores, Slips]):
     consecutive: int = 2
     release: int = 2
     minimum: int = 0
-    _decision: int = field(default=UNKNOWN, init=False, repr=False)  # of the current run
-    _length: int = field(default=0, init=False, repr=False)  # decisions in the current run
-    _start: int = field(default=0, init=False, repr=False)  # ns, start of the current run
-    _state: int = field(default=STATIC, init=False, repr=False)  # SLIP during a slip
-    _earliest: int = field(default=0, init=False, repr=False)  # ns, earliest end of the current slip
+    _state: Times = field(init=False, repr=False, compare=False)
+    _limits: tuple[int, int, int] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold <= 1:
@@ -51,37 +49,53 @@ class Debounce(Operator[Scores, Slips]):
         check_at_least("Debounce", "consecutive", self.consecutive, 1, "decision")
         check_at_least("Debounce", "release", self.release, 1, "decision")
         check_at_least("Debounce", "minimum", self.minimum, 0, "ns")
+        self._limits = self.consecutive, self.release, self.minimum
+        self._state = np.array([UNKNOWN, 0, 0, STATIC, 0])
 
     def process(self, batch: Scores) -> Slips:
         """Return the onsets and ends within the batch."""
-        threshold, consecutive, release = self.threshold, self.consecutive, self.release
-        run, length, start, state = self._decision, self._length, self._start, self._state
-        rows: list[int] = []
-        starts: list[int] = []
-        states: list[int] = []
-        values = zip(batch.time.tolist(), batch.probability.tolist(), strict=True)
-        for row, (time, probability) in enumerate(values):  # Python floats: as fast as numpy here
-            decision = SLIP if probability >= threshold else STATIC if probability < threshold else UNKNOWN
-            if decision == run:
-                length += 1
-            else:
-                run, length, start = decision, 1, time
-            if state == STATIC:
-                changes = decision == SLIP and length >= consecutive
-            else:
-                changes = decision == STATIC and length >= release and time >= self._earliest
-            if changes:
-                state, self._earliest = decision, start + self.minimum
-                rows.append(row)
-                starts.append(start)
-                states.append(state)
-        self._decision, self._length, self._start, self._state = run, length, start, state
-        if not rows:
+        events = np.empty((3, batch.time.size), np.int64)
+        threshold = float(self.threshold)
+        count = _debounce(batch.time, batch.probability, threshold, self._limits, self._state, events)
+        if not count:
             return Slips.empty()
+        rows, starts, states = events[:, :count]
         return Slips(
-            batch.time[rows],
-            np.array(states, np.int8),
-            np.array(starts, np.int64),
-            batch.probability[rows],
-            finger=batch.finger,
+            batch.time[rows], states.astype(np.int8), starts, batch.probability[rows], finger=batch.finger
         )
+
+
+# State: decision of the current run, its length and start (ns); SLIP during a slip, and its earliest end (ns)
+_DECISION, _LENGTH, _START, _STATE, _EARLIEST = range(5)
+
+
+@row_loop
+def _debounce(  # noqa: PLR0917 - compiled functions take no keywords
+    time: Times,
+    probability: Reals,
+    /,
+    threshold: float,
+    limits: tuple[int, int, int],
+    state: Times,
+    events: Times,
+) -> int:
+    """Write row, start and state of each event, and return their number."""
+    consecutive, release, minimum = limits
+    count = 0
+    for row in range(len(time)):
+        value = probability[row]
+        decision = SLIP if value >= threshold else STATIC if value < threshold else UNKNOWN
+        if decision == state[_DECISION]:
+            state[_LENGTH] += 1
+        else:
+            state[_DECISION], state[_LENGTH], state[_START] = decision, 1, time[row]
+        if state[_STATE] == STATIC:
+            changes = decision == SLIP and state[_LENGTH] >= consecutive
+        else:
+            long_enough = state[_LENGTH] >= release and time[row] >= state[_EARLIEST]
+            changes = decision == STATIC and long_enough
+        if changes:
+            state[_STATE], state[_EARLIEST] = decision, state[_START] + minimum
+            events[0, count], events[1, count], events[2, count] = row, state[_START], decision
+            count += 1
+    return count

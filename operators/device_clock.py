@@ -5,12 +5,14 @@ time of the device's own stamp, up to the constant part of the delay, which cann
 Record the raw stream as well: it keeps both stamps.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from operators.batch import EVERY, Clocks, Motion, concat, s
-from operators.envelope import Envelope
+from operators.batch import EVERY, Clocks, Motion, Reals, Times, s
+from operators.chain import END
+from operators.compilation import row_loop
+from operators.envelope import DEVICE, SLOPE, Envelope, envelope, host_time, starts_epoch
 from operators.operator import Operator
 
 
@@ -47,20 +49,24 @@ class DeviceClock(Operator[Motion, Motion]):
     drift: float = 200e-6
     jump: int = 2 * s
     _envelope: Envelope = field(init=False, repr=False, compare=False)
-    _newest: int | None = field(default=None, init=False, repr=False)  # ns, of the output
+    _newest: int = field(default=-END, init=False, repr=False)  # ns, of the output
 
     def __post_init__(self) -> None:
-        self._envelope = Envelope(self.window, self.drift, self.jump)
+        self._envelope = envelope(self.window, self.drift, self.jump)
 
     def process(self, batch: Motion) -> Motion:
         """Return the rows with host times."""
-        host_time, newest, times = self._envelope.host_time, self._newest, list[int]()
-        for device, arrival in zip(batch.device_time.tolist(), batch.time.tolist(), strict=True):
-            time = host_time(device, arrival)
-            newest = time if newest is None else max(newest, time)
-            times.append(newest)
-        self._newest = newest
-        return replace(batch, time=np.array(times, np.int64))
+        time = np.empty(batch.time.size, np.int64)
+        self._newest = _host_times(batch.device_time, batch.time, self._newest, self._envelope, time)
+        return Motion(time, batch.device_time, batch.velocity, batch.pose, finger=batch.finger)
+
+
+@row_loop
+def _host_times(device: Times, arrival: Times, /, newest: int, state: Envelope, host: Times) -> int:
+    for row in range(len(device)):
+        newest = max(newest, host_time(device[row], arrival[row], state))
+        host[row] = newest
+    return newest
 
 
 @dataclass
@@ -91,38 +97,64 @@ class WatchClock(Operator[Motion, Clocks]):
     jump: int = 2 * s
     every: int = 5 * s
     _envelope: Envelope = field(init=False, repr=False, compare=False)
-    _since: int = field(default=0, init=False, repr=False)  # ns, device stamp of the first unreported row
-    _rows: int = field(default=0, init=False, repr=False)  # unreported
-    _late: int = field(default=0, init=False, repr=False)  # ns, their total lateness
-    _mapped: int = field(default=0, init=False, repr=False)  # ns, host time of the newest row
-    _reported: int | None = field(default=None, init=False, repr=False)  # ns, time of the newest report
+    _open: Times = field(init=False, repr=False, compare=False)
     _finger: int = field(default=EVERY, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._envelope = Envelope(self.window, self.drift, self.jump)
+        self._envelope = envelope(self.window, self.drift, self.jump)
+        self._open = np.array([0, 0, 0, 0, -END])
 
     def process(self, batch: Motion) -> Clocks:
         """Return the reports that the rows complete."""
-        envelope, reports = self._envelope, list[Clocks]()
         self._finger = batch.finger
-        for device, arrival in zip(batch.device_time.tolist(), batch.time.tolist(), strict=True):
-            if self._rows and (device - self._since >= self.every or envelope.starts_epoch(device, arrival)):
-                reports.append(self._report())
-            if not self._rows:
-                self._since = device
-            self._mapped = envelope.host_time(device, arrival)
-            self._rows += 1
-            self._late += arrival - self._mapped
-        return concat(Clocks, reports)
+        stamps, lines = np.empty((2, batch.time.size), np.int64), np.empty((2, batch.time.size))
+        state = self._envelope, self._open
+        count = _watch(batch.device_time, batch.time, state, self.every, stamps, lines)
+        return Clocks(*stamps[:, :count], *lines[:, :count], finger=batch.finger) if count else Clocks.empty()
 
     def flush(self) -> Clocks:
         """Return the report of the remaining rows."""
-        return self._report() if self._rows else Clocks.empty()
+        if not self._open[_ROWS]:
+            return Clocks.empty()
+        stamps, lines = np.empty((2, 1), np.int64), np.empty((2, 1))
+        _report(self._envelope, self._open, stamps, lines, 0)
+        return Clocks(*stamps, *lines, finger=self._finger)
 
-    def _report(self) -> Clocks:
-        envelope = self._envelope
-        time = self._mapped if self._reported is None else max(self._reported, self._mapped)
-        offset, residual = self._mapped - envelope.device, self._late / self._rows / s
-        self._reported, self._rows, self._late = time, 0, 0
-        values = (time, offset, envelope.slope, residual)
-        return Clocks(*(np.array([value]) for value in values), finger=self._finger)
+
+# Rows since the last report: device stamp of the first (ns), number, total lateness (ns); host time of the
+# newest row and time of the newest report (ns).
+_SINCE, _ROWS, _LATE, _MAPPED, _REPORTED = range(5)
+
+
+@row_loop
+def _watch(  # noqa: PLR0917 - compiled functions take no keywords
+    device: Times,
+    arrival: Times,
+    /,
+    state: tuple[Envelope, Times],
+    every: int,
+    stamps: Times,
+    lines: Reals,
+) -> int:
+    """Write time and offset, drift and residual of each report, and return their number."""
+    clock, since = state
+    count = 0
+    for row in range(len(device)):
+        stamp, came = device[row], arrival[row]
+        if since[_ROWS] and (stamp - since[_SINCE] >= every or starts_epoch(stamp, came, clock)):
+            _report(clock, since, stamps, lines, count)
+            count += 1
+        if not since[_ROWS]:
+            since[_SINCE] = stamp
+        since[_MAPPED] = host_time(stamp, came, clock)
+        since[_ROWS] += 1
+        since[_LATE] += came - since[_MAPPED]
+    return count
+
+
+def _report(clock: Envelope, since: Times, stamps: Times, lines: Reals, number: int) -> None:
+    integers, reals, _ = clock
+    since[_REPORTED] = max(since[_REPORTED], since[_MAPPED])
+    stamps[0, number], stamps[1, number] = since[_REPORTED], since[_MAPPED] - integers[DEVICE]
+    lines[0, number], lines[1, number] = reals[SLOPE], since[_LATE] / since[_ROWS] / s
+    since[_ROWS] = since[_LATE] = 0

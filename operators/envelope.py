@@ -12,18 +12,97 @@ References:
     1999.
 """
 
-from dataclasses import dataclass, field
 from math import inf
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
-from operators.batch import Reals, s
+from operators.batch import Reals, Times, s
 from operators.checks import check_at_least
 
 BLOCKS: Final = 60  # per window; the least late row of each block is kept
 PAUSE: Final = 5  # windows without rows, after which a new epoch starts
 _SPAN: Final = 5 * s  # minimum span of rows for a drift estimate
+
+Envelope: TypeAlias = tuple[Times, Reals, Reals]  # integers, reals, (2, BLOCKS) x and y of each kept row
+
+# Integers: window and largest jump (ns); number of the epoch; stamps of the newest row and of the epoch's
+# first row (ns); current block; x and y of the block's least late row; number of kept rows.
+_WINDOW, _JUMP, EPOCH, DEVICE, _ARRIVAL, _ORIGIN, _BEGAN, _BLOCK, _LEAST_X, _LEAST_Y, _KEPT = range(11)
+# Reals: largest drift; offset (ns) and slope of the line at the epoch's first row; its shift in this block,
+# at most 0 (ns); lateness of the block's least late row (ns).
+_DRIFT, OFFSET, SLOPE, _LOWERED, _LEAST = range(5)
+
+
+def envelope(window: int, drift: float, jump: int) -> Envelope:
+    """Return the initial state of the running envelope of a stream.
+
+    Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
+    A row below the line lowers it. At the end of the block the line is fitted again.
+
+    A new epoch starts when the device's clock steps back, when device and host disagree by more than `jump`
+    on the interval between two rows, or after five windows without rows.
+
+    Args:
+        window: Length, ns of device time.
+        drift: Largest drift, s/s.
+        jump: Largest disagreement on an interval, ns.
+
+    Raises:
+        ParameterError: if a parameter is invalid.
+    """
+    check_at_least("DeviceClock", "window", window, BLOCKS, "ns")
+    check_at_least("DeviceClock", "drift", drift, 0, "s/s")
+    check_at_least("DeviceClock", "jump", jump, 0, "ns")
+    integers, reals = np.zeros(11, np.int64), np.zeros(5)
+    integers[_WINDOW], integers[_JUMP], integers[EPOCH], reals[_DRIFT] = window, jump, -1, drift
+    return integers, reals, np.zeros((2, BLOCKS))
+
+
+def starts_epoch(device: int, arrival: int, state: Envelope) -> bool:
+    """Return whether the next row, with these stamps (ns), starts an epoch."""
+    integers = state[0]
+    step = device - integers[DEVICE]
+    continuous = 0 <= step <= PAUSE * integers[_WINDOW]
+    agrees = abs(arrival - integers[_ARRIVAL] - step) <= integers[_JUMP]
+    return integers[EPOCH] < 0 or not (continuous and agrees)
+
+
+def host_time(device: int, arrival: int, state: Envelope) -> int:
+    """Return the host time (ns) of the next row, no later than its arrival."""
+    integers, reals, _ = state
+    if starts_epoch(device, arrival, state):
+        integers[EPOCH] += 1
+        integers[_ORIGIN], integers[_BEGAN], integers[_BLOCK], integers[_KEPT] = device, arrival, 0, 0
+        reals[OFFSET], reals[SLOPE], reals[_LOWERED], reals[_LEAST] = 0.0, 0.0, 0.0, inf
+    integers[DEVICE], integers[_ARRIVAL] = device, arrival
+    x = device - integers[_ORIGIN]
+    y = arrival - integers[_BEGAN] - x
+    block = x * BLOCKS // integers[_WINDOW]
+    if block != integers[_BLOCK]:
+        integers[_BLOCK] = block
+        _fit(state)
+    lateness = y - (reals[OFFSET] + reals[SLOPE] * x)
+    if lateness < reals[_LEAST]:
+        integers[_LEAST_X], integers[_LEAST_Y], reals[_LEAST] = x, y, lateness
+        reals[_LOWERED] = min(reals[_LOWERED], lateness)
+    shift = round(float(reals[OFFSET] + reals[SLOPE] * x + reals[_LOWERED]))
+    time: int = min(arrival, integers[_BEGAN] + x + shift)
+    return time
+
+
+def _fit(state: Envelope) -> None:
+    """Fit the line to the newest blocks."""
+    integers, reals, kept = state
+    count = integers[_KEPT]
+    if count == BLOCKS:
+        count -= 1
+        for block in range(count):
+            kept[0, block], kept[1, block] = kept[0, block + 1], kept[1, block + 1]
+    kept[0, count], kept[1, count] = integers[_LEAST_X], integers[_LEAST_Y]
+    integers[_KEPT] = count + 1
+    reals[OFFSET], reals[SLOPE] = line(kept[0, : count + 1], kept[1, : count + 1], reals[_DRIFT])
+    reals[_LOWERED], reals[_LEAST] = 0.0, inf
 
 
 def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
@@ -40,83 +119,29 @@ def line(x: Reals, y: Reals, limit: float) -> tuple[float, float]:
     >>> line(1e9 * np.array([0.0, 2, 4, 6]), 1e9 * np.array([0.0, 7, 8, 6]), limit=10)
     (0.0, 1.0)
     """
-    middle, left, right, drift = float(x.mean()), 0, len(x) - 1, 0.0
+    left, right, drift, middle = 0, len(x) - 1, 0.0, 0.0
+    for each in x:
+        middle += float(each)
+    middle /= len(x)
     while x[right] > x[left]:
         drift = float((y[right] - y[left]) / (x[right] - x[left]))
-        above = y - drift * x
-        lowest = int(above.argmin())
-        if lowest in (left, right) or above[lowest] >= min(above[left], above[right]):
+        lowest = _lowest(x, y, drift)
+        above = y[lowest] - drift * x[lowest]
+        if lowest in (left, right) or above >= min(y[left] - drift * x[left], y[right] - drift * x[right]):
             break
         if x[lowest] <= middle:
             left = lowest
         else:
             right = lowest
     drift = min(max(drift, -limit), limit) if x[-1] - x[0] >= _SPAN else 0.0
-    return float((y - drift * x).min()), drift
+    lowest = _lowest(x, y, drift)
+    return float(y[lowest] - drift * x[lowest]), drift
 
 
-@dataclass
-class Envelope:
-    """Running envelope of a stream.
-
-    Time is divided into blocks of 1/60 `window`. A block starts with the line below the 60 blocks before it.
-    A row below the line lowers it. At the end of the block the line is fitted again.
-
-    A new epoch starts when the device's clock steps back, when device and host disagree by more than `jump`
-    on the interval between two rows, or after five windows without rows.
-
-    Raises:
-        ParameterError: if a parameter is invalid.
-    """
-
-    window: int  # ns of device time
-    drift: float  # s/s, largest
-    jump: int  # ns, largest disagreement on an interval
-    epoch: int = -1  # counts from 0
-    device: int = 0  # ns, stamp of the newest row
-    arrival: int = 0  # ns, of the newest row
-    offset: float = 0.0  # ns, of the line, at the epoch's first row
-    slope: float = 0.0  # s/s, of the line
-    _origin: int = 0  # ns, device stamp of the epoch's first row
-    _began: int = 0  # ns, arrival of the epoch's first row
-    _lowered: float = 0.0  # ns, shift of the line in this block; at most 0
-    _block: int = 0  # index of the current block
-    _least: tuple[int, int, float] = (0, 0, inf)  # x, y and lateness of the block's least late row
-    _kept: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])  # x and y, per block
-
-    def __post_init__(self) -> None:
-        check_at_least("DeviceClock", "window", self.window, BLOCKS, "ns")
-        check_at_least("DeviceClock", "drift", self.drift, 0, "s/s")
-        check_at_least("DeviceClock", "jump", self.jump, 0, "ns")
-
-    def starts_epoch(self, device: int, arrival: int) -> bool:
-        """Return whether the next row, with these stamps (ns), starts an epoch."""
-        step = device - self.device
-        continuous = 0 <= step <= PAUSE * self.window and abs(arrival - self.arrival - step) <= self.jump
-        return self.epoch < 0 or not continuous
-
-    def host_time(self, device: int, arrival: int) -> int:
-        """Return the host time (ns) of the next row, no later than its arrival."""
-        if self.starts_epoch(device, arrival):
-            self.epoch += 1
-            self._origin, self._began, self._block, self._kept = device, arrival, 0, []
-            self.offset = self.slope = self._lowered = 0.0
-            self._least = 0, 0, inf
-        self.device, self.arrival = device, arrival
-        x = device - self._origin
-        y = arrival - self._began - x
-        if (block := x * BLOCKS // self.window) != self._block:
-            self._block = block
-            self._fit()
-        lateness = y - (self.offset + self.slope * x)
-        if lateness < self._least[2]:
-            self._least = x, y, lateness
-            self._lowered = min(self._lowered, lateness)
-        return min(arrival, self._began + x + round(self.offset + self.slope * x + self._lowered))
-
-    def _fit(self) -> None:
-        """Fit the line to the newest blocks."""
-        self._kept = [*self._kept[1 - BLOCKS :], self._least[:2]]
-        x, y = np.array(self._kept, np.float64).T  # (blocks,) each
-        self.offset, self.slope = line(x, y, self.drift)
-        self._lowered, self._least = 0.0, (0, 0, inf)
+def _lowest(x: Reals, y: Reals, drift: float) -> int:
+    """Return the index of the first row with the smallest y - drift * x."""
+    lowest = 0
+    for row in range(1, len(x)):
+        if y[row] - drift * x[row] < y[lowest] - drift * x[lowest]:
+            lowest = row
+    return lowest

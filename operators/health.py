@@ -2,19 +2,19 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from math import isnan
 from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
+from operators.batch import Codes, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
+from operators.chain import END
 from operators.checks import check_above, check_at_least
+from operators.compilation import row_loop
 from operators.errors import ParameterError
-from operators.forward_fill import forward_fill
 from operators.operator import Operator
-from operators.tail import Tail
 
 _PAUSE: Final = 25 * ms  # ns, longer pauses of the stream count as this long
-_SPAN: Final = 200 * ms  # ns, span of rows that are examined together
 _QUIET: Final = 1.5  # counts, standard deviation; 0.43 to 0.7 unloaded, 4 to 10 under a static load
 _READINGS: Final = 10  # least number of readings in a quiet second
 
@@ -45,8 +45,7 @@ class Health(Operator[Touch, Faults]):
     All faults except drift end after `clear_after` without fault. A value above 0 merges the faults of a
     cell that is repeatedly pressed to the end of its range.
 
-    Pauses of the stream count as 25 ms at most. Faults are reported up to 200 ms late, since rows are
-    examined in blocks of that length. Rows of equal time are ordered by cell, then kind.
+    Pauses of the stream count as 25 ms at most. Rows of equal time are ordered by cell, then kind.
 
     Args:
         dead_after: Time without answer, ns.
@@ -73,16 +72,11 @@ class Health(Operator[Touch, Faults]):
     floor: int = 10
     ceiling: int = 1013
     drift: float = 30.0
-    _waiting: Tail[Touch] = field(default_factory=lambda: Tail(Touch), init=False, repr=False, compare=False)
-    _raw: bool = field(default=True, init=False, repr=False)
-    _time: int | None = field(default=None, init=False, repr=False)  # ns, newest examined row
-    _age: int = field(default=0, init=False, repr=False)  # ns, age of the stream without its pauses
-    _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid counts
-    _sound: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last sound, by kind
-    _faulty: Times = field(init=False, repr=False, compare=False)  # (3, 6) age when last faulty, by kind
-    _active: Flags = field(init=False, repr=False, compare=False)  # (6, 4) by cell and kind
-    _sums: Times = field(init=False, repr=False, compare=False)  # (3, 6) count, sum and sum of squares
-    _first: Reals = field(init=False, repr=False, compare=False)  # (6,) mean of the first quiet second
+    _state: Times = field(init=False, repr=False, compare=False)  # (10, cells), see `_examine`
+    _active: Flags = field(init=False, repr=False, compare=False)  # (cells, 4) by kind
+    _first: Reals = field(init=False, repr=False, compare=False)  # (cells,) mean of the first quiet second
+    _clock: Times = field(init=False, repr=False, compare=False)  # ns, newest row and age without pauses
+    _limits: Times = field(init=False, repr=False, compare=False)  # ns
 
     def __post_init__(self) -> None:
         for name in ("dead_after", "stuck_after", "saturated_after"):
@@ -91,85 +85,127 @@ class Health(Operator[Touch, Faults]):
         check_at_least("Health", "clear_after", self.clear_after, 0, "ns")
         if self.floor >= self.ceiling:
             raise ParameterError("Health", "floor", self.floor, f"below ceiling, {self.ceiling}")
-        self._last = np.full(BAROMETERS, (self.floor + self.ceiling) // 2, np.int16)
-        self._sound = np.zeros((3, BAROMETERS), np.int64)
-        self._faulty = np.full((3, BAROMETERS), -self.clear_after, np.int64)  # none yet
-        self._active = np.zeros((BAROMETERS, len(FaultKind)), np.bool_)
-        self._sums = np.zeros((3, BAROMETERS), np.int64)
-        self._first = np.full(BAROMETERS, np.nan)
+        self._limits = np.array([self.dead_after, self.stuck_after, self.saturated_after, self.clear_after])
+        self._clock = np.zeros(0, np.int64)  # before the first row
 
     def process(self, batch: Touch) -> Faults:
-        """Return the faults that started or ended in the examined rows."""
-        self._raw = not isinstance(batch, Zeroed)
-        waiting = self._waiting
-        if not len(waiting) and batch.time.item(-1) - batch.time.item(0) >= _SPAN:
-            return self._examine(batch)
-        waiting.append(batch)
-        if batch.time.item(-1) - waiting.time.item(0) < _SPAN:
+        """Return the faults that started or ended."""
+        if not self._clock.size:
+            self._start(batch)
+        floor, ceiling = (-END, END) if isinstance(batch, Zeroed) else (self.floor, self.ceiling)
+        changes = np.zeros((*batch.counts.shape, len(FaultKind)), np.int8)
+        state = self._state, self._active, self._first, self._clock
+        if not _examine(
+            batch.time,
+            batch.counts,
+            batch.valid,
+            state,
+            self._limits,
+            (floor, ceiling, float(self.drift)),
+            changes,
+        ):
             return Faults.empty()
-        return self.flush()
+        row, cell, kind = np.nonzero(changes)
+        active = changes[row, cell, kind] > 0
+        kinds = cell.astype(np.int8), kind.astype(np.int8)
+        return Faults(batch.time[row], *kinds, active, finger=batch.finger)
 
-    def flush(self) -> Faults:
-        """Return the faults in the rows not yet examined."""
-        rows = self._waiting.rows
-        if not len(rows):
-            return Faults.empty()
-        self._waiting.drop(len(rows))
-        return self._examine(rows)
+    def _start(self, batch: Touch) -> None:
+        cells = batch.counts.shape[1]
+        self._clock = np.array([batch.time[0], 0])
+        self._state = np.zeros((_SUMS + 3, cells), np.int64)
+        self._state[_LAST] = (self.floor + self.ceiling) // 2
+        self._state[_FAULTY:_SUMS] = -self.clear_after
+        self._active = np.zeros((cells, len(FaultKind)), np.bool_)
+        self._first = np.full(cells, np.nan)
 
-    def _examine(self, rows: Touch) -> Faults:
-        time, counts, valid = rows.time, rows.counts, rows.valid
-        before = time[:1] if self._time is None else [self._time]
-        age = self._age + np.minimum(np.diff(time, prepend=before), _PAUSE).cumsum()[:, None]  # (n, 1)
-        readings = forward_fill(counts, valid, self._last)  # (n, 6)
-        changes = np.diff(readings, axis=0, prepend=self._last[None]) != 0
-        dead = self._lasting(FaultKind.DEAD, valid, age, self.dead_after)
-        stuck = self._lasting(FaultKind.STUCK, changes | dead, age, self.stuck_after)
-        inside = (readings > self.floor) & (readings < self.ceiling) if self._raw else np.ones_like(valid)
-        saturated = self._lasting(FaultKind.SATURATED, inside | dead, age, self.saturated_after)
-        drifting = self._drifting(time, counts, valid)
-        active = np.stack((dead, stuck, saturated, drifting), axis=2)  # (n, 6, 4)
-        changed = np.diff(active, axis=0, prepend=self._active[None])
-        self._time, self._age = time.item(-1), age.item(-1)
-        self._last, self._active = readings[-1], active[-1]
-        row, cell, kind = np.unravel_index(np.flatnonzero(changed), changed.shape)
-        return Faults(
-            time[row], cell.astype(np.int8), kind.astype(np.int8), active[row, cell, kind], finger=rows.finger
-        )
 
-    def _lasting(self, kind: FaultKind, sound: Flags, age: Times, after: int) -> Flags:
-        """Return True where a cell has been faulty for `after`, now or within `clear_after`; (n, 6)."""
-        seen = np.maximum.accumulate(np.where(sound, age, self._sound[kind]), axis=0)
-        self._sound[kind] = seen[-1]
-        faulty = age - seen >= after  # (n, 6)
-        last = np.maximum.accumulate(np.where(faulty, age, self._faulty[kind]), axis=0)
-        self._faulty[kind] = last[-1]
-        return faulty | (age - last < self.clear_after)
+# Rows of the state: last valid counts; age when last sound and when last faulty, by kind (dead, stuck,
+# saturated); number, sum and sum of squares of the current second's readings.
+_LAST, _SOUND, _FAULTY, _SUMS = 0, 1, 4, 7
+_DEAD, _STUCK, _SATURATED, _DRIFTING = range(4)
 
-    def _drifting(self, time: Times, counts: Counts, valid: Flags) -> Flags:
-        """Return True where the last quiet second of a cell differs from its first; (n, 6)."""
-        second = time // s
-        before = second[:1] if self._time is None else [self._time // s]
-        begun = np.flatnonzero(np.diff(second, prepend=before))  # (k,) first row of each later second
-        bounds = np.concatenate(([0], begun, [len(time)]))
-        known = np.where(valid, counts, 0).astype(np.int64)
-        sums = np.stack((valid, known, known * known), axis=1).cumsum(axis=0)  # (n, 3, 6)
-        sums = np.diff(np.concatenate((np.zeros_like(sums[:1]), sums))[bounds], axis=0)  # (k + 1, 3, 6)
-        sums[0] += self._sums
-        self._sums = sums[-1]
-        state = self._compare(sums[:-1], self._active[:, FaultKind.DRIFTING])  # (k + 1, 6)
-        return np.repeat(state, np.diff(bounds), axis=0)
 
-    def _compare(self, sums: Times, state: Flags) -> Flags:
-        """Return the drift state before and after each of k complete seconds; (k + 1, 6)."""
-        readings, total, squares = sums.swapaxes(0, 1)  # (k, 6)
-        mean = total / np.maximum(readings, 1)
-        quiet = (readings >= _READINGS) & (readings * squares - total**2 < (_QUIET * readings) ** 2)
-        if self._raw:
-            quiet &= (mean > self.floor) & (mean < self.ceiling)
-        if len(quiet):
-            first = np.take_along_axis(mean, quiet.argmax(axis=0)[None], axis=0)[0]
-            self._first = np.where(quiet.any(axis=0) & np.isnan(self._first), first, self._first)
-        return np.concatenate(
-            (state[None], forward_fill(np.abs(mean - self._first) > self.drift, quiet, state))
-        )
+@row_loop
+def _examine(  # noqa: PLR0917 - compiled functions take no keywords
+    time: Times,
+    counts: Counts,
+    valid: Flags,
+    /,
+    memory: tuple[Times, Flags, Reals, Times],
+    after: Times,
+    limits: tuple[int, int, float],
+    changes: Codes,
+) -> bool:
+    """Mark starts (1) and ends (-1) of faults in (n, cells, 4) `changes`; return whether there are any."""
+    state, active, first, clock = memory
+    changed = False
+    for row in range(len(time)):
+        ends_second = time[row] // s != clock[0] // s
+        clock[1] += min(time[row] - clock[0], _PAUSE)
+        clock[0] = time[row]
+        age = clock[1]
+        for cell in range(counts.shape[1]):
+            found = valid[row, cell]
+            drifting = active[cell, _DRIFTING]
+            if ends_second:
+                drifting = _drifts(state, first, cell, limits, drifting)
+            before = state[_LAST, cell]
+            if found:
+                count = int(counts[row, cell])
+                state[_LAST, cell] = count
+                state[_SUMS, cell] += 1
+                state[_SUMS + 1, cell] += count
+                state[_SUMS + 2, cell] += count * count
+            reading = state[_LAST, cell]
+            dead = _lasts(state, _DEAD, cell, found, age, after)
+            stuck = _lasts(state, _STUCK, cell, dead or reading != before, age, after)
+            inside = limits[0] < reading < limits[1]
+            saturated = _lasts(state, _SATURATED, cell, dead or inside, age, after)
+            now = dead, stuck, saturated, drifting
+            for kind in range(4):
+                if now[kind] != active[cell, kind]:
+                    active[cell, kind] = now[kind]
+                    changes[row, cell, kind] = 1 if now[kind] else -1
+                    changed = True
+    return changed
+
+
+def _lasts(  # noqa: PLR0917 - compiled functions take no keywords
+    state: Times,
+    kind: int,
+    cell: int,
+    sound: bool,  # noqa: FBT001
+    age: int,
+    after: Times,
+) -> bool:
+    """Return whether a cell has been faulty for the kind's time, now or within `clear_after`."""
+    if sound:
+        state[_SOUND + kind, cell] = age
+    faulty: bool = age - state[_SOUND + kind, cell] >= after[kind]
+    if faulty:
+        state[_FAULTY + kind, cell] = age
+    recently: bool = age - state[_FAULTY + kind, cell] < after[3]
+    return faulty or recently
+
+
+def _drifts(
+    state: Times,
+    first: Reals,
+    cell: int,
+    limits: tuple[int, int, float],
+    drifting: bool,  # noqa: FBT001
+) -> bool:
+    """End a second: return whether its mean differs from the first, or `drifting` if it was not quiet."""
+    readings, total, squares = state[_SUMS, cell], state[_SUMS + 1, cell], state[_SUMS + 2, cell]
+    state[_SUMS, cell] = state[_SUMS + 1, cell] = state[_SUMS + 2, cell] = 0
+    most = _QUIET * readings
+    if readings < _READINGS or readings * squares - total * total >= most * most:
+        return drifting
+    mean = total / readings
+    if not limits[0] < mean < limits[1]:
+        return drifting
+    if isnan(first[cell]):
+        first[cell] = mean
+    differs: bool = abs(mean - first[cell]) > limits[2]
+    return differs
