@@ -20,8 +20,9 @@ from connectors.events import encode
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from operators.batch import Slips, ms
 from operators.ports import Run
-from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener, until
+from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.pages import ROOT, block, commands, table
+from tests.waiting import until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 

@@ -1,4 +1,4 @@
-"""What deploy/ ships, as the tests and the benchmark use it."""
+"""The broker configuration in deploy/, for tests and a benchmark."""
 
 import os
 import shutil
@@ -9,11 +9,11 @@ from typing import Final
 from tests.connectors.mqtt.broker_process import TestBroker
 
 DEPLOY: Final = Path(__file__).parents[2] / "deploy"
-PASSWORDS: Final = {"fingertip": "felt", "reader": "read"}  # by user
+PASSWORDS: Final = {"fingertip": "secret", "reader": "other"}  # by user
 
 
 def settings(folder: Path) -> list[str]:
-    """The shipped mosquitto.conf for a folder of one's own, without the listener; makes the passwords."""
+    """Return the shipped mosquitto.conf for a folder, without its listener; write the password file."""
     passwords, acl = folder / "passwords", folder / "acl"
     shutil.copy(DEPLOY / "mosquitto" / "acl", acl)
     acl.chmod(0o600)
@@ -28,19 +28,19 @@ def settings(folder: Path) -> list[str]:
         text = text.replace(place, here)
     listener = "listener 1883\n"
     assert listener in text
-    text = text.replace(listener, "")  # TestBroker has its own, on loopback
+    text = text.replace(listener, "")  # TestBroker adds one on loopback
     nodelay = "set_tcp_nodelay true\n"
     assert nodelay in text
-    return text.replace(nodelay, "").splitlines()  # which TestBroker sets, too
+    return text.replace(nodelay, "").splitlines()  # TestBroker sets it
 
 
 def shipped_broker(folder: Path) -> TestBroker:
-    """A mosquitto with the shipped configuration."""
+    """Start a mosquitto with the shipped configuration."""
     return TestBroker(folder, *settings(folder))
 
 
 def login(user: str | None, password: str | None = None) -> None:
-    """Be a user of it, whose password is the right one by default."""
+    """Set the user and password (default: the correct one) for later connections."""
     password = PASSWORDS.get(user or "") if password is None else password
     for name, value in (("SLIPFLOW_MQTT_USER", user), ("SLIPFLOW_MQTT_PASSWORD", password)):
         if value is None:

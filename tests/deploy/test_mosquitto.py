@@ -1,6 +1,5 @@
 import asyncio
 import signal
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from operators.errors import EndpointError
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker, deliver
 from tests.deploy.shipped import DEPLOY, login, shipped_broker
+from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
@@ -23,7 +23,7 @@ RIG = "slip/v1/lab/fingertip"
 
 @pytest.fixture
 def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[TestBroker]:
-    """The broker as shipped; whoever logged in is forgotten."""
+    """Start the broker as shipped; no user is logged in."""
     for name in (USER, PASSWORD):
         monkeypatch.setenv(name, "")
     server = shipped_broker(tmp_path)
@@ -55,7 +55,7 @@ def test_a_reader_gets_missed_and_new_events(shipped: TestBroker, run: Run) -> N
         try:
             await sink.write(slips(1, 0))  # missed: to be asked for
             login("reader")
-            async with asyncio.timeout(20), Consumer(shipped.url, since="start") as events:
+            async with asyncio.timeout(PATIENCE), Consumer(shipped.url, since="start") as events:
                 seen = [(await anext(events)).seq for _ in range(2)]
                 await sink.write(slips(1))
                 return [*seen, (await anext(events)).seq]
@@ -84,7 +84,7 @@ def test_other_topics_are_refused(shipped: TestBroker, user: str, topic: str) ->
 
 
 @pytest.mark.parametrize(
-    ("user", "password"), [(None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "felt")]
+    ("user", "password"), [(None, None), ("fingertip", "wrong"), ("reader", ""), ("stranger", "secret")]
 )
 def test_a_client_without_a_password_is_refused(
     shipped: TestBroker, user: str | None, password: str | None
@@ -103,7 +103,7 @@ def test_a_rig_reads_only_its_own_requests(shipped: TestBroker) -> None:
             await deliver(link, f"{RIG}/0/event", b"{}")  # a reader would see it
             await send(shipped, "reader", "slip/v1/lab/other/replay/request")
             await send(shipped, "reader", f"{RIG}/replay/request")
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE):
                 return await link.receive()
         finally:
             await link.disconnect()
@@ -117,17 +117,14 @@ def test_retained_messages_survive_a_crash_of_the_broker(shipped: TestBroker, tm
         link = await connect(Broker.parse(shipped.url), "test-reader")
         try:
             await link.listen(f"{RIG}/head")
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE):
                 return await link.receive()
         finally:
             await link.disconnect()
 
     asyncio.run(send(shipped, "fingertip", f"{RIG}/head", b"remembered", retain=True))
     saved = tmp_path / "data" / "mosquitto.db"
-    for _ in range(1000):
-        if saved.exists() and b"remembered" in saved.read_bytes():
-            break
-        time.sleep(0.01)
+    asyncio.run(until(lambda: saved.exists() and b"remembered" in saved.read_bytes()))
     shipped.stop(signal.SIGKILL)
     shipped.start()
     assert asyncio.run(retained()) == (f"{RIG}/head", b"remembered")

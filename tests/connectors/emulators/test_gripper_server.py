@@ -17,6 +17,7 @@ from operators.batch import Commands
 from operators.ports import Run
 from tests.connectors.emulators.faulty_gripper import FaultyGripperServer
 from tests.connectors.emulators.observed_scene import ObservedScene
+from tests.waiting import PATIENCE
 
 pytest.importorskip("pymodbus")
 
@@ -43,7 +44,8 @@ class Hand:
 @asynccontextmanager
 async def served(**parameters: Any) -> AsyncGenerator[tuple[FaultyGripperServer, Hand]]:  # noqa: ANN401 - the server's
     hand = Hand()
-    async with asyncio.timeout(30), FaultyGripperServer(hand, port=0, now=hand.now, **parameters) as server:
+    server = FaultyGripperServer(hand, port=0, now=hand.now, **parameters)
+    async with asyncio.timeout(PATIENCE), server:
         yield server, hand
 
 
@@ -150,7 +152,7 @@ def test_after_a_restart_its_registers_are_zeros() -> None:
             await modbus.write_registers(2, [0xFFFF], device_id=2)  # nothing of the old request is left
             hand.time += s
             assert await look(modbus) == Status()
-            async with client(server, timeout=0.1) as other:
+            async with client(server, timeout=0.5) as other:
                 server.restart()
                 with pytest.raises(ModbusException):
                     await look(other)
@@ -168,7 +170,7 @@ def test_it_can_refuse_and_be_silent() -> None:
             hand.time += s
             assert await look(modbus) == Status()
             server.silent = True
-            async with client(server, timeout=0.1) as other:
+            async with client(server, timeout=0.5) as other:
                 with pytest.raises(ModbusException, match="No response"):
                     await ask(other, CLOSE)
             server.silent = False
@@ -219,7 +221,7 @@ def test_the_grip_reaches_the_scene_and_its_fingertip_feels_it() -> None:
                 gripped.set()
 
         server = FaultyGripperServer(Scene(), port=0, now=lab.now, activation=0.05, contact=3)
-        async with asyncio.timeout(60), server:
+        async with asyncio.timeout(PATIENCE), server:
             gripper = Gripper(HOST, server.port)
             rest, _ = lab.touch(0, lab.now())
             await gripper.open(Run("run1", "live", LoopClock(), 0))

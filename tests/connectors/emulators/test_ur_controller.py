@@ -23,10 +23,10 @@ from operators import EndpointError
 from operators.batch import Commands, Reals
 from tests.connectors.emulators.faulty_ur import FaultyUrController, release_emergency, stop_in_emergency
 from tests.loopback import own_host
+from tests.waiting import PATIENCE
 
 HOST = "127.0.0.1"
 CB3, E_SERIES, NEWEST = Version(3, 15, 8, 1), Version(5, 11, 0, 1), Version(5, 24, 0, 1)
-PATIENCE = 60.0  # s, for another process
 
 
 def controller(now: Callable[[], int], drift: float = 0.0) -> FaultyUrController:
@@ -101,7 +101,7 @@ def fault():
     sys.stdin.readline()
 
 def until(true):
-    end = time.monotonic() + 20
+    end = time.monotonic() + 60
     while not true() and time.monotonic() < end:
         time.sleep(0.001)
     return true()

@@ -19,6 +19,7 @@ from flows.run.clocks import LoopClock
 from operators import Touch, Truth
 from operators.batch import Counts, Reals, s
 from tests.connectors.emulators.observed_scene import ObservedScene
+from tests.waiting import PATIENCE
 
 ANYWHERE = Ports(0, 0, 0)
 
@@ -31,18 +32,18 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip(monkeypatch: 
         async with virtual_lab(ports=ANYWHERE) as lab:
             touch, motion = TakkTile(lab.bus), UrMotion("127.0.0.1", port=lab.controller.ports.rtde)
 
-            async def felt() -> Counts:
+            async def counts() -> Counts:
                 async with aclosing(cast("AsyncGenerator[Touch]", touch.batches(clock))) as batches:
-                    counts: Counts = (await anext(batches)).counts[0]
-                    return counts
+                    found: Counts = (await anext(batches)).counts[0]
+                    return found
 
-            in_air = await felt()
+            in_air = await counts()
             lab.controller.box.drive.line(np.array([0.0, 0.0, -0.002, np.pi, 0.0, 0.0]), 0.2, 1.0)
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE):
                 async for moved in motion.batches(clock):
                     if moved.pose[-1, 2] < -0.0019:
                         break
-            pressed = await felt()
+            pressed = await counts()
             assert (in_air - pressed).max() > 20
             pushed = cast("tuple[float, ...]", lab.controller.box.values(["actual_TCP_force"])[0])
             assert 1.8 < pushed[2] < 2.1
@@ -91,10 +92,10 @@ def test_a_sphere_is_touched_lower_at_its_side() -> None:
     async def main() -> None:
         async with virtual_lab(commanded_scene("sphere", 0.03), ports=ANYWHERE) as lab:
             box = lab.controller.box
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE):
                 for place in ([0.015, 0.0, 0.0], [0.015, 0.0, -0.006]):  # its surface is at -0.004 there
                     box.drive.line(np.array([*place, np.pi, 0.0, 0.0]), 0.2, 1.0)
-                    while box.drive.task != "none":  # noqa: ASYNC110 - nothing tells
+                    while box.drive.task != "none":  # noqa: ASYNC110 - no event for it
                         await asyncio.sleep(0.01)
                     pushed.append(cast("tuple[float, ...]", box.values(["actual_TCP_force"])[0])[2])
 

@@ -17,6 +17,7 @@ from operators.batch import Commands
 from operators.ports import Run
 from tests.connectors.emulators.faulty_gripper import RELEASED, fail
 from tests.connectors.gripper.gripper_lab import SCALE, commands, counted, lab
+from tests.waiting import PATIENCE
 
 pytestmark = pytest.mark.virtual
 pytest.importorskip("pymodbus")
@@ -274,7 +275,7 @@ def test_a_measured_scale_widens_the_limits() -> None:
 
 def test_over_sockets_it_survives_a_reset_and_a_lost_gripper() -> None:
     async def test() -> None:
-        async with asyncio.timeout(30), lab("127.0.0.1", 0, activation=0.05, contact=2) as at:
+        async with asyncio.timeout(PATIENCE), lab("127.0.0.1", 0, activation=0.05, contact=2) as at:
             gripper = at.gripper(timeout=10.0)
             await gripper.open(at.run)
             await gripper.write(commands(30.0))

@@ -1,13 +1,13 @@
 """A real broker and an independent subscriber for tests: mosquitto, mosquitto_sub and mosquitto_pub."""
 
-import asyncio
 import os
+import secrets
 import shutil
 import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable
+from errno import ECONNREFUSED
 from pathlib import Path
 from queue import Queue
 from threading import Thread
@@ -17,15 +17,7 @@ from uuid import uuid4
 from connectors.mqtt.broker import Message
 from connectors.mqtt.broker_link import Link
 from operators.errors import EndpointError
-
-PATIENCE = 10.0  # s, timeout of tests that wait for another process
-
-
-async def until(condition: Callable[[], bool]) -> None:
-    """Wait until a condition becomes true in another thread, task or process."""
-    async with asyncio.timeout(PATIENCE):
-        while not condition():  # noqa: ASYNC110 - no event to wait for
-            await asyncio.sleep(0.01)
+from tests.waiting import PATIENCE
 
 
 async def deliver(link: Link, topic: str, payload: bytes = b"x", *, retain: bool = False) -> None:
@@ -104,9 +96,7 @@ class TestBroker:
         program = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
         if not (program and shutil.which("mosquitto_sub")):
             raise EndpointError("mosquitto", "not found: apt-get install mosquitto mosquitto-clients")
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            self.port: int = free.getsockname()[1]
+        self.port = _free_port()
         self._log, config = folder / "mosquitto.log", folder / "mosquitto.conf"
         user = ["user root"] if os.geteuid() == 0 else []
         lines = [f"listener {self.port} 127.0.0.1", "set_tcp_nodelay true", *user]
@@ -130,14 +120,13 @@ class TestBroker:
     def start(self) -> None:
         """Start the process, also after `stop`, and wait until it listens."""
         with self._log.open("ab") as log:
+            begin = log.tell()
             self.process = subprocess.Popen(self._command, stdout=log, stderr=log)
-        for _ in range(500):
-            with socket.socket() as probe:
-                if probe.connect_ex(("127.0.0.1", self.port)) == 0:
-                    return
-            if self.process.poll() is not None:
-                break
-            time.sleep(PATIENCE / 500)
+        end = time.monotonic() + PATIENCE
+        while self.process.poll() is None and time.monotonic() < end:
+            if b" running\n" in self._log.read_bytes()[begin:]:
+                return
+            time.sleep(0.005)
         raise EndpointError("mosquitto", f"does not start: {self._log.read_text()}")
 
     def stop(self, number: signal.Signals = signal.SIGKILL) -> None:
@@ -161,6 +150,15 @@ class TestBroker:
         for listener in self._listeners:
             listener.close()
         self.stop()
+
+
+def _free_port() -> int:
+    """Return a free port outside the range from which the system assigns ports."""
+    while True:
+        with socket.socket() as probe:
+            port = 10_000 + secrets.randbelow(22_000)
+            if probe.connect_ex(("127.0.0.1", port)) == ECONNREFUSED:
+                return port
 
 
 def _publish(port: int, topic: str, payload: str, *options: str) -> None:

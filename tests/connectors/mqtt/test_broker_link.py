@@ -14,8 +14,9 @@ from connectors.mqtt import broker_link as module
 from connectors.mqtt.broker import CA, PASSWORD, USER, Broker, Message
 from connectors.mqtt.broker_link import Link, connect
 from operators.errors import EndpointError
-from tests.connectors.mqtt.broker_process import PATIENCE, TestBroker, deliver
+from tests.connectors.mqtt.broker_process import TestBroker, deliver
 from tests.inside import inside
+from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 

@@ -18,8 +18,9 @@ from connectors.mqtt.broker_link import Link
 from operators.batch import Slips
 from operators.errors import EndpointError, InputError, ParameterError
 from operators.ports import Run
-from tests.connectors.mqtt.broker_process import TestBroker, until
+from tests.connectors.mqtt.broker_process import TestBroker
 from tests.inside import inside
+from tests.waiting import PATIENCE, until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
@@ -57,7 +58,7 @@ async def following(events: Consumer) -> None:
 
 
 async def take(events: Consumer, count: int) -> list[int]:
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(PATIENCE):
         return [(await anext(events)).seq for _ in range(count)]
 
 
@@ -305,7 +306,7 @@ async def test_a_killed_consumer_resumes_and_misses_nothing(
             await sink.write(slips(*[1, 0] * turn))
         await until(lambda: not inside(sink, "_outbox").waiting)
         last = inside(sink, "_outbox").heads()[-1][1]
-        async with Consumer(broker.url, position_file=position) as events, asyncio.timeout(20):
+        async with Consumer(broker.url, position_file=position) as events, asyncio.timeout(PATIENCE):
             while len(set(found)) < last:
                 found.append((await anext(events)).seq)
         assert set(found) == set(range(1, last + 1))

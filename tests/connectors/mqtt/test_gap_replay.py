@@ -17,8 +17,8 @@ from connectors.mqtt.gap_replay import GapAnswer, GapReplies, GapRequest
 from connectors.mqtt.outbox import Outbox
 from connectors.mqtt.outbox_log import Entry
 from operators.errors import EndpointError, InputError
-from tests.connectors.mqtt.broker_process import until
 from tests.inside import inside
+from tests.waiting import until
 
 RIG = "slip/v1/lab/ur10"
 REQUEST = GapRequest("ab", 3, 9, f"{RIG}/replay/me")

@@ -23,8 +23,9 @@ from operators.errors import EndpointError, ParameterError
 from operators.health import FaultKind
 from operators.ports import Run, SinkStatus, SourceStatus
 from storage.append_log import AppendLog
-from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener, until
+from tests.connectors.mqtt.broker_process import Received, TestBroker, TestListener
 from tests.inside import inside
+from tests.waiting import until
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 

@@ -17,8 +17,8 @@ from connectors.mqtt.outbox import Outbox
 from operators.errors import EndpointError, InputError
 from storage import files
 from storage.append_log import AppendLog, LogReader
-from tests.connectors.mqtt.broker_process import PATIENCE, until
 from tests.inside import inside
+from tests.waiting import PATIENCE, until
 
 DRAFT = Event("lab", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
 

@@ -7,6 +7,7 @@ from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur import dashboard_client
 from operators import EndpointError
+from tests.waiting import PATIENCE
 
 
 def test_a_command_is_answered() -> None:
@@ -36,7 +37,9 @@ def test_a_silent_dashboard_is_an_error_after_the_timeout(silent: bool, why: str
         async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
             port = server.sockets[0].getsockname()[1]
             try:
-                await dashboard_client.request("127.0.0.1", "stop", port=port, timeout=0.05)
+                await dashboard_client.request(
+                    "127.0.0.1", "stop", port=port, timeout=0.05 if silent else PATIENCE
+                )
             finally:
                 await served.wait()
 

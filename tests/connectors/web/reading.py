@@ -9,7 +9,7 @@ import numpy as np
 from aiohttp import ClientConnectionError, ClientSession
 
 from operators.batch import Motion, Scores, Slips, Zeroed
-from tests.connectors.mqtt.broker_process import PATIENCE
+from tests.waiting import PATIENCE
 
 
 def felt(time: int, *counts: int, finger: int = 0) -> Zeroed:

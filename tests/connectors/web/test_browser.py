@@ -19,7 +19,7 @@ from storage import load_detector
 from tests.connectors.web.browsing import FLAGS, Served, ServedPage, ServedRecording
 from tests.connectors.web.reading import felt, moved, scored, slip
 
-LATE = 15_000  # ms, of a busy machine
+LATE = 60_000  # ms, for a busy machine
 MOVE = """(slider, t) => {
   slider.step = 10;  // finer than by hand
   slider.value = t;
@@ -36,18 +36,18 @@ def browser() -> Iterator[Browser]:
 
 
 class Watched:
-    """A tab, what it complains of and what it asks for."""
+    """A tab with its errors, warnings and requests."""
 
     def __init__(self, tab: Page) -> None:
         self.tab = tab
         self.complaints: list[str] = []
         self.asked: list[str] = []
         tab.set_default_timeout(LATE)
-        tab.on("console", self._told)
+        tab.on("console", self._complained)
         tab.on("pageerror", lambda error: self.complaints.append(str(error)))
         tab.on("request", self._requested)
 
-    def _told(self, message: ConsoleMessage) -> None:
+    def _complained(self, message: ConsoleMessage) -> None:
         if message.type in ("error", "warning"):
             self.complaints.append(f"{message.text} {message.location.get('url')}")
 

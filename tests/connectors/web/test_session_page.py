@@ -6,8 +6,8 @@ from connectors.web.session_page import SessionCurves, session_handlers
 from connectors.web.web_server import page_server
 from operators.batch import ms, s
 from operators.ports import Run
-from tests.connectors.mqtt.broker_process import PATIENCE
 from tests.connectors.web.reading import felt, slip
+from tests.waiting import PATIENCE
 
 
 def test_the_server_returns_the_session_and_any_window(run: Run) -> None:

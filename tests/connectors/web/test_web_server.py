@@ -12,7 +12,7 @@ from aiohttp import ClientResponse, ClientSession, CookieJar
 from connectors.web.access import Access
 from connectors.web.web_server import CONNECTIONS_MAX, STATIC, WebServer, page_server
 from operators.errors import EndpointError
-from tests.connectors.mqtt.broker_process import PATIENCE
+from tests.waiting import PATIENCE
 
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 

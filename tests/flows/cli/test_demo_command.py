@@ -16,6 +16,7 @@ import pytest
 from tests.command import SLIPFLOW, slipflow
 from tests.connectors.mqtt.broker_process import TestBroker
 from tests.connectors.web.reading import listening
+from tests.waiting import PATIENCE
 
 SCHEMA = json.loads((Path(__file__).parents[3] / "connectors" / "slip-event.schema.json").read_text())
 
@@ -59,7 +60,7 @@ def test_the_demo_serves_its_page_by_default(tmp_path: Path) -> None:
             assert "end" in [name async for name, _ in heard]
 
     asyncio.run(follow())
-    output, _ = process.communicate(timeout=30)
+    output, _ = process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
     found = summary(output)
     assert found["sinks"]["page"]["dropped"] == 0
@@ -72,7 +73,7 @@ def test_the_demo_continues_if_the_broker_on_this_machine_refuses(
 ) -> None:
     with TestBroker(tmp_path, "allow_anonymous false") as broker:
         command = [*demo_with_broker(broker.url), "--no-page", "--for", "8s", "--out", str(tmp_path / "data")]
-        done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False, timeout=60)
+        done = subprocess.run([*command, "--json"], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         recorded = slips(tmp_path / "data")
         assert recorded
@@ -106,7 +107,7 @@ def test_watch_receives_every_event_although_the_broker_is_killed(tmp_path: Path
     listener = broker.listen(f"{topic}/+/event", f"{topic}/status")
     assert json.loads(listener.next(f"{topic}/status").payload)["state"] == "online"
 
-    output, _ = demo.communicate(timeout=60)
+    output, _ = demo.communicate(timeout=2 * PATIENCE)
     assert demo.returncode == 0
     mqtt = summary(output)["sinks"]["mqtt"]
     recorded = slips(out)
@@ -115,7 +116,7 @@ def test_watch_receives_every_event_although_the_broker_is_killed(tmp_path: Path
     assert watch.stdout
     events = [json.loads(watch.stdout.readline()) for _ in recorded]
     watch.send_signal(signal.SIGINT)
-    rest, _ = watch.communicate(timeout=10)
+    rest, _ = watch.communicate(timeout=PATIENCE)
     assert not rest
     for event in events:
         jsonschema.validate(event, SCHEMA)

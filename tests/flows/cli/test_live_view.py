@@ -17,7 +17,7 @@ from flows.graph.testing import TestSink, TestSource
 from flows.graph.validation import problems
 from operators import Debounce, Touch, Zero
 from tests.command import slipflow
-from tests.connectors.mqtt.broker_process import PATIENCE
+from tests.waiting import PATIENCE
 
 
 def names(flow: Flow) -> list[str]:

@@ -19,6 +19,7 @@ from flows.run.live_runner import LiveRunner
 from operators import InputError, ParameterError, s
 from storage import Session
 from tests.command import SLIPFLOW, slipflow
+from tests.waiting import PATIENCE
 
 
 @pytest.fixture(scope="module")
@@ -73,13 +74,13 @@ def test_the_command_serves_the_session_until_ctrl_c(session: Session) -> None:
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr
     address = next(filter(None, (re.search(r"http://(.*):(\d+)$", line) for line in process.stderr)))
-    connection = HTTPConnection(address[1], int(address[2]), timeout=30)
+    connection = HTTPConnection(address[1], int(address[2]), timeout=PATIENCE)
     connection.request("GET", "/about.json")
     about = json.loads(connection.getresponse().read())
     assert (about["mode"], about["session"]) == ("recorded", "test")
     connection.close()
     process.send_signal(signal.SIGINT)
-    process.communicate(timeout=30)
+    process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
 
 

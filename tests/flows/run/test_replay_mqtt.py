@@ -23,6 +23,7 @@ from operators.batch import AnyBatch
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Clock, Description, Run, Source
 from tests.connectors.mqtt.broker_process import Received, TestBroker
+from tests.waiting import PATIENCE
 
 pytestmark = [pytest.mark.broker, pytest.mark.usefixtures("quiet")]
 
@@ -215,7 +216,7 @@ def test_a_consumer_of_all_rigs_is_given_no_old_event_and_one_of_the_replay_is(b
     async def main() -> None:
         async with Consumer(broker.url) as everything, Consumer(broker.url, rig="rig-replay") as old:
             await at_full_speed(declared(broker.url, given()))
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(PATIENCE):
                 assert [(await anext(old)).session for _ in range(7)] == ["again"] * 7
                 live = declared(broker.url, given(2))
                 await LiveRunner(live, "live").execute()

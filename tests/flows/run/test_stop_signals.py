@@ -8,6 +8,7 @@ from threading import Thread
 import pytest
 
 from flows.run.stop_signals import signal_handlers, signals_to, stopping
+from tests.waiting import PATIENCE
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -93,7 +94,7 @@ def test_a_loop_that_sleeps_wakes_for_a_signal() -> None:
         with signal_handlers({signal.SIGUSR2: received.set}):
             sending = Thread(target=signal.raise_signal, args=(signal.SIGUSR2,))
             sending.start()
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(PATIENCE):
                 await received.wait()
             sending.join()
 
