@@ -6,7 +6,7 @@ demo:  ## the main job with nothing attached: a simulated rig, slip events, a la
 	.venv/bin/slipflow demo --for 20s --out recordings
 
 test: check  ## everything that must hold: static checks, then the tests
-	.venv/bin/python -m pytest -n 2 -m "not slow and not rerun and not cluster"
+	.venv/bin/python -m pytest -n 2 --dist worksteal -m "not slow and not rerun and not cluster"
 
 test-slow:  ## the tests that take longer than a minute, or need half a gigabyte more
 	@deploy/prepare test

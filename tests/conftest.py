@@ -2,6 +2,8 @@
 
 import asyncio
 import logging
+import os
+import signal
 from collections.abc import Iterator
 from inspect import iscoroutinefunction, signature
 from pathlib import Path
@@ -15,6 +17,13 @@ from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
 
 LIMIT = 120.0  # s, for a coroutine
+
+# of subprocesses too
+os.environ.setdefault(
+    "OMP_NUM_THREADS", "1"
+)  # idle OpenMP threads spin: with two processes tests take 5 times longer
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell ignores it in background jobs
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("slipflow", deadline=None, max_examples=50)  # no deadline: machines vary in speed
 settings.load_profile("slipflow")
