@@ -14,6 +14,7 @@ import typer.main
 from flows.cli.main import app
 from flows.graph.drawing import mermaid
 from flows.graph.loading import load
+from tests.command import slipflow
 from tests.pages import PAGES, ROOT, blocks, commands, mentioned
 
 RUN = ["tutorial/own-detector.md", "how-to/extend.md", "reference/dataset.md", "reference/mqtt.md"]
@@ -35,6 +36,20 @@ def run(command: list[str], folder: Path) -> str:
     return done.stdout
 
 
+def run_shell(script: str, folder: Path) -> str:
+    """Run a script, and then in this process the slipflow commands in it, which saves their imports."""
+    if "export" in script:
+        return run(["bash", "-euc", script], folder)
+    expanded = "slipflow() { printf 'slipflow'; printf '\\t%s' \"$@\"; echo; }\n" + script
+    printed = ""
+    for line in run(["bash", "-euc", expanded], folder).splitlines():
+        assert line.startswith("slipflow\t")
+        done = slipflow(*line.split("\t")[1:], cwd=folder)
+        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+        printed += done.stdout
+    return printed
+
+
 def same_but_for_numbers(line: str) -> str:
     return SHOWN.sub(" ", line).strip()
 
@@ -49,7 +64,7 @@ def test_every_block_runs_in_order_and_prints_the_text_on_the_page(name: str, tm
         elif block.language == "python" and not block.name:
             printed, ran = run([sys.executable, "-c", block.body], tmp_path), ran + 1
         elif block.language == "sh":
-            printed, ran = run(["bash", "-euc", block.body], tmp_path), ran + 1
+            printed, ran = run_shell(block.body, tmp_path), ran + 1
         elif block.language == "json":
             json.loads(block.body)
         elif block.language in {"text", "mermaid"} and printed:

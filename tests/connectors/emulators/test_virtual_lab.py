@@ -83,7 +83,7 @@ def test_a_stall_of_the_host_delays_arm_and_fingertip_together(monkeypatch: pyte
     times, pressed = np.array([t for t, _ in forces]), np.array([force for _, force in forces])
     assert truth.force[-1] > 3.9
     expected: Reals = np.interp(truth.time, times, pressed)  # (n,) N
-    assert np.abs(truth.force - expected).max() < 40.0 * 0.02  # 40 N/s, late by 20 ms at most
+    assert np.abs(truth.force - expected).max() < 40.0 * 0.15 / 2  # 40 N/s: late by less than half the stall
 
 
 def test_a_sphere_is_touched_lower_at_its_side() -> None:
