@@ -1,5 +1,7 @@
-"""What tests of several modules need: a tiny simulated dataset, and a flow to be shown."""
+"""Fixtures of several modules: a tiny simulated dataset, and a flow to draw."""
 
+import fcntl
+import os
 from pathlib import Path
 
 import pytest
@@ -12,13 +14,17 @@ from operators import Align, Label, Motion, Touch, Zero, ms
 
 @pytest.fixture(scope="session")
 def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """12 recordings, 2 of them for tests."""
-    return simulate(tmp_path_factory.mktemp("data") / "tiny", "tiny", seed=0, jobs=1).out
+    """Return a dataset of 12 recordings, 2 of them in the test split; all test processes share it."""
+    base = tmp_path_factory.getbasetemp()
+    out = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "tiny"
+    with out.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return out if out.exists() else simulate(out, "tiny", seed=0, jobs=1).out
 
 
 @pytest.fixture
 def drawn() -> Flow:
-    """A flow in which one stream goes two ways, and a sink takes two streams."""
+    """Return a flow in which one stream has two consumers, and a sink takes two streams."""
     flow, sink = Flow("drawn"), TestSink()
     touch = flow.source(TestSource(Touch))
     motion = flow.source(TestSource(Motion))

@@ -35,6 +35,7 @@ class Size:
     hop: int = 5  # samples between evaluated samples
     terms: tuple[str, ...] = (*TERMS, *GRIDS)  # of the ablation
     timed: float = 20.0  # simulated s
+    draws: int = 300  # of bootstraps
 
     @classmethod
     def of(cls, plan: str) -> Self:

@@ -324,7 +324,7 @@ def _motion(of: Measurements) -> Section:
     for effect in EFFECTS:
         row = [effect.text, f"{effect.paper:+.1f}"]
         for name, found in of.by_motion.items():
-            difference, error = f1_difference(found, effect.first, effect.second)
+            difference, error = f1_difference(found, effect.first, effect.second, draws=of.size.draws)
             verdict = effect.verdict(difference, error)
             row.append(f"{difference:+.1f} ± {error:.1f}, {verdict}")
             if name == judge and verdict == "reproduced":

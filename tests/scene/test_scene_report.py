@@ -22,7 +22,7 @@ from tests.scene.scene_statistics import TABLE, distance, measure
 SECTIONS = ("traces", "realism", "statistics", "ablation", "motion", "speed")
 SHARED = Path(__file__).parents[3] / "shared" / "real"
 TINY = PaperPlan(surfaces=("plane", "sphere"), speeds=(0.05,), repeats=1, rotations=1, rounds=1)
-SIZE = Size(TINY, TINY, seeds=2, hop=10, terms=("texture", "6 x 4 nodes"), timed=0.5)
+SIZE = Size(TINY, TINY, seeds=2, hop=10, terms=("texture", "6 x 4 nodes"), timed=0.5, draws=10)
 
 
 @dataclass(frozen=True)

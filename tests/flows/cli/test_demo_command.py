@@ -97,7 +97,7 @@ def test_watch_receives_every_event_although_the_broker_is_killed(tmp_path: Path
     listener = broker.listen(f"{topic}/+/event", f"{topic}/status")
     options = ["watch", broker.url, "--json", "--since", "start", "--position", str(tmp_path / "position")]
     watch = subprocess.Popen([*SLIPFLOW, *options], stdout=subprocess.PIPE, text=True)
-    options = ["--for", "14s", "--out", str(out), "--mqtt", broker.url, "--json"]
+    options = ["--for", "10s", "--out", str(out), "--mqtt", broker.url, "--json"]
     demo = subprocess.Popen([*SLIPFLOW, "demo", *options], stdout=subprocess.PIPE, text=True)
     assert json.loads(listener.next(f"{topic}/status").payload)["state"] == "online"
     listener.next(f"{topic}/0/event")

@@ -64,20 +64,22 @@ PATH = PathSettings(
     press_speed=0.1,
     acceleration=1.0,
 )
-QUICK = CollectionPlan("quick", speeds=(0.1,), repeats=1, rotations=0, rounds=1, path=PATH)
 FORCE = 1.5  # N
+STROKES = 2
 
 
 @dataclass(frozen=True)
 class ShortPlan(CollectionPlan):
-    """Plan with the first two strokes of each series only."""
+    """Plan with the first strokes of each series only."""
+
+    count: int = STROKES
 
     def series(self, here: Pose, seed: int) -> list[StrokeSeries]:
         whole = CollectionPlan.series(self, here, seed)
-        return [replace(each, strokes=each.strokes[:STROKES]) for each in whole]
+        return [replace(each, strokes=each.strokes[: self.count]) for each in whole]
 
 
-STROKES = 2
+QUICK = ShortPlan("quick", speeds=(0.1,), repeats=1, rotations=0, rounds=1, path=PATH, count=4)
 ROTATIONS = ShortPlan("rotations", speeds=(), rotations=1, rounds=1, path=PATH)
 PRESSED = ShortPlan(
     "pressed",
@@ -113,7 +115,6 @@ def made(
     pressed: bool = True,
     surface: Curvature = "plane",
     place: Pose = PLACE,
-    limit: float = 50.0,
 ) -> Made:
     """Collect on a virtual lab; call `act` 0.8 s after the first press, or at once without `pressed`."""
 
@@ -126,7 +127,7 @@ def made(
     async def main() -> Made:
         async with virtual_lab(commanded_scene(surface), host=HOST) as lab:
             lab.wait_for_commands()
-            limits = Limits(force=limit, margin=0.05, sensor_timeout=1.0, watchdog=0.1)  # for a busy host
+            limits = Limits(margin=0.05, sensor_timeout=1.0, watchdog=0.1)  # for a busy host
             surfaces = (Surface(surface, pose=place),)
             planned = replace(plan, limits=limits, surfaces=surfaces)
             acting = asyncio.create_task(do(lab))
@@ -155,7 +156,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Made:
 
 def test_all_strokes_are_recorded_completely(quick: Made) -> None:
     collected = quick.collected
-    assert (collected.driver.strokes, collected.error, collected.interrupted) == (8, "", False)
+    assert (collected.driver.strokes, collected.error, collected.interrupted) == (QUICK.count, "", False)
     assert quick.about["complete"]
     touch = concat(Touch, list(quick.session.read(Touch, 0)))
     motion = concat(Motion, list(quick.session.read(Motion, -1)))
@@ -184,15 +185,17 @@ def test_labels_equal_the_ground_truth_within_one_sample(quick: Made) -> None:
     known = labelled.label != UNKNOWN
     agrees = (around == (labelled.label == SLIP)).any(axis=0)
     assert agrees[known].all()
-    assert (labelled.label[known] == SLIP).sum() > 8 * 30
+    assert (labelled.label[known] == SLIP).sum() > QUICK.count * 30
     pressed = truth.force[nearest] > 0
     assert pressed[labelled.label == SLIP].all()  # what the arm does in the air is no slip
 
 
-def test_episodes_tell_of_every_stroke(quick: Made) -> None:
+def test_episodes_has_a_row_for_every_stroke(quick: Made) -> None:
     air, *strokes = quick.session.frame("episodes").to_dicts()
     assert air["motion"] == "hold"
-    assert sorted(each["direction"] for each in strokes) == pytest.approx([k * math.pi / 4 for k in range(8)])
+    turns = {each["direction"] / (math.pi / 4) for each in strokes}
+    assert len(turns) == len(strokes) == QUICK.count
+    assert all(turn == pytest.approx(round(turn)) for turn in turns)
     for each in strokes:
         assert (each["motion"], each["speed"], each["surface"]) == ("translation", 0.1, "plane")
     assert quick.about["split"] in ("train", "validation", "test")
@@ -203,7 +206,7 @@ def test_episodes_tell_of_every_stroke(quick: Made) -> None:
         assert (labelled.label[inside] == UNKNOWN).sum() == 0
 
 
-def test_session_json_says_the_plan(quick: Made) -> None:
+def test_session_json_has_the_plan(quick: Made) -> None:
     collection = quick.about["sources"]["collection"]
     assert (collection["plan"], collection["surface"], collection["speed"]) == ("quick", "plane", 0.1)
     assert collection["place"] == list(PLACE)
@@ -280,7 +283,7 @@ def test_session_json_has_depth_and_force(quick: Made, pressed: Made) -> None:
         (None, FORCE, 0.06),
     ]
     planned, found = (made.session.frame("episodes")[1:] for made in (quick, pressed))
-    assert planned["depth"].to_list() == [QUICK.press.depth] * 8
+    assert planned["depth"].to_list() == [QUICK.press.depth] * QUICK.count
     assert planned["force"].is_nan().all()
     for each in found.to_dicts():
         assert 0.9 * FORCE < each["force"] < 1.4 * FORCE
@@ -290,7 +293,7 @@ def test_session_json_has_depth_and_force(quick: Made, pressed: Made) -> None:
 def interrupted(done: Made, why: str) -> None:
     """Check that a collection ended early, with the arm at rest and the recorded part committed."""
     assert why in done.collected.error
-    assert done.collected.driver.strokes < 8
+    assert done.collected.driver.strokes < QUICK.count
     assert not done.about["complete"]
     assert why in done.about["error"]
     velocity = done.truth.velocity[-1]
@@ -321,11 +324,6 @@ def test_a_stroke_in_the_air_ends_the_collection(tmp_path: Path) -> None:
     assert "fingertip 0 measured no contact in a stroke" in done.about["error"]
     assert not done.about["complete"]
     assert len(done.session.frame("episodes")) == 2  # the air, and one stroke
-
-
-def test_too_much_force_stops_the_arm_and_commits(tmp_path: Path) -> None:
-    deep = replace(QUICK, press=Press(depth=0.006), path=replace(PATH, baseline=1.8))  # 6 N
-    interrupted(made(tmp_path / "data", deep, limit=3.0), "N, more than 3 N")
 
 
 def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
