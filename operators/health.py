@@ -86,12 +86,12 @@ class Health(Operator[Touch, Faults]):
         if self.floor >= self.ceiling:
             raise ParameterError("Health", "floor", self.floor, f"below ceiling, {self.ceiling}")
         self._limits = np.array([self.dead_after, self.stuck_after, self.saturated_after, self.clear_after])
-        self._clock = np.zeros(0, np.int64)  # before the first row
+        self._set_up(np.zeros(0, np.int64), 0)
 
     def process(self, batch: Touch) -> Faults:
         """Return the faults that started or ended."""
         if not self._clock.size:
-            self._start(batch)
+            self._set_up(np.array([batch.time[0], 0]), batch.counts.shape[1])
         floor, ceiling = (-END, END) if isinstance(batch, Zeroed) else (self.floor, self.ceiling)
         changes = np.zeros((*batch.counts.shape, len(FaultKind)), np.int8)
         state = self._state, self._active, self._first, self._clock
@@ -110,14 +110,12 @@ class Health(Operator[Touch, Faults]):
         kinds = cell.astype(np.int8), kind.astype(np.int8)
         return Faults(batch.time[row], *kinds, active, finger=batch.finger)
 
-    def _start(self, batch: Touch) -> None:
-        cells = batch.counts.shape[1]
-        self._clock = np.array([batch.time[0], 0])
+    def _set_up(self, clock: Times, cells: int) -> None:
+        self._clock, self._first = clock, np.full(cells, np.nan)
+        self._active = np.zeros((cells, len(FaultKind)), np.bool_)
         self._state = np.zeros((_SUMS + 3, cells), np.int64)
         self._state[_LAST] = (self.floor + self.ceiling) // 2
         self._state[_FAULTY:_SUMS] = -self.clear_after
-        self._active = np.zeros((cells, len(FaultKind)), np.bool_)
-        self._first = np.full(cells, np.nan)
 
 
 # Rows of the state: last valid counts; age when last sound and when last faulty, by kind (dead, stuck,
