@@ -17,12 +17,7 @@ SERIAL_NUMBER: Final = "20195501234"  # ur-rtde requires one
 def answer(box: ControlBox, line: str) -> str:
     """Execute a request line on a control box and return the reply.
 
-    >>> import numpy as np
-    >>> from connectors.emulators.free_arm import FreeArm
-    >>> from connectors.ur.rtde import Version
-    >>> box = ControlBox(FreeArm(np.zeros(6)), Version(5, 11, 0, 0))
-    >>> answer(box, "PolyscopeVersion"), answer(box, "safetystatus"), answer(box, "dance")
-    ('URSoftware 5.11.0.0 (Jan 01 2022)', 'Safetystatus: NORMAL', 'could not understand: dance')
+    Unknown requests are answered as a real server does: ``could not understand: REQUEST``.
     """
     request = line.strip()
     execute = _COMMANDS.get(request.lower())

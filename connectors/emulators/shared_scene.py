@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 
-from connectors.sim.arm_motion import in_base
 from connectors.sim.commanded_motion import CommandedArm
 from connectors.sim.scene import Scene, commanded_scene
 from operators.batch import Commands, Counts, Reals, Touch, Truth, s
@@ -30,6 +29,7 @@ class SharedScene:
         scene: Scene to simulate (default `commanded_scene()`).
         seed: Random seed; the same seed and the same requests give identical output.
         fingers: Fingertips that share one motion, each with its own noise and cells.
+        height: Initial height of the arm above the middle of the surface (m, default 0).
         now: Clock of the host (ns since 1970 UTC), also used by the emulators for timestamps.
 
     Raises:
@@ -42,6 +42,7 @@ class SharedScene:
         seed: int = 0,
         *,
         fingers: tuple[int, ...] = (0,),
+        height: float = 0.0,
         now: Callable[[], int] = time_ns,
     ) -> None:
         if not fingers:
@@ -52,12 +53,13 @@ class SharedScene:
         self.scene = scene if scene is not None else commanded_scene()
         self.fingers, self.now = fingers, now
         self._lock, self.origin = Lock(), now()
-        self._arm = CommandedArm(self.scene, self.origin)
+        self._arm = CommandedArm(self.scene, self.origin, height)
         self._fingertips = {finger: Finger(self.scene, seed, finger, self._arm) for finger in fingers}
         self._step = round(self.scene.parameters.step * s)  # ns, one physics step
         self._latest: dict[int, Touch] = {}  # by fingertip, time in ns from the origin
         self._latest_motion = -1  # ns from the origin
         self._pose, self._velocity = np.zeros(6), np.zeros(6)
+        self._push = 0.0  # N, of the surface at the latest motion
         for finger in fingers:
             self._simulate(finger, 0)
 
@@ -85,8 +87,16 @@ class SharedScene:
             instant = max(0, time - self.origin)
             if instant > self._latest_motion:
                 self._latest_motion = instant
-                [self._velocity], [self._pose] = in_base(*self._arm.at(np.array([instant / s])))
+                self._pose, self._velocity, self._push = self._arm.motion(instant / s)
             return self._pose.copy(), self._velocity.copy()
+
+    @property
+    def wrench(self) -> Reals:
+        """Force (N) and torque (N m) of the surface on the tool at the latest motion, (6,), base frame.
+
+        Friction and torque are not modelled.
+        """
+        return np.array([0.0, 0.0, self._push, 0.0, 0.0, 0.0])
 
     def command(self, commands: Commands) -> None:
         """Apply commands from their own times on; they cannot change what is already simulated."""

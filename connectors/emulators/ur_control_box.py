@@ -5,12 +5,10 @@ import re
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
 from math import inf, nan
-from typing import Final, cast
+from typing import Final, Protocol, cast
 
 import numpy as np
 
-from connectors.emulators.free_arm import Arm
-from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.ur_drive import Drive
 from connectors.emulators.ur_program import Program, Registers
 from connectors.emulators.ur_variables import OUTPUTS
@@ -62,6 +60,23 @@ def _placeholder(kind: str) -> Value:
     if kind in _INTEGER:
         return 0
     return (nan,) * _WIDTH[kind] if kind in _WIDTH else nan
+
+
+class Arm(Protocol):
+    """An arm that follows velocity commands, such as a `connectors.emulators.shared_scene.SharedScene`."""
+
+    @property
+    def wrench(self) -> Reals:
+        """Force (N) and torque (N m) on the tool at the latest motion, (6,); NaN if it is not measured."""
+        ...
+
+    def motion(self, time: int) -> tuple[Reals, Reals]:
+        """Return pose (6,) m, rad and velocity (6,) m/s, rad/s of the TCP at a host time (ns)."""
+        ...
+
+    def command(self, commands: Commands) -> None:
+        """Follow commands from their own times on."""
+        ...
 
 
 class ControlBox:
@@ -174,9 +189,8 @@ class ControlBox:
             runtime_state=self.runtime_state,
             robot_status_bits=powered + 2 * playing,
             safety_status_bits=SAFETY_BITS[self.safety_mode],
+            actual_TCP_force=tuple(self._arm.wrench.tolist()),
         )
-        if isinstance(self._arm, PressingArm):
-            self._values["actual_TCP_force"] = tuple(self._arm.wrench.tolist())
 
     def _value(self, name: str) -> Value:
         kind, _, index = name.rpartition("_register_")

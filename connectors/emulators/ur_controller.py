@@ -12,8 +12,7 @@ from functools import partial
 from time import time_ns
 from typing import Final, NamedTuple, Self
 
-from connectors.emulators.free_arm import Arm
-from connectors.emulators.ur_control_box import ControlBox
+from connectors.emulators.ur_control_box import Arm, ControlBox
 from connectors.emulators.ur_ports import (
     Connection,
     DashboardConnection,

@@ -1,7 +1,7 @@
 """Virtual lab: one simulated scene behind an emulated UR controller, a TakkTile bus and a gripper.
 
-The arm moves and presses the fingertip on the bus. The gripper presses it, too: the latest force applies. The
-highest point of the surface, its middle, is the origin of the arm's base frame.
+The arm moves the fingertip on the bus and presses it onto the surface. The gripper presses it, too; the forces
+add up. The highest point of the surface, its middle, is the origin of the arm's base frame.
 """
 
 import asyncio
@@ -14,7 +14,6 @@ from connectors.emulators.gripper_mechanism import Mechanism
 from connectors.emulators.gripper_server import GripperServer
 from connectors.emulators.i2c_bus import EmulatedI2cBus
 from connectors.emulators.lab_loop import LabLoop, loop_clock
-from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.shared_scene import SharedScene
 from connectors.emulators.ur_controller import PORTS, Ports, UrController
 from connectors.sim.scene import Scene
@@ -85,10 +84,11 @@ async def virtual_lab(
         ParameterError: if a finger is not from 0 to 7.
     """
     now = loop_clock()
-    shared = await asyncio.to_thread(lambda: SharedScene(scene, seed, fingers=fingers, now=now))
+    shared = await asyncio.to_thread(
+        lambda: SharedScene(scene, seed, fingers=fingers, height=HEIGHT, now=now)
+    )
     bus = EmulatedI2cBus(shared, {finger: finger for finger in fingers}, now=now)
-    arm = PressingArm(shared, HEIGHT, curvatures=shared.scene.curvatures)
-    controller = UrController(arm, host=host, ports=ports, version=UR10_CB3, now=now)
+    controller = UrController(shared, host=host, ports=ports, version=UR10_CB3, now=now)
     server = None
     if gripper is not None:
         server = GripperServer(Mechanism(shared, now()), host=host, port=gripper, now=now)

@@ -1,9 +1,10 @@
-"""Arm of the virtual lab: its normal force and velocity follow commands.
+"""Arm of the virtual lab: its velocity and grip force follow commands; it presses the surface below it.
 
 With t (s) since a command::
 
-    F = F0 + clip(F1 - F0, -r t, r t)             normal force (N), r `FORCE_RATE`
+    G = G0 + clip(G1 - G0, -r t, r t)             grip force (N), r `FORCE_RATE`
     V = V0 + (V1 - V0) u,  u = clip(t / T, 0, 1)  velocity, T from `Scene.acceleration`, `SPIN_ACCELERATION`
+    F = G + k max(0, -drop(x, y) - z)             normal force (N), k `STIFFNESS`, z height of the TCP
 
 All devices apply a command at the same instant: its own time, or the latest simulated instant if that is
 later. So the same commands and requests at the same times give identical output.
@@ -15,11 +16,13 @@ from typing import Final
 
 import numpy as np
 
-from connectors.sim.arm_motion import SPIN_ACCELERATION
-from connectors.sim.scene import Scene
+from connectors.sim.arm_motion import SPIN_ACCELERATION, in_base
+from connectors.sim.scene import Scene, surface_drop
 from operators.batch import Commands, Reals, s
 
 FORCE_RATE: Final = 50.0  # N/s; assumed
+STIFFNESS: Final = 1000.0  # N/m of fingertip, arm and surface in series; assumed
+_Z: Final = 2  # column of the height in a pose of the base frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +30,15 @@ class Segment:
     """Motion between two commands."""
 
     start: float  # s
-    first: float  # N at the start
+    first: float  # N, grip force at the start
     last: float  # N after the change
-    pose: Reals  # (3,) m, m, rad at the start
-    before: Reals  # (3,) m/s, m/s, rad/s at the start, in the frame of the pose
-    after: Reals  # (3,) after the ramp
+    pose: Reals  # (4,) m, m, rad and height in m at the start
+    before: Reals  # (4,) m/s, m/s, rad/s, m/s at the start, in the frame of the pose
+    after: Reals  # (4,) after the ramp
     ramp: float  # s
 
     def at(self, times: Reals) -> tuple[Reals, Reals, Reals]:
-        """Return force (k,), velocity (k, 3) in the pose's frame and pose (k, 3) at instants (k,) (s)."""
+        """Return grip force (k,), velocity and pose (k, 4) in the pose's frame at instants (k,) (s)."""
         t = times - self.start
         force = self.first + np.clip(self.last - self.first, -FORCE_RATE * t, FORCE_RATE * t)
         t = t[:, None]
@@ -49,26 +52,28 @@ class CommandedArm:
     """An arm that stands still in the air until it is commanded.
 
     Args:
-        scene: Scene whose acceleration limits the arm.
+        scene: Scene with the surface; its acceleration limits the arm.
         origin: Beginning of the run (ns).
+        height: Initial height above the middle of the surface (m, default 0).
     """
 
-    def __init__(self, scene: Scene, origin: int) -> None:
-        self._acceleration, self._origin = scene.acceleration, origin
+    def __init__(self, scene: Scene, origin: int, height: float = 0.0) -> None:
+        self._scene, self._origin = scene, origin
         self._simulated = 0.0  # s, latest instant
-        self._segments = [Segment(0.0, 0.0, 0.0, np.zeros(3), np.zeros(3), np.zeros(3), 1.0)]
+        pose = np.array([0.0, 0.0, 0.0, height])
+        self._segments = [Segment(0.0, 0.0, 0.0, pose, np.zeros(4), np.zeros(4), 1.0)]
 
     def add(self, commands: Commands) -> None:
         """Add commands in order; a time that is already simulated becomes the latest simulated time."""
         rows = zip(commands.time.tolist(), commands.force.tolist(), commands.velocity.tolist(), strict=True)
-        for time, force, (x, y, _, _, _, spin) in rows:
+        for time, force, (x, y, z, _, _, spin) in rows:
             latest = self._segments[-1]
             start = max((time - self._origin) / s, self._simulated, latest.start)
             [first], [before], [pose] = latest.at(np.array([start]))
-            after = latest.after if np.isnan([x, y, spin]).any() else np.array([x, -y, -spin])
+            after = latest.after if np.isnan([x, y, z, spin]).any() else np.array([x, -y, -spin, z])
             last = latest.last if math.isnan(force) else max(force, 0.0)
-            vx, vy, turn = (after - before).tolist()
-            ramp = max(math.hypot(vx, vy) / self._acceleration, abs(turn) / SPIN_ACCELERATION, 1e-9)
+            vx, vy, turn, vz = (after - before).tolist()
+            ramp = max(math.hypot(vx, vy, vz) / self._scene.acceleration, abs(turn) / SPIN_ACCELERATION, 1e-9)
             self._segments.append(Segment(start, float(first), last, pose, before, after, ramp))
 
     def forget(self, instant: float) -> None:
@@ -78,16 +83,30 @@ class CommandedArm:
 
     def at(self, times: Reals) -> tuple[Reals, Reals]:
         """Return drive (k, 6) and pose (k, 3) at increasing instants (k,) (s); see `PlannedArm.at`."""
-        drive, pose = np.zeros((len(times), 6)), np.zeros((len(times), 3))
-        if not len(times):
-            return drive, pose
-        self._simulated = max(self._simulated, float(times[-1]))
+        force, velocity, pose, push = self._states(times)
+        drive = np.zeros((len(times), 6))
+        cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+        drive[:, 0] = cos * velocity[:, 0] + sin * velocity[:, 1]
+        drive[:, 1] = cos * velocity[:, 1] - sin * velocity[:, 0]
+        drive[:, 2], drive[:, 3] = velocity[:, 2], force + push
+        return drive, pose[:, :3]
+
+    def motion(self, instant: float) -> tuple[Reals, Reals, float]:
+        """Return pose (6,), velocity (6,) and force of the surface (N) at an instant (s); base frame."""
+        times = np.array([instant])
+        [velocity], [pose] = in_base(*self.at(times))
+        _, [local], [place], [push] = self._states(times)
+        pose[_Z], velocity[_Z] = place[3], local[3]
+        return pose, velocity, float(push)
+
+    def _states(self, times: Reals) -> tuple[Reals, Reals, Reals, Reals]:
+        """Return grip force (k,), velocity (k, 4), pose (k, 4) and force of the surface (k,)."""
+        force, velocity, pose = np.zeros(len(times)), np.zeros((len(times), 4)), np.zeros((len(times), 4))
+        if len(times):
+            self._simulated = max(self._simulated, float(times[-1]))
         bounds = np.searchsorted(times, [segment.start for segment in self._segments[1:]])
         for segment, begin, end in zip(self._segments, [0, *bounds], [*bounds, len(times)], strict=True):
-            rows = slice(begin, end)
-            drive[rows, 3], velocity, pose[rows] = segment.at(times[rows])
-            cos, sin = np.cos(pose[rows, 2]), np.sin(pose[rows, 2])
-            drive[rows, 0] = cos * velocity[:, 0] + sin * velocity[:, 1]
-            drive[rows, 1] = cos * velocity[:, 1] - sin * velocity[:, 0]
-            drive[rows, 2] = velocity[:, 2]
-        return drive, pose
+            force[begin:end], velocity[begin:end], pose[begin:end] = segment.at(times[begin:end])
+        curvatures = self._scene.curvatures
+        drop = np.array([surface_drop(curvatures, x, y) for x, y in pose[:, :2].tolist()])  # (k,) m
+        return force, velocity, pose, STIFFNESS * np.maximum(0.0, -drop - pose[:, 3])

@@ -28,7 +28,6 @@ import numpy as np
 import smbus2.smbus2
 
 from connectors import TakkTile, UrMotion
-from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_controller import E_SERIES, Ports, UrController
 from connectors.sim.finger import Finger
 from connectors.sim.scene import Scene
@@ -53,6 +52,7 @@ from operators.batch import Counts
 from storage import Dataset, load_debounce, load_detector
 from tests.benchmarks.machine import commit, machine
 from tests.connectors.emulators.faulty_i2c import FaultyI2cBus
+from tests.connectors.emulators.free_arm import FreeArm
 from tests.connectors.emulators.i2c_device import served
 
 P = ParamSpec("P")

@@ -22,13 +22,13 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from connectors import UrMotion
-from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_controller import UrController
 from connectors.ur.rtde import Version
 from flows.run.clocks import LoopClock
 from operators import Motion, concat, ms, s
 from operators.batch import Times
 from tests.benchmarks.machine import commit, machine
+from tests.connectors.emulators.free_arm import FreeArm
 
 HOST = "127.0.0.5"
 VERSIONS = {125.0: Version(3, 15, 8, 1), 500.0: Version(5, 11, 0, 1)}

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from time import time_ns
 from typing import Final
 
-from connectors.emulators.free_arm import Arm
-from connectors.emulators.ur_control_box import ControlBox, RobotMode, SafetyMode
+from connectors.emulators.ur_control_box import Arm, ControlBox, RobotMode, SafetyMode
 from connectors.emulators.ur_controller import E_SERIES, PORTS, Ports, UrController
 from connectors.emulators.ur_ports import Connection, DashboardConnection, RtdeConnection, ScriptConnection
 from connectors.ur.rtde import Kind, Version, pack

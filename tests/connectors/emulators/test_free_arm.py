@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from connectors.emulators.free_arm import FreeArm
 from operators.batch import Commands, Reals, s
+from tests.connectors.emulators.free_arm import FreeArm
 
 NEVER = np.full(6, np.nan)
 

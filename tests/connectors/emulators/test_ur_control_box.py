@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 
 from connectors.emulators.dashboard_server import answer
-from connectors.emulators.free_arm import FreeArm
-from connectors.emulators.pressing_arm import PressingArm
 from connectors.emulators.ur_control_box import ControlBox, RuntimeState, SafetyMode
 from connectors.emulators.ur_program import Command
 from connectors.ur.rtde import Value, Version
 from operators.batch import Commands, s
 from tests.connectors.emulators.faulty_ur import release_emergency, stop_in_emergency
+from tests.connectors.emulators.free_arm import FreeArm, PressedArm
 
 SCRIPT = "def rtde_control():\n  global x = read_input_integer_reg(0)"
 TARGET = [0.05, 0.02, 0.0, 0.0, 0.0, 0.1]
@@ -139,7 +138,7 @@ def test_what_the_scene_does_not_have_is_not_invented() -> None:
 
 def test_an_arm_that_knows_what_pushes_it_has_it_shown() -> None:
     cell = Cell()
-    cell.box = ControlBox(PressingArm(cell.arm, height=-0.003, stiffness=1000.0), Version(3, 15, 0, 0))
+    cell.box = ControlBox(PressedArm(np.array([0.0, 0.0, -0.003, 0.0, 0.0, 0.0])), Version(3, 15, 0, 0))
     cell.run(0.1)
     assert cell.value("actual_TCP_force") == pytest.approx((0.0, 0.0, 3.0, 0.0, 0.0, 0.0))
 

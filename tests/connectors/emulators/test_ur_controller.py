@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.lab_loop import loop_clock, run_lab
 from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur.rtde import Version
@@ -22,6 +21,7 @@ from flows.run.clocks import LoopClock
 from operators import EndpointError
 from operators.batch import Commands, Reals
 from tests.connectors.emulators.faulty_ur import FaultyUrController, release_emergency, stop_in_emergency
+from tests.connectors.emulators.free_arm import FreeArm
 from tests.loopback import own_host
 from tests.waiting import PATIENCE
 

@@ -3,9 +3,9 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_drive import POSE_TOLERANCE, Drive
 from operators.batch import Commands, Reals, s
+from tests.connectors.emulators.free_arm import FreeArm
 
 DOWN = np.array([0.4, -0.2, 0.1, np.pi, 0.0, 0.0])
 

@@ -5,12 +5,12 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.ur_controller import Ports, UrController
 from connectors.ur.rtde import Kind, Package, Packages, Recipe, Version, ask_outputs, names, pack
 from flows.graph.testing import run_virtually
 from flows.run.clocks import LoopClock
 from operators import s
+from tests.connectors.emulators.free_arm import FreeArm
 
 HOST = "127.0.0.1"
 ANYWHERE = Ports(0, 0, 0)

@@ -11,7 +11,7 @@ from pymodbus.client import AsyncModbusTcpClient
 
 from connectors import TakkTile, UrMotion
 from connectors.emulators.lab_loop import run_lab
-from connectors.emulators.pressing_arm import PressingArm
+from connectors.emulators.shared_scene import SharedScene
 from connectors.emulators.ur_controller import Ports
 from connectors.emulators.virtual_lab import HEIGHT, virtual_lab
 from connectors.sim.scene import commanded_scene
@@ -56,14 +56,14 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip(monkeypatch: 
 
 def test_a_stall_of_the_host_delays_arm_and_fingertip_together(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("connectors.emulators.virtual_lab.SharedScene", ObservedScene)
-    forces, motion = list[tuple[int, float]](), PressingArm.motion  # ns, N; of the arm
+    forces, motion = list[tuple[int, float]](), SharedScene.motion  # ns, N; of the arm
 
-    def record(arm: PressingArm, instant: int) -> tuple[Reals, Reals]:
+    def record(arm: SharedScene, instant: int) -> tuple[Reals, Reals]:
         moved = motion(arm, instant)
         forces.append((instant, arm.wrench.item(2)))
         return moved
 
-    monkeypatch.setattr(PressingArm, "motion", record)
+    monkeypatch.setattr(SharedScene, "motion", record)
 
     async def main() -> Truth:
         async with virtual_lab(ports=ANYWHERE) as lab:

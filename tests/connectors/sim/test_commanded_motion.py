@@ -73,6 +73,30 @@ def test_a_command_of_one_quantity_leaves_the_other_as_it_is() -> None:
     np.testing.assert_allclose(both[0][:, 3], pressed[0][:, 3], atol=1e-12)
 
 
+def test_below_the_surface_depth_becomes_force_and_above_it_nothing() -> None:
+    arm = CommandedArm(commanded_scene(), ORIGIN, 0.01)
+    arm.add(commands((0.0, nan, [0, 0, -0.01, 0, 0, 0]), (1.2, nan, [0, 0, 0.01, 0, 0, 0])))
+    drive, _ = arm.at(TIMES)
+    late = 0.005 * 0.01  # m, by the ramp to 0.01 m/s at 1 m/s2
+    expected = 1000 * np.maximum(0.0, 0.01 * (TIMES[:1200] - 1.0) - late)
+    np.testing.assert_allclose(drive[:1200, 3], expected, atol=1e-9)
+    assert drive[1199, 3] > 1.9
+    assert not drive[-1, 3]
+
+
+def test_over_a_sphere_it_presses_by_how_far_it_is_below_the_surface_under_it() -> None:
+    radius = 0.06
+    arm = CommandedArm(commanded_scene("sphere", radius), ORIGIN)
+    arm.add(commands((0.0, nan, [0.06, 0.08, -0.04, 0, 0, 0]), (0.2, 1.5, LEAVE)))
+    for instant in np.arange(0, 0.3, 0.05).tolist():
+        (x, y, z, *_), _, push = arm.motion(instant)
+        below = np.sqrt(radius**2 - x * x - y * y) - radius - z
+        assert push == pytest.approx(1000 * max(0.0, below), abs=1e-9)
+        grip = min(1.5, 50 * max(0.0, instant - 0.2))
+        assert arm.at(np.array([instant]))[0][0, 3] == pytest.approx(push + grip)
+    assert push > 1.0
+
+
 def test_a_late_command_applies_from_the_latest_simulated_instant_on() -> None:
     arm = commanded()
     arm.at(np.array([1.0]))

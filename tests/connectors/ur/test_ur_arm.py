@@ -16,10 +16,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from connectors.emulators.free_arm import Arm, FreeArm
 from connectors.emulators.lab_loop import LabLoop, run_lab
-from connectors.emulators.pressing_arm import PressingArm
-from connectors.emulators.ur_control_box import RuntimeState
+from connectors.emulators.ur_control_box import Arm, RuntimeState
 from connectors.emulators.ur_program import Program
 from connectors.ur.control_process import Command, Move
 from connectors.ur.rtde import Version
@@ -30,6 +28,7 @@ from flows.run.clocks import LoopClock
 from operators import EndpointError
 from operators.batch import Reals
 from tests.connectors.emulators.faulty_ur import FaultyUrController, stop_in_emergency
+from tests.connectors.emulators.free_arm import FreeArm, PressedArm
 from tests.connectors.ur.direct_control import DirectControl
 from tests.loopback import own_host
 
@@ -48,11 +47,11 @@ class Lab:
     arm: UrArm
 
 
-class Leaning(PressingArm):
+class Leaning(PressedArm):
     """Arm 2 mm above a surface that reports a force in the air, as real ones do."""
 
     def __init__(self) -> None:
-        super().__init__(FreeArm(np.array((*BEGIN[:2], 0.0, *BEGIN[3:])), 1.0), 0.002)
+        super().__init__(np.array((*BEGIN[:2], 0.002, *BEGIN[3:])), 1.0)
 
     @property
     def wrench(self) -> Reals:
@@ -267,7 +266,7 @@ def test_it_is_stopped_at_the_bounds_of_its_workspace() -> None:
 
 def test_it_is_stopped_by_too_much_force() -> None:
     def press(here: Lab) -> None:
-        cast("Any", here.controller.box)._values["actual_TCP_force"] = (3.0, 0.0, -30.0, 0.0, 0.0, 0.0)
+        cast("Any", here.controller.box)._arm.push = np.array([3.0, 0.0, -30.0, 0.0, 0.0, 0.0])
 
     assert refused(press, away).arm.fault == "a force of 30.1 N, more than 20 N"
 

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from connectors import UrMotion
-from connectors.emulators.free_arm import FreeArm
 from connectors.emulators.shared_scene import SharedScene
 from connectors.emulators.ur_controller import Ports
 from connectors.ur import rtde_client
@@ -26,6 +25,7 @@ from flows.run.live_runner import LiveRunner
 from operators import Clocks, DeviceClock, EndpointError, Motion, ParameterError, WatchClock, concat, ms, s
 from operators.batch import Commands, Times
 from tests.connectors.emulators.faulty_ur import FaultyUrController
+from tests.connectors.emulators.free_arm import FreeArm
 
 HOST = "127.0.0.1"
 ANYWHERE = Ports(0, 0, 0)

@@ -15,8 +15,8 @@ import pytest
 
 from connectors.emulators.i2c_bus import VIRTUAL
 from connectors.emulators.lab_loop import run_lab
-from connectors.emulators.pressing_arm import STIFFNESS
 from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
+from connectors.sim.commanded_motion import STIFFNESS
 from connectors.sim.scene import Curvature, commanded_scene
 from connectors.ur.control_process import Pose
 from flows.lab.collection.collector import Collector, collect, workspace

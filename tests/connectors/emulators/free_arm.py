@@ -1,24 +1,11 @@
-"""Arms that follow velocity commands: the interface, and an arm without contact."""
+"""Arm that follows velocity commands, without contact."""
 
 from math import inf
-from typing import Protocol
 
 import numpy as np
 
 from operators.batch import Commands, Reals, s
 from operators.rotation import compose
-
-
-class Arm(Protocol):
-    """An arm that follows commands, such as a `connectors.emulators.shared_scene.SharedScene`."""
-
-    def motion(self, time: int) -> tuple[Reals, Reals]:
-        """Return pose (6,) m, rad and velocity (6,) m/s, rad/s of the TCP at a host time (ns)."""
-        ...
-
-    def command(self, commands: Commands) -> None:
-        """Follow commands from their own times on."""
-        ...
 
 
 class FreeArm:
@@ -38,9 +25,14 @@ class FreeArm:
 
     def __init__(self, pose: Reals, acceleration: float = inf) -> None:
         self._pose, self._velocity, self._target = pose.astype(np.float64), np.zeros(6), np.zeros(6)
-        self._acceleration = acceleration
+        self._acceleration, self.push = acceleration, np.full(6, np.nan)
         self._time: int | None = None  # ns
         self._pending: list[tuple[int, Reals]] = []
+
+    @property
+    def wrench(self) -> Reals:
+        """Force and torque on the tool (6,): `push`, by default not measured."""
+        return self.push
 
     def motion(self, time: int) -> tuple[Reals, Reals]:
         """Return pose (6,) and velocity (6,) at an instant (ns); instants must not decrease."""
@@ -71,3 +63,12 @@ class FreeArm:
         rotation = compose(tuple(self._pose[3:].tolist()), tuple(travel[3:].tolist()))
         self._pose[3:] = rotation
         self._time, self._velocity = time, velocity
+
+
+class PressedArm(FreeArm):
+    """A free arm whose TCP is pushed up below height 0, with 1000 N/m."""
+
+    @property
+    def wrench(self) -> Reals:
+        """Force and torque on the tool (6,) at the latest motion."""
+        return np.array([0.0, 0.0, 1000 * max(0.0, -self._pose.item(2)), 0.0, 0.0, 0.0])
