@@ -1,7 +1,7 @@
 """Virtual lab: one simulated scene behind an emulated UR controller, a TakkTile bus and a gripper.
 
-The arm moves the fingertip on the bus and presses it onto the surface. The gripper presses it, too; the forces
-add up. The highest point of the surface, its middle, is the origin of the arm's base frame.
+The arm moves the fingertip on the bus and presses it onto the surface; the force of the gripper is added. The
+highest point of the surface, its middle, is the origin of the arm's base frame.
 """
 
 import asyncio

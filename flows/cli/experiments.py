@@ -1,29 +1,52 @@
 """The commands `slipflow experiment tap`, `lift` and `learn`."""
 
 import json
+import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from flows.cli.commands import command_group, register
-from flows.cli.experiment_options import (
-    Count,
-    Detectors,
-    Jobs,
-    Objects,
-    Out,
-    Rules,
-    Seed,
-    command_line,
-    methods_of,
-    trials_of,
-)
-from flows.cli.options import AsJson
-from flows.cli.report_output import prepare_report, write_report
+from flows.cli.options import AsJson, Jobs
+from flows.cli.report_output import ReportFolder, prepare_report, write_report
 from flows.cli.terminal import check_output_file, note, progress_bar
 
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from flows.lab.experiments.study import Method, Trials
+
 app = command_group("Run the paper's robot experiments in simulation, closed loop.")
+
+Count = Annotated[int, typer.Option("--trials", min=1, help="Number of trials of each object.")]
+Seed = Annotated[
+    int, typer.Option(min=0, help="Random seed of the first trial; it increases by 1 per trial.")
+]
+Objects = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--object",
+        metavar="NAME",
+        help="Object: box, ball, cardboard_can, football_sleeve, foam_sleeve or metal_can; repeatable"
+        " (default: all).",
+    ),
+]
+Detectors = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method", metavar="NAME", help="Detector, by name or model file; repeatable (default: several)."
+    ),
+]
+Rules = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--rule",
+        metavar="NAME",
+        help="Grip force rule: ours, steps (the paper's) or none; repeatable (default: several).",
+    ),
+]
+_OUTPUT = ("jobs", "out", "as_json")  # parameters that do not change the results
 
 
 def tap(
@@ -34,7 +57,7 @@ def tap(
     objects: Objects = None,
     seed: Seed = 900_000,
     jobs: Jobs = None,
-    out: Out = Path("experiment"),
+    out: ReportFolder = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
     """Hit held objects with a mallet and count the registered slips.
@@ -70,7 +93,7 @@ def lift(
         typer.Option("--stress", help="Vary delay, sample rate, friction, mass, grip, speed and gripper."),
     ] = False,
     jobs: Jobs = None,
-    out: Out = Path("experiment"),
+    out: ReportFolder = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
     """Lift weakly gripped objects and count those that are held.
@@ -147,6 +170,48 @@ def learn(
     scores = ", ".join(f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items())
     summary = {"path": str(model.path), **model.card}
     typer.echo(json.dumps(summary) if as_json else f"{model.path}: balanced accuracy {scores}")
+
+
+def command_line(context: typer.Context) -> str:
+    """Return the command that repeats this run: all options that change its results and are not defaults."""
+    words = ["slipflow", "experiment", str(context.info_name)]
+    for option in context.command.params:
+        value: Any = context.params.get(str(option.name))
+        if option.name in _OUTPUT or value in (option.default, None, []):
+            continue
+        for each in value if getattr(option, "multiple", False) else [value]:
+            words.append(option.opts[0])
+            words += [] if each is True else [f"{each:g}" if isinstance(each, float) else str(each)]
+    return shlex.join(words)
+
+
+def trials_of(count: int, seed: int, objects: list[str] | None) -> "Trials":
+    """Return the trials of a study.
+
+    Raises:
+        ParameterError: on an unknown object.
+    """
+    from connectors.sim.objects import OBJECTS
+    from flows.lab.experiments.study import Trials
+
+    return Trials(count, seed, tuple(objects or OBJECTS))
+
+
+def methods_of(
+    usual: "Sequence[Method]", detectors: list[str] | None, rules: list[str] | None
+) -> "list[Method]":
+    """Return each named detector with each rule; without names, the usual methods that have these rules.
+
+    Raises:
+        ParameterError: on an unknown rule.
+    """
+    from flows.lab.experiments.study import OURS, Method
+
+    if detectors:
+        return [Method(detector, rule) for detector in detectors for rule in rules or [OURS]]
+    for rule in rules or []:
+        Method("", rule)
+    return [method for method in usual if not rules or method.rule in rules]
 
 
 for each in (tap, lift, learn):
