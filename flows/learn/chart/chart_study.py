@@ -22,8 +22,6 @@ from operators.errors import InputError
 
 DEFAULT: Final = "tcn"
 MANY: Final = 64  # fingertips
-_RATIOS: Final = {"torch_eager_windowed": 500.0, "onnxruntime_windowed": 50.0}  # speed goals of the default
-_CORE: Final = 2.0  # %, of a core, goal for 64 fingertips
 _TIMED: Final = 500  # samples of a recording that the timing repeats
 _ROUNDS: Final = (15, 5)  # of timing: one fingertip, many
 
@@ -47,21 +45,6 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True)
-class SpeedGoal:
-    """Speed goal and the measured value."""
-
-    text: str
-    wanted: float
-    reached: float
-    at_least: bool = True
-
-    @property
-    def met(self) -> bool:
-        """True if the goal is met."""
-        return self.reached >= self.wanted if self.at_least else self.reached <= self.wanted
-
-
-@dataclass(frozen=True, slots=True)
 class Chart:
     """Points of one run."""
 
@@ -69,21 +52,6 @@ class Chart:
     recordings: int  # of the test split
     points: tuple[Point, ...]
     missing: Mapping[str, str]  # reasons by method
-
-    def goals(self) -> list[SpeedGoal]:
-        """Return the goals of the default detector; none if it was not measured."""
-        points = {point.name: point for point in self.points}
-        default = points.get(DEFAULT)
-        if default is None:
-            return []
-        ratios = [
-            SpeedGoal(f"{DEFAULT}: times faster than {name}", wanted, points[name].us / default.us)
-            for name, wanted in _RATIOS.items()
-        ]
-        return [
-            *ratios,
-            SpeedGoal("64 fingertips at 100 Hz, % of a core", _CORE, default.core_64, at_least=False),
-        ]
 
 
 def chart(

@@ -5,13 +5,12 @@ from itertools import product
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from flows.learn.scoring import probabilities
 from operators import Debounce
-from operators.batch import SLIP, STATIC, UNKNOWN, Flags, Reals, Times
+from operators.batch import Reals
 from operators.detectors import Detector
 
 BUDGET: Final = 2.0  # false alarms per static minute
@@ -50,19 +49,17 @@ def tuned(
         repeated: Most onsets of a slip after its first, % of the slips.
     """
     probability, true = joined(scores, slips)
-    best, settings = (np.inf, np.inf, np.inf), (0.5, 2, 2)
-    for threshold in THRESHOLDS:
-        slip, static = run_lengths(probability >= threshold), run_lengths(probability < threshold)
-        for consecutive, release in product(CONSECUTIVE, RELEASE):
-            found = EventMetrics.of_onsets([debounced_onsets(slip >= consecutive, static >= release)], [true])
-            alarms = found.false_alarms + 1 + np.sqrt(found.false_alarms + 0.75)
-            over, excess, delay = max(alarms - budget * found.minutes, 0), 100 - missed, np.inf
-            if len(found.delays):
-                excess = max(found.missed - missed, 0) + max(found.repeated - repeated, 0)
-                delay = float(found.delays.mean())
-            if (over, excess, delay) < best:
-                best, settings = (over, excess, delay), (threshold, consecutive, release)
-    return Debounce(*settings)
+    best, chosen = (np.inf, np.inf, np.inf), Debounce()
+    for rule in (Debounce(*each) for each in product(THRESHOLDS, CONSECUTIVE, RELEASE)):
+        found = EventMetrics.of([probability], [true], rule)
+        alarms = found.false_alarms + 1 + np.sqrt(found.false_alarms + 0.75)
+        over, excess, delay = max(alarms - budget * found.minutes, 0), 100 - missed, np.inf
+        if len(found.delays):
+            excess = max(found.missed - missed, 0) + max(found.repeated - repeated, 0)
+            delay = float(found.delays.mean())
+        if (over, excess, delay) < best:
+            best, chosen = (over, excess, delay), rule
+    return chosen
 
 
 def joined(scores: Sequence[Reals], slips: Sequence[Slips]) -> tuple[Reals, Slips]:
@@ -80,18 +77,3 @@ def joined(scores: Sequence[Reals], slips: Sequence[Slips]) -> tuple[Reals, Slip
         at += len(probability) * PERIOD
     static = sum(true.static for true in slips)
     return np.concatenate(values), Slips(np.concatenate(found), np.concatenate(tolerated), static)
-
-
-def run_lengths(decided: Flags) -> NDArray[np.intp]:
-    """Return the number of consecutive True up to and including each sample; (n,)."""
-    number = np.arange(len(decided))
-    length: NDArray[np.intp] = number - np.maximum.accumulate(np.where(decided, -1, number))
-    return length
-
-
-def debounced_onsets(slip: Flags, static: Flags) -> Times:
-    """Return the onsets (k,), ns, as `Debounce` does, if slips begin at `slip` and end at `static` (n,)."""
-    state = np.where(slip, SLIP, np.where(static, STATIC, UNKNOWN))
-    decided = np.flatnonzero(state != UNKNOWN)
-    onset = np.diff(state[decided], prepend=STATIC) > 0
-    return decided[onset] * PERIOD

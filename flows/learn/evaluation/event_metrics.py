@@ -90,18 +90,14 @@ class EventMetrics:
     @classmethod
     def of(cls, probabilities: Sequence[Reals], slips: Sequence[Slips], debounce: Debounce) -> Self:
         """Debounce the probabilities (n,) of each recording and match the onsets with its slips."""
-        return cls.of_onsets([onsets(each, debounce) for each in probabilities], slips)
-
-    @classmethod
-    def of_onsets(cls, raised: Sequence[Times], slips: Sequence[Slips]) -> Self:
-        """Match the onsets (k,) of each recording with its slips."""
         delays, missed, false, repeats = list[Times](), 0, 0, 0
-        for each, true in zip(raised, slips, strict=True):
-            matched = match_onsets(each, true.found)
+        for probability, true in zip(probabilities, slips, strict=True):
+            raised = onsets(probability, debounce)
+            matched = match_onsets(raised, true.found)
             delays.append(matched.delays)
             missed += matched.missed
-            false += match_onsets(each, true.tolerated).false
-            repeats += len(each) - matched.false - len(matched.delays)
+            false += match_onsets(raised, true.tolerated).false
+            repeats += len(raised) - matched.false - len(matched.delays)
         minutes = sum(true.static for true in slips) / (60 * s)
         return cls(np.concatenate([np.empty(0), *delays]) / ms, missed, false, repeats, minutes)
 

@@ -1,6 +1,6 @@
 import pytest
 
-from flows.learn.chart.chart_study import Point, SpeedGoal, with_front
+from flows.learn.chart.chart_study import Point, with_front
 from flows.learn.evaluation.event_metrics import Performance
 
 
@@ -37,10 +37,3 @@ def test_points_keep_their_order_and_numbers() -> None:
 
 def test_64_fingertips_at_100_hz_are_a_share_of_a_core() -> None:
     assert point("one", us=3.125, accuracy=90).core_64 == pytest.approx(2.0)  # 200 us each 10 ms
-
-
-@pytest.mark.parametrize(
-    ("reached", "at_least", "met"), [(3, True, True), (1, True, False), (1, False, True)]
-)
-def test_a_goal_is_met_above_or_below_its_value(reached: float, at_least: bool, met: bool) -> None:  # noqa: FBT001
-    assert SpeedGoal("any", 2, reached, at_least=at_least).met is met

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from flows.learn.evaluation import debounce_tuning as tuning
-from flows.learn.evaluation.debounce_tuning import debounced_onsets, joined, run_lengths, tuned
+from flows.learn.evaluation.debounce_tuning import joined, tuned
 from flows.learn.evaluation.event_metrics import EventMetrics, Slips
 from flows.learn.labelled_recordings import LabelledRecording
 from operators import Debounce
@@ -34,15 +34,13 @@ def recordings(seed: int, number: int = 4, noise: float = 1.0) -> tuple[list[Rea
     consecutive=st.integers(1, 5),
     release=st.integers(1, 12),
 )
-def test_a_setting_gives_the_events_of_the_operator(
+def test_recordings_give_the_same_events_joined_as_one_by_one(
     seed: int, threshold: float, consecutive: int, release: int
 ) -> None:
     found, slips = recordings(seed)
     probability, true = joined(found, slips)
-    slip, static = run_lengths(probability >= threshold), run_lengths(probability < threshold)
-    raised = debounced_onsets(slip >= consecutive, static >= release)
-    quick = EventMetrics.of_onsets([raised], [true])
-    events = EventMetrics.of(found, slips, Debounce(threshold, consecutive, release))
+    rule = Debounce(threshold, consecutive, release)
+    quick, events = EventMetrics.of([probability], [true], rule), EventMetrics.of(found, slips, rule)
     assert (quick.false_alarms, quick.missed_slips, quick.repeats, quick.minutes) == (
         events.false_alarms,
         events.missed_slips,
