@@ -15,6 +15,7 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from struct import Struct
@@ -266,8 +267,7 @@ def missing_segments(folder: Path, about: Description) -> list[str]:
 
 def identity(session: str, number: int) -> bytes:
     """Return the identity of a segment."""
-    kinds = [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
-    content = {"version": VERSION, "session": session, "segment": number, "kinds": kinds}
+    content = {"version": VERSION, "session": session, "segment": number, "kinds": _described_kinds()}
     return json.dumps(content).encode()
 
 
@@ -347,6 +347,11 @@ def _kinds(content: bytes, where: str, session: str, number: int) -> dict[int, t
             reason = f"has {name} rows with unknown columns: recover it"
             raise InputError(where, f"{reason} with the software named in session.json")
     return dict(enumerate(map(known.__getitem__, names)))
+
+
+@cache
+def _described_kinds() -> list[dict[str, Any]]:
+    return [{"batch": kind.__name__, "columns": _layout(kind)} for kind in _KINDS]
 
 
 def _layout(kind: type[Batch]) -> list[list[Any]]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import Final
 
-SPANS: Final = (0.4, 0.4, 0.8, 1.5)  # s of virtual time in which faults occur: short ones are cheaper
+SPANS: Final = (0.3, 0.3, 0.6, 1.5)  # s of virtual time in which faults occur: short ones are cheaper
 SPAN: Final = SPANS[-1]  # s
 
 STALL_MAX: Final = 0.3  # s, of the whole host

@@ -101,7 +101,7 @@ class World:
             self.loop.call_at(fault.start, self._apply, fault)
         rig = self.loop.create_task(self._keep_rig())
         consumer = self.loop.create_task(self._keep_consumer())
-        await asyncio.sleep(self.schedule.span + self.random.random() * self.schedule.span)
+        await asyncio.sleep(self.schedule.span * self.random.uniform(1.0, 1.5))
         self._heal()
         if self.runner:
             self.runner.stop()
@@ -233,7 +233,7 @@ class World:
 
     def kill_rig_at_operation(self, fault: Fault) -> None:
         """Kill the rig in one of its next disk operations."""
-        self.disk.kill_in = 1 + int(fault.size * 60)
+        self.disk.kill_in = 1 + int(fault.size * 40 * self.schedule.span)
 
     def kill_consumer(self, fault: Fault) -> None:
         """Kill the consumer."""
