@@ -53,7 +53,7 @@ class Console(Sink[Slips | Faults]):
         """Use the clock and the recording name of this run."""
         self._run = run
 
-    async def write(self, batch: Slips | Faults) -> None:
+    def take(self, batch: Slips | Faults) -> bool:
         """Print the events of a batch."""
         if isinstance(batch, Faults):
             for time, fault, begins in faults(batch):
@@ -65,7 +65,7 @@ class Console(Sink[Slips | Faults]):
                     self._print(
                         time, batch.finger, f"barometer {fault.barometer} {fault.kind} {change}", "yellow"
                     )
-            return
+            return True
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
             latency = self._run.latency(time) if self._run else None
@@ -77,6 +77,7 @@ class Console(Sink[Slips | Faults]):
             late = "" if latency is None else f"  {latency / ms:.1f} ms"
             text, style = ("slip onset", "bold red") if state == SLIP else ("slip end  ", "green")
             self._print(time, batch.finger, f"{text}  p {probability:.2f}{late}", style)
+        return True
 
     def _print_json(self, time: int, finger: int, event: str, details: Mapping[str, Json]) -> None:
         recording = self._run.recording if self._run else None

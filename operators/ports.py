@@ -139,10 +139,11 @@ class Source(ABC, Generic[Given]):
 
 
 class Sink(ABC, Generic[Taken]):
-    """Output of a flow.
+    """Output of a flow, which implements `take`, `write` or both.
 
-    The runner gives each sink a bounded queue, calls `open` once, `write` for each batch and `close`
-    once. If `write` raises, the runner retries the same batch after a back-off.
+    The runner calls `open` once, `take` or `write` for each batch, and `close` once. A batch that `take` does
+    not accept waits in a bounded queue for `write`, and so do those after it. If `write` raises, the runner
+    retries the same batch after a back-off.
     """
 
     lossless: bool = True  # False: when the queue is full, the oldest batch is dropped and counted
@@ -172,9 +173,20 @@ class Sink(ABC, Generic[Taken]):
         A sink that moves hardware must refuse a run that has a `recording`.
         """
 
-    @abstractmethod
+    def take(self, batch: Taken) -> bool:  # noqa: ARG002 - for sinks that implement it
+        """Write one batch without waiting, or return False to get it through `write`; same exceptions.
+
+        Sinks that never wait implement only this. It saves a queue and a switch of tasks. A subclass that
+        changes `write` of a sink with `take` changes both.
+        """
+        return False
+
     async def write(self, batch: Taken) -> None:
         """Write one batch. An exception means that no row of it was written."""
+        if not self.take(batch):
+            raise NotImplementedError(
+                f"{type(self).__name__} must implement `write`, as its `take` returned False"
+            )
 
     async def close(self) -> None:
         """Complete and release the destination."""

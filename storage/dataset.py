@@ -84,10 +84,8 @@ class Dataset(Sink[Recordable]):
         if self._writer.journalled:
             self._syncing = asyncio.create_task(self._sync_often(self._writer))
 
-    async def write(self, batch: Recordable) -> None:
-        """Write one batch; if the disk is slow, wait until all but 10 rows of its table are in the journal.
-
-        A batch of more than 10 rows is in the journal when this returns.
+    def take(self, batch: Recordable) -> bool:
+        """Buffer one batch, or return False if that has to wait for the disk.
 
         Raises:
             EndpointError: if the disk fails; `batch` was not written.
@@ -98,8 +96,25 @@ class Dataset(Sink[Recordable]):
         assert writer, "open comes first"
         if self._syncing and self._syncing.done():
             self._syncing.result()  # raises: it ends with an error only
-        while (full := writer.full(batch)) or not writer.add(batch):
-            if full:
+        if writer.full(batch) or not writer.add(batch):
+            return False
+        self._append_soon()
+        return True
+
+    async def write(self, batch: Recordable) -> None:
+        """Write one batch; if the disk is slow, wait until all but 10 rows of its table are in the journal.
+
+        A batch of more than 10 rows is in the journal when this returns.
+
+        Raises:
+            EndpointError: if the disk fails; `batch` was not written.
+            ParameterError: if no table has its type.
+            BatchError: if it is invalid.
+        """
+        while not self.take(batch):
+            writer = self._writer
+            assert writer, "open comes first"
+            if writer.full(batch):
                 await self._commit(writer)
             elif self._appending:
                 await asyncio.wait([self._appending])
@@ -108,7 +123,6 @@ class Dataset(Sink[Recordable]):
                 await asyncio.wait([appending])
                 appending.result()
                 return
-        self._append_soon()
 
     async def close(self) -> None:
         """Commit all rows and end the session; it is complete if the run has no error.

@@ -89,9 +89,10 @@ class Hand(Sink[Commands]):
         """Accept any run."""
         del run
 
-    async def write(self, batch: Commands) -> None:
+    def take(self, batch: Commands) -> bool:
         """Apply commands from their own times on."""
         self._grasping.command(batch)
+        return True
 
 
 def open_grasp(held: Object, seed: int, lift: Lift) -> "Grasp":

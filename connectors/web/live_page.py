@@ -111,14 +111,13 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
         if self._opened:
             self._opened(self._server.url)
 
-    async def write(self, batch: Touch | Motion | Scores | Slips | Faults) -> None:
+    def take(self, batch: Touch | Motion | Scores | Slips | Faults) -> bool:
         """Add the rows of a batch to the next frame."""
         self._frames.add(batch)
         if self._sending is None and self._watched():
             now = self._loop.time()
             self._sending = self._loop.call_at(max(now + GATHER, self._sent + FRAME_EVERY), self._send)
-        if not self._run.live:  # otherwise a replay at full speed never yields
-            await asyncio.sleep(0)
+        return True
 
     async def close(self) -> None:
         """Send the last frame and the end of the run, and stop serving."""

@@ -1,6 +1,5 @@
 """Sink that serves metrics of a run to Prometheus."""
 
-import asyncio
 from collections.abc import Callable, Mapping
 from typing import Final
 
@@ -64,18 +63,17 @@ class Metrics(Sink[Slips | Faults | Clocks]):
         from connectors.web.run_metrics import RunMetrics  # noqa: PLC0415 - prometheus_client is slow to import
         from connectors.web.web_server import WebServer  # noqa: PLC0415 - aiohttp too
 
-        self._run, self._metrics = run, RunMetrics(run)
+        self._metrics = RunMetrics(run)
         access = Access() if is_loopback(self._host) else Access.of("Metrics", self._host)
         self._server = WebServer(self._host, self._port, access, "metrics")
         await self._server.open({PATH: self._respond})
         if self._opened:
             self._opened(self.url)
 
-    async def write(self, batch: Slips | Faults | Clocks) -> None:
+    def take(self, batch: Slips | Faults | Clocks) -> bool:
         """Add the rows of a batch to the metrics."""
         self._metrics.add(batch)
-        if not self._run.live:  # otherwise a replay at full speed never yields
-            await asyncio.sleep(0)
+        return True
 
     async def close(self) -> None:
         """Stop serving, so that Prometheus marks the run as down."""

@@ -69,7 +69,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         """Set the session and the start of `run`."""
         self._session, self.start = run.session, run.start
 
-    async def write(self, batch: Touch | Motion | Scores | Slips) -> None:
+    def take(self, batch: Touch | Motion | Scores | Slips) -> bool:
         """Keep the rows of a batch.
 
         Raises:
@@ -89,6 +89,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         if self._rows > ROWS_MAX or len(self._events) > EVENTS_MAX or fingers > FINGERS_MAX:
             most = f"{ROWS_MAX:,} rows, {EVENTS_MAX:,} events and {FINGERS_MAX} fingertips"
             raise InputError(self._session, f"is too long for a page, which shows at most {most}")
+        return True
 
     async def close(self) -> None:
         """Sort the events and join the curves; out-of-order rows are dropped."""

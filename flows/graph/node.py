@@ -30,12 +30,13 @@ class Node:
         if isinstance(self.part, Operator | Join):
             return input_types(type(self.part))
         if isinstance(self.part, Sink):
-            hints: dict[str, Any] = get_type_hints(type(self.part).write)
+            kind = type(self.part)
+            hints: dict[str, Any] = get_type_hints(kind.take if kind.write is Sink.write else kind.write)
             hint = hints.get(next(iter(hints), ""))  # of the first parameter
             kinds: tuple[Any, ...] = get_args(hint) or (hint,)
             if not all(isinstance(kind, type) and issubclass(kind, Batch) for kind in kinds):
                 must_be = "a batch type, as in async def write(self, batch: Slips) -> None"
-                raise ParameterError(type(self.part).__name__, "the annotation of write", hint, must_be)
+                raise ParameterError(kind.__name__, "the annotation of write or take", hint, must_be)
             return kinds
         return ()
 

@@ -104,10 +104,20 @@ class TestSink(Sink[Batch]):
         self.run = run
         self.opened += 1
 
+    def take(self, batch: Batch) -> bool:
+        """Keep the batch, or raise the next failure; return False if a write has to wait."""
+        if self._before_write:
+            return False
+        self._keep(batch)
+        return True
+
     async def write(self, batch: Batch) -> None:
         """Keep the batch, or raise the next failure."""
         if self._before_write:
             await self._before_write()
+        self._keep(batch)
+
+    def _keep(self, batch: Batch) -> None:
         if self._failures and (failure := self._failures.pop(0)):
             raise failure
         self.written.append(batch)

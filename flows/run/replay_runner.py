@@ -1,5 +1,6 @@
 """Execution of a flow over a recording: the same graph at full speed, or paced like a live run."""
 
+import asyncio
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain, islice
 from typing import Any, cast
@@ -147,6 +148,7 @@ class ReplayRunner:
                     status.late = sum(each.late for (node, _), each in filters.items() if node is entry[0])
                     self._clock.newest = max(self._clock.newest, status.newest)
                 await self._write(sinks, self.compiled.push(batches))
+                await asyncio.sleep(0)  # let sinks serve their clients
                 if stopped(self.run):
                     self.run.error = "was interrupted"
                     break

@@ -20,9 +20,10 @@ GRACE: Final = 2.0  # s; an abandoned sink may end its write and close for this 
 class SinkQueue:
     """Queue of a sink, and the task that empties it.
 
-    A failed write is retried with the same batch. While a lossless sink is slow, the sources wait for room;
-    while it fails or is stuck, new batches without room are dropped and counted. Other sinks never make
-    sources wait: their oldest batch is dropped.
+    A batch that the sink takes at once is not queued, unless others wait before it. A failed write is
+    retried with the same batch. While a lossless sink is slow, the sources wait for room; while it fails or
+    is stuck, new batches without room are dropped and counted. Other sinks never make sources wait: their
+    oldest batch is dropped.
 
     Args:
         name: Name of the sink in the run.
@@ -33,6 +34,7 @@ class SinkQueue:
         self.name, self.sink = name, sink
         self.status = SinkStatus(records=sink.records)
         self._waiting: deque[Batch] = deque()
+        self._idle = True  # nothing is queued or being written
         self._more, self._room = asyncio.Event(), asyncio.Event()
         self._end, self._abandoned = asyncio.Event(), asyncio.Event()
         self._write_start: float | None = None  # loop time, s; None: no write in progress
@@ -45,9 +47,11 @@ class SinkQueue:
         return f"{self.name} ({self.status.queued} batches queued, {self.sink.pending} rows not stored)"
 
     def try_put(self, batch: Batch) -> bool:
-        """Queue or drop a batch by the sink's policy; return False if the caller must wait for room."""
+        """Write, queue or drop a batch by the sink's policy; return False if there is no room."""
         if self._abandoned.is_set():
             self._drop(batch)
+            return True
+        if self._idle and self._take(batch):
             return True
         if len(self._waiting) >= self.sink.capacity:
             if not self.sink.lossless:
@@ -59,6 +63,7 @@ class SinkQueue:
                 return False
         self._waiting.append(batch)
         self.status.queued = len(self._waiting)
+        self._idle = False
         self._more.set()
         return True
 
@@ -92,6 +97,7 @@ class SinkQueue:
         try:
             while self._waiting or not self._end.is_set():
                 if not self._waiting:
+                    self._idle = True
                     self._more.clear()
                     await self._more.wait()
                     continue
@@ -110,6 +116,17 @@ class SinkQueue:
             lost = self.sink.pending
             self.status.rows -= lost
             self.status.dropped += lost
+
+    def _take(self, batch: Batch) -> bool:
+        """Return True if the sink took the batch at once; after an error, `write` tries again."""
+        try:
+            taken = self.sink.take(batch)
+        except Exception as error:  # noqa: BLE001 - no error of a sink may stop the others
+            self._failed(error)
+            return False
+        if taken:
+            self._wrote(batch)
+        return taken
 
     async def _write(self, batch: Batch) -> None:
         """Write a batch; retry until it is written or abandoned."""

@@ -113,10 +113,11 @@ class Told(Sink[Slips]):
         """Know the clock."""
         self._clock = run.clock
 
-    async def write(self, batch: Slips) -> None:
+    def take(self, batch: Slips) -> bool:
         """Write down."""
         now = self._clock.now()
         self.events += [(batch.finger, time, now) for time in batch.time.tolist()]
+        return True
 
 
 class Spent:

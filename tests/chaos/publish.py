@@ -46,8 +46,9 @@ class Discard(Sink[Scores]):
     async def open(self, run: Run) -> None:
         """Open nothing."""
 
-    async def write(self, batch: Scores) -> None:
+    def take(self, batch: Scores) -> bool:
         """Drop the batch."""
+        return True
 
     async def close(self) -> None:
         """Close nothing."""

@@ -47,10 +47,19 @@ class Counted(Dataset):
         super().__init__(path, part_span=PART)
         self._taken = counts[TAKEN]
 
-    async def write(self, batch: Recordable) -> None:
+    def take(self, batch: Recordable) -> bool:
         """Take one batch, and count it."""
+        taken = super().take(batch)
+        if taken:
+            self._taken[KINDS.index(type(batch))] += len(batch)
+        return taken
+
+    async def write(self, batch: Recordable) -> None:
+        """Write one batch, and count it."""
+        column = KINDS.index(type(batch))
+        before = self._taken[column]
         await super().write(batch)
-        self._taken[KINDS.index(type(batch))] += len(batch)
+        self._taken[column] = before + len(batch)  # also if it went to the journal without `take`
 
 
 def declared(sink: Sink[Touch | Motion | Labelled], rate: float, given: NDArray[np.int64]) -> Flow:

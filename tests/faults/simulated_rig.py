@@ -99,11 +99,25 @@ class WatchedDataset(Dataset):
     """Dataset that notes the accepted rows."""
 
     life: Life
+    _noted = 0  # batches
+
+    def take(self, batch: Recordable) -> bool:
+        """Take and note a batch."""
+        taken = super().take(batch)
+        if taken:
+            self._note(batch)
+        return taken
 
     async def write(self, batch: Recordable) -> None:
         """Write and note a batch."""
+        noted = self._noted
         await super().write(batch)
         current()
+        if self._noted == noted:  # it went to the journal without `take`
+            self._note(batch)
+
+    def _note(self, batch: Recordable) -> None:
+        self._noted += 1
         table = type(batch).__name__
         self.life.rows.setdefault(table, []).extend(numbered_rows(batch))
         self.life.rows_at.setdefault(table, []).extend([asyncio.get_running_loop().time()] * len(batch))

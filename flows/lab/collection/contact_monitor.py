@@ -36,13 +36,14 @@ class ContactMonitor(Sink[Touch]):
         self._baseline.clear()
         self.restart()
 
-    async def write(self, batch: Touch) -> None:
+    def take(self, batch: Touch) -> bool:
         """Store the time of the newest valid sample, and add the counts to the means."""
         if batch.valid[-1].any():
             self.newest[batch.finger] = int(batch.time[-1])
         total = np.where(batch.valid, batch.counts, 0).sum(axis=0, dtype=np.float64)  # (6,)
         self._sums[batch.finger] = self._sums.get(batch.finger, np.zeros(6)) + total
         self._counts[batch.finger] = self._counts.get(batch.finger, np.zeros(6)) + batch.valid.sum(axis=0)
+        return True
 
     def restart(self) -> None:
         """Reset the means."""

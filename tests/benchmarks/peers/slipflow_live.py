@@ -65,9 +65,10 @@ class Told(Sink[Scores]):
     async def open(self, run: Run) -> None:
         """Nothing is needed."""
 
-    async def write(self, batch: Scores) -> None:
+    def take(self, batch: Scores) -> bool:
         """Take."""
         self._live.told(batch.finger, batch.time.item(0) - self._source.ahead, batch.probability.item(0))
+        return True
 
 
 def run(live: Live, detector: str) -> None:

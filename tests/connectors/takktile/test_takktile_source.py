@@ -281,10 +281,11 @@ class Limited(TestSink):
         self._enough = enough
         self.runner: LiveRunner | None = None
 
-    async def write(self, batch: Batch) -> None:
-        await super().write(batch)
+    def take(self, batch: Batch) -> bool:
+        taken = super().take(batch)
         if self.runner is not None and len(self.rows(Touch, 0)) >= self._enough:
             self.runner.stop()
+        return taken
 
 
 async def test_a_run_records_the_gap_and_logs_it_once(rig: Rig, caplog: pytest.LogCaptureFixture) -> None:

@@ -197,18 +197,3 @@ def test_other_machines_need_a_token(run: Run) -> None:
 def test_two_pages_have_two_destinations() -> None:
     assert Page().destination == "http://127.0.0.1:8765"
     assert Page(80, "::1").destination == "http://[::1]:80"
-
-
-def test_a_replay_at_full_speed_still_serves_browsers(run: Run) -> None:
-    run.live = False
-
-    async def main() -> None:
-        async with opened(Page(port=0), run) as (page, heard):
-            hearing = asyncio.create_task(next_of(heard, "frame"))
-            for k in range(1_000_000):
-                await page.write(felt(NOW + k * 10 * ms, -1))
-                if hearing.done():
-                    break
-            assert "touch" in await hearing
-
-    asyncio.run(main())

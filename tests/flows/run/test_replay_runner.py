@@ -69,6 +69,21 @@ def labelling() -> tuple[Flow, TestSink]:
     return flow, sink
 
 
+def test_other_tasks_run_after_each_slice() -> None:
+    flow, turns = Flow("f"), list[int]()
+
+    async def main() -> None:
+        runner = ReplayRunner(flow, recording(), "test", rows=100)
+        replaying = asyncio.create_task(runner.execute())
+        while not replaying.done():
+            await asyncio.sleep(0)
+            turns.append(runner.run.sources["touch"].rows)
+
+    flow.source(TestSource(Touch)).to(TestSink())
+    asyncio.run(main())
+    assert {100, 200, 300, 400} < {*turns}
+
+
 def identical(one: Batch, other: Batch) -> bool:
     return all(getattr(one, c).tobytes() == getattr(other, c).tobytes() for c in columns(type(one)))
 

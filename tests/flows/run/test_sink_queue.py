@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+from collections.abc import AsyncIterator
 
 import pytest
 
@@ -9,7 +10,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
-from operators import Debounce, EndpointError, Run, Scores, s
+from operators import Batch, Clock, Debounce, EndpointError, Run, Scores, Sink, ms, s
 from tests.flows.run.live import Endless, execute, scores, times
 
 
@@ -26,6 +27,62 @@ def test_a_failing_sink_is_retried_with_the_same_batch_and_loses_nothing() -> No
     assert times(failing) == times(other) == list(range(100))
     status = run.sinks["testsink"]
     assert (status.failures, status.dropped, status.error) == (2, 0, "")
+
+
+class SometimesWaiting(TestSink):
+    """Sink that takes three batches out of four at once."""
+
+    def take(self, batch: Batch) -> bool:
+        return self._number(batch) % 4 != 3 and super().take(batch)
+
+    async def write(self, batch: Batch) -> None:
+        if self._number(batch) % 4 == 3:
+            await asyncio.sleep(0.025)  # longer than until the next two batches
+        self._keep(batch)
+
+    def _number(self, batch: Batch) -> int:
+        return batch.time.item(0)
+
+
+def test_a_batch_behind_a_waiting_one_waits_too() -> None:
+    flow = Flow("f")
+    sink = SometimesWaiting(failures=[None] * 5 + [OSError("full")])
+    flow.source(TestSource(Scores, scores(0, 100))).to(sink)
+    run = execute(flow)
+    assert times(sink) == list(range(100))
+    status = run.sinks["sometimeswaiting"]
+    assert (status.rows, status.failures, status.dropped, status.error) == (100, 1, 0, "")
+
+
+def test_a_batch_that_is_taken_is_written_when_the_source_goes_on() -> None:
+    flow, sink, seen = Flow("f"), TestSink(), list[int]()
+
+    class Watching(TestSource[Scores]):
+        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+            async for batch in super().batches(clock):
+                yield batch
+                seen.append(len(sink.written))
+
+    flow.source(Watching(Scores, scores(0, 10))).to(sink)
+    execute(flow)
+    assert seen == list(range(1, 11))
+
+
+def test_a_sink_that_neither_takes_nor_writes_is_reported() -> None:
+    class Choosy(Sink[Scores]):
+        destination = "nowhere"
+
+        async def open(self, run: Run) -> None:
+            pass
+
+        def take(self, batch: Scores) -> bool:
+            return batch.time.item(0) < 50 * ms
+
+    flow = Flow("f")
+    flow.source(TestSource(Scores, scores(0, 10))).to(Choosy())
+    status = execute(flow).sinks["choosy"]
+    assert (status.rows, status.dropped) == (5, 5)
+    assert "Choosy must implement `write`, as its `take` returned False" in status.error
 
 
 def test_a_sink_that_never_works_blocks_no_other_and_its_rows_are_counted() -> None:
