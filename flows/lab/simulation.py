@@ -9,9 +9,8 @@ import asyncio
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, astuple, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from operator import add
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Final, cast
@@ -63,41 +62,19 @@ class PlannedRecording:
 
 
 @dataclass(frozen=True, slots=True)
-class Tally:
-    """Number of sessions and samples."""
-
-    sessions: int = 0
-    samples: int = 0
-    static: int = 0  # samples
-    slip: int = 0  # samples; the others have no label
-
-    def __add__(self, other: "Tally") -> "Tally":
-        return Tally(*map(add, astuple(self), astuple(other)))
-
-    @property
-    def static_share(self) -> float:
-        """Share of static in the labelled samples."""
-        return self.static / max(self.static + self.slip, 1)
-
-    def json(self) -> dict[str, float]:
-        """Return the numbers by name."""
-        return {**asdict(self), "static_share": self.static_share}
-
-
-@dataclass(frozen=True, slots=True)
 class SimulatedDataset:
     """A simulated dataset and the size of its splits."""
 
     out: Path
     plan: str
     seed: int
-    splits: Mapping[str, Tally]
+    splits: Mapping[str, Counter[str]]  # sessions, samples, and those that are static and slip
     seconds: float  # to simulate it
 
     @property
-    def all(self) -> Tally:
+    def all(self) -> Counter[str]:
         """Size of all splits together."""
-        return sum(self.splits.values(), Tally())
+        return sum(self.splits.values(), Counter())
 
     def json(self) -> dict[str, Any]:
         """Return plan, seed and sizes as JSON data."""
@@ -106,20 +83,28 @@ class SimulatedDataset:
             "plan": self.plan,
             "seed": self.seed,
             "seconds": self.seconds,
-            **self.all.json(),
-            "splits": {split: tally.json() for split, tally in self.splits.items()},
+            **_sizes(self.all),
+            "splits": {split: _sizes(counts) for split, counts in self.splits.items()},
         }
 
     def text(self) -> str:
         """Return the sizes, and how to open the dataset, as text."""
         rows = [
-            f"{split:10} {each.sessions:4} sessions {each.samples:8,} samples  {each.static_share:.0%} static"
-            for split, each in {**self.splits, "all": self.all}.items()
+            "{:10} {sessions:4} sessions {samples:8,} samples  {static_share:.0%} static".format(
+                split, **_sizes(counts)
+            )
+            for split, counts in {**self.splits, "all": self.all}.items()
         ]
         pattern = self.out / "sessions" / "*" / "samples" / "*.parquet"
         rows.append(f"simulated in {self.seconds:.1f} s; dataset in {self.out}; open it with")
         rows.append(f"  python -c \"import polars; print(polars.read_parquet('{pattern}'))\"")
         return "\n".join(rows)
+
+
+def _sizes(counts: Counter[str]) -> dict[str, float]:
+    """Return all counts of a split, and the share of static in the labelled samples."""
+    sizes = {name: counts[name] for name in ("sessions", "samples", "static", "slip")}
+    return {**sizes, "static_share": counts["static"] / max(counts["static"] + counts["slip"], 1)}
 
 
 def planned_recordings(plan: str, seed: int) -> list[PlannedRecording]:
@@ -187,26 +172,26 @@ def simulate(
     """
     began = perf_counter()
     planned = planned_recordings(plan, seed)
-    tallies = {split: Tally() for split in SPLITS}
+    splits: dict[str, Counter[str]] = {split: Counter() for split in SPLITS}
     with (
         partial_folder(out.resolve()) as root,
         closing(process_map(partial(_record, root, delay), planned, jobs)) as recorded,
     ):
         describe_dataset(root)
         progress(0, len(planned))
-        for done, (split, tally) in enumerate(recorded, 1):
-            tallies[split] += tally
+        for done, (split, counts) in enumerate(recorded, 1):
+            splits[split].update(counts)
             progress(done, len(planned))
-    return SimulatedDataset(out, plan, seed, tallies, perf_counter() - began)
+    return SimulatedDataset(out, plan, seed, splits, perf_counter() - began)
 
 
-def _record(root: Path, delay: int, planned: PlannedRecording) -> tuple[str, Tally]:
+def _record(root: Path, delay: int, planned: PlannedRecording) -> tuple[str, dict[str, int]]:
     """Record one session of a dataset."""
     asyncio.run(_run(root, delay, planned))
     session = Session.open(session_folder(root, planned.session))
     label = np.concatenate([batch.label for batch in session.read(Labelled, 0)])  # (n,)
     static, slip = int((label == STATIC).sum()), int((label == SLIP).sum())
-    return planned.split, Tally(1, len(label), static, slip)
+    return planned.split, {"sessions": 1, "samples": len(label), "static": static, "slip": slip}
 
 
 async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:

@@ -84,11 +84,11 @@ def test_every_session_is_complete_and_readable(tiny: SimulatedDataset) -> None:
 def test_the_tallies_match_the_files(tiny: SimulatedDataset) -> None:
     samples = pl.read_parquet(f"{tiny.out}/sessions/*/samples/*.parquet")
     labels = Counter(samples["label"].to_list())
-    assert (tiny.all.samples, tiny.all.static, tiny.all.slip) == (len(samples), labels[0], labels[1])
-    assert tiny.all.sessions == len(sessions(tiny.out))
+    assert (tiny.all["samples"], tiny.all["static"], tiny.all["slip"]) == (len(samples), labels[0], labels[1])
+    assert tiny.all["sessions"] == len(sessions(tiny.out))
     assert labels[-1] < 0.01 * len(samples)
-    assert 0.5 < tiny.all.static_share < 0.7
-    assert all(tiny.splits[split].sessions for split in SPLITS)
+    assert 0.5 < tiny.json()["static_share"] < 0.7
+    assert all(tiny.splits[split]["sessions"] for split in SPLITS)
 
 
 def test_rotations_are_slips_although_the_tcp_stands_still(tiny: SimulatedDataset) -> None:
@@ -153,8 +153,8 @@ def test_the_split_depends_on_the_seed_alone() -> None:
 @pytest.mark.slow
 def test_the_papers_plan_has_the_papers_size(tmp_path: Path) -> None:
     done = simulate(tmp_path / "paper", "paper", 0)
-    assert abs(done.all.samples - 266_502) < 5_000
-    assert abs(done.all.static_share - 0.54) < 0.02
+    assert abs(done.all["samples"] - 266_502) < 5_000
+    assert abs(done.json()["static_share"] - 0.54) < 0.02
 
 
 def test_an_interrupted_simulation_leaves_nothing(tmp_path: Path) -> None:
@@ -236,4 +236,4 @@ def test_the_command_prints_how_to_open_the_dataset(
     assert lines[3].startswith("all          12 sessions   13,")
     opening = lines[-1].replace("python", sys.executable, 1)
     opened = subprocess.run(opening, shell=True, capture_output=True, text=True, check=True)  # noqa: S602
-    assert f"shape: ({tiny.all.samples:_}, " in opened.stdout
+    assert f"shape: ({tiny.all['samples']:_}, " in opened.stdout
