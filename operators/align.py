@@ -21,9 +21,9 @@ from operators.batch import (
 )
 from operators.chain import END, Chain
 from operators.checks import check_at_least, check_choice
-from operators.compilation import row_loop
 from operators.operator import Join
 from operators.rotation import interpolate_rotation
+from operators.row_loop import row_loop
 from operators.tail import Tail
 
 How = Literal["nearest", "previous", "linear"]
@@ -129,7 +129,7 @@ class Align(Join[Zeroed, Motion, Sample]):
             kept.block.time,
             kept.block.values,
             limits,
-            get_args(How).index(self.how),
+            self._code,
             velocity,
             pose,
             matched,

@@ -6,9 +6,9 @@ import numpy as np
 
 from operators.batch import SLIP, STATIC, UNKNOWN, Reals, Scores, Slips, Times
 from operators.checks import check_at_least
-from operators.compilation import row_loop
 from operators.errors import ParameterError
 from operators.operator import Operator
+from operators.row_loop import row_loop
 
 
 @dataclass

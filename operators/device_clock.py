@@ -11,9 +11,9 @@ import numpy as np
 
 from operators.batch import EVERY, Clocks, Motion, Reals, Times, s
 from operators.chain import END
-from operators.compilation import row_loop
 from operators.envelope import DEVICE, SLOPE, Envelope, envelope, host_time, starts_epoch
 from operators.operator import Operator
+from operators.row_loop import row_loop
 
 
 @dataclass

@@ -10,9 +10,9 @@ import numpy as np
 from operators.batch import Codes, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
 from operators.chain import END
 from operators.checks import check_above, check_at_least
-from operators.compilation import row_loop
 from operators.errors import ParameterError
 from operators.operator import Operator
+from operators.row_loop import row_loop
 
 _PAUSE: Final = 25 * ms  # ns, longer pauses of the stream count as this long
 _QUIET: Final = 1.5  # counts, standard deviation; 0.43 to 0.7 unloaded, 4 to 10 under a static load

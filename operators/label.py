@@ -22,10 +22,10 @@ from operators.batch import (
 )
 from operators.chain import END, Chain
 from operators.checks import check_at_least
-from operators.compilation import row_loop
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.rotation import quaternion, rotate
+from operators.row_loop import row_loop
 from operators.tail import Tail
 
 _AXES: Final = 3

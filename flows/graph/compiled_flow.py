@@ -31,21 +31,20 @@ class Stage:
     operator: Operator[Any, Any] | Join[Any, Any, Any] | None  # None for a source
     takes: tuple[type[Batch], ...]
     gives: type[Batch]
+    ordered: bool  # all inputs come from operators of slipflow, so no row is late
     sinks: list[Node] = field(default_factory=list[Node])
+    tested: bool = field(init=False)  # an operator of slipflow: its tests check the output
     _push: Callable[..., Batch] = field(init=False)
     _empty: tuple[Batch, ...] = field(init=False)
-    _nothing: Batch = field(init=False)  # usual output without rows
-    tested: bool = field(init=False)  # an operator of slipflow: its tests check the columns
     _first: int = field(init=False)
     _second: int | None = field(init=False)  # None: an operator, not a join
 
     def __post_init__(self) -> None:
         if self.operator is not None:
-            self._push = self.operator.push
+            self.resume(self.operator)
             self._first, *second = self.inputs
             self._second = second[0] if second else None
         self._empty = tuple(kind.empty() for kind in self.takes)
-        self._nothing = self.gives.empty()
         self.tested = type(self.operator).__module__.startswith("operators.")
 
     def push(self, values: Sequence[Batch | None]) -> Batch | None:
@@ -61,18 +60,16 @@ class Stage:
                 return None
             empty = self._empty
             out = self._push(empty[0] if left is None else left, empty[1] if right is None else right)
-        if self.tested and type(out) is self.gives and out.finger == self.finger and out.time.size:
-            return out
+        if self.tested:
+            return out if out.time.size else None
         return self.checked(out)
 
     def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
-        """Replace the operator by a restored one."""
-        self.operator, self._push = operator, operator.push
+        """Set the operator, or replace it by a restored one."""
+        self.operator, self._push = operator, operator.process if self.ordered else operator.push
 
     def checked(self, out: Batch) -> Batch | None:
         """Return the output, or None if it is empty; check its type, columns, fingertip and order."""
-        if out is self._nothing:
-            return None
         if type(out) is not self.gives and not isinstance(out, self.gives):
             raise TypeError(f"returned {type(out).__name__}, but declares {self.gives.__name__}")
         if not out.check().time.size:
@@ -242,8 +239,11 @@ class CompiledFlow:
         if operator is not None:
             operator.prepare()
         kind = cast("type[Batch]", node.gives)
+        ordered = all(self._stages[index].tested for index in inputs)
         self._stage_of[node, finger] = len(self._stages)
-        self._stages.append(Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind))
+        self._stages.append(
+            Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind, ordered)
+        )
 
     def _downstream(self, index: int) -> list[Stage]:
         reached, stages = {index}, list[Stage]()

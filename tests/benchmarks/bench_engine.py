@@ -22,7 +22,7 @@ from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.testing import TestSink, TestSource
 from operators import Align, Label, Motion, Operator, Scores, Touch, Zero, Zeroed, ms
 from operators.batch import Batch, Counts, Reals, Times
-from operators.compilation import row_loop
+from operators.row_loop import row_loop
 from tests.benchmarks.machine import commit, machine
 from tests.benchmarks.peers.job import Job, Meter
 from tests.benchmarks.peers.push_graph import prepare
