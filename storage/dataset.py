@@ -66,6 +66,11 @@ class Dataset(Sink[Recordable]):
         """Resolved folder of the dataset."""
         return str(self._root)
 
+    @property
+    def pending(self) -> int:
+        """Rows that are neither in a part nor in the journal."""
+        return self._writer.pending if self._writer else 0
+
     def with_path(self, path: str | Path) -> "Dataset":
         """Return a sink with the same settings that writes to another folder."""
         span, rows, host = self._part_span, self._part_rows, self._host

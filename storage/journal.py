@@ -90,6 +90,11 @@ class Journal:
         return max((rows - self._appended[table] for table, rows in self._added.items()), default=0)
 
     @property
+    def pending(self) -> int:
+        """Rows that are not appended yet."""
+        return sum(rows - self._appended[table] for table, rows in self._added.items())
+
+    @property
     def suspect(self) -> bool:
         """True if appended rows may be lost, or no more can be appended: `restart` is needed."""
         return any(log.suspect or log.broken for log in (self._single, *self._segments))

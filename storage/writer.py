@@ -105,6 +105,13 @@ class SessionWriter:
         return bool(self._journal and self._journal.waiting)
 
     @property
+    def pending(self) -> int:
+        """Rows that are in no part and not safe in the journal."""
+        if self._journal and not self._journal.suspect:
+            return self._journal.pending
+        return sum(each.rows for each in (*self._buffers.values(), *(self._committing or {}).values()))
+
+    @property
     def urgent(self) -> bool:
         """True if so many rows wait that they should be appended at once."""
         return bool(self._journal and self._journal.waiting >= APPEND_AT)

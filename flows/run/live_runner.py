@@ -11,7 +11,7 @@ from flows.graph.drawing import streams
 from flows.graph.node import Node
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import reason_of, warn
-from flows.run.replay_runner import replayed_recording
+from flows.run.replay_runner import close_sinks, replayed_recording
 from flows.run.sink_queue import SinkQueue
 from flows.run.source_reader import SourceReader
 from flows.run.stop_signals import signals_to
@@ -142,8 +142,7 @@ class LiveRunner:
                 opened.append(queue)
         except BaseException as error:
             self.run.error = str(error) or type(error).__name__
-            for queue in opened:
-                await queue.sink.close()
+            await close_sinks((queue.sink for queue in opened), failed=True)
             raise
 
     async def _read_all(self) -> None:

@@ -13,7 +13,7 @@ from flows.graph.compiled_flow import CompiledFlow, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, Part
 from flows.run.clocks import EventClock
-from flows.run.log_events import warn
+from flows.run.log_events import reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.operator import LateRowFilter
@@ -155,18 +155,37 @@ class ReplayRunner:
             await self._write(sinks, self.compiled.flush())
         except BaseException as error:  # a cancelled run is incomplete too
             self.run.error = str(error) or "was interrupted"
+            await close_sinks(opened, failed=True)
             raise
         finally:
             for status in self.run.sources.values():
                 status.up = False
-            for sink in opened:
-                await sink.close()
+        await close_sinks(opened)
         return self.run
 
     async def _write(self, sinks: Mapping[Node, Sink[Any]], deliveries: list[tuple[Node, Batch]]) -> None:
         for node, batch in deliveries:
             await sinks[node].write(batch)
             self.run.sinks[node.name].rows += len(batch)
+
+
+async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> None:
+    """Close all sinks, even if one fails; log the errors but the first, or all if the run has `failed`.
+
+    Raises:
+        Exception: the first error, unless the run has `failed`: then that error is raised.
+    """
+    errors = list[Exception]()
+    for sink in sinks:
+        try:
+            await sink.close()
+        except Exception as error:  # noqa: BLE001 - the other sinks must be closed too
+            errors.append(error)
+            if failed or len(errors) > 1:
+                name, reason = sink.destination, reason_of(error)
+                warn("sink_failed", f"{name} failed: {reason}", sink=name, reason=reason)
+    if errors and not failed:
+        raise errors[0]
 
 
 def in_slices(streams: Mapping[Entry, Iterator[Batch]]) -> Iterator[dict[Entry, Batch]]:

@@ -1,5 +1,6 @@
 from collections.abc import Sequence
 from contextlib import suppress
+from errno import EIO
 from functools import partial
 from pathlib import Path
 from shutil import copytree
@@ -189,3 +190,32 @@ def test_episodes_of_a_live_run_are_in_the_journal_until_the_session_ends(tmp_pa
 
 def _open(root: Path, run: Run) -> SessionWriter:
     return SessionWriter(root, run, part_span=100 * ms, part_rows=20)
+
+
+def test_pending_rows_are_those_that_a_killed_process_would_lose(tmp_path: Path) -> None:
+    writer = _open(tmp_path, new_run())
+    writer.add(BATCHES[0])
+    assert writer.pending == 5
+    writer.append()
+    assert writer.pending == 0
+
+    def fail(step: str) -> None:
+        if step == "fsync segment":
+            raise OSError(EIO, "Input/output error")
+
+    with observed(fail), pytest.raises(EndpointError):
+        writer.sync()
+    assert writer.pending == 5  # the journal may have lost them
+    writer.begin_commit()
+    assert writer.pending == 5
+    writer.commit()
+    assert writer.pending == 0
+    writer.close()
+
+
+def test_without_a_journal_all_rows_outside_parts_are_pending(tmp_path: Path) -> None:
+    writer = _open(tmp_path, new_run(live=False))
+    writer.add(BATCHES[0])
+    assert writer.pending == 5
+    writer.close()
+    assert writer.pending == 0

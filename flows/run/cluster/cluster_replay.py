@@ -93,7 +93,8 @@ class Cluster:
             with suppress(EndpointError):
                 if self.job and manager.state(self.job) not in ENDED:
                     manager.cancel(self.job)
-            folder.remove()
+            with suppress(SlipflowError):  # an earlier error is more important
+                folder.remove()
 
     def _watch(
         self,

@@ -400,8 +400,13 @@ def test_a_sink_that_cannot_be_opened_ends_the_run_before_it_starts() -> None:
         async def open(self, run: Run) -> None:
             raise EndpointError("mqtt://nowhere", "no such host")
 
+    class ClosesWithError(TestSink):
+        async def close(self) -> None:
+            raise OSError("disk full")
+
     flow, first = Flow("f"), TestSink()
     stream = flow.source(TestSource(Scores, scores(0, 10)))
+    stream.to(ClosesWithError())
     stream.to(first)
     stream.to(Closed())
     with pytest.raises(EndpointError, match="mqtt://nowhere: no such host"):

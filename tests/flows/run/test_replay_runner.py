@@ -183,6 +183,35 @@ def test_a_failing_sink_ends_a_replay_and_is_closed() -> None:
     assert sink.closed == 1
 
 
+class ClosesWithError(TestSink):
+    async def close(self) -> None:
+        await super().close()
+        raise EndpointError("disk", "full")
+
+
+def test_all_sinks_of_a_failed_replay_are_closed_and_its_first_error_is_raised(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    flow, last = Flow("f"), TestSink()
+    touch = flow.source(TestSource(Touch))
+    for sink in (ClosesWithError("a", failures=[EndpointError("first", "failed")]), last):
+        touch.to(sink)
+    with pytest.raises(EndpointError, match="first: failed"):
+        asyncio.run(ReplayRunner(flow, recording(), "x").execute())
+    assert last.closed == 1
+    assert caplog.messages == ["a failed: disk: full"]
+
+
+def test_a_replay_fails_if_a_sink_cannot_be_closed_and_closes_the_others() -> None:
+    flow, last = Flow("f"), TestSink()
+    touch = flow.source(TestSource(Touch))
+    for sink in (ClosesWithError("a"), last):
+        touch.to(sink)
+    with pytest.raises(EndpointError, match="disk: full"):
+        asyncio.run(ReplayRunner(flow, recording(), "x").execute())
+    assert last.closed == 1
+
+
 def test_a_stopped_replay_commits_its_output_and_is_marked() -> None:
     flow, sink = labelling()
     runner = ReplayRunner(flow, recording(), "x", rows=100)

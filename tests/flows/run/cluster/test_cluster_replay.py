@@ -136,6 +136,18 @@ def test_other_recordings_are_replayed_if_one_is_damaged(
     assert "part-000000.parquet: cannot be read" in done["two"]
 
 
+def test_the_error_of_a_job_is_raised_even_if_its_folder_cannot_be_removed(
+    run: Callable[..., dict[str, str]], manager: Manager, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def remove(self: JobFolder) -> None:
+        raise InputError(str(self.path), "is damaged")
+
+    manager.state = "FAILED"
+    monkeypatch.setattr(JobFolder, "remove", remove)
+    with pytest.raises(EndpointError, match="the job was failed"):
+        run(folder)
+
+
 def test_an_existing_session_is_an_error(run: Callable[..., dict[str, str]], folder: Path) -> None:
     run(folder)
     with pytest.raises(InputError, match="has a session 'one' already"):
