@@ -55,6 +55,7 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_scene.py
 	.venv/bin/python tests/benchmarks/bench_detectors.py
 	.venv/bin/python tests/benchmarks/bench_rtde.py
+	.venv/bin/python tests/benchmarks/bench_wake_up.py
 	.venv/bin/python tests/benchmarks/bench_device_clock.py
 	.venv/bin/python tests/benchmarks/bench_live_path.py
 	.venv/bin/python tests/benchmarks/bench_journal.py

@@ -7,6 +7,7 @@ from math import inf
 from time import monotonic, time_ns
 from typing import Any, Final, TypeVar
 
+from connectors.punctual_loop import PunctualSelector
 from operators.batch import s
 
 STEP: Final = 0.008  # s by which an iteration of the loop may exceed its planned wait; one cycle of a CB3
@@ -16,7 +17,7 @@ PATIENCE: Final = 2000  # checks until time passes in spite of the condition, 10
 T = TypeVar("T")
 
 
-class _SlowSelector(selectors.DefaultSelector):
+class _SlowSelector(PunctualSelector):
     """Selector that measures the loop's time: the host's, without its stalls."""
 
     def __init__(self) -> None:

@@ -1,6 +1,5 @@
 """The command `slipflow demo`."""
 
-import asyncio
 import json
 from pathlib import Path
 from typing import Annotated
@@ -45,6 +44,7 @@ def demo(
       slipflow demo --for 1min
       slipflow demo --mqtt mqtt://localhost --rig left --no-page
     """
+    from connectors.punctual_loop import run_punctually
     from flows import demo as declared
     from flows.cli import demo_summary
     from flows.graph.quantity import parse_time
@@ -61,7 +61,7 @@ def demo(
         add_metrics(flow, metrics)
     typer.echo(flow, err=True)
     with separate_result(as_json=as_json, log=log):
-        done = asyncio.run(execute(flow, log=log, limit=limit))
+        done = run_punctually(execute(flow, log=log, limit=limit))
     summary = Summary.of(done)
     found = demo_summary.summarize(done, out, broker)
     if as_json:

@@ -1,6 +1,5 @@
 """The command `slipflow run`."""
 
-import asyncio
 from pathlib import Path
 from typing import Annotated
 
@@ -63,6 +62,7 @@ def run(
     """
     from time import perf_counter
 
+    from connectors.punctual_loop import run_punctually
     from flows.graph.quantity import parse_time
     from flows.run.parallel_replay import check_outputs, open_recording, recordings
 
@@ -113,7 +113,7 @@ def run(
         add_metrics(flow, metrics)
     began = perf_counter()
     with separate_result(as_json=as_json, log=log):
-        done = asyncio.run(execute(flow, log=log, limit=limit, recording=recording, pace=pace))
+        done = run_punctually(execute(flow, log=log, limit=limit, recording=recording, pace=pace))
     replayed, seconds = next(iter(paths), None), perf_counter() - began
     report_run(done, replayed=replayed, seconds=seconds, log=log, as_json=as_json)
 
