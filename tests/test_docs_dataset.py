@@ -26,7 +26,7 @@ SLIPS = Slips(TIME, np.array([1], np.int8), TIME, np.array([0.9]), finger=0)
 SCHEMAS: dict[str, Any] = {each.name: schema(each) for each in TABLES}
 
 
-def told(kind: pa.DataType) -> str:
+def written(kind: pa.DataType) -> str:
     """A type as the page writes it."""
     if isinstance(kind, pa.DictionaryType):
         return "string"
@@ -41,7 +41,7 @@ def unit(metadata: dict[bytes, bytes] | None) -> str:
 @pytest.mark.parametrize("name", SCHEMAS)
 def test_the_page_has_each_column_with_its_type_and_unit(name: str) -> None:
     rows = [(row["column"], row["type"], row["unit"]) for row in table(PAGE, f"### {name}")]
-    assert rows == [(each.name, told(each.type), unit(each.metadata)) for each in SCHEMAS[name]]
+    assert rows == [(each.name, written(each.type), unit(each.metadata)) for each in SCHEMAS[name]]
 
 
 def test_no_column_may_be_null() -> None:

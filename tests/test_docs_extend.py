@@ -76,7 +76,7 @@ def test_source_sink_and_detector_are_what_they_say(made: Callable[..., dict[str
 
 
 async def received(source: Source[Touch], sent: bytes, *, reset: bool = False) -> list[list[int]]:
-    """What it makes of these bytes of a peer that then goes away, or has the connection reset."""
+    """Return the batches from a peer that sends these bytes and then closes or resets the connection."""
 
     async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(sent)

@@ -1,4 +1,4 @@
-"""No test has the token of whoever runs it."""
+"""Tests run without the user's token."""
 
 import pytest
 

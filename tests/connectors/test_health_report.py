@@ -8,7 +8,7 @@ from operators.ports import ClockStep, Gap, Json, Run, SinkStatus, SourceStatus
 
 
 class Present:
-    """A clock that shows what it is told."""
+    """Clock that shows a set time."""
 
     time = 100 * s
 

@@ -22,7 +22,7 @@ CHILD = DEPLOY.parent / "tests" / "benchmarks" / "edge_child.py"
 
 
 def work(folder: Path, *settings: str, without: Sequence[str] = ()) -> subprocess.CompletedProcess[str]:
-    """Feel for 5 s what is pressed and shakes, as if it slid, without some packages; record into `out`."""
+    """Run for 5 s on a fingertip that is pressed and shakes, without some packages; record into `out`."""
     rng = np.random.default_rng(0)
     counts = 500 + rng.integers(-1, 2, (600, 6)).astype(np.int16)
     counts[200:] += rng.integers(-60, 30, (400, 6)).astype(np.int16)
@@ -60,14 +60,14 @@ def test_without_its_broker_and_the_packages_missing_at_the_edge_it_records_and_
     tmp_path: Path,
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]  # where nobody listens, once it is closed
+        port = taken.getsockname()[1]  # no server listens there once it is closed
     done = work(tmp_path, f"broker=mqtt://127.0.0.1:{port}", without=sorted(LEFT_OUT))
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout.splitlines()[-1])
-    assert told["loaded"] == ["aiomqtt", "pyarrow"]
-    assert told["sinks"]["dataset"][1] == 0
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert found["loaded"] == ["aiomqtt", "pyarrow"]
+    assert found["sinks"]["dataset"][1] == 0
     session = Session.open(tmp_path / "out" / "sessions" / "edge")
-    assert sum(len(batch) for batch in session.read(Touch, 0)) == told["rows"] > 0
+    assert sum(len(batch) for batch in session.read(Touch, 0)) == found["rows"] > 0
     assert sum(len(batch) for batch in session.read(Slips, 0)) > 0
     assert "Connection refused" in done.stderr
     assert re.search(r": [1-9]\d* unsent events remain in \S+; the next run sends them", done.stderr)

@@ -18,7 +18,7 @@ EXPOSURE = 1.6  # of 10, as systemd 252 counts; it was 1.5
 
 
 def verify(folder: Path, text: str) -> str:
-    """What systemd-analyze has to say: it exits with 0 where a value is wrong, too."""
+    """Return the output of systemd-analyze, which exits with 0 even if a value is wrong."""
     unit = folder / "slipflow.service"
     unit.write_text(text.replace(PROGRAM, str(Path(sys.executable).with_name("slipflow"))))
     done = subprocess.run(

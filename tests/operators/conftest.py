@@ -9,7 +9,7 @@ from operators.batch import columns
 
 @pytest.fixture(scope="session")
 def same() -> Callable[[Batch, Batch], None]:
-    """Fails unless two batches hold the same rows, bit for bit; NaN is like NaN."""
+    """Return a check that two batches have the same rows, bit for bit; NaN equals NaN."""
 
     def check(found: Batch, expected: Batch) -> None:
         assert type(found.check()) is type(expected.check())

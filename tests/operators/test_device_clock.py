@@ -50,7 +50,7 @@ def kept_away(random: np.random.Generator, sent: Reals) -> Reals:
 
 
 def p99(time: Times, true: Times) -> float:
-    """Of the error, ms."""
+    """Return the quantiles of the error, ms."""
     return float(np.percentile(np.abs(time - true), 99)) / ms
 
 

@@ -77,7 +77,7 @@ def new_episodes(*rows: tuple[int, int, str]) -> Episodes:
 
 
 def new_samples(time: Sequence[int] | NDArray[Any], finger: int = 0) -> Labelled:
-    """Samples at given instants whose values tell their place; the arm's motion is known."""
+    """Return samples at given instants whose values are their position; the arm's motion is known."""
     row = np.arange(len(time))
     counts = (np.arange(6) + 10 * row[:, None] + 1000 * finger).astype(np.int16)
     wide = row[:, None] + np.arange(6) / 8
@@ -156,7 +156,7 @@ def two_sessions(root: Path, batches: Sequence[Batch]) -> Path:
 def rows(
     folder: Path, batches: Sequence[Batch], streams: Sequence[tuple[type[Batch], int]] = STREAMS
 ) -> list[int]:
-    """How many there are of each stream, once it is sure that they are its beginning, bit for bit."""
+    """Return the number of rows of each stream; assert that they are its beginning, bit for bit."""
     session, counts = Session.open(folder), list[int]()
     for kind, finger in streams:
         found = concat(kind, list(session.read(kind, finger)))

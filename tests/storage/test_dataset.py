@@ -44,7 +44,7 @@ Ts = TypeVarTuple("Ts")
 
 @pytest.fixture
 def disk() -> Iterator[ExitStack]:
-    """What is entered here ends with the test."""
+    """Close the entered contexts at the end of the test."""
     with ExitStack() as stack:
         yield stack
 
@@ -405,8 +405,8 @@ def test_a_full_disk_is_reported_at_each_write_and_loses_no_row(tmp_path: Path, 
             await dataset.close()
         full = False
         await dataset.close()
-        told = "cannot be written: No space left on device; free some space, or use another location"
-        assert set(reasons) == {told}
+        reason = "cannot be written: No space left on device; free some space, or use another location"
+        assert set(reasons) == {reason}
         assert len(reasons) > 5
 
     asyncio.run(main())

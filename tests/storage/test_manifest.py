@@ -120,7 +120,7 @@ SLIPS = Part("slips.parquet", 5, 0, 9, "0" * 64)
 
 
 @pytest.mark.parametrize(
-    ("sinks", "told"),
+    ("sinks", "report"),
     [
         ({"dataset": {"rows": 35, "records": True}}, ""),
         ({"dataset": {"rows": 34, "records": True}}, ""),
@@ -133,10 +133,10 @@ SLIPS = Part("slips.parquet", 5, 0, 9, "0" * 64)
         ([], ""),
     ],
 )
-def test_rows_that_no_part_holds_are_counted(sinks: Any, told: str) -> None:  # noqa: ANN401 - what JSON may hold
+def test_rows_that_no_part_holds_are_counted(sinks: Any, report: str) -> None:  # noqa: ANN401 - what JSON may hold
     text = missing_rows({"sinks": sinks}, [*PARTS, SLIPS])
-    assert bool(text) == bool(told)
-    assert text.startswith(told)
+    assert bool(text) == bool(report)
+    assert text.startswith(report)
 
 
 def test_parts_are_missed_by_their_numbers_in_each_table() -> None:

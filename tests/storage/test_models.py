@@ -48,8 +48,8 @@ def test_weights_come_back_as_they_were_saved(
     if turned:  # no longer contiguous
         weights = {name: array.T for name, array in weights.items()}
     save_weights(path, weights, about)
-    found, told = load_weights(path)
-    assert told == about
+    found, read = load_weights(path)
+    assert read == about
     assert found.keys() == weights.keys()
     for name, array in weights.items():
         assert found[name].dtype == array.dtype.newbyteorder("=")

@@ -1,4 +1,4 @@
-"""What is written under another name until it is whole."""
+"""Output is written under another name until it is complete."""
 
 from pathlib import Path
 

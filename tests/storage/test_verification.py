@@ -24,15 +24,15 @@ def dataset(whole: Path, tmp_path: Path) -> Path:
 
 
 def test_a_dataset_that_is_all_there_is_good_and_its_rows_are_counted(dataset: Path) -> None:
-    told: list[tuple[int, int, str]] = []
+    reported: list[tuple[int, int, str]] = []
 
-    def tell(done: int, of: int, session: str) -> None:
-        told.append((done, of, session))
+    def report(done: int, of: int, session: str) -> None:
+        reported.append((done, of, session))
 
-    found = verify(dataset, tell)
+    found = verify(dataset, report)
     assert (found.code, found.findings, found.sessions) == (0, (), 2)
     assert (found.files, found.rows) == (11 + 4, 126 + 25)
-    assert told[-1] == (15, 15, "two")
+    assert reported[-1] == (15, 15, "two")
     assert verify(dataset / "sessions/two").rows == 25
 
 

@@ -23,7 +23,7 @@ BATCHES = side_by_side(4, SIX)
 
 
 def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
-    """As a runner does, which tries again what failed; give the failures."""
+    """Write batches as a runner does, which repeats failed calls; return the number of failures."""
     failures = 0
     try:
         writer = _open(root, run)
@@ -54,7 +54,7 @@ def record(root: Path, run: Run, batches: Sequence[Batch]) -> int:
 
 
 def rows_found(folder: Path, batches: Sequence[Batch]) -> int:
-    """How much a reader finds, once it is sure that it is the beginning of each stream, bit for bit."""
+    """Return the number of rows found; assert that they are the beginning of each stream, bit for bit."""
     for path in folder.rglob("*.parquet"):
         assert len(pl.read_parquet(path)) > 0
     return sum(rows(folder, batches, SIX))

@@ -33,7 +33,7 @@ _Control: TypeAlias = Callable[[int, int, _Argument], int]
 
 
 class _System(Protocol):
-    """What smbus2 takes from the module ``os``."""
+    """Functions that smbus2 uses of the module ``os``."""
 
     def open(self, path: str, flags: int, /) -> int: ...
     def close(self, descriptor: int, /) -> None: ...
@@ -115,7 +115,7 @@ class _Device:
         self._system.close(descriptor)
 
     def ioctl(self, descriptor: int, request: int, argument: _Argument = 0) -> int:
-        """What smbus2 asks of a descriptor."""
+        """Answer an ioctl of smbus2."""
         if (handle := self._handles.get(descriptor)) is None:
             return self._control(descriptor, request, argument)
         handle.ioctl(request, argument)

@@ -17,12 +17,12 @@ class Scene:
     """Remembers with what force it was gripped, and since when."""
 
     def __init__(self) -> None:
-        self.told = list[tuple[int, float]]()  # ns since the start, N
+        self.commanded = list[tuple[int, float]]()  # ns since the start, N
 
     def command(self, commands: Commands) -> None:
         assert np.isnan(commands.check().velocity).all()
         [time], [force] = commands.time.tolist(), commands.force.tolist()
-        self.told.append((time - START, force))
+        self.commanded.append((time - START, force))
 
 
 def active(scene: Scene, contact: int | None = MET) -> tuple[Mechanism, int]:
@@ -55,12 +55,12 @@ def test_the_fingers_stop_at_the_object_and_grip_it_from_that_instant_on() -> No
     moving = mechanism.status(begun + way // 2)
     assert (moving.fingers, moving.positions, moving.echo) == (Fingers.MOVING, (51, 51, 51), 255)
     assert not moving.object_detected
-    assert not scene.told
-    held = mechanism.status(begun + 3 * way)  # nobody looked when it happened
+    assert not scene.commanded
+    held = mechanism.status(begun + 3 * way)  # no status request in between
     assert (held.fingers, held.positions) == (Fingers.ALL_STOPPED, (102, 102, 102))
     assert held.object_detected
     assert encode_status(held)[:4].hex() == "b9ea00ff"  # as in the manual's example
-    [(instant, force)] = scene.told
+    [(instant, force)] = scene.commanded
     assert abs(instant - (begun + way - START)) <= 1
     assert force == 60.0
 
@@ -71,7 +71,7 @@ def test_without_an_object_they_reach_where_they_are_to_go() -> None:
     mechanism.request(replace(CLOSE, position=200), now)
     status = mechanism.status(now + 10 * s)
     assert (status.fingers, status.positions, status.object_detected) == (Fingers.ARRIVED, (200,) * 3, False)
-    assert not scene.told
+    assert not scene.commanded
 
 
 def test_an_object_beyond_the_requested_position_is_not_touched() -> None:
@@ -79,7 +79,7 @@ def test_an_object_beyond_the_requested_position_is_not_touched() -> None:
     mechanism, now = active(scene)
     mechanism.request(replace(CLOSE, position=MET), now)
     assert mechanism.status(now + 10 * s).fingers is Fingers.ARRIVED
-    assert not scene.told
+    assert not scene.commanded
 
 
 def test_more_force_grips_harder_less_does_not_loosen_and_opening_lets_go() -> None:
@@ -88,11 +88,11 @@ def test_more_force_grips_harder_less_does_not_loosen_and_opening_lets_go() -> N
     for step, force in enumerate((40, 200, 90)):
         mechanism.request(replace(CLOSE, force=force), now + 5 * step * s)
         mechanism.advance(now + 5 * (step + 1) * s)
-    assert [force for _, force in scene.told] == [scale.force(40), scale.force(200)]
-    assert scene.told[1][0] == now + 5 * s + 10 * ms - START
+    assert [force for _, force in scene.commanded] == [scale.force(40), scale.force(200)]
+    assert scene.commanded[1][0] == now + 5 * s + 10 * ms - START
     mechanism.request(replace(CLOSE, position=0), now + 20 * s)
     mechanism.advance(now + 30 * s)
-    assert scene.told[2:] == [(now + 20 * s + 10 * ms - START, 0.0)]
+    assert scene.commanded[2:] == [(now + 20 * s + 10 * ms - START, 0.0)]
     assert mechanism.force == 0.0
     mechanism.request(replace(CLOSE, force=90), now + 30 * s)
     mechanism.advance(now + 40 * s)
@@ -136,7 +136,7 @@ def test_switched_off_and_on_its_registers_are_zeros_and_what_it_holds_falls_whe
     assert mechanism.force == 60.0
     mechanism.request(Request(active=True), now + 7 * s)
     assert mechanism.status(now + 10 * s).positions == (0, 0, 0)
-    assert scene.told[-1] == (now + 7 * s + 10 * ms - START, 0.0)
+    assert scene.commanded[-1] == (now + 7 * s + 10 * ms - START, 0.0)
 
 
 @pytest.mark.parametrize("steps", [1, 7, 1000])
@@ -146,7 +146,7 @@ def test_how_often_it_is_looked_at_changes_nothing(steps: int) -> None:
     mechanism.request(CLOSE, now)
     for step in range(steps):
         mechanism.advance(now + round((step + 1) / steps * 5 * s))
-    [(instant, force)] = scene.told
+    [(instant, force)] = scene.commanded
     assert abs(instant - (now + 10 * ms + round(FASTEST * 0.4 * s) - START)) <= steps
     assert force == 60.0
     assert mechanism.status(now + 5 * s).positions == (102, 102, 102)

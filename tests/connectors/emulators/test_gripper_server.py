@@ -29,7 +29,7 @@ CLOSE = Request(active=True, go=True, position=255, speed=255, force=255)
 
 
 class Hand:
-    """A host's clock that goes on when it is told to, and the force of the grip."""
+    """Clock that a test advances, and the force of the grip."""
 
     def __init__(self) -> None:
         self.time, self.forces = 1_000 * s, list[float]()
@@ -228,8 +228,8 @@ def test_the_grip_reaches_the_scene_and_its_fingertip_feels_it() -> None:
             await gripper.write(Commands(np.array([0]), np.array([30.0]), np.full((1, 6), np.nan)))
             await gripped.wait()
             await gripper.close()
-        felt, _ = lab.touch(0, lab.now() + 2 * s)
-        assert (felt - rest).min() < -20  # counts fall as pressure rises
+        pressed, _ = lab.touch(0, lab.now() + 2 * s)
+        assert (pressed - rest).min() < -20  # counts fall as pressure rises
         assert lab.truth().force[-1] == pytest.approx(gripper.scale.force(85))
 
     asyncio.run(test())

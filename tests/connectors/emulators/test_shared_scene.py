@@ -127,7 +127,7 @@ def test_threads_may_ask_and_command_at_once() -> None:
                 scene.touch(finger, START + k * 10 * ms)
                 scene.motion(START + k * 10 * ms)
                 scene.command(command(k * 10 * ms, 1.0 + k % 3, LEAVE))
-        except BaseException as error:  # noqa: BLE001 - told by the main thread
+        except BaseException as error:  # noqa: BLE001 - raised again in the main thread
             failed.append(error)
 
     threads = [Thread(target=ask, args=[k % 2]) for k in range(4)]

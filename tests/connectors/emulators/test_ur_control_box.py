@@ -17,15 +17,15 @@ TARGET = [0.05, 0.02, 0.0, 0.0, 0.0, 0.1]
 
 
 class Recorder(FreeArm):
-    """An arm that remembers what it was told."""
+    """Arm that keeps the commands it received."""
 
     def __init__(self) -> None:
         super().__init__(np.zeros(6), acceleration=5.0)
-        self.told = list[Commands]()
+        self.received = list[Commands]()
 
     def command(self, commands: Commands) -> None:
         """Obey."""
-        self.told.append(commands)
+        self.received.append(commands)
         super().command(commands)
 
 
@@ -52,7 +52,7 @@ class Cell:
         self.box.write({"input_int_register_0": command, "input_int_register_1": asynchronous} | values)
 
     def done(self) -> bool:
-        """Whether a command is done with."""
+        """Return True if a command is complete."""
         return self.value("output_int_register_0") == 2
 
     def ready(self) -> None:
@@ -66,14 +66,14 @@ class Cell:
 
     @property
     def speed(self) -> float:
-        """Of the TCP, m/s."""
+        """Speed of the TCP, m/s."""
         velocity = self.value("actual_TCP_speed")
         assert isinstance(velocity, tuple)
         return float(np.linalg.norm(velocity[:3]))
 
     @property
     def pose(self) -> tuple[float, ...]:
-        """Of the TCP."""
+        """Pose of the TCP."""
         pose = self.value("actual_TCP_pose")
         assert isinstance(pose, tuple)
         return pose
@@ -119,7 +119,7 @@ def test_its_clock_steps_by_its_cycle_and_begins_anew_with_it(major: int, rate: 
 def test_an_arm_is_left_alone_until_somebody_wants_it_to_move() -> None:
     cell = Cell()
     cell.run(1.0)
-    assert not cell.arm.told
+    assert not cell.arm.received
 
 
 def test_what_the_scene_does_not_have_is_not_invented() -> None:
@@ -157,9 +157,9 @@ def test_a_line_is_done_where_it_should_end_and_once_only(cell: Cell) -> None:
     took = cell.run(10.0, cell.done)
     assert took == pytest.approx(0.1 / 0.1, abs=0.6)
     assert cell.pose == pytest.approx(TARGET, abs=1e-4)
-    told = len(cell.arm.told)
+    received = len(cell.arm.received)
     cell.run(1.0)  # the command still stands in the register
-    assert len(cell.arm.told) == told
+    assert len(cell.arm.received) == received
     cell.ready()
 
 
@@ -314,10 +314,10 @@ def test_a_restart_stops_the_arm_and_forgets_the_program(cell: Cell) -> None:
 def test_commands_bear_the_time_of_their_cycle_and_leave_the_force_alone(cell: Cell) -> None:
     cell.ask(Command.SPEED, 0.1, 0, 0, 0, 0, 0, 1.0)
     cell.run(0.5)
-    times = [command.time.item() for command in cell.arm.told]
+    times = [command.time.item() for command in cell.arm.received]
     assert len(times) == pytest.approx(0.1 * 125, abs=2)  # while the speed changes, no longer
     assert np.diff(times).tolist() == [s // 125] * (len(times) - 1)
-    assert all(np.isnan(command.force).all() for command in cell.arm.told)
+    assert all(np.isnan(command.force).all() for command in cell.arm.received)
 
 
 # --- the dashboard ---------------------------------------------------------------------------------------

@@ -51,7 +51,7 @@ class Client:
 
 
 class Here:
-    """A controller on the event loop's time, and whoever talks to it."""
+    """A controller on the event loop's time, and its clients."""
 
     def __init__(self, controller: UrController) -> None:
         self.controller, self.box = controller, controller.box

@@ -316,9 +316,9 @@ def test_a_speed_that_is_no_number_is_named_by_line_and_column(write: Write, spe
 def test_a_time_has_the_given_unit_or_that_of_its_name(
     write: Write, unit: str, time: str, expected: int
 ) -> None:
-    told = CsvTrace(write(HEADER, f"{time},1,2,3,4,5,6"), ColumnMap(units={"time": unit}))
+    given = CsvTrace(write(HEADER, f"{time},1,2,3,4,5,6"), ColumnMap(units={"time": unit}))
     named = CsvTrace(write(HEADER.replace("t,", f"Timestamp_{unit},"), f"{time},1,2,3,4,5,6"))
-    assert told.touch.time.tolist() == named.touch.time.tolist() == [expected]
+    assert given.touch.time.tolist() == named.touch.time.tolist() == [expected]
 
 
 def test_a_file_without_a_time_is_timed_by_a_rate(write: Write) -> None:
@@ -339,7 +339,7 @@ def test_a_file_beyond_the_limit_is_not_read(write: Write, monkeypatch: pytest.M
 
 def test_the_real_trace_is_read_whole() -> None:
     if not MAT.exists():
-        pytest.skip(f"{MAT} is not there: the shared material belongs beside the checkout")
+        pytest.skip(f"{MAT} is missing: the shared material belongs next to the checkout")
     trace = CsvTrace(MAT)
     assert (len(trace.touch), trace.kind, trace.touch.time[0]) == (377, Zeroed, 6_569_355_000)
     assert set(trace.labels.tolist()) == {0, 1}

@@ -165,7 +165,7 @@ def test_a_publish_that_the_broker_refuses_is_an_error_that_names_the_topic(guar
         asyncio.run(use(guarded.url, "mine/a", "yours/a"))
 
 
-@pytest.mark.parametrize(("name", "value"), [(PASSWORD, "wrong"), (USER, "nobody"), (USER, None)])
+@pytest.mark.parametrize(("name", "value"), [(PASSWORD, "wrong"), (USER, "unknown"), (USER, None)])
 def test_wrong_credentials_are_refused_with_a_hint(
     guarded: TestBroker, monkeypatch: pytest.MonkeyPatch, name: str, value: str | None
 ) -> None:

@@ -180,7 +180,7 @@ async def test_a_restarted_broker_gets_the_pending_events_and_retained_documents
         await sent(sink)
         broker.stop(number)
         for state in (0, 1, 0):
-            await sink.write(slips(state))  # nobody waits for a broker
+            await sink.write(slips(state))  # no write waits for a broker
         await asyncio.to_thread(broker.start)
         await sent(sink)
         await until(lambda: not inside(sink, "_sender", "_changed"))

@@ -40,7 +40,7 @@ class Peer:
 
     @property
     def got(self) -> list[tuple[str, str]]:
-        """What it has: topics below the rig's, and what it says; of events their number."""
+        """Received messages: topic below the rig's, and payload; of events their number."""
         return [
             (message.topic.removeprefix(f"{RIG}/"), said(message))
             for each in self.connections
@@ -54,7 +54,7 @@ class Peer:
         self, broker: Broker, identifier: str, will: Message, changed: asyncio.Event
     ) -> "Connection":
         if self.away:
-            raise EndpointError(str(broker), "cannot connect: nobody there")
+            raise EndpointError(str(broker), "cannot connect: no broker")
         self.connections.append(Connection(self, changed))
         return self.connections[-1]
 
@@ -195,7 +195,7 @@ async def test_without_a_required_connection_a_sender_starts_and_sends_later(
 ) -> None:
     peer.away = True
     async with opened(tmp_path) as (sending, outbox):
-        with pytest.raises(EndpointError, match="nobody there"):
+        with pytest.raises(EndpointError, match="no broker"):
             await sending.start("me", WILL, ONLINE)
         await sending.start("me", WILL, ONLINE, connect_required=False)
         await outbox.append([DRAFT] * 2)
@@ -206,7 +206,7 @@ async def test_without_a_required_connection_a_sender_starts_and_sends_later(
     assert peer.got[0] == ("status", "online")
     assert peer.events() == ["1", "2"]
     away, back = caplog.messages
-    assert "nobody there, reconnecting; events are kept in" in away
+    assert "no broker, reconnecting; events are kept in" in away
     assert "connected again, 2 events pending" in back
 
 

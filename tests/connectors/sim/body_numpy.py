@@ -17,7 +17,7 @@ def rotation(angle: float) -> Reals:
 
 
 def moment(arm: Reals, force: Reals) -> float:
-    """Of a force at the end of an arm (N m)."""
+    """Return the moment of a force at the end of an arm (N m)."""
     return float(arm[0] * force[1] - arm[1] * force[0])
 
 

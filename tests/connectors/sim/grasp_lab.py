@@ -42,6 +42,6 @@ class GraspLab:
             return newest.counts[0], newest.temperature[0] * newest.valid[0]
 
     def command(self, commands: Commands) -> None:
-        """Obey from the commands' own times on; what has been felt stays as it was."""
+        """Obey commands from their own times on; earlier counts do not change."""
         with self._lock:
             press(self._grasp, commands, self._origin)

@@ -55,12 +55,12 @@ class Held:
 
     @property
     def friction(self) -> float:
-        """Of both sides together."""
+        """Friction of both sides together."""
         return float(self.grip.contact.mu_s + self.grip.mu)
 
 
 def energy(held: Held) -> float:
-    """Of all that moves, is strained, or can fall (J)."""
+    """Return the kinetic, elastic and potential energy (J)."""
     model, grip, tip, state = held.grip.contact, held.grip, held.tip, held.body
     mass = np.array([grip.mass, grip.mass, grip.inertia])
     tips = np.array([model.mass, model.mass, model.inertia])
@@ -82,7 +82,7 @@ def energy(held: Held) -> float:
 def both(
     thing: Object, parameters: Parameters, drives: list[Reals], place: tuple[float, float] = (0.0, 0.0)
 ) -> list[Reals]:
-    """What the two forms see at the end of each stretch, the compiled one first: (2, n) numbers."""
+    """Return the states after each stretch of both forms, the compiled one first: (2, n) numbers."""
     forms = [(Held(thing, parameters, place), by) for by in (body, body_numpy)]
     seen: list[Reals] = []
     for drive in drives:

@@ -108,12 +108,12 @@ def test_a_late_command_applies_from_the_latest_simulated_instant_on() -> None:
 
 @given(st.lists(st.integers(0, 2000), max_size=20).map(sorted), st.integers(0, 20))
 def test_requesting_piecewise_and_forgetting_change_nothing(ticks: list[int], cut: int) -> None:
-    told = (0.1, 3.0, LEAVE), (0.1, nan, [0.1, 0, 0, 0, 0, 1]), (0.8, 0.0, [0.0] * 6)
+    commands = (0.1, 3.0, LEAVE), (0.1, nan, [0.1, 0, 0, 0, 0, 1]), (0.8, 0.0, [0.0] * 6)
     times = np.array(ticks) * 1e-3
-    arm, parts = commanded(*told), list[tuple[Reals, Reals]]()
+    arm, parts = commanded(*commands), list[tuple[Reals, Reals]]()
     for part in (times[:cut], times[cut:]):
         if len(part):
             arm.forget(float(part[0]))
         parts.append(arm.at(part))
-    for whole, *pieces in zip(commanded(*told).at(times), *parts, strict=True):
+    for whole, *pieces in zip(commanded(*commands).at(times), *parts, strict=True):
         np.testing.assert_array_equal(np.concatenate(pieces), whole)

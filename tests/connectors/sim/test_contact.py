@@ -38,20 +38,20 @@ def run(scene: Scene, drive: Reals, every: int = 1, by: ModuleType = contact) ->
 def test_both_forms_agree_until_the_first_node_slips(curvature: Curvature) -> None:
     scene = Scene(curvature=curvature, apex=(0.003, -0.001), tilt=(0.003, -0.002))
     drive = drag(400, spin=0.3)
-    ours, told = run(scene, drive)
+    ours, found = run(scene, drive)
     theirs, judged = run(scene, drive, by=contact_numpy)
     first = int(np.argmax(judged[:, 0] > 0))
     assert first >= 203, "the pad must have been loaded sideways before it slips"
     np.testing.assert_allclose(ours[:first], theirs[:first], rtol=1e-9, atol=1e-6)
-    np.testing.assert_allclose(told[:first], judged[:first], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found[:first], judged[:first], rtol=1e-9, atol=1e-12)
 
 
 def test_both_forms_slip_alike_for_the_first_steps() -> None:
-    ours, told = run(Scene(), drag(400))
+    ours, found = run(Scene(), drag(400))
     theirs, judged = run(Scene(), drag(400), by=contact_numpy)
     first = int(np.argmax(judged[:, 0] > 0))
     np.testing.assert_allclose(ours[: first + 10], theirs[: first + 10], rtol=1e-6, atol=1e-3)
-    np.testing.assert_allclose(told[first : first + 10, 0], judged[first : first + 10, 0], rtol=1e-6)
+    np.testing.assert_allclose(found[first : first + 10, 0], judged[first : first + 10, 0], rtol=1e-6)
 
 
 @pytest.mark.parametrize("curvature", CURVATURES)
@@ -133,7 +133,7 @@ def test_the_leading_edge_digs_in() -> None:
 
 
 def test_a_finer_grid_changes_little() -> None:
-    """What the cells feel of a sphere that is pressed and pulled sideways."""
+    """Return the counts under a sphere that is pressed and pulled sideways."""
 
     def feel(columns: int, rows: int) -> Reals:
         p = Parameters(columns=columns, rows=rows)

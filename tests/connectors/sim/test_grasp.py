@@ -26,7 +26,7 @@ SMOOTH = Parameters(texture=0.0)
 
 @pytest.mark.parametrize("name", OBJECTS)
 def test_the_least_force_is_where_a_loosening_grip_begins_to_slip(name: str) -> None:
-    """Of the scene's own material, with Stribeck friction, lever and tilt, but one friction everywhere."""
+    """With Stribeck friction, lever and tilt, but the same friction everywhere."""
     thing = OBJECTS[name]
     least = least_force(thing, SMOOTH)
     grasp = Grasp(thing, SMOOTH, force=1.5 * least, closing=0.0, rate=100.0, lift=Lift(0.3, 0.02))
@@ -69,8 +69,8 @@ BOX, BALL, CAN = OBJECTS["box"], OBJECTS["ball"], OBJECTS["metal_can"]
 
 def watch(grasp: Grasp, until: float, start: float = 0.0) -> tuple[Touch, list[GraspState]]:
     """100 samples a second."""
-    felt = [grasp.sense(k / 100) for k in range(round(start * 100), round(until * 100))]
-    return concat(Touch, [touch for touch, _ in felt]), [held for _, held in felt]
+    sensed = [grasp.sense(k / 100) for k in range(round(start * 100), round(until * 100))]
+    return concat(Touch, [touch for touch, _ in sensed]), [held for _, held in sensed]
 
 
 @pytest.mark.parametrize("name", OBJECTS)

@@ -1,4 +1,4 @@
-"""A page of its own for a browser test: it runs in a thread, and does what the test says."""
+"""Pages in a thread, for browser tests."""
 
 import asyncio
 from collections.abc import Coroutine
@@ -11,7 +11,8 @@ from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.ports import Run, SinkStatus, SourceStatus
-from tests.connectors.web.reading import felt, slip
+from tests.connectors.web.reading import slip, touched
+from tests.waiting import PATIENCE
 
 FLAGS = (
     "--no-sandbox",
@@ -40,9 +41,9 @@ class Served:
         self._thread.join()
         self.loop.close()
 
-    def do(self, what: Coroutine[Any, Any, Any]) -> Any:  # noqa: ANN401 - whatever it gives
-        """Have something done there, and wait for it."""
-        return asyncio.run_coroutine_threadsafe(what, self.loop).result(30)
+    def do(self, coroutine: Coroutine[Any, Any, Any]) -> Any:  # noqa: ANN401 - any result
+        """Run a coroutine in the loop and return its result."""
+        return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(PATIENCE)
 
 
 class ServedPage(Served):
@@ -73,20 +74,20 @@ class ServedPage(Served):
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """Address of the page."""
         return self.page.url
 
     def write(self, *batches: Touch | Motion | Scores | Slips | Faults) -> None:
-        """Give it rows."""
+        """Write rows."""
         for batch in batches:
             self.do(self.page.write(batch))
 
-    def feel(self, *counts: int, finger: int = 0) -> None:
-        """A row of touch at this moment."""
-        self.write(felt(self.run.clock.now(), *counts, finger=finger))
+    def touch(self, *counts: int, finger: int = 0) -> None:
+        """Write a touch row with the time of now."""
+        self.write(touched(self.run.clock.now(), *counts, finger=finger))
 
     def slip(self, state: int, finger: int = 0) -> None:
-        """An onset (1) or an end (0), decided 5 ms ago."""
+        """Write an onset (1) or an end (0), decided 5 ms ago."""
         self.write(slip(self.run.clock.now() - 5 * ms, state, finger=finger))
 
 

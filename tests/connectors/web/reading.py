@@ -1,4 +1,4 @@
-"""What tests of the page share: rows of streams, and a reader of its messages."""
+"""Rows of streams, and a reader of the live page's messages."""
 
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator
@@ -12,31 +12,31 @@ from operators.batch import Motion, Scores, Slips, Zeroed
 from tests.waiting import PATIENCE
 
 
-def felt(time: int, *counts: int, finger: int = 0) -> Zeroed:
-    """One row; of cells that are not given the first one's count."""
+def touched(time: int, *counts: int, finger: int = 0) -> Zeroed:
+    """Return one row; cells that are not given have the count of the first one."""
     row = np.array([[*counts, *[counts[0]] * (6 - len(counts))]], np.int16)
     return Zeroed(np.array([time]), row, row, np.ones((1, 6), np.bool_), finger=finger)
 
 
 def slip(time: int, state: int, finger: int = 0) -> Slips:
-    """An onset (1) or an end (0)."""
+    """Return an onset (1) or an end (0)."""
     at = np.array([time])
     return Slips(at, np.array([state], np.int8), at, np.array([0.9]), finger=finger)
 
 
 def scored(time: int, probability: float, finger: int = 0) -> Scores:
-    """One score."""
+    """Return one score."""
     return Scores(np.array([time]), np.array([probability]), finger=finger)
 
 
 def moved(time: int) -> Motion:
-    """One row of the arm at 3 mm/s."""
+    """Return one row of the arm at 3 mm/s."""
     at = np.array([time])
     return Motion(at, at, np.array([[0.003, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)))
 
 
 async def messages(session: ClientSession, url: str, browser: str = "test") -> AsyncIterator[tuple[str, Any]]:
-    """Messages of a live page as a browser gets them, until it ends: name and document."""
+    """Yield the messages of a live page until it ends: name and document."""
     query = {"browser": browser, "session": "", "next": ""}
     with suppress(ClientConnectionError):
         while True:
@@ -54,6 +54,6 @@ async def messages(session: ClientSession, url: str, browser: str = "test") -> A
 
 @asynccontextmanager
 async def listening(url: str) -> AsyncGenerator[AsyncIterator[tuple[str, Any]]]:
-    """What a browser at a page hears."""
+    """Read the messages of a page as a browser does."""
     async with asyncio.timeout(PATIENCE), ClientSession() as session:
         yield messages(session, url)

@@ -17,7 +17,7 @@ from flows.run.live_runner import LiveRunner
 from operators import Debounce, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
 from storage import load_detector
 from tests.connectors.web.browsing import FLAGS, Served, ServedPage, ServedRecording
-from tests.connectors.web.reading import felt, moved, scored, slip
+from tests.connectors.web.reading import moved, scored, slip, touched
 
 LATE = 60_000  # ms, for a busy machine
 MOVE = """(slider, t) => {
@@ -75,7 +75,7 @@ def shaking(seconds: int) -> list[Touch]:
 
 def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(watched: Watched) -> None:
     tab, addresses = watched.tab, list[str]()
-    flow = Flow("felt")
+    flow = Flow("pressed")
     zeroed = flow.source(TestSource(Touch, shaking(60), fingers=(0,))) | Zero()
     (zeroed | Score(load_detector("psd")) | Debounce()).to(TestSink())
     with Served() as served:
@@ -90,7 +90,7 @@ def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(watched: Watched)
             served.do(asyncio.sleep(0))
         tab.goto(addresses[0])
         expect(tab.locator("#link")).to_have_text("Live")
-        expect(tab.locator("#session")).to_have_text("Flow felt · session session-7")
+        expect(tab.locator("#session")).to_have_text("Flow pressed · session session-7")
         state = tab.locator("#state")
         expect(state).to_have_attribute("data-slip", "true")
         expect(tab.locator("h1")).to_have_text("Fingertip 0Slip")
@@ -115,19 +115,19 @@ def test_the_page_reconnects_to_a_restarted_server(watched: Watched) -> None:
     with ServedPage() as first:
         port = int(first.url.rpartition(":")[2])
         tab.goto(first.url)
-        first.feel(-5)
+        first.touch(-5)
         expect(tab.locator("#session")).to_have_text("Flow demo · session first")
         assert watched.complaints == []
     expect(tab.locator("#link")).to_have_text("Ended")
     expect(tab.locator("#recording")).to_have_text("Recorded, 1,234 rows")
     expect(tab.locator("#notice")).to_contain_text("waits for the next run")
     with ServedPage(port, "second") as second:
-        second.feel(-77)
+        second.touch(-77)
         expect(tab.locator("#session")).to_have_text("Flow demo · session second")
         expect(tab.locator("#link")).to_have_text("Live")
         expect(tab.locator("#notice")).to_be_hidden()
         expect(tab.locator(".count").first).to_have_text("77")
-    assert all("ERR_" in complaint for complaint in watched.complaints)  # while nobody was there
+    assert all("ERR_" in complaint for complaint in watched.complaints)  # while no server ran
 
 
 def test_a_server_restarted_with_another_token_asks_for_it(watched: Watched) -> None:
@@ -135,19 +135,19 @@ def test_a_server_restarted_with_another_token_asks_for_it(watched: Watched) -> 
     with ServedPage(token=one) as first:
         port = int(first.url.rpartition(":")[2])
         tab.goto(first.page.login_url)
-        first.feel(-5)
+        first.touch(-5)
         expect(tab.locator("#link")).to_have_text("Live")
     with ServedPage(port, token=other) as second:
         expect(tab.get_by_role("heading", name="Token required")).to_be_visible()
         tab.goto(second.page.login_url)
-        second.feel(-77)
+        second.touch(-77)
         expect(tab.locator(".count").first).to_have_text("77")
 
 
 def test_maps_have_the_layout_of_the_sensor_and_show_faults(watched: Watched) -> None:
     with ServedPage() as served:
         watched.tab.goto(served.url)
-        served.feel(-10, -11, -12, -13, -14, -15)
+        served.touch(-10, -11, -12, -13, -14, -15)
         served.write(
             Faults(np.array([0]), np.array([3], np.int8), np.array([1], np.int8), np.array([True]), finger=0)
         )
@@ -167,8 +167,8 @@ def test_every_control_works_with_the_keyboard(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as served:
         tab.goto(served.url)
-        served.feel(-10, finger=0)
-        served.feel(-20, finger=1)
+        served.touch(-10, finger=0)
+        served.touch(-20, finger=1)
         served.slip(1, finger=1)
         expect(tab.get_by_role("radio")).to_have_count(2)
         tab.keyboard.press("Tab")
@@ -186,9 +186,9 @@ def test_every_control_works_with_the_keyboard(watched: Watched) -> None:
         tab.keyboard.press("Shift+Tab")
         tab.keyboard.press("Enter")
         expect(tab.get_by_role("button", name="Resume")).to_have_attribute("aria-pressed", "true")
-        served.feel(-99, finger=1)
+        served.touch(-99, finger=1)
         served.slip(0, finger=1)
-        expect(tab.locator("h1")).to_have_text("Fingertip 1No slip")  # which is told in a pause, too
+        expect(tab.locator("h1")).to_have_text("Fingertip 1No slip")  # also updated during a pause
         expect(tab.locator(".count").nth(6)).to_have_text("20")
         tab.keyboard.press("Enter")
         expect(tab.locator(".count").nth(6)).to_have_text("99")
@@ -198,8 +198,8 @@ def test_a_slip_is_announced_and_shown_in_the_title(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as served:
         tab.goto(served.url)
-        expect(tab).to_have_title("demo · slipflow")  # before anything is felt
-        served.feel(-10)
+        expect(tab).to_have_title("demo · slipflow")  # before the first sample
+        served.touch(-10)
         served.write(moved(served.run.clock.now()))
         expect(tab).to_have_title("Unknown · Fingertip 0 · demo · slipflow")
         served.write(scored(served.run.start, 0.1))
@@ -216,13 +216,13 @@ def test_without_motion_the_speed_chart_is_hidden(watched: Watched) -> None:
     tab = watched.tab
     with ServedPage() as served:
         tab.goto(served.url)
-        served.feel(-10)
+        served.touch(-10)
         expect(tab.locator(".count").first).to_have_text("10")
         chart, speed = tab.locator("#motion"), tab.locator("#speed")
         expect(chart).to_be_hidden()
         expect(speed).to_be_hidden()
         served.write(moved(served.run.clock.now()))
-        served.feel(-11)
+        served.touch(-11)
         expect(chart).to_be_visible()
         expect(speed).to_have_text("3.0")
     assert watched.complaints == []
@@ -233,7 +233,7 @@ def test_a_tile_keeps_its_height_in_every_state(watched: Watched) -> None:
     with ServedPage() as served:
         tab.goto(served.url)
         for finger in (0, 12):
-            served.feel(-10, finger=finger)
+            served.touch(-10, finger=finger)
         tile, said = tab.locator(".finger").last, tab.locator(".finger .now").last
         heights = set[float]()
         expect(said).to_have_text("\u2013")
@@ -254,7 +254,7 @@ def test_nothing_is_cut_off_at_the_side(watched: Watched, width: int) -> None:
     tab.set_viewport_size(ViewportSize(width=width, height=844))
     with ServedPage(session="a-session-with-a-name-that-is-really-long-20261121T185903.123456Z") as served:
         tab.goto(served.url)
-        served.feel(-500)
+        served.touch(-500)
         served.slip(1)
         expect(tab.locator("#events tr")).to_have_count(1)
         assert tab.evaluate("() => document.documentElement.scrollWidth") == width
@@ -265,19 +265,19 @@ def test_the_token_can_be_entered_on_the_page(watched: Watched) -> None:
     with ServedPage(token=token) as served:
         tab.goto(served.url)
         expect(tab.get_by_role("heading", name="Token required")).to_be_visible()
-        expect(tab.locator("body")).to_have_css("background-color", "rgb(239, 241, 242)")  # the house's style
+        expect(tab.locator("body")).to_have_css("background-color", "rgb(239, 241, 242)")  # as on the pages
         expect(tab.get_by_text("Wrong token.")).to_be_hidden()
         field = tab.get_by_label("Token", exact=True)
         expect(field).to_be_focused()
         field.fill("no token at all")
         tab.keyboard.press("Enter")
         expect(tab.get_by_text("Wrong token.")).to_be_visible()
-        refused = "the server responded with a status of 401"  # that is what it is
+        refused = "the server responded with a status of 401"
         assert [text for text in watched.complaints if refused not in text] == []
         watched.complaints.clear()
         field.fill(token)
         tab.get_by_role("button", name="Open").click()
-        served.feel(-10)
+        served.touch(-10)
         expect(tab.locator("#link")).to_have_text("Live")
         assert tab.url == f"{served.url}/"
         assert watched.complaints == []
@@ -286,18 +286,18 @@ def test_the_token_can_be_entered_on_the_page(watched: Watched) -> None:
 def test_a_token_in_the_url_opens_the_page_and_is_removed_from_the_url(watched: Watched) -> None:
     with ServedPage(token="0123456789abcdef") as served:  # noqa: S106 - of this test
         watched.tab.goto(served.page.login_url)
-        served.feel(-10)
+        served.touch(-10)
         expect(watched.tab.locator("#link")).to_have_text("Live")
         assert watched.tab.url == f"{served.url}/"
         assert watched.complaints == []
 
 
 async def a_minute(run: Run) -> SessionCurves:
-    """A recording of a minute: counts tell the second, and it slips from the 40th to the 42nd."""
+    """Return a recording of a minute: the counts are the second; slip from the 40th to the 42nd."""
     recorded = SessionCurves(threshold=0.78, about="A recorded session.", flow="record", dataset="lab")
     await recorded.open(run)
     for k in range(6000):
-        await recorded.write(felt(run.start + k * 10 * ms, -(k // 100)))
+        await recorded.write(touched(run.start + k * 10 * ms, -(k // 100)))
         if k >= 500:
             await recorded.write(scored(run.start + k * 10 * ms, 0.1))
     await recorded.write(slip(run.start + 40 * s, 1))

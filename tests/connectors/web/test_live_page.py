@@ -11,7 +11,7 @@ from connectors import Page
 from operators.batch import ms, s
 from operators.errors import EndpointError, ParameterError
 from operators.ports import Run, SinkStatus, SourceStatus
-from tests.connectors.web.reading import felt, listening, slip
+from tests.connectors.web.reading import listening, slip, touched
 
 Heard: TypeAlias = AsyncIterator[tuple[str, dict[str, Any]]]
 
@@ -38,7 +38,7 @@ def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> None:
     async def main() -> None:
         page = Page(port=0, threshold=0.78)
         await page.open(run)
-        await page.write(felt(NOW - 20 * ms, -5))
+        await page.write(touched(NOW - 20 * ms, -5))
         await page.write(slip(NOW - 10 * ms, 1))
         async with listening(page.url) as heard:
             hello = await next_of(heard, "hello")
@@ -47,7 +47,7 @@ def test_a_late_page_gets_the_kept_rows_and_then_new_ones(run: Run) -> None:
             assert hello["touch"]["0"]["v"] == [[-5] * 6]
             assert hello["slipping"] == ["0"]
             assert [event["latency"] for event in hello["events"]] == [10.0]
-            await page.write(felt(NOW, -9))
+            await page.write(touched(NOW, -9))
             frame = await next_of(heard, "frame")
             assert frame["touch"]["0"]["t"][-1] == 10_000
         await page.close()
@@ -72,7 +72,7 @@ def test_rows_that_arrive_together_share_a_frame(run: Run) -> None:
         async with opened(Page(port=0), run) as (page, heard):
             await next_of(heard, "hello")
             for finger in range(3):
-                await page.write(felt(NOW, -1, finger=finger))
+                await page.write(touched(NOW, -1, finger=finger))
             await page.write(slip(NOW, 1))
             frame = await next_of(heard, "frame")
             assert sorted(frame["touch"]) == ["0", "1", "2"]
@@ -145,7 +145,7 @@ def test_without_a_browser_nothing_is_sent_and_closing_is_clean(run: Run) -> Non
     async def main() -> None:
         page = Page(port=0)
         await page.open(run)
-        await page.write(felt(NOW, -1))
+        await page.write(touched(NOW, -1))
         await page.close()
         with pytest.raises(ConnectionRefusedError):
             await asyncio.open_connection(*re.findall(r"//(.*):(\d+)", page.url)[0])
@@ -169,12 +169,12 @@ def test_without_a_browser_closing_waits_for_no_recorder(run: Run) -> None:
 
 def test_a_busy_default_port_is_replaced_but_a_given_one_is_an_error(run: Run) -> None:
     async def main() -> None:
-        told = list[str]()
-        first, second = Page(opened=told.append), Page(opened=told.append)
+        urls = list[str]()
+        first, second = Page(opened=urls.append), Page(opened=urls.append)
         await first.open(run)
         await second.open(run)
-        assert len(set(told)) == 2
-        port = int(told[0].rpartition(":")[2])
+        assert len(set(urls)) == 2
+        port = int(urls[0].rpartition(":")[2])
         with pytest.raises(EndpointError, match=f"http://127.0.0.1:{port}: cannot serve the page"):
             await Page(port).open(run)
         await first.close()

@@ -9,7 +9,7 @@ from connectors.web.session_page import SessionCurves
 from operators.batch import Motion, Scores, Slips, Zeroed, ms, s
 from operators.errors import InputError
 from operators.ports import Run
-from tests.connectors.web.reading import felt, slip
+from tests.connectors.web.reading import slip, touched
 
 START = 90 * s
 
@@ -31,7 +31,7 @@ def cut(recorded: SessionCurves, begin: float, end: float) -> dict[str, Any]:
 
 
 def test_a_window_has_the_rows_between_its_ends(run: Run) -> None:
-    recorded = kept(run, *[felt(START + k * 10 * ms, -k) for k in range(100)])
+    recorded = kept(run, *[touched(START + k * 10 * ms, -k) for k in range(100)])
     window = cut(recorded, 100, 200)
     assert window["touch"]["0"]["t"] == [10.0 * k for k in range(10, 21)]
     assert window["touch"]["0"]["v"][0] == [-10] * 6
@@ -55,10 +55,10 @@ def test_a_long_window_is_thinned_to_the_pixels_and_keeps_its_peak(run: Run) -> 
 
 def test_values_at_a_time_are_not_thinned(run: Run) -> None:
     time = START + np.arange(100_000) * 10 * ms
-    recorded = kept(run, Scores(time, np.arange(100_000) % 100 / 100, finger=0), felt(START, -7))
+    recorded = kept(run, Scores(time, np.arange(100_000) % 100 / 100, finger=0), touched(START, -7))
     seen: dict[str, Any] = {**recorded.values_at(543_215)}
     assert seen["scores"]["0"] == {"t": [543_210], "v": [pytest.approx(0.21)]}
-    assert seen["touch"]["0"]["t"] == []  # its last row is too old to tell anything
+    assert seen["touch"]["0"]["t"] == []  # its last row is too old
     assert seen["speed"] is None
     before: dict[str, Any] = {**recorded.values_at(-1)}
     assert before["scores"]["0"]["t"] == []
@@ -66,8 +66,8 @@ def test_values_at_a_time_are_not_thinned(run: Run) -> None:
 
 def test_the_contents_have_the_span_the_fingertips_and_all_events(run: Run) -> None:
     batches: list[Zeroed | Slips] = [
-        felt(START + 10 * ms, -40, finger=1),
-        felt(START, -300, finger=0),
+        touched(START + 10 * ms, -40, finger=1),
+        touched(START, -300, finger=0),
         slip(START + 20 * ms, 1, finger=1),
     ]
     contents: dict[str, Any] = {**kept(run, *batches).contents()}
@@ -86,8 +86,8 @@ def test_events_of_several_fingertips_are_sorted_and_numbered_by_time(run: Run) 
         for finger, both in times.items()
         for at, state in zip(both, (1, 0), strict=True)
     ]
-    told: dict[str, Any] = {**kept(run, *batches).contents()}
-    events = [(event["id"], event["t"], event["finger"], event["onset"]) for event in told["events"]]
+    found: dict[str, Any] = {**kept(run, *batches).contents()}
+    events = [(event["id"], event["t"], event["finger"], event["onset"]) for event in found["events"]]
     assert events == [
         (1, 5, "2", True),
         (2, 10, "0", True),
@@ -99,12 +99,12 @@ def test_events_of_several_fingertips_are_sorted_and_numbered_by_time(run: Run) 
 
 
 def test_late_rows_are_dropped_from_a_curve(run: Run) -> None:
-    batches = [felt(START + k * ms, -1) for k in (0, 20, 10, 30)]
+    batches = [touched(START + k * ms, -1) for k in (0, 20, 10, 30)]
     assert cut(kept(run, *batches), 0, 100)["touch"]["0"]["t"] == [0, 20, 30]
 
 
 def test_an_always_invalid_cell_does_not_scale_the_maps(run: Run) -> None:
-    touch = felt(START, -5)
+    touch = touched(START, -5)
     silent = Zeroed(touch.time, touch.counts, touch.temperature, np.zeros((1, 6), np.bool_), finger=0)
     assert kept(run, silent).contents()["deepest"] is None
 
@@ -112,4 +112,4 @@ def test_an_always_invalid_cell_does_not_scale_the_maps(run: Run) -> None:
 def test_a_session_too_long_for_memory_is_rejected(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "ROWS_MAX", 2)
     with pytest.raises(InputError, match="run1: is too long for a page, which shows at most 2 rows"):
-        kept(run, *[felt(START + k * ms, -1) for k in range(3)])
+        kept(run, *[touched(START + k * ms, -1) for k in range(3)])

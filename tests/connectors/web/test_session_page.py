@@ -6,7 +6,7 @@ from connectors.web.session_page import SessionCurves, session_handlers
 from connectors.web.web_server import page_server
 from operators.batch import ms, s
 from operators.ports import Run
-from tests.connectors.web.reading import felt, slip
+from tests.connectors.web.reading import slip, touched
 from tests.waiting import PATIENCE
 
 
@@ -15,7 +15,7 @@ def test_the_server_returns_the_session_and_any_window(run: Run) -> None:
         recorded = SessionCurves()
         await recorded.open(run)
         for k in range(10):
-            await recorded.write(felt(90 * s + k * 10 * ms, -k))
+            await recorded.write(touched(90 * s + k * 10 * ms, -k))
         await recorded.write(slip(90 * s + 50 * ms, 1))
         await recorded.close()
         server = page_server("127.0.0.1", 0)

@@ -18,7 +18,7 @@ SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 
 
 async def answer(_: Mapping[str, str]) -> tuple[bytes, str]:
-    return b"felt", "text/plain"
+    return b"text", "text/plain"
 
 
 @asynccontextmanager
@@ -68,7 +68,7 @@ def test_without_the_token_the_response_has_a_remedy() -> None:
             assert text.startswith(
                 "Access to numbers needs its token: append /?token=... to the address, or "
             )
-            assert (await get(session, f"{url}/data", Authorization=f"Bearer {SECRET}"))[1] == "felt"
+            assert (await get(session, f"{url}/data", Authorization=f"Bearer {SECRET}"))[1] == "text"
 
     asyncio.run(main())
 
@@ -80,7 +80,7 @@ def test_the_login_url_has_the_token_and_the_url_has_not() -> None:
         async with ClientSession(cookie_jar=CookieJar(unsafe=True)) as session:
             assert SECRET not in server.url
             assert (await get(session, server.login_url))[0] == 303
-            assert (await get(session, f"{server.url}/data"))[1] == "felt"
+            assert (await get(session, f"{server.url}/data"))[1] == "text"
         await server.close()
 
     asyncio.run(main())
@@ -140,7 +140,7 @@ def test_the_page_and_all_its_files_are_served() -> None:
             assert text
             kinds = {".js": "text/javascript", ".css": "text/css", ".svg": "image/svg+xml"}
             assert response.content_type == kinds[Path(name).suffix]
-        assert (await get(session, f"{url}/data"))[1] == "felt"
+        assert (await get(session, f"{url}/data"))[1] == "text"
         assert "Leon Sorokin" in (await get(session, f"{url}/uplot/LICENSE"))[1]
 
     page_served(use)
@@ -174,7 +174,7 @@ def test_with_a_token_only_its_cookie_is_accepted() -> None:
         assert "HttpOnly" in cookie
         assert "SameSite=Lax" in cookie
         assert SECRET not in cookie
-        assert (await get(session, f"{url}/data"))[1] == "felt"
+        assert (await get(session, f"{url}/data"))[1] == "text"
 
     page_served(use, SECRET)
 
@@ -242,9 +242,9 @@ def test_a_quarter_of_the_file_descriptors_is_used_at_most(monkeypatch: pytest.M
         await server.open({"/data": answer})
         sessions = [ClientSession() for _ in range(12)]
         for session in sessions:
-            assert (await get(session, f"{server.url}/data"))[1] == "felt"
+            assert (await get(session, f"{server.url}/data"))[1] == "text"
         assert len(server.admitted) == 4
-        assert (await get(sessions[0], f"{server.url}/data"))[1] == "felt"  # on a new connection
+        assert (await get(sessions[0], f"{server.url}/data"))[1] == "text"  # on a new connection
         for session in sessions:
             await session.close()
         await server.close()

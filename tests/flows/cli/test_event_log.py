@@ -48,7 +48,7 @@ def scores(*probability: float) -> Scores:
 
 
 def test_the_log_has_the_start_failures_and_result_of_a_run(log_text: StringIO) -> None:
-    flow = Flow("felt")
+    flow = Flow("pressed")
     source = TestSource(Scores, [scores(0.1), OSError("unplugged"), scores(0.2, 0.3)])
     flow.source(source, "touch").to(TestSink(failures=[OSError("disk full")]))
 
@@ -119,7 +119,7 @@ def test_the_text_log_goes_to_stderr(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_consoles_print_json_and_one_is_added_if_there_is_none() -> None:
-    flow, stream = Flow("felt"), StringIO()
+    flow, stream = Flow("pressed"), StringIO()
     slips = flow.source(TestSource(Scores, [scores(0.9, 0.9)])) | Debounce()
     slips.to(Console(stream))
 

@@ -24,13 +24,13 @@ def trace(tmp_path: Path) -> CsvTrace:
 
 
 def flow() -> tuple[Flow, TestSink]:
-    made, sink = Flow("felt"), TestSink()
+    made, sink = Flow("pressed"), TestSink()
     made.source(TestSource(Touch)).to(sink)
     return made, sink
 
 
 def test_a_session_is_named_after_its_flow_and_start_time() -> None:
-    assert re.fullmatch(r"felt-\d{8}T\d{6}\.\d{6}Z", session_name(Flow("felt")))
+    assert re.fullmatch(r"pressed-\d{8}T\d{6}\.\d{6}Z", session_name(Flow("pressed")))
 
 
 def test_a_recording_gives_the_same_rows_at_any_pace(trace: CsvTrace) -> None:

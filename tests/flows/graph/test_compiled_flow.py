@@ -105,7 +105,7 @@ def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
 
 
 def test_a_compiled_flow_lists_the_types_of_each_sink() -> None:
-    flow, one, other = Flow("felt"), TestSink("one"), TestSink("other")
+    flow, one, other = Flow("pressed"), TestSink("one"), TestSink("other")
     probabilities = flow.source(TestSource(Scores))
     slips = probabilities | Debounce()
     slips.to(one)

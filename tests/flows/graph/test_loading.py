@@ -12,8 +12,8 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from operators import Scores
 
-def felt(
-    threshold: float = 0.5, count: int = 2, name: str = "felt", fast: bool = False, out: str | None = None
+def pressed(
+    threshold: float = 0.5, count: int = 2, name: str = "pressed", fast: bool = False, out: str | None = None
 ) -> Flow:
     flow = Flow(f"{name} {threshold} {count} {fast} {out}")
     flow.source(TestSource(Scores)).to(TestSink())
@@ -32,28 +32,28 @@ def _file(folder: Path, code: str) -> str:
 
 def test_the_only_flow_of_a_file_needs_no_name(tmp_path: Path) -> None:
     declaration = load(_file(tmp_path, GOOD))
-    assert declaration.name == "felt"
+    assert declaration.name == "pressed"
     assert list(declaration.parameters) == ["threshold", "count", "name", "fast", "out"]
-    assert declaration.flow().name == "felt 0.5 2 False None"
+    assert declaration.flow().name == "pressed 0.5 2 False None"
 
 
 def test_settings_take_the_type_that_is_declared(tmp_path: Path) -> None:
     flow = load(_file(tmp_path, GOOD)).flow({"threshold": "0.7", "count": "3", "fast": "yes", "out": "x"})
-    assert flow.name == "felt 0.7 3 True x"
+    assert flow.name == "pressed 0.7 3 True x"
     assert load(_file(tmp_path, GOOD)).flow({"out": "none"}).name.endswith("None")
 
 
 def test_an_unknown_setting_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"felt: has no parameter 'limit'; it has threshold, count, name"):
+    with pytest.raises(InputError, match=r"pressed: has no parameter 'limit'; it has threshold, count, name"):
         load(_file(tmp_path, GOOD)).flow({"limit": "1"})
     with pytest.raises(InputError, match=r"did you mean 'threshold'\? It has threshold, count"):
         load(_file(tmp_path, GOOD)).flow({"treshold": "1"})
     with pytest.raises(InputError, match=r"mine: has no parameter 'limit'; it has none"):
-        load(_file(tmp_path, GOOD + "\nmine = felt()\n") + ":mine").flow({"limit": "1"})
+        load(_file(tmp_path, GOOD + "\nmine = pressed()\n") + ":mine").flow({"limit": "1"})
 
 
 def test_a_setting_of_a_wrong_type_is_reported(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="felt: count is 'two', must be a whole number"):
+    with pytest.raises(ParameterError, match="pressed: count is 'two', must be a whole number"):
         load(_file(tmp_path, GOOD)).flow({"count": "two"})
 
 
@@ -63,7 +63,7 @@ from flows.graph.quantity import Duration, Speed
 from flows.graph.testing import TestSink, TestSource
 from operators import Scores, ms
 
-def felt(delay: Duration = 70 * ms, limit: Speed | None = None) -> Flow:
+def pressed(delay: Duration = 70 * ms, limit: Speed | None = None) -> Flow:
     flow = Flow(f"{delay} {limit}")
     flow.source(TestSource(Scores)).to(TestSink())
     return flow
@@ -74,14 +74,14 @@ def test_a_parameter_with_a_unit_is_set_as_people_write_it(tmp_path: Path) -> No
     declaration = load(_file(tmp_path, TIMED))
     assert declaration.flow({"delay": "0.1s", "limit": "3mm/s"}).name == f"{100 * ms} 0.003"
     assert declaration.flow({"limit": "none"}).name == f"{70 * ms} None"
-    with pytest.raises(ParameterError, match=r"felt: delay is '70', must be a time with its unit: 500ms"):
+    with pytest.raises(ParameterError, match=r"pressed: delay is '70', must be a time with its unit: 500ms"):
         declaration.flow({"delay": "70"})
 
 
 def test_a_finished_flow_is_found_by_its_name(tmp_path: Path) -> None:
-    code = GOOD + "\nmine = felt()\n"
+    code = GOOD + "\nmine = pressed()\n"
     assert isinstance(load(_file(tmp_path, code) + ":mine").flow(), Flow)
-    with pytest.raises(InputError, match=r"several flows, choose one: .*:felt, .*:mine"):
+    with pytest.raises(InputError, match=r"several flows, choose one: .*:pressed, .*:mine"):
         load(_file(tmp_path, code))
 
 
@@ -119,7 +119,7 @@ def test_a_missing_file_and_a_missing_flow_are_reported(tmp_path: Path) -> None:
         load("nowhere.py")
     with pytest.raises(InputError, match="is a folder: name the flow file in it"):
         load(str(tmp_path))
-    with pytest.raises(InputError, match="has no flow 'other'; it has felt"):
+    with pytest.raises(InputError, match="has no flow 'other'; it has pressed"):
         load(_file(tmp_path, GOOD) + ":other")
 
 

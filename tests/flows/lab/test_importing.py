@@ -149,12 +149,12 @@ def test_a_folder_with_other_files_is_refused(tmp_path: Path, write: Write) -> N
 
 
 def test_progress_reports_the_rows_written(tmp_path: Path, write: Write) -> None:
-    told = list[int]()
+    progress = list[int]()
     trace_import = TraceImport(
         write(f"t,{CELLS}", [f"{k},{counts(0)}" for k in range(2500)]), tmp_path / "data", GUESS
     )
-    asyncio.run(trace_import.write(told.append))
-    assert told == [1000, 2000, 2500]
+    asyncio.run(trace_import.write(progress.append))
+    assert progress == [1000, 2000, 2500]
 
 
 def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Path, write: Write) -> None:
@@ -215,10 +215,10 @@ def test_labels_are_attached_to_their_rows_for_any_cut(cuts: list[int]) -> None:
     labels = tuple(k % 3 - 1 for k in range(30))
     zeros = np.zeros((30, 6), np.int16)
     touch = Zeroed(np.arange(30), zeros, zeros, zeros == 0, finger=1)
-    told = AttachLabels(labels)
+    operator = AttachLabels(labels)
     edges = [0, *sorted(cuts), 30]
-    batches = [told.push(touch[a:b]) for a, b in pairwise(edges)]
-    given = concat(Labelled, [*batches, told.flush()]).check()
+    batches = [operator.push(touch[a:b]) for a, b in pairwise(edges)]
+    given = concat(Labelled, [*batches, operator.flush()]).check()
     assert given.label.tolist() == list(labels)
     assert not given.matched.any()
-    assert told.reset_copy().push(touch[:2]).label.tolist() == [-1, 0]
+    assert operator.reset_copy().push(touch[:2]).label.tolist() == [-1, 0]

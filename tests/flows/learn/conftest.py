@@ -1,4 +1,4 @@
-"""What tests of several modules need: the weights of a network that has learned nothing."""
+"""Weights of an untrained network."""
 
 import math
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from operators.detectors.tcn import shapes
 
 @pytest.fixture(scope="session")
 def unlearned() -> Callable[[int], dict[str, NDArray[Any]]]:
-    """The weights of our network with so many filters, drawn at random."""
+    """Return a function that draws the weights of a TCN with a number of filters."""
 
     def weights(filters: int) -> dict[str, NDArray[Any]]:
         random = np.random.default_rng(filters)

@@ -1,4 +1,4 @@
-"""Simulated recordings: what they know beside counts and labels."""
+"""Simulated recordings: their data in addition to counts and labels."""
 
 from dataclasses import replace
 from pathlib import Path

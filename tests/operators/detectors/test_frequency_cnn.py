@@ -35,7 +35,7 @@ def _windows(rows: int) -> Counts:
 
 
 def _spectra(inputs: Reals) -> Reals:
-    """Of standardised counts (100, 6), as an image (2, 3, 51)."""
+    """Return the spectrum of standardised counts (100, 6) as an image (2, 3, 51)."""
     layout = [[5, 4, 3], [0, 1, 2]]
     return np.array([[np.abs(np.fft.rfft(inputs[:, cell])) for cell in row] for row in layout])
 

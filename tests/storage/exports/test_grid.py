@@ -45,7 +45,7 @@ def test_a_frame_is_a_sample_near_its_grid_point_and_no_sample_is_used_twice(
     used = list[int]()
     for stretch in cut.stretches:
         assert len(stretch) > 1
-        place = [int(row) // 10 for row in stretch.counts[:, 0]]  # of the sample, as its counts tell
+        place = [int(row) // 10 for row in stretch.counts[:, 0]]  # of the sample, from its counts
         assert stretch.time.tolist() == samples.time[place].tolist()
         used += place
         since = (stretch.time - samples.time[0]) * rate / 1e9  # periods

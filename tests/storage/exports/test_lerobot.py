@@ -50,7 +50,7 @@ class Read:
         return column.to_numpy().reshape(-1, *declared["shape"])
 
     def dtype(self, feature: str) -> pl.DataType:
-        """What the column of a feature must be."""
+        """Return the required type of a feature's column."""
         kinds = {"float32": pl.Float32(), "int64": pl.Int64(), "bool": pl.Boolean()}
         declared = self.info["features"][feature]
         (size,) = declared["shape"]
@@ -166,10 +166,10 @@ def test_tasks_are_the_motions_or_the_given_text(tmp_path: Path) -> None:
     tasks = [found.tasks[number] for number in found.frames[0]["task_index"]]
     assert tasks == [holds] * 5 + [slides] * 4 + [otherwise]
     assert found.episodes[0]["tasks"] == [holds, slides, otherwise]
-    export([session], tmp_path / "told", task="wipe the table")
-    told = Read.open(tmp_path / "told")
-    told.check()
-    assert told.tasks == {0: "wipe the table"}
+    export([session], tmp_path / "labelled", task="wipe the table")
+    labelled = Read.open(tmp_path / "labelled")
+    labelled.check()
+    assert labelled.tasks == {0: "wipe the table"}
 
 
 def test_motion_data_is_omitted_unless_every_session_has_it(tmp_path: Path) -> None:

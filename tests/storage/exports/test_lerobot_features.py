@@ -1,4 +1,4 @@
-"""What a frame of a LeRobot dataset holds."""
+"""Contents of a frame of a LeRobot dataset."""
 
 from typing import Any
 

@@ -111,14 +111,14 @@ def test_every_row_of_every_table_is_a_message_in_time_order(tmp_path: Path) -> 
         new_batch(Clocks, 5, start=s, seed=8),
     ]
     path = tmp_path / "one.mcap"
-    told = list[int]()
-    counted = export(record(tmp_path, batches), path, told.append)
+    progress = list[int]()
+    counted = export(record(tmp_path, batches), path, progress.append)
     found = read(path)
     assert [time for _, time, _ in found] == sorted(time for _, time, _ in found)
     expected = [message for batch in batches for message in rows(batch)]
     assert alike(found) == alike(expected)
     assert dict(counted) == {name: sum(each[0] == name for each in expected) for name in counted}
-    assert told[-1] == len(expected) == sum(counted.values())
+    assert progress[-1] == len(expected) == sum(counted.values())
 
 
 def test_every_message_matches_its_schema_in_the_file(tmp_path: Path) -> None:
@@ -230,7 +230,7 @@ def test_a_long_session_is_read_part_by_part(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(mcap_file, "_BATCH", 10)
     export(session, tmp_path / "one.mcap", progress)
     assert written == 600
-    assert most <= 40  # a part and what was not told yet
+    assert most <= 40  # a part and rows that were not reported yet
 
 
 def test_a_failed_export_leaves_no_file_and_existing_files_stay(tmp_path: Path) -> None:

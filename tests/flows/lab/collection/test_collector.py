@@ -273,7 +273,7 @@ def test_the_speed_along_an_arc_is_kept(pressed: Made) -> None:
         assert speed.max() < 1.03 * 0.05
         assert (speed > 0.97 * 0.05).sum() / 125 > 0.7 * PATH.slide_time
         low, high = (part(motion.pose[inside, 2]) for part in (np.min, np.max))
-        assert high - low > 5e-4  # down the sides: 0.8 mm at 10 mm beside its middle
+        assert high - low > 5e-4  # down the sides: 0.8 mm at 10 mm from its middle
 
 
 def test_session_json_has_depth_and_force(quick: Made, pressed: Made) -> None:

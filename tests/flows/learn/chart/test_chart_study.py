@@ -33,7 +33,7 @@ def small(
 
 @pytest.fixture(scope="module")
 def found(tiny: Path, small: Path) -> Chart:
-    """Of the TCN that ships, a small one that has learned nothing, and the PSD threshold."""
+    """Return the chart of the shipped TCN, a small untrained one, and the PSD threshold."""
     return chart(tiny, [small], names=["tcn", "psd"], span=1e-4)
 
 

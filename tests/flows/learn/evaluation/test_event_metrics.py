@@ -64,8 +64,8 @@ def test_where_nobody_knows_nothing_is_false_or_static() -> None:
     found = slips(codes)
     assert found.tolerated.tolist() == seconds((150, 199), (300, 399))
     assert found.static == (300 - WARM_UP - 50) * PERIOD
-    felt = EventMetrics.of([sure(400, (150, 200), (330, 340))], [found], TWICE)
-    assert felt.false_alarms == 0
+    metrics = EventMetrics.of([sure(400, (150, 200), (330, 340))], [found], TWICE)
+    assert metrics.false_alarms == 0
 
 
 def test_pauses_are_bridged_from_end_to_start() -> None:
@@ -84,23 +84,23 @@ def test_onsets_come_from_the_operator_after_the_judged_part_begins() -> None:
 def test_what_is_felt_is_counted_and_timed() -> None:
     true = slips(label(1200, (200, 250), (400, 450), (600, 650)))
     probability = sure(1200, (205, 220), (230, 240), (405, 406), (598, 640), (1000, 1010))
-    felt = EventMetrics.of([probability], [true], TWICE)
-    assert felt.delays.tolist() == [60, -10]
-    assert (felt.missed_slips, felt.false_alarms, felt.repeats, felt.slips) == (1, 1, 1, 3)
-    assert felt.missed == pytest.approx(100 / 3)
-    assert felt.repeated == pytest.approx(100 / 3)
-    assert felt.minutes == pytest.approx((1200 - WARM_UP - 150) / 6000)
-    assert felt.false_alarms_per_min == pytest.approx(1 / felt.minutes)
-    assert (felt.onset_ms, felt.quantile(1)) == (25, 60)
+    metrics = EventMetrics.of([probability], [true], TWICE)
+    assert metrics.delays.tolist() == [60, -10]
+    assert (metrics.missed_slips, metrics.false_alarms, metrics.repeats, metrics.slips) == (1, 1, 1, 3)
+    assert metrics.missed == pytest.approx(100 / 3)
+    assert metrics.repeated == pytest.approx(100 / 3)
+    assert metrics.minutes == pytest.approx((1200 - WARM_UP - 150) / 6000)
+    assert metrics.false_alarms_per_min == pytest.approx(1 / metrics.minutes)
+    assert (metrics.onset_ms, metrics.quantile(1)) == (25, 60)
 
 
 def test_a_detector_that_always_says_slip_misses_all_but_what_it_began_in() -> None:
     true = slips(label(1200, (200, 250), (400, 450)))
-    felt = EventMetrics.of([np.full(1200, 0.9)], [true], TWICE)
-    assert (felt.missed, felt.false_alarms) == (100, 1)
+    metrics = EventMetrics.of([np.full(1200, 0.9)], [true], TWICE)
+    assert (metrics.missed, metrics.false_alarms) == (100, 1)
 
 
 def test_no_recordings_are_felt_as_nothing() -> None:
-    felt = EventMetrics.of([], [], TWICE)
-    assert felt.slips == 0
-    assert np.isnan([felt.false_alarms_per_min, felt.missed, felt.onset_ms, felt.repeated]).all()
+    metrics = EventMetrics.of([], [], TWICE)
+    assert metrics.slips == 0
+    assert np.isnan([metrics.false_alarms_per_min, metrics.missed, metrics.onset_ms, metrics.repeated]).all()

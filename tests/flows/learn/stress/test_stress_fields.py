@@ -159,7 +159,7 @@ def _unchanged(scene: Scene, value: float) -> Scene:
 
 
 class _Unpaid:
-    """Stands where nobody should come."""
+    """Stand-in that must not be called."""
 
     def __call__(self, *_: object) -> Reals:
         raise AssertionError("computed though the scene does not name it")

@@ -22,21 +22,21 @@ SMALL = Recipe(filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2)
 
 
 def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Path) -> None:
-    told: list[tuple[str, int, int, Check | None]] = []
+    reported: list[tuple[str, int, int, Check | None]] = []
 
-    def tell(what: str, done: int, of: int, check: Check | None) -> None:
-        told.append((what, done, of, check))
+    def report(what: str, done: int, of: int, check: Check | None) -> None:
+        reported.append((what, done, of, check))
 
     out = tmp_path / "model.safetensors"
-    outcome = train([tiny], out, recipe=SMALL, progress=tell)
+    outcome = train([tiny], out, recipe=SMALL, progress=report)
     card = json.loads((tmp_path / "model.json").read_text())
     assert card["sha256"] == hashlib.sha256(out.read_bytes()).hexdigest()
     assert card["detector"] == "tcn"
     assert card["data"][0]["recordings"]["train"] > card["data"][0]["recordings"]["test"]
     assert card["recipe"]["filters"] == 4
     assert card["scores"]["test"]["accuracy"] > 55
-    assert [each[1] for each in told] == list(range(1, 61))
-    assert sum(each[3] is not None for each in told) == 3
+    assert [each[1] for each in reported] == list(range(1, 61))
+    assert sum(each[3] is not None for each in reported) == 3
     assert "% on validation" in outcome.report()
     assert outcome.summary()["models"][0]["path"] == str(out)
     assert isinstance(load_detector(out), Tcn)
