@@ -4,6 +4,7 @@ import asyncio
 import logging
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from inspect import iscoroutinefunction, signature
 from pathlib import Path
@@ -18,10 +19,11 @@ from tests.connectors.mqtt.broker_process import TestBroker
 
 LIMIT = 120.0  # s, for a coroutine
 
-# of subprocesses too
-os.environ.setdefault(
-    "OMP_NUM_THREADS", "1"
-)  # idle OpenMP threads spin: with two processes tests take 5 times longer
+# Subprocesses inherit both variables. Without bytecode files each of them compiles what it imports; OpenMP threads of
+# several processes spin and take the CPU from each other.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell ignores it in background jobs
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
