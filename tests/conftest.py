@@ -19,7 +19,7 @@ from tests.connectors.mqtt.broker_process import TestBroker
 
 LIMIT = 120.0  # s, for a coroutine
 
-# Subprocesses inherit both variables. Without bytecode files each of them compiles what it imports; OpenMP threads of
+# Subprocesses inherit both. Without bytecode files each of them compiles what it imports; OpenMP threads of
 # several processes spin and take the CPU from each other.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
