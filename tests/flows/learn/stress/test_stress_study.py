@@ -1,4 +1,3 @@
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -34,24 +33,8 @@ class Always:
         return np.ones(len(windows))
 
 
-# two sides and one, cells, streams, and all fields of the goals
-SOME = (
-    "noise", "gain", "dead", "stuck", "floored", "motion_clock_offset", "friction", "stick_slip",
-    "slip_speed",
-)  # fmt: skip
-
-
-@pytest.fixture(scope="module", autouse=True)
-def some_fields() -> Iterator[None]:
-    """Some of the fields, as each value is simulated; test_stress_fields.py tests what each field changes."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module in ("stress_study", "stress_report", "stress_figure"):
-            patch.setattr(f"flows.learn.stress.{module}.FIELDS", {field: FIELDS[field] for field in SOME})
-        yield
-
-
 @pytest.fixture(scope="module")
-def found(some_fields: None) -> Stress:  # noqa: ARG001 - patches the fields
+def found() -> Stress:
     subjects: dict[str, tuple[Detector, Debounce]] = {
         "psd": (Psd(), Debounce()),
         "always": (Always(), Debounce()),
@@ -60,14 +43,14 @@ def found(some_fields: None) -> Stress:  # noqa: ARG001 - patches the fields
 
 
 def test_every_value_of_every_field_is_evaluated(found: Stress) -> None:
-    values = {(field, value) for field in SOME for value in FIELDS[field].values}
+    values = {(field, value) for field, grid in FIELDS.items() for value in grid.values}
     assert found.outcomes.keys() == values
     assert (found.names, found.recordings) == (("psd", "always"), 1)
 
 
 def test_a_detector_that_always_predicts_slip_has_50_percent_and_breaks_nowhere(found: Stress) -> None:
-    for field in SOME:
-        for value in FIELDS[field].values:
+    for field, grid in FIELDS.items():
+        for value in grid.values:
             if (field, value) != ("dead", 4):
                 assert found.at("always", field, value).balanced == 50
         if field != "dead":
@@ -93,7 +76,7 @@ def test_health_reports_dead_stuck_and_floored_cells_but_not_noise(found: Stress
 
 
 def test_nominal_is_the_same_recordings_in_every_field_but_slip_speed(found: Stress) -> None:
-    nominal = {field: found.outcome(field, FIELDS[field].nominal) for field in SOME}
+    nominal = {field: found.outcome(field, grid.values[0]) for field, grid in FIELDS.items()}
     del nominal["slip_speed"]
     assert len({id(outcome) for outcome in nominal.values()}) == 1
 
@@ -166,7 +149,7 @@ def test_the_report_has_every_section_and_every_figure(
 def test_goals_and_breaking_points_are_in_the_json(found: Stress) -> None:
     data = stress_report(found, "slipflow stress").json()
     assert data["missing"] == {"oracle": "there is none"}
-    assert list(data["fields"]) == list(SOME)
+    assert data["fields"].keys() == FIELDS.keys()
     goals, _ = data["sections"]["goals"]["tables"]
     assert [row["stress"] for row in goals["rows"]] == ["nominal", *(goal.text for goal in GOALS)]
     assert goals["rows"][0]["always"] == 50
@@ -178,7 +161,7 @@ def test_goals_and_breaking_points_are_in_the_json(found: Stress) -> None:
 def test_each_field_has_a_panel(found: Stress) -> None:
     figure = stress_figure.panels(found, stress_figure.MEASURES["missed"])
     titles = [axis.get_title("left") for axis in figure.axes]
-    assert [title.partition(",")[0] for title in titles if title] == [FIELDS[field].text for field in SOME]
+    assert [title.partition(",")[0] for title in titles if title] == [grid.text for grid in FIELDS.values()]
 
 
 def test_a_terminal_shows_goals_and_breaking_points(found: Stress) -> None:
