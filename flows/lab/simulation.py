@@ -74,7 +74,7 @@ class SimulatedDataset:
     @property
     def all(self) -> Counter[str]:
         """Size of all splits together."""
-        return sum(self.splits.values(), Counter())
+        return sum(self.splits.values(), Counter[str]())
 
     def json(self) -> dict[str, Any]:
         """Return plan, seed and sizes as JSON data."""

@@ -88,6 +88,7 @@ def test_over_a_sphere_it_presses_by_how_far_it_is_below_the_surface_under_it() 
     radius = 0.06
     arm = CommandedArm(commanded_scene("sphere", radius), ORIGIN)
     arm.add(commands((0.0, nan, [0.06, 0.08, -0.04, 0, 0, 0]), (0.2, 1.5, LEAVE)))
+    push = 0.0
     for instant in np.arange(0, 0.3, 0.05).tolist():
         (x, y, z, *_), _, push = arm.motion(instant)
         below = np.sqrt(radius**2 - x * x - y * y) - radius - z
