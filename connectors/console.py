@@ -8,6 +8,7 @@ from typing import Literal, TextIO
 from connectors.events import encode, faults, finger_name, timestamp
 from operators.batch import SLIP, Faults, Slips, ms
 from operators.checks import check_choice
+from operators.errors import OutputClosedError
 from operators.ports import Json, Run, Sink
 
 
@@ -54,7 +55,18 @@ class Console(Sink[Slips | Faults]):
         self._run = run
 
     def take(self, batch: Slips | Faults) -> bool:
-        """Print the events of a batch."""
+        """Print the events of a batch.
+
+        Raises:
+            OutputClosedError: if nobody reads the stream any more.
+        """
+        try:
+            self._print_events(batch)
+        except BrokenPipeError:
+            raise OutputClosedError(self.destination, "was closed") from None
+        return True
+
+    def _print_events(self, batch: Slips | Faults) -> None:
         if isinstance(batch, Faults):
             for time, fault, begins in faults(batch):
                 change = "begins" if begins else "ends"
@@ -65,7 +77,7 @@ class Console(Sink[Slips | Faults]):
                     self._print(
                         time, batch.finger, f"barometer {fault.barometer} {fault.kind} {change}", "yellow"
                     )
-            return True
+            return
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:
             latency = self._run.latency(time) if self._run else None
@@ -77,7 +89,6 @@ class Console(Sink[Slips | Faults]):
             late = "" if latency is None else f"  {latency / ms:.1f} ms"
             text, style = ("slip onset", "bold red") if state == SLIP else ("slip end  ", "green")
             self._print(time, batch.finger, f"{text}  p {probability:.2f}{late}", style)
-        return True
 
     def _print_json(self, time: int, finger: int, event: str, details: Mapping[str, Json]) -> None:
         recording = self._run.recording if self._run else None

@@ -92,6 +92,10 @@ class EndpointError(SlipflowError):
         self.endpoint, self.reason = endpoint, reason
 
 
+class OutputClosedError(EndpointError):
+    """Output whose reader has gone, as in ``slipflow run ... | head``: the run ends quietly."""
+
+
 def os_error_reason(error: OSError) -> str:
     """Return the system's reason for an error, and the remedy where one is known.
 

@@ -123,9 +123,11 @@ class Source(ABC, Generic[Given]):
     def batches(self, clock: Clock) -> AsyncIterator[Given]:
         """Connect and yield batches, each of one fingertip, stamped in the clock's time.
 
-        A return ends the stream. An exception is a failure: the runner records a gap and calls this method
-        again after a back-off. A batch of the wrong type or shape, and any `SlipflowError` other than
-        `EndpointError`, ends the run, because a retry would not help.
+        A return ends the stream. An exception is a failure of the device: the runner records a gap and calls
+        this method again after a back-off. Three failures end the run, because a retry would not help: a
+        batch of the wrong type or shape, a `SlipflowError` other than `EndpointError`, and an error that
+        Python raises for mistakes in the code, such as KeyError, TypeError or ValueError. If a device causes
+        such an error, for example by a malformed line, raise an `EndpointError` instead.
         """
 
     @property
@@ -143,7 +145,7 @@ class Sink(ABC, Generic[Taken]):
 
     The runner calls `open` once, `take` or `write` for each batch, and `close` once. A batch that `take` does
     not accept waits in a bounded queue for `write`, and so do those after it. If `write` raises, the runner
-    retries the same batch after a back-off.
+    retries the same batch after a back-off. An `OutputClosedError` ends the run in an orderly way.
     """
 
     lossless: bool = True  # False: when the queue is full, the oldest batch is dropped and counted

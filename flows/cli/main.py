@@ -89,13 +89,13 @@ def main() -> NoReturn:
 
 def explanation(error: Exception) -> tuple[int, str]:
     """Return the exit code and the line that explain an error to the user; 0 for an error in slipflow."""
-    from operators.errors import SlipflowError, os_error_reason
+    from operators.errors import OutputClosedError, SlipflowError, os_error_reason
 
     if isinstance(error, typer.Abort) or _interrupted(error):
         return 130, ""
     if isinstance(error, typer.TyperException):
         return 2, usage_error(error)
-    if isinstance(error, BrokenPipeError):  # `slipflow ... | head`
+    if isinstance(error, BrokenPipeError | OutputClosedError):  # `slipflow ... | head`
         return 1, ""
     if isinstance(error, SlipflowError) or (type(error) is RuntimeError and "Symlink loop" in str(error)):
         return 2, f"error: {error}"

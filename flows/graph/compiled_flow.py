@@ -228,8 +228,8 @@ class CompiledFlow:
         reason = str(error)
         if not isinstance(error, SlipflowError):
             reason = f"{type(error).__name__}: {reason}" if reason else type(error).__name__
-        location = "" if stage.tested else _location(stage.operator, error)
-        return OperatorError(self._flow, stage.node.name, reason + location)
+        reason += "" if stage.tested else location(stage.operator, error)
+        return OperatorError(self._flow, stage.node.name, reason)
 
     def _add_stage(self, node: Node, finger: int) -> None:
         inputs = tuple(
@@ -254,10 +254,10 @@ class CompiledFlow:
         return stages
 
 
-def _location(operator: object, error: Exception) -> str:
-    """Return the line of the operator's file at which an error was raised, such as ``(own.py:23)``."""
+def location(part: object, error: Exception) -> str:
+    """Return the line of a part's file at which an error was raised, such as `` (own.py:23)``."""
     try:
-        file = inspect.getfile(type(operator))
+        file = inspect.getfile(type(part))
     except (TypeError, OSError):
         return ""
     lines = [each.lineno for each in traceback.extract_tb(error.__traceback__) if each.filename == file]

@@ -71,17 +71,18 @@ class LiveRunner:
             describe={node.name: source.describe() for node, source in sources.items()},
             sink_types=self.compiled.sink_types,
         )
-        self._sources = sources
+        self._sources, self._stop = sources, asyncio.Event()
         self._readers = {node: SourceReader(node.name, source, self.run) for node, source in sources.items()}
         self._queues = {
-            node: SinkQueue(node.name, node.part) for node in flow.nodes if isinstance(node.part, Sink)
+            node: SinkQueue(node.name, node.part, self._stop.set)
+            for node in flow.nodes
+            if isinstance(node.part, Sink)
         }
         for queue in self._queues.values():
             self.run.sinks[queue.name] = queue.status
         self._push = asyncio.Lock()  # while a sink is full, all sources wait: streams stay in order
         self._pending = 0  # batches of sources that wait for room in a queue
         self._delivered, self._ending = asyncio.Event(), False
-        self._stop = asyncio.Event()
 
     def stop(self) -> None:
         """End the run: flush the operators, write the queues, close the sinks.

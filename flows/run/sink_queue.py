@@ -2,6 +2,7 @@
 
 import asyncio
 from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from math import inf
 from typing import Any, Final
@@ -9,7 +10,7 @@ from typing import Any, Final
 from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch
-from operators.errors import EndpointError
+from operators.errors import EndpointError, OutputClosedError
 from operators.ports import Sink, SinkStatus
 
 LAST_ATTEMPTS: Final = 5.0  # s; a failing sink is retried for this time after the end of the run
@@ -28,10 +29,11 @@ class SinkQueue:
     Args:
         name: Name of the sink in the run.
         sink: Opened sink.
+        on_closed: Called when the sink raises `OutputClosedError`; its further batches are dropped.
     """
 
-    def __init__(self, name: str, sink: Sink[Any]) -> None:
-        self.name, self.sink = name, sink
+    def __init__(self, name: str, sink: Sink[Any], on_closed: Callable[[], object] = lambda: None) -> None:
+        self.name, self.sink, self._on_closed = name, sink, on_closed
         self.status = SinkStatus(records=sink.records)
         self._waiting: deque[Batch] = deque()
         self._idle = True  # nothing is queued or being written
@@ -48,10 +50,10 @@ class SinkQueue:
 
     def try_put(self, batch: Batch) -> bool:
         """Write, queue or drop a batch by the sink's policy; return False if there is no room."""
+        if self._idle and not self._abandoned.is_set() and self._take(batch):
+            return True
         if self._abandoned.is_set():
             self._drop(batch)
-            return True
-        if self._idle and self._take(batch):
             return True
         if len(self._waiting) >= self.sink.capacity:
             if not self.sink.lossless:
@@ -187,6 +189,10 @@ class SinkQueue:
         return stuck
 
     def _failed(self, error: Exception) -> None:
+        if isinstance(error, OutputClosedError):
+            self._abandoned.set()
+            self._on_closed()
+            return
         reason = reason_of(error)
         if not self.status.error:
             warn("sink_failed", f"{self.name} failed: {reason}", sink=self.name, reason=reason)

@@ -4,14 +4,26 @@ import asyncio
 from collections import defaultdict
 from collections.abc import AsyncGenerator
 from dataclasses import asdict
-from typing import Any, cast
+from typing import Any, Final, cast
 
+from flows.graph.compiled_flow import location
 from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
 from operators.operator import LateRowFilter
 from operators.ports import Gap, Run, Source, SourceStatus
+
+MISTAKES: Final = (  # of the source's code: a retry would not help
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    ImportError,
+    LookupError,
+    NameError,
+    TypeError,
+    ValueError,
+)
 
 
 class SourceReader:
@@ -39,7 +51,8 @@ class SourceReader:
         """Yield the batches of the source until it ends.
 
         Raises:
-            OperatorError: if a batch has another type or shape than the source declares.
+            OperatorError: if a batch has another type or shape than the source declares, or the source raises
+                one of `MISTAKES`.
             SlipflowError: if the source raises one other than EndpointError.
         """
         retry = BackOff()
@@ -56,6 +69,9 @@ class SourceReader:
                             retry.reset()
                         self._count(batch)
                         yield batch
+                except MISTAKES as error:
+                    self.status.error = reason_of(error) + location(self._source, error)
+                    raise OperatorError(self._run.flow, self.name, self.status.error) from error
                 except Exception as error:
                     if isinstance(error, SlipflowError) and not isinstance(error, EndpointError):
                         self.status.error = str(error)

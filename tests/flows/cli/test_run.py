@@ -116,6 +116,20 @@ def test_a_live_run_prints_one_json_object() -> None:
     assert (found["flow"], found["error"]) == ("live", None)
 
 
+def test_a_closed_stdout_ends_the_run_quietly(tmp_path: Path) -> None:
+    cells = ([-100] * 6 if k // 100 % 2 else [-400 * (k % 3)] * 6 for k in range(60_000))
+    path = trace(tmp_path, *(f"{k / 100},{','.join(map(str, each))}" for k, each in enumerate(cells)))
+    command = [*SLIPFLOW, "run", "live", "--set", "detector=psd", "--pace", "20", "--replay", path]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout
+        assert process.stderr
+        assert "slip onset" in process.stdout.readline()
+        process.stdout.close()
+        noted = process.stderr.read()
+    assert process.returncode == 1
+    assert not {"console", "waiting", "Traceback"} & {*noted.replace(":", " ").split()}
+
+
 def test_a_signal_completes_the_recording(tmp_path: Path) -> None:
     out = tmp_path / "data"
     process = subprocess.Popen(

@@ -395,6 +395,33 @@ def test_a_failing_operator_ends_the_run_after_earlier_output_is_committed() -> 
     assert raw.run.error == str(raised.value)
 
 
+@pytest.mark.parametrize("error", [KeyError("force"), ZeroDivisionError("division by zero")])
+def test_a_mistake_in_a_source_ends_the_run_with_its_line(error: Exception) -> None:
+    class Wrong(Endless):
+        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+            async for batch in super().batches(clock):
+                yield batch
+                raise error
+
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Wrong()).to(sink)
+    reason = rf"flow 'f': scores: {type(error).__name__}: .* \(test_live_runner\.py:\d+\)"
+    with pytest.raises(OperatorError, match=reason):
+        execute(flow)
+    assert (len(sink.written), sink.closed) == (1, 1)
+
+
+def test_an_error_of_a_devices_library_is_retried() -> None:
+    class LibraryError(Exception):
+        """Not one of Python's."""
+
+    flow, sink = Flow("f"), TestSink()
+    failures = LibraryError("no answer"), RuntimeError("not connected"), EOFError()
+    flow.source(TestSource(Scores, [*scores(0, 1), *failures, *scores(1, 1)])).to(sink)
+    assert execute(flow).sources["scores"].failures == 3
+    assert len(sink.written) == 2
+
+
 def test_a_sink_that_cannot_be_opened_ends_the_run_before_it_starts() -> None:
     class Closed(TestSink):
         async def open(self, run: Run) -> None:

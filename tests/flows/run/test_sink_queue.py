@@ -10,7 +10,7 @@ from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource, run_virtually
 from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
-from operators import Batch, Clock, Debounce, EndpointError, Run, Scores, Sink, ms, s
+from operators import Batch, Clock, Debounce, EndpointError, OutputClosedError, Run, Scores, Sink, ms, s
 from tests.flows.run.live import Endless, execute, scores, times
 
 
@@ -70,7 +70,9 @@ def test_a_batch_that_is_taken_is_written_when_the_source_goes_on() -> None:
 
 def test_a_sink_that_neither_takes_nor_writes_is_reported() -> None:
     class Choosy(Sink[Scores]):
-        destination = "nowhere"
+        @property
+        def destination(self) -> str:
+            return "nowhere"
 
         async def open(self, run: Run) -> None:
             pass
@@ -83,6 +85,21 @@ def test_a_sink_that_neither_takes_nor_writes_is_reported() -> None:
     status = execute(flow).sinks["choosy"]
     assert (status.rows, status.dropped) == (5, 5)
     assert "Choosy must implement `write`, as its `take` returned False" in status.error
+
+
+def test_a_closed_output_ends_the_run_orderly_and_quietly(caplog: pytest.LogCaptureFixture) -> None:
+    for waiting in (None, for_ever):
+        flow = Flow("f")
+        closed = TestSink(failures=[None, OutputClosedError("stdout", "was closed")])
+        other = TestSink(before_write=waiting and (lambda: asyncio.sleep(0.5)))
+        stream = flow.source(Endless())
+        stream.to(closed)
+        stream.to(other)
+        run = execute(flow)
+        assert (len(closed.written), closed.closed, other.closed, run.error) == (1, 1, 1, "")
+        assert len(other.written) == run.sources["scores"].rows >= 2
+        assert run.sinks["testsink"].dropped == run.sources["scores"].rows - 1
+    assert not caplog.records
 
 
 def test_a_sink_that_never_works_blocks_no_other_and_its_rows_are_counted() -> None:
