@@ -14,7 +14,7 @@ from contextlib import nullcontext
 import numpy as np
 
 from tests.benchmarks.machine import commit, machine
-from tests.chaos.latency import measured, urgent
+from tests.chaos.latency import measure_latency, real_time_priority
 
 
 def main() -> None:
@@ -31,9 +31,9 @@ def main() -> None:
         ("ours", False, False),
         ("naive", True, False),
     ):
-        for context in (nullcontext("normal"), urgent()):
+        for context in (nullcontext("normal"), real_time_priority()):
             with context as priority:
-                late = measured(options.seconds, naive=naive, record=record)
+                late = measure_latency(options.seconds, naive=naive, record=record)
             values = "".join(f"{value:8.1f}" for value in np.percentile(late, (50, 99, 99.9, 100)))
             print(f"{name:30}{priority:>10}{os.getloadavg()[0]:6.1f}{len(late):8}{values}")
 

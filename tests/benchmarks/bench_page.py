@@ -31,7 +31,7 @@ from flows.cli.terminal import note
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from tests.benchmarks.machine import commit
-from tests.chaos.latency import urgent
+from tests.chaos.latency import real_time_priority
 from tests.connectors.web.browsing import FLAGS
 
 if TYPE_CHECKING:
@@ -174,14 +174,14 @@ def main() -> None:
         asyncio.run(serve(page=not options.without))
         return
     if options.figures:
-        with urgent(), demo() as (_, address), chromium() as browser:
+        with real_time_priority(), demo() as (_, address), chromium() as browser:
             figures(browser, address, options.figures)
         return
     machine = platform.processor() or platform.machine()
     print(f"commit {commit()}, {machine}, {os.cpu_count()} cores")
     print(f"{'ms from sample to page':28}{'priority':>10}{'load':>6}{'frames':>8}", end="")
     print("".join(f"{name:>8}" for name in ("p50", "p90", "p99", "max")))
-    for context in (nullcontext("normal"), urgent()):
+    for context in (nullcontext("normal"), real_time_priority()):
         with context as priority, demo() as (_, address), chromium() as browser:
             found = lags(browser.new_page(), address, options.seconds)
         values = "".join(f"{value:8.1f}" for value in np.percentile(found, (50, 90, 99, 100)))

@@ -1,4 +1,4 @@
-"""One bit of a file flips: nobody reads a wrong value without being told."""
+"""Bit flips: a flipped bit of a file causes an error or a warning, never a wrong value."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -18,33 +18,33 @@ from tests.chaos.session import Contents, begin, read, write
 
 ROWS, PART = 60, 25  # of each stream; of a part
 MODEL = "tcn"
-OTHERS = "silently wrong: Arrow IPC 666 and 2 crashes, plain Parquet 908"
+OTHERS = "silent errors: Arrow IPC 666 and 2 crashes, plain Parquet 908"
 
 
 def flips(scale: Scale) -> Promise:
-    """Flip bits of everything that a session and a model are made of."""
+    """Flip bits in each kind of file of a session and of a model."""
     random = np.random.default_rng(scale.seed)
     count = 100 if scale.short else 1000
-    came = Counter[str]()
-    worst = ""
+    outcomes = Counter[str]()
+    first_wrong = ""
     with scratch(memory=True) as folder:
         targets = _targets(folder)
         for turn in range(count):
-            name, pattern, look = targets[turn % len(targets)]
-            place = folder / "flipped"
-            copytree(folder / name, place)
-            path, bit = _flip(random, place, pattern)
-            outcome = look(place)
-            came[outcome] += 1
+            name, pattern, check = targets[turn % len(targets)]
+            copy = folder / "flipped"
+            copytree(folder / name, copy)
+            path, bit = _flip(random, copy, pattern)
+            outcome = check(copy)
+            outcomes[outcome] += 1
             if outcome == WRONG:
-                worst = worst or f"; the first: bit {bit} of {name}'s {path}"
-            rmtree(place)
+                first_wrong = first_wrong or f"; the first: bit {bit} of {path} in {name}"
+            rmtree(copy)
     return Promise(
         f"bit flips x{count}: journal, parts (listed or not), manifest, session.json, model, card",
-        f"{came[WRONG]} silently wrong; {came[REFUSED]} refused, {came[FEWER]} fewer rows and said so,"
-        f" {came[RIGHT]} right{worst}",
-        "0 silently wrong",
-        kept=not came[WRONG],
+        f"{outcomes[WRONG]} silent errors; {outcomes[REFUSED]} refused, {outcomes[FEWER]} with fewer rows"
+        f" and a message, {outcomes[RIGHT]} correct{first_wrong}",
+        "0 silent errors",
+        passed=not outcomes[WRONG],
         others=OTHERS,
     )
 
@@ -53,7 +53,7 @@ RIGHT, FEWER, REFUSED, WRONG = "right", "fewer", "refused", "wrong"
 
 
 def _targets(folder: Path) -> list[tuple[str, str, Callable[[Path], str]]]:
-    """Folders, what in them is flipped, and how what is read of them is judged."""
+    """Return folders, patterns of the files to flip, and functions that check what is read afterwards."""
     writer = begin(folder / "data", part_rows=PART)
     for number in range(ROWS):
         write(writer, number)
@@ -63,27 +63,27 @@ def _targets(folder: Path) -> list[tuple[str, str, Callable[[Path], str]]]:
     copytree(writer.folder, folder / "unlisted")
     (folder / "unlisted/MANIFEST.json").unlink()
     model = shipped(MODEL)
-    assert model, "it ships"
+    assert model, "the model is part of the package"
     (folder / "model").mkdir()
     for path in (model, model.with_suffix(".json")):
         (folder / "model" / path.name).write_bytes(path.read_bytes())
 
-    def judge(name: str) -> Callable[[Path], str]:
+    def checker(name: str) -> Callable[[Path], str]:
         copytree(folder / name, folder / "whole")
         whole = read(folder / "whole")
         rmtree(folder / "whole")
-        return lambda place: _judge_session(place, whole)
+        return lambda copy: _check_session(copy, whole)
 
     weights = _model(folder / "model")
 
-    def judge_model(place: Path) -> str:
+    def check_model(copy: Path) -> str:
         try:
-            found = _model(place)
+            found = _model(copy)
         except SlipflowError:
             return REFUSED
         return RIGHT if found == weights else WRONG
 
-    killed, closed, unlisted = judge("killed"), judge("closed"), judge("unlisted")
+    killed, closed, unlisted = checker("killed"), checker("closed"), checker("unlisted")
     return [
         ("killed", "journal/*.wal", killed),
         ("killed", "session.json", killed),
@@ -93,24 +93,24 @@ def _targets(folder: Path) -> list[tuple[str, str, Callable[[Path], str]]]:
         ("closed", "MANIFEST.json", closed),
         ("closed", "session.json", closed),
         ("unlisted", "**/*.parquet", unlisted),
-        ("model", "*.safetensors", judge_model),
-        ("model", "*.json", judge_model),
+        ("model", "*.safetensors", check_model),
+        ("model", "*.json", check_model),
     ]
 
 
-def _flip(random: np.random.Generator, place: Path, pattern: str) -> tuple[str, int]:
-    paths = sorted(place.glob(pattern))
+def _flip(random: np.random.Generator, copy: Path, pattern: str) -> tuple[str, int]:
+    paths = sorted(copy.glob(pattern))
     path = paths[random.integers(len(paths))]
     data = bytearray(path.read_bytes())
     bit = int(random.integers(8 * len(data)))
     data[bit // 8] ^= 1 << bit % 8
     path.write_bytes(data)
-    return path.relative_to(place).as_posix(), bit
+    return path.relative_to(copy).as_posix(), bit
 
 
-def _judge_session(place: Path, whole: Contents) -> str:
+def _check_session(copy: Path, whole: Contents) -> str:
     try:
-        found = read(place)
+        found = read(copy)
     except SlipflowError:
         return REFUSED
     if found.same(whole):
@@ -118,8 +118,8 @@ def _judge_session(place: Path, whole: Contents) -> str:
     return FEWER if found.lost and found.first_of(whole) else WRONG
 
 
-def _model(folder: Path) -> Any:  # noqa: ANN401 - it is only compared
-    """All that is read of a model."""
+def _model(folder: Path) -> Any:  # noqa: ANN401 - only compared
+    """Return all that is read from a model."""
     path = folder / f"{MODEL}.safetensors"
     load_detector(path)
     weights, about = load_weights(path)

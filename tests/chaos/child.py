@@ -1,4 +1,4 @@
-"""A process that is started, killed and stopped, and what it says."""
+"""Python process that a test starts, kills and stops, and its output."""
 
 import os
 import re
@@ -11,55 +11,56 @@ from pathlib import Path
 from threading import Condition, Lock, Thread
 from typing import Final
 
-PATIENCE: Final = 60.0  # s, for anything that a process must do
-PAUSE: Final = 0.1  # s, before what ended by itself is started again
+PATIENCE: Final = 60.0  # s, for anything that a process is expected to do
+PAUSE: Final = 0.1  # s, before a process that ended by itself is started again
 ROOT: Final = Path(__file__).parents[2]
 SLIPFLOW: Final = ("-m", "flows.cli")
 
 
 class Child:
-    """A Python process, over all its lives; its lines are read as they come.
+    """Python process whose output is read in a thread, and kept over restarts.
 
-    When it ends by itself, since there was no broker, say, it is started again, as a supervisor does.
+    If the process ends by itself, for example because there is no broker, it is started again, as a
+    supervisor does.
     """
 
     def __init__(self, folder: Path, *arguments: str) -> None:
-        """Get ready to start Python with `arguments`; what it complains of goes to a file in `folder`."""
+        """Prepare to run Python with `arguments`; its stderr goes to a file in `folder`."""
         self._command = [sys.executable, *arguments]
         self._folder = folder
         self._process: subprocess.Popen[bytes] | None = None
         self._reader: Thread | None = None
-        self._changing = Lock()  # held while it is started or stopped
+        self._changing = Lock()  # held while the process is started or stopped
         self.lines = list[str]()
         self._news = Condition()
 
     def start(self) -> None:
-        """Start it."""
+        """Start the process."""
         with self._changing:
             self._process = self._begin()
 
     def send(self, number: signal.Signals) -> None:
-        """Send it a signal."""
+        """Send a signal to the process."""
         assert self._process
         self._process.send_signal(number)
 
     def kill(self) -> None:
-        """Kill it; all that it said has been read then."""
+        """Kill the process and read the rest of its output."""
         self._stop(signal.SIGKILL)
 
     def end(self) -> None:
-        """Ask it to end, and wait until it has.
+        """Send SIGTERM and wait until the process ends.
 
         Raises:
-            subprocess.TimeoutExpired: if it does not.
+            subprocess.TimeoutExpired: if it does not end.
         """
         self._stop(signal.SIGTERM)
 
     def _begin(self) -> subprocess.Popen[bytes]:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(self._folder / "state")}
-        with (self._folder / "complaints").open("ab") as complaints:
+        with (self._folder / "stderr").open("ab") as stderr:
             process = subprocess.Popen(
-                self._command, stdout=subprocess.PIPE, stderr=complaints, env=environment, cwd=ROOT
+                self._command, stdout=subprocess.PIPE, stderr=stderr, env=environment, cwd=ROOT
             )
         self._reader = Thread(target=self._read, args=(process,), daemon=True)
         self._reader.start()
@@ -74,16 +75,16 @@ class Child:
             reader.join()
 
     def wait_for(self, condition: Callable[[], bool]) -> bool:
-        """Wait until something holds that changes with what it says; False if it does not within 60 s."""
+        """Wait until a condition that depends on the output holds; return False after 60 s."""
         with self._news:
             return self._news.wait_for(condition, PATIENCE)
 
-    def said(self, word: str) -> list[str]:
-        """The rest of each line that begins with a word."""
-        return [line.partition(" ")[2] for line in self.lines.copy() if line.startswith(f"{word} ")]
+    def lines_with(self, keyword: str) -> list[str]:
+        """Return the rest of each line that begins with a keyword."""
+        return [line.partition(" ")[2] for line in self.lines.copy() if line.startswith(f"{keyword} ")]
 
     def memory(self) -> float:
-        """What it holds in memory, MB."""
+        """Return the resident memory of the process, MB."""
         assert self._process
         return memory(self._process.pid)
 
@@ -91,7 +92,7 @@ class Child:
         assert process.stdout
         with process.stdout as lines:
             for line in lines:
-                if line.endswith(b"\n"):  # else a kill cut it
+                if line.endswith(b"\n"):  # else the kill cut the line
                     with self._news:
                         self.lines.append(line.decode().rstrip())
                         self._news.notify_all()
@@ -103,13 +104,13 @@ class Child:
 
 
 def memory(process: int) -> float:
-    """What a process holds in memory, MB."""
+    """Return the resident memory of a process, MB."""
     [size] = re.findall(r"VmRSS:\s+(\d+) kB", Path(f"/proc/{process}/status").read_text())
     return int(size) / 1000
 
 
 def until(condition: Callable[[], bool], *, pause: float = 0.02) -> bool:
-    """Look every `pause` s until something holds; False if it does not within 60 s."""
+    """Check a condition every `pause` s until it holds; return False after 60 s."""
     deadline = time.monotonic() + PATIENCE
     while not condition():
         if time.monotonic() > deadline:

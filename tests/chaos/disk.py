@@ -1,4 +1,4 @@
-"""The disk is full for a while: recording stops cleanly, nothing else does, and it goes on by itself."""
+"""Full disk: only the recording stops, and it continues by itself when there is room."""
 
 import json
 import subprocess
@@ -20,65 +20,74 @@ from tests.chaos.promise import Promise
 from tests.chaos.scale import Scale
 
 SIZE = "1m"
-CALLED = {"tmpfs": "a tmpfs of 1 MiB", "limit": "no file may grow: no tmpfs could be mounted"}
-OTHERS = "ParquetWriter took 12,200 rows, 0 readable"
+DISKS = {"tmpfs": "a tmpfs of 1 MiB", "limit": "files may not grow; no tmpfs could be mounted"}
+OTHERS = "ParquetWriter: 12,200 rows accepted, 0 readable"
 
 
 @dataclass(frozen=True)
 class Kept:
-    """What can be read of the recording."""
+    """Rows that can be read from the recording."""
 
     rows: int  # of touch, motion and samples
-    wrong: int  # rows of touch and motion that are not as they were given
-    newest: int  # number of the newest touch
-    code: int  # of verify
+    wrong: int  # rows of touch and motion that differ from those produced
+    newest: int  # number of the newest row of touch
+    code: int  # exit code of verify
 
 
 def full_for_a_while(scale: Scale) -> Promise:
-    """The disk is full, then there is room again."""
+    """Fill the disk, then free it."""
     full, room = (1.0, 1.5) if scale.short else (5.0, 5.0)
     with _small_disk() as (folder, how):
-        told = _run(folder, how, full, room)
-        kept = _look(folder)
-    during, after = (told[each][fill.NAME]["error"] for each in ("health", "after"))
-    again = (
-        "works again" if after is None and kept.newest + 1 == told["given"]["touch"] else "NEVER works again"
+        report = _run(folder, how, full, room)
+        found = _read(folder)
+    during, after = (report[each][fill.NAME]["error"] for each in ("health", "after"))
+    recovery = (
+        "then recovery"
+        if after is None and found.newest + 1 == report["produced"]["touch"]
+        else "NO recovery"
     )
     return _promise(
-        f"disk full for {full:g} s ({CALLED[how]}), then room",
-        told,
-        kept,
-        f"health says {(during or 'nothing').rpartition(': ')[2]!r}, {again}",
-        kept_too=during is not None and again == "works again",
+        f"disk full for {full:g} s ({DISKS[how]}), then free again",
+        report,
+        found,
+        f"health reports {(during or 'nothing').rpartition(': ')[2]!r}, {recovery}",
+        also=during is not None and recovery == "then recovery",
     )
 
 
 def full_until_the_end(scale: Scale) -> Promise:
-    """The disk is full, and so the run ends; then there is room to recover it."""
+    """Fill the disk until the run has ended, then free it and recover the session."""
     full = 1.0 if scale.short else 5.0
     with _small_disk() as (folder, how):
-        told = _run(folder, how, full, 0)
-        kept = _look(folder)
-    error = told["sink"][fill.NAME]["error"]
+        report = _run(folder, how, full, 0)
+        found = _read(folder)
+    error = report["sink"][fill.NAME]["error"]
     return _promise(
-        f"disk full until the end ({CALLED[how]}), then recovered",
-        told,
-        kept,
-        f"it ends with {error.rpartition(': ')[2]!r}",
-        kept_too=bool(error),
+        f"disk full until the end ({DISKS[how]}), then `recover`",
+        report,
+        found,
+        f"the run ends with {error.rpartition(': ')[2]!r}",
+        also=bool(error),
     )
 
 
-def _promise(claim: str, told: Any, kept: Kept, seen: str, *, kept_too: bool) -> Promise:  # noqa: ANN401 - JSON
-    felt, alerts, dropped = told["given"]["touch"], told["alerts"], told["sink"][fill.NAME]["dropped"]
-    lost = felt + told["given"]["motion"] + felt - kept.rows - dropped  # each touch makes a sample
+def _promise(claim: str, report: Any, found: Kept, observed: str, *, also: bool) -> Promise:  # noqa: ANN401 - JSON
+    touch_rows, alerts, dropped = (
+        report["produced"]["touch"],
+        report["alerts"],
+        report["sink"][fill.NAME]["dropped"],
+    )
+    lost = (
+        touch_rows + report["produced"]["motion"] + touch_rows - found.rows - dropped
+    )  # one sample for each row of touch
     return Promise(
         claim,
-        f"{seen}; {alerts} of {felt} alerts, {told['during']} of them meanwhile; {kept.rows} rows readable,"
-        f" {kept.wrong} wrong, {dropped} counted as dropped, {lost} neither; verify {kept.code}",
-        f"health says so; each alert; 0 wrong, 0 neither; verify {LOSSY}",
-        kept=kept_too and alerts == felt and told["during"] > 0 and dropped > 0
-        and not lost and not kept.wrong and kept.code == LOSSY,
+        f"{observed}; {alerts} of {touch_rows} alerts, {report['during']} of them while the disk was full;"
+        f" {found.rows} rows readable, {found.wrong} wrong, {dropped} counted as dropped,"
+        f" {lost} unaccounted for; `verify` exits with {found.code}",
+        f"reported in health; all alerts; 0 wrong, 0 unaccounted for; `verify` exits with {LOSSY}",
+        passed=also and alerts == touch_rows and report["during"] > 0 and dropped > 0
+        and not lost and not found.wrong and found.code == LOSSY,
         others=OTHERS,
     )  # fmt: skip
 
@@ -87,15 +96,18 @@ def _run(folder: Path, how: str, full: float, room: float) -> Any:  # noqa: ANN4
     return json.loads(finish(start("fill", folder, how, f"{full}", f"{room}"), full + room))
 
 
-def _look(folder: Path) -> Kept:
-    """Read the session, which is put right first where it was not closed."""
+def _read(folder: Path) -> Kept:
+    """Read the session, which is recovered first if it was not closed."""
     session = Session.open(folder / "data" / "sessions" / fill.SESSION)
-    felt = concat(Touch, list(session.read(Touch, 0)))
-    moved = concat(Motion, list(session.read(Motion, EVERY)))
-    numbers = np.rint((felt.time - felt.time[0]) * fill.RATE / s).astype(np.int64)
-    right = alike(felt, touch(numbers, felt.time)), alike(moved, motion(moved.device_time, moved.time))
-    rising = [bool((np.diff(each) > 0).all()) for each in (numbers, moved.device_time)]
-    rows = len(felt), len(moved)
+    touch_rows = concat(Touch, list(session.read(Touch, 0)))
+    motion_rows = concat(Motion, list(session.read(Motion, EVERY)))
+    numbers = np.rint((touch_rows.time - touch_rows.time[0]) * fill.RATE / s).astype(np.int64)
+    right = (
+        alike(touch_rows, touch(numbers, touch_rows.time)),
+        alike(motion_rows, motion(motion_rows.device_time, motion_rows.time)),
+    )
+    rising = [bool((np.diff(each) > 0).all()) for each in (numbers, motion_rows.device_time)]
+    rows = len(touch_rows), len(motion_rows)
     wrong = sum(size for size, good, up in zip(rows, right, rising, strict=True) if not (good and up))
     samples = len(session.frame("samples"))
     return Kept(sum(rows) + samples, wrong, int(numbers[-1]), verify(session.folder).code)
@@ -103,7 +115,7 @@ def _look(folder: Path) -> Kept:
 
 @contextmanager
 def _small_disk() -> Generator[tuple[Path, str]]:
-    """A folder on a file system of 1 MiB where one may be mounted; and how it is to be filled."""
+    """Yield a folder, on a file system of 1 MiB if one can be mounted, and the way to fill it."""
     with scratch() as folder:
         command = ["mount", "-t", "tmpfs", "-o", f"size={SIZE}", "tmpfs", str(folder)]
         try:

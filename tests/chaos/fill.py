@@ -1,10 +1,10 @@
-"""A recorder whose disk is full for a while, in a process of its own.
+"""Recorder whose disk is full for some time, as a process.
 
     python -m tests.chaos.fill FOLDER HOW FULL ROOM
 
-FOLDER lies on a small file system of its own (HOW is ``tmpfs``), or no file may grow any more while the disk
-is "full" (HOW is ``limit``). It is full for FULL seconds, then has room for ROOM seconds; with ROOM 0 it is
-still full when the run ends. Prints a JSON object.
+FOLDER is on a small file system (HOW is ``tmpfs``), or files may not grow while the disk is "full" (HOW is
+``limit``). The disk is full for FULL seconds, then free for ROOM seconds; if ROOM is 0, it is still full when
+the run ends. Prints a JSON object.
 """
 
 import asyncio
@@ -23,25 +23,25 @@ from flows.graph.testing import TestSink
 from flows.run.live_runner import LiveRunner
 from operators import EVERY, Align, Label, Motion, Slips, Touch, Zero, ms
 from storage import Dataset
-from tests.chaos.devices import Turning
+from tests.chaos.devices import Alternating
 from tests.chaos.numbered import Numbered, motion, touch
 
 RATE = 400.0  # rows/s of touch
-QUEUE = 200  # batches that wait for the recorder
+QUEUE = 200  # batches in the queue of the recorder
 BEFORE = 0.7  # s
 SESSION = "full"
 FILLER = "filler"
-NAME = "datasetoffew"  # of the recorder, as health calls it
+NAME = "datasetoffew"  # of the recorder in health
 
 
 class DatasetOfFew(Dataset):
-    """Few batches may wait for it, so that there is something to drop."""
+    """Dataset with a short queue, so that rows are dropped."""
 
     capacity = QUEUE
 
 
 def fill(folder: Path, how: str) -> None:
-    """Leave no room for another byte."""
+    """Fill the disk to the last byte."""
     if how == "limit":
         resource.setrlimit(resource.RLIMIT_FSIZE, (1, resource.RLIM_INFINITY))
         return
@@ -52,8 +52,8 @@ def fill(folder: Path, how: str) -> None:
                     pass
 
 
-def make_room(folder: Path, how: str) -> None:
-    """As there was before."""
+def free(folder: Path, how: str) -> None:
+    """Undo `fill`."""
     if how == "limit":
         resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
     else:
@@ -61,21 +61,21 @@ def make_room(folder: Path, how: str) -> None:
 
 
 async def main(folder: Path, how: str, full: float, room: float) -> object:
-    """Record; say what was given and what became of it."""
-    given = {"touch": 0, "motion": 0}
+    """Record, and return the rows produced and their fate."""
+    produced = {"touch": 0, "motion": 0}
 
     def count(name: str) -> Callable[[int], None]:
-        return lambda rows: given.update({name: rows})
+        return lambda rows: produced.update({name: rows})
 
     flow, alerts = Flow("full"), TestSink()
     recorder = DatasetOfFew(folder / "data", part_span=300 * ms)
-    touched = flow.source(Numbered(Touch, touch, RATE, count("touch")), "touch")
-    moved = flow.source(Numbered(Motion, motion, RATE, count("motion"), (EVERY,)), "motion")
-    zeroed = touched | Zero(500)
-    touched.to(recorder)
-    moved.to(recorder)
-    (zeroed & moved | Align(within=20 * ms) | Label(speed=0.003)).to(recorder)
-    (zeroed | Turning()).to(alerts)
+    touch_stream = flow.source(Numbered(Touch, touch, RATE, count("touch")), "touch")
+    motion_stream = flow.source(Numbered(Motion, motion, RATE, count("motion"), (EVERY,)), "motion")
+    zeroed = touch_stream | Zero(500)
+    touch_stream.to(recorder)
+    motion_stream.to(recorder)
+    (zeroed & motion_stream | Align(within=20 * ms) | Label(speed=0.003)).to(recorder)
+    (zeroed | Alternating()).to(alerts)
     runner = LiveRunner(flow, SESSION)
     reports = HealthReports(runner.run)
     running = asyncio.create_task(runner.execute())
@@ -85,15 +85,15 @@ async def main(folder: Path, how: str, full: float, room: float) -> object:
     await asyncio.sleep(full)
     during, health = len(alerts.written) - before, reports.next()
     if room:
-        make_room(folder, how)
+        free(folder, how)
         await asyncio.sleep(room)
     after = reports.next()
     runner.stop()
     run = await running
     if not room:
-        make_room(folder, how)
+        free(folder, how)
     return {
-        "given": given,
+        "produced": produced,
         "alerts": len(alerts.rows(Slips, 0)),
         "during": during,
         "health": health["sinks"],
@@ -104,5 +104,5 @@ async def main(folder: Path, how: str, full: float, room: float) -> object:
 
 if __name__ == "__main__":
     place, method, *seconds = sys.argv[1:]
-    told = asyncio.run(main(Path(place), method, *map(float, seconds)))
-    os.write(1, json.dumps(told).encode())
+    report = asyncio.run(main(Path(place), method, *map(float, seconds)))
+    os.write(1, json.dumps(report).encode())

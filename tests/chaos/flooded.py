@@ -1,10 +1,10 @@
-"""A live flow that a fingertip floods with rows, in a process of its own.
+"""Live flow whose source floods it with rows, as a process.
 
     python -m tests.chaos.flooded FOLDER RATE FLOOD AFTER
 
-RATE rows a second for FLOOD seconds, each a batch of its own, then 100 a second for AFTER seconds. What
-the device cannot hand over it buffers for up to a second, as drivers do; what is older is lost in it, and
-counted. Prints a JSON object.
+The source produces RATE rows per second for FLOOD seconds, one per batch, then 100 per second for AFTER
+seconds. It buffers rows for up to a second, as drivers do; older rows are lost and counted. Prints a JSON
+object.
 """
 
 import asyncio
@@ -25,32 +25,32 @@ from tests.chaos.child import memory
 from tests.chaos.numbered import touch
 
 USUAL = 100.0  # rows/s
-BUFFER = s  # ns, of the device
+BUFFER = s  # ns, time that the device buffers
 SESSION = "flooded"
-LOOK = 0.05  # s
+INTERVAL = 0.05  # s
 
 
 class Flooding(Source[Touch]):
-    """Gives many rows a second for a while, then as many as usual."""
+    """Source with a high rate for `flood` seconds, then the usual one."""
 
     def __init__(self, rate: float, flood: float) -> None:
         self._rate, self._flood = rate, flood
-        self.given = self.overrun = 0
+        self.produced = self.overrun = 0
         self.began = asyncio.Event()
-        self.ended = 0  # ns, when the flood was over
+        self.ended = 0  # ns, end of the flood
 
     @property
     def kind(self) -> type[Touch]:
-        """Touch."""
+        """Type of the batches."""
         return Touch
 
     @property
     def fingers(self) -> tuple[int, ...]:
-        """One fingertip."""
+        """The fingertip."""
         return (0,)
 
     async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
-        """For ever."""
+        """Yield rows without end."""
         origin = clock.now()
         count = round(self._rate * self._flood)
         self.ended = origin + round(self._flood * s)
@@ -65,20 +65,23 @@ class Flooding(Source[Touch]):
             if clock.now() - due > BUFFER:
                 self.overrun += 1
             else:
-                yield touch(np.array([self.given]), np.array([due]))
-                self.given += 1
+                yield touch(np.array([self.produced]), np.array([due]))
+                self.produced += 1
             number += 1
 
 
 async def main(folder: Path, rate: float, flood: float, after: float) -> object:
-    """Run; say what happened."""
+    """Run, and return the figures."""
     source, flow = Flooding(rate, flood), Flow("flooded")
-    felt = flow.source(source, "touch")
+    touch_stream = flow.source(source, "touch")
     slips = (
-        felt | Zero(500) | Score(load_detector("tcn")) | Debounce(threshold=0.5, consecutive=2, release=10)
+        touch_stream
+        | Zero(500)
+        | Score(load_detector("tcn"))
+        | Debounce(threshold=0.5, consecutive=2, release=10)
     )
     dataset = Dataset(folder)
-    felt.to(dataset)
+    touch_stream.to(dataset)
     slips.to(dataset)
     runner = LiveRunner(flow, SESSION)
     running = asyncio.create_task(runner.execute())
@@ -88,11 +91,11 @@ async def main(folder: Path, rate: float, flood: float, after: float) -> object:
     while (now := runner.clock.now()) < source.ended + round(after * s):
         sizes.append(memory(os.getpid()))
         lags.append(((now - source.ended) / s, (now - status.newest) / s))
-        await asyncio.sleep(LOOK)
+        await asyncio.sleep(INTERVAL)
     runner.stop()
     run = await running
     return {
-        "given": source.given,
+        "produced": source.produced,
         "overrun": source.overrun,
         "start": start,
         "most": max(sizes),
@@ -104,5 +107,5 @@ async def main(folder: Path, rate: float, flood: float, after: float) -> object:
 
 if __name__ == "__main__":
     place, *numbers = sys.argv[1:]
-    told = asyncio.run(main(Path(place), *map(float, numbers)))
-    os.write(1, json.dumps(told).encode())
+    report = asyncio.run(main(Path(place), *map(float, numbers)))
+    os.write(1, json.dumps(report).encode())

@@ -1,9 +1,9 @@
-"""A consumer in a process of its own, which keeps what it was given.
+"""Consumer that stores its events, as a process.
 
     python -m tests.chaos.follow URL POSITION LIST
 
-Each event is a line of LIST, which no kill can take back, before the next is taken: its time, its identifier,
-and when it came (ns).
+Before it takes the next event, it appends a line to LIST, which survives a kill: time of the event (ns),
+identifier, and time of arrival (ns).
 """
 
 import asyncio
@@ -16,32 +16,34 @@ from typing import NamedTuple
 from connectors import Consumer
 
 
-class Had(NamedTuple):
-    """A line of the list."""
+class Delivery(NamedTuple):
+    """Line of the list."""
 
     time: int  # ns
     identifier: str
-    came: int  # ns
+    arrival: int  # ns
 
 
-def read(path: Path) -> list[Had]:
-    """What was kept so far, in the order in which it came."""
+def read(path: Path) -> list[Delivery]:
+    """Return the stored events in order of arrival."""
     if not path.exists():
         return []
-    *lines, _ = path.read_text().split("\n")  # the last one is empty, or not whole
-    return [Had(int(first), identifier, int(came)) for first, identifier, came in map(str.split, lines)]
+    *lines, _ = path.read_text().split("\n")  # the last one is empty or incomplete
+    return [
+        Delivery(int(first), identifier, int(arrival)) for first, identifier, arrival in map(str.split, lines)
+    ]
 
 
-def say(line: object) -> None:
-    """Print a line at once."""
-    print(line, flush=True)  # noqa: T201 - that is its job
+def print_line(line: object) -> None:
+    """Print a line and flush it."""
+    print(line, flush=True)  # noqa: T201
 
 
 async def main(url: str, position: str, kept: str) -> None:
-    """Follow for ever."""
+    """Store events until killed."""
     file = os.open(kept, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
-    async with Consumer(url, since="start", position_file=position, report=say) as events:
-        say("ready")
+    async with Consumer(url, since="start", position_file=position, report=print_line) as events:
+        print_line("ready")
         async for event in events:
             os.write(file, f"{event.time} {event.identifier} {time.time_ns()}\n".encode())
 

@@ -1,4 +1,4 @@
-"""A rig as it is often written: paho as it comes, three messages for each sample.
+"""Naive publisher: paho with its defaults, three messages for each sample.
 
 python -m tests.chaos.naive PORT
 """
@@ -15,7 +15,7 @@ TOPIC = "slip/v1/chaos/rig/0"
 
 
 def main(port: int) -> None:
-    """Publish for ever."""
+    """Publish until killed."""
     client = Client(CallbackAPIVersion.VERSION2)
     client.connect("127.0.0.1", port)
     client.loop_start()

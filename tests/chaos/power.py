@@ -1,4 +1,4 @@
-"""What a power cut may leave of a folder: what was made durable, and any of what came after that."""
+"""Images of a folder after a power cut: durable content, and any part of later changes."""
 
 import os
 from collections.abc import Callable, Generator
@@ -15,11 +15,11 @@ Tail = Literal["cut", "zeros", "garbage"]
 
 @dataclass
 class Disk:
-    """Watches a folder while it is `watched`.
+    """Folder whose fsyncs are recorded while it is `watched`.
 
-    A file is durable as it was at its last fsync, a name as at the last fsync of its folder. After a power
-    cut each may be so, or as it was at the end, in any mixture; of the bytes after the durable ones of a file
-    some may be there, then nothing, zeros or garbage. That is more than file systems are known to do.
+    A file is durable as of its last fsync, a name as of the last fsync of its folder. After a power cut each
+    is as it was then or as it was at the end, in any mixture. Of the bytes after the durable ones a file has
+    some, then nothing, zeros or garbage. File systems are not known to do more.
     """
 
     folder: Path
@@ -27,11 +27,11 @@ class Disk:
     _names: dict[Path, dict[str, int]] = field(
         default_factory=dict[Path, dict[str, int]]
     )  # inodes, by folder
-    _held: list[int] = field(default_factory=list[int])  # descriptors, so that no inode is used again
+    _held: list[int] = field(default_factory=list[int])  # open descriptors, so that no inode number is reused
 
     @contextmanager
     def watched(self) -> Generator[None]:
-        """See what is made durable."""
+        """Record each fsync."""
         fsync = os.fsync
 
         def seen(number: int) -> None:
@@ -45,15 +45,15 @@ class Disk:
             for number in self._held:
                 os.close(number)
 
-    def image(self, place: Path, now: Callable[[], bool], cut: Callable[[bytes], bytes]) -> None:
-        """Make a folder as a power cut may leave it.
+    def image(self, target: Path, keep_present: Callable[[], bool], cut: Callable[[bytes], bytes]) -> None:
+        """Create a folder as a power cut may leave it.
 
         Args:
-            place: Where; it may not exist.
-            now: Asked for each name that is not durable: whether it is as it is now.
-            cut: Gives what is left of the bytes that are not durable.
+            target: Path of the image, which must not exist.
+            keep_present: Called for each name that is not durable; returns True to keep its present state.
+            cut: Returns what is left of bytes that are not durable.
         """
-        self._copy(self.folder, place, now, cut)
+        self._copy(self.folder, target, keep_present, cut)
 
     def _note(self, number: int) -> None:
         path = Path(f"/proc/self/fd/{number}").readlink()
@@ -68,26 +68,26 @@ class Disk:
             self._bytes[inode] = path.read_bytes()
 
     def _copy(
-        self, folder: Path, place: Path, now: Callable[[], bool], cut: Callable[[bytes], bytes]
+        self, folder: Path, target: Path, keep_present: Callable[[], bool], cut: Callable[[bytes], bytes]
     ) -> None:
-        place.mkdir()
+        target.mkdir()
         durable, present = self._names.get(folder, {}), _listed(folder)
         for name in sorted(durable.keys() | present.keys()):
-            chosen = present if durable.get(name) == present.get(name) or now() else durable
+            chosen = present if durable.get(name) == present.get(name) or keep_present() else durable
             inode = chosen.get(name)
             if inode is None:
                 continue
             if (folder / name).is_dir():
-                self._copy(folder / name, place / name, now, cut)
+                self._copy(folder / name, target / name, keep_present, cut)
                 continue
             kept = self._bytes.get(inode, b"")
             whole = (folder / name).read_bytes() if present.get(name) == inode else kept
             assert whole.startswith(kept), "files only grow"
-            (place / name).write_bytes(kept + cut(whole[len(kept) :]))
+            (target / name).write_bytes(kept + cut(whole[len(kept) :]))
 
 
 def end(rest: bytes, at: int, tail: Tail, random: np.random.Generator) -> bytes:
-    """What is left of bytes: the first `at`, if there are more, then nothing, zeros or garbage."""
+    """Return what is left of bytes: the first `at`, then nothing, zeros or garbage."""
     size = max(0, len(rest) - at)
     return rest[:at] + {"cut": b"", "zeros": bytes(size), "garbage": random.bytes(size)}[tail]
 

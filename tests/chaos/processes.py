@@ -1,4 +1,4 @@
-"""Processes that are started to be killed, or to say what they found, and folders for what they leave."""
+"""Child processes of tests, and temporary folders."""
 
 import os
 import signal
@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 from tests.chaos.child import PATIENCE, ROOT
 
-MEMORY = Path("/dev/shm")  # noqa: S108 - a folder of a name of its own is made there
+MEMORY = Path("/dev/shm")  # noqa: S108 - only the parent of temporary folders
 
 
 def start(name: str, *arguments: str | Path) -> subprocess.Popen[str]:
@@ -29,35 +29,35 @@ def start_script(*arguments: str | Path) -> subprocess.Popen[str]:
 
 
 def kill(child: subprocess.Popen[str]) -> None:
-    """SIGKILL.
+    """Kill a process with SIGKILL.
 
     Raises:
-        RuntimeError: with what it said, if it had ended by itself.
+        RuntimeError: with its stderr, if it had ended by itself.
     """
     child.kill()
-    _, said = child.communicate()
+    _, stderr = child.communicate()
     if child.returncode != -signal.SIGKILL:
-        raise RuntimeError(f"{child.args!r} ended with {child.returncode}: {said}")
+        raise RuntimeError(f"{child.args!r} ended with {child.returncode}: {stderr}")
 
 
 def finish(child: subprocess.Popen[str], seconds: float = 0) -> str:
-    """What a child printed until its end, which should come in so many seconds.
+    """Wait for the end of a process, due in `seconds`, and return its stdout.
 
     Raises:
-        RuntimeError: with what it said, if it failed.
+        RuntimeError: with its stderr, if it failed.
     """
     try:
-        printed, said = child.communicate(timeout=seconds + PATIENCE)
+        stdout, stderr = child.communicate(timeout=seconds + PATIENCE)
     finally:
         child.kill()
     if child.returncode:
-        raise RuntimeError(f"{child.args!r} ended with {child.returncode}: {said}")
-    return printed
+        raise RuntimeError(f"{child.args!r} ended with {child.returncode}: {stderr}")
+    return stdout
 
 
 @contextmanager
 def scratch(*, memory: bool = False) -> Generator[Path]:
-    """A folder for a while; `memory`: where a file is durable at once, if there is such a place."""
-    place = MEMORY if memory and MEMORY.is_dir() else None
-    with TemporaryDirectory(dir=place, prefix="chaos-") as folder:
+    """Yield a temporary folder; with `memory` in a file system in memory, if there is one."""
+    parent = MEMORY if memory and MEMORY.is_dir() else None
+    with TemporaryDirectory(dir=parent, prefix="chaos-") as folder:
         yield Path(folder)

@@ -1,4 +1,4 @@
-"""What is promised, and whether it was kept: the rows of one table."""
+"""Results of the tests of promises, as a table."""
 
 import os
 import platform
@@ -10,25 +10,26 @@ from tests.benchmarks.machine import commit
 
 @dataclass(frozen=True)
 class Promise:
-    """One promise, put to the test."""
+    """Test of one promise."""
 
-    claim: str  # what was done, and what must hold
-    result: str  # what was seen
-    bound: str  # what it had to be
-    kept: bool
-    others: str = ""  # what the tools that people trust do, measured once
+    claim: str  # what was done
+    result: str  # what happened
+    bound: str  # what is promised
+    passed: bool
+    others: str = ""  # results of other tools, measured once
 
 
 def table(promises: Iterable[Promise]) -> str:
-    """All of them, for a person to read.
+    """Return a table as text.
 
-    >>> print(table([Promise("SIGKILL x3", "0 lost", "0 lost", kept=True, others="MCAP 418")]))
-    claim       result  bound   others    kept
+    >>> print(table([Promise("SIGKILL x3", "0 lost", "0 lost", passed=True, others="MCAP 418")]))
+    test        result  bound   others    passed
     SIGKILL x3  0 lost  0 lost  MCAP 418  yes
     """
-    rows = [("claim", "result", "bound", "others", "kept")]
+    rows = [("test", "result", "bound", "others", "passed")]
     rows += [
-        (each.claim, each.result, each.bound, each.others, "yes" if each.kept else "NO") for each in promises
+        (each.claim, each.result, each.bound, each.others, "yes" if each.passed else "NO")
+        for each in promises
     ]
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return "\n".join(
@@ -37,6 +38,6 @@ def table(promises: Iterable[Promise]) -> str:
 
 
 def machine(seed: int) -> str:
-    """Where it was measured."""
+    """Return commit, seed and machine."""
     cores = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
     return f"seed {seed}, commit {commit()}\n{cores}"

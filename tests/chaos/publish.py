@@ -1,9 +1,9 @@
-"""A rig in a process of its own: a live flow that publishes an event for every touch sample.
+"""Live flow that publishes an event for each touch sample, as a process.
 
     python -m tests.chaos.publish URL OUTBOX [--rate HZ] [--record FOLDER] [--score]
 
-Prints a line ``event TIME`` for each event once it may not be lost any more, and ``status JSON`` twice a
-second and at the end: how sources and sinks do. Runs until SIGTERM.
+Prints a line ``event TIME`` for each event that must not be lost from then on, and a line ``status JSON``
+with the state of sources and sinks twice per second and at the end. Runs until SIGTERM.
 """
 
 import argparse
@@ -18,21 +18,21 @@ from flows.graph import Flow
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Align, Clocks, Faults, Label, Run, Scores, Sink, Slips, Zero, ms
-from tests.chaos.devices import Arm, Fingertip, Turning
+from tests.chaos.devices import Alternating, Arm, Fingertip
 
 SITE, RIG = "chaos", "rig"
 STATUS_EVERY = 0.5  # s
 
 
-class Telling(Mqtt):
-    """Says which events may not be lost any more."""
+class ReportingMqtt(Mqtt):
+    """Event sink that prints the events that it has accepted."""
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
-        """Publish, and say so."""
+        """Publish a batch and print its events."""
         await super().write(batch)
         if isinstance(batch, Slips):
             for each in batch.time.tolist():
-                say(f"event {each}")
+                print_line(f"event {each}")
 
 
 class Discard(Sink[Scores]):
@@ -54,19 +54,19 @@ class Discard(Sink[Scores]):
         """Close nothing."""
 
 
-def say(line: str) -> None:
-    """Print a line, which no kill can take back."""
+def print_line(line: str) -> None:
+    """Print a line, which survives a kill."""
     os.write(1, f"{line}\n".encode())
 
 
-def declared(options: argparse.Namespace) -> Flow:
-    """The flow that the options ask for."""
+def declare(options: argparse.Namespace) -> Flow:
+    """Declare the flow for the options."""
     flow = Flow("chaos")
     touch = flow.source(Fingertip(options.rate), "touch")
     zeroed = touch | Zero(515)
-    slips = zeroed | Turning()
+    slips = zeroed | Alternating()
     if options.score:
-        from operators import Score  # noqa: PLC0415 - a kill should not have to wait for what is not used
+        from operators import Score  # noqa: PLC0415 - delays the start
         from storage import load_detector  # noqa: PLC0415 - as above
 
         (zeroed | Score(load_detector("tcn"))).to(Discard())
@@ -78,22 +78,22 @@ def declared(options: argparse.Namespace) -> Flow:
         motion.to(dataset)
         (zeroed & motion | Align(within=20 * ms) | Label(speed=0.003)).to(dataset)
         slips.to(dataset)
-    slips.to(Telling(options.url, SITE, RIG, outbox=options.outbox))
+    slips.to(ReportingMqtt(options.url, SITE, RIG, outbox=options.outbox))
     return flow
 
 
-def tell(run: Run) -> None:
-    """Say how sources and sinks do."""
+def print_status(run: Run) -> None:
+    """Print the state of sources and sinks."""
     sinks = {name: asdict(sink) for name, sink in run.sinks.items()}
     rows = {name: source.rows for name, source in run.sources.items()}
     offset = run.clock.host_offset if isinstance(run.clock, LoopClock) else None
-    say(f"status {json.dumps({'sources': rows, 'sinks': sinks, 'host_offset': offset})}")
+    print_line(f"status {json.dumps({'sources': rows, 'sinks': sinks, 'host_offset': offset})}")
 
 
-async def keep_telling(run: Run) -> None:
-    """Tell again and again."""
+async def print_status_regularly(run: Run) -> None:
+    """Print the state until cancelled."""
     while True:
-        tell(run)
+        print_status(run)
         await asyncio.sleep(STATUS_EVERY)
 
 
@@ -106,11 +106,11 @@ async def main() -> None:
     parser.add_argument("--record")
     parser.add_argument("--score", action="store_true")
     options = parser.parse_args()
-    runner = LiveRunner(declared(options), f"chaos-{time.time_ns()}")
-    telling = asyncio.create_task(keep_telling(runner.run))
+    runner = LiveRunner(declare(options), f"chaos-{time.time_ns()}")
+    printing = asyncio.create_task(print_status_regularly(runner.run))
     await runner.execute()
-    telling.cancel()
-    tell(runner.run)
+    printing.cancel()
+    print_status(runner.run)
 
 
 if __name__ == "__main__":

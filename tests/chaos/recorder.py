@@ -1,4 +1,4 @@
-"""A recorder is killed at any time: what is lost is a few rows, and what is left is right."""
+"""Kills of a recorder: few rows are lost, all others are correct."""
 
 import asyncio
 import time
@@ -26,80 +26,82 @@ from tests.storage import disk_steps
 from tests.storage.made import new_run
 
 BOUND = 10  # rows of a stream
-UNSURE = 60 * ms  # of the newest samples: they may know rows of the arm that were lost
+UNCERTAIN = 60 * ms  # ns; newer samples may depend on motion rows that were lost
 RATES = (100.0, 1000.0)  # rows/s
-SETTLED, SPREAD = 0.2, 2.0  # s, that a recording goes on for at least, and at most more than that
-COUNTS = 5  # numbers that a recorder counts
-OTHERS = "ParquetWriter 2,460 rows lost, 0 % back; parts of 100 rows 100, 95.8 %; MCAP 418, 91.8 %"
-KEPT = ("time", "counts", "valid", "velocity", "speed", "label")  # of a sample
+SHORTEST, SPREAD = 0.2, 2.0  # s, shortest duration of a recording, and largest addition to it
+COUNTS = 5  # counts of a recorder
+OTHERS = "ParquetWriter: 2,460 rows lost, 0 % recovered; parts of 100 rows: 100, 95.8 %; MCAP: 418, 91.8 %"
+COMPARED = ("time", "counts", "valid", "velocity", "speed", "label")  # columns of a sample
 
 
 @dataclass(frozen=True)
 class Remains:
-    """What one kill left."""
+    """Rows after one kill."""
 
-    given: Numbers  # (2,) rows of touch and motion
-    taken: Numbers  # (3,) rows of touch, motion and samples that the dataset took
-    found: Numbers  # (3,) rows that are there again
-    wrong: str  # what of them is not as it was given; empty: all is
+    produced: Numbers  # (2,) rows of touch and motion
+    accepted: Numbers  # (3,) rows of touch, motion and samples that the dataset accepted
+    found: Numbers  # (3,) recovered rows
+    wrong: str  # names of the checks that failed; empty: none
 
 
 def kills(scale: Scale) -> list[Promise]:
-    """SIGKILL at random, at the rig's rates and at ten times those."""
+    """Kill recorders at random times, at the rig's rates and at ten times those."""
     random = np.random.default_rng(scale.seed)
     waves, pairs = (1, 3) if scale.short else (50, 2)
-    left = dict[float, list[Remains | str]]((rate, []) for rate in RATES)
+    remains_by_rate = dict[float, list[Remains | str]]((rate, []) for rate in RATES)
     for _ in range(waves):
         with scratch() as folder:
             for rate, remains in _wave(random, folder, RATES * pairs):
-                left[rate].append(remains)
-    return [_judged(rate, each) for rate, each in left.items()]
+                remains_by_rate[rate].append(remains)
+    return [_evaluate(rate, each) for rate, each in remains_by_rate.items()]
 
 
 def steps(scale: Scale) -> Promise:
-    """Ended at each step of a recording on the disk."""
-    del scale  # there are no fewer steps
-    worst, whole, ends = 0, True, 0
+    """End a recording at each of its disk operations."""
+    del scale  # always all steps
+    worst, all_correct, ends = 0, True, 0
     with scratch(memory=True) as folder:
         names = disk_steps.steps_of(partial(disk_steps.record, folder / "whole", new_run(), []))
         for number in disk_steps.each_kind(names):
-            place, taken = folder / str(number), list[int]()
-            disk_steps.end_at(number, partial(disk_steps.record, place, new_run(), taken))
-            if not (place / "sessions/one/session.json").exists():
+            path, accepted = folder / str(number), list[int]()
+            disk_steps.end_at(number, partial(disk_steps.record, path, new_run(), accepted))
+            if not (path / "sessions/one/session.json").exists():
                 continue
             ends += 1
-            whole &= recover(place / "sessions/one").complete
-            session = Session.open(place)
+            all_correct &= recover(path / "sessions/one").complete
+            session = Session.open(path)
             for kind, finger in ((Touch, 0), (Motion, EVERY), (Slips, 0), (Episodes, EVERY)):
                 rows = concat(kind, list(session.read(kind, finger)))
-                whole &= rows.time.tolist() == [number * 10 * ms for number in range(len(rows))]
-                worst = max(worst, len(taken) - len(rows))
-            whole &= verify(place).code in {0, 3}
+                all_correct &= rows.time.tolist() == [number * 10 * ms for number in range(len(rows))]
+                worst = max(worst, len(accepted) - len(rows))
+            all_correct &= verify(path).code in {0, 3}
     return Promise(
         f"recorder: ended at {ends} steps on the disk, of {len(set(names))} kinds",
-        f"{worst} rows lost at worst, {'all' if whole else 'NOT all'} right",
-        f"<= {BOUND} rows, all right",
-        kept=worst <= BOUND and whole,
+        f"at most {worst} rows lost, {'all' if all_correct else 'NOT all'} others correct",
+        f"<= {BOUND} rows, all others correct",
+        passed=worst <= BOUND and all_correct,
     )
 
 
-def _judged(rate: float, left: Sequence[Remains | str]) -> Promise:
-    count, remains = len(left), [each for each in left if isinstance(each, Remains)]
-    given = np.array([each.given for each in remains])  # (n, 2)
-    taken = np.array([each.taken for each in remains])  # (n, 3)
+def _evaluate(rate: float, results: Sequence[Remains | str]) -> Promise:
+    count, remains = len(results), [each for each in results if isinstance(each, Remains)]
+    produced = np.array([each.produced for each in remains])  # (n, 2)
+    accepted = np.array([each.accepted for each in remains])  # (n, 3)
     found = np.array([each.found for each in remains])  # (n, 3)
-    lost, queued = taken - found, given - taken[:, :2]
-    right = sum(not each.wrong for each in remains)
-    back = 100 * np.minimum(found, taken).sum() / taken.sum()
+    lost, queued = accepted - found, produced - accepted[:, :2]
+    correct = sum(not each.wrong for each in remains)
+    recovered = 100 * np.minimum(found, accepted).sum() / accepted.sum()
     errors = "".join(
-        f"; {each}" for each in (*left, *(each.wrong for each in remains)) if each and isinstance(each, str)
+        f"; {each}"
+        for each in (*results, *(each.wrong for each in remains))
+        if each and isinstance(each, str)
     )
     return Promise(
-        f"recorder: SIGKILL x{count} at {rate:g} and {record.FASTER * rate:g} rows/s",
-        f"{lost.max()} of the rows taken lost at worst, {back:.1f} % back; {right} of {count} open and right;"
-        f" {queued.max()} more rows were queued{errors}",
+        f"recorder: SIGKILL x{count} at {rate:g} and {record.MOTION_FACTOR * rate:g} rows/s",
+        f"at most {lost.max()} accepted rows lost, {recovered:.1f} % recovered; {correct} of {count} sessions"
+        f" open with correct rows; at most {queued.max()} more rows lost from the queue{errors}",
         f"<= {BOUND} rows of a table, {count} of {count}",
-        kept=bool(lost.max() <= BOUND) and right == count,
+        passed=bool(lost.max() <= BOUND) and correct == count,
         others=OTHERS,
     )
 
@@ -107,69 +109,69 @@ def _judged(rate: float, left: Sequence[Remains | str]) -> Promise:
 def _wave(
     random: np.random.Generator, folder: Path, rates: Sequence[float]
 ) -> Iterator[tuple[float, Remains | str]]:
-    """Let some recorders run side by side, each up to its own end; look at what is left."""
+    """Run some recorders at the same time, kill each at its own time, and read their sessions."""
     with ExitStack() as stack:
-        places = [folder / str(number) for number in range(len(rates))]
-        counted = [folder / f"{place.name}.counts" for place in places]
-        for path in counted:
+        datasets = [folder / str(number) for number in range(len(rates))]
+        count_files = [folder / f"{dataset.name}.counts" for dataset in datasets]
+        for path in count_files:
             path.write_bytes(bytes(COUNTS * 8))
-        counts = [np.memmap(path, np.int64, "r") for path in counted]
+        counts = [np.memmap(path, np.int64, "r") for path in count_files]
         children = [
-            start("record", place, path, f"{rate:g}")
-            for place, path, rate in zip(places, counted, rates, strict=True)
+            start("record", dataset, path, f"{rate:g}")
+            for dataset, path, rate in zip(datasets, count_files, rates, strict=True)
         ]
         for child in children:
             stack.callback(child.kill)
-        _await(counts)
-        began, ends = time.monotonic(), [SETTLED + random.uniform(0, SPREAD) for _ in rates]
-        for end, child in sorted(zip(ends, children, strict=True), key=itemgetter(0)):
+        _wait_for_rows(counts)
+        began, durations = time.monotonic(), [SHORTEST + random.uniform(0, SPREAD) for _ in rates]
+        for end, child in sorted(zip(durations, children, strict=True), key=itemgetter(0)):
             time.sleep(max(0.0, began + end - time.monotonic()))
             kill(child)
-        for place, each, rate in zip(places, counts, rates, strict=True):
-            yield rate, _look(place, np.array(each), rate)
+        for dataset, each, rate in zip(datasets, counts, rates, strict=True):
+            yield rate, _read(dataset, np.array(each), rate)
 
 
-def _await(counts: Sequence[NDArray[np.int64]]) -> None:
-    """All of them take rows."""
+def _wait_for_rows(counts: Sequence[NDArray[np.int64]]) -> None:
+    """Wait until all recorders accept rows."""
     deadline = time.monotonic() + PATIENCE
-    while not all(each[record.TAKEN].all() for each in counts):
+    while not all(each[record.ACCEPTED].all() for each in counts):
         if time.monotonic() > deadline:
-            raise TimeoutError("a recorder takes no rows")
+            raise TimeoutError("a recorder accepts no rows")
         time.sleep(0.01)
 
 
-def _look(place: Path, counts: Numbers, rate: float) -> Remains | str:
+def _read(path: Path, counts: Numbers, rate: float) -> Remains | str:
     try:
-        session = Session.open(place)
-        felt = concat(Touch, list(session.read(Touch, 0)))
-        moved = concat(Motion, list(session.read(Motion, EVERY)))
+        session = Session.open(path)
+        touch_rows = concat(Touch, list(session.read(Touch, 0)))
+        motion_rows = concat(Motion, list(session.read(Motion, EVERY)))
         samples = concat(Labelled, list(session.read(Labelled, 0)))
         checks = {
-            "touch": prefix(felt, touch, rate),
-            "motion": prefix(moved, motion, record.FASTER * rate),
+            "touch": prefix(touch_rows, touch, rate),
+            "motion": prefix(motion_rows, motion, record.MOTION_FACTOR * rate),
             "samples": _derived(session, samples, rate),
-            "verify": verify(place).code in {0, 3},
+            "verify": verify(path).code in {0, 3},
         }
     except SlipflowError as error:
         return str(error)
-    found = np.array([len(felt), len(moved), len(samples)])
-    wrong = ", ".join(name for name, right in checks.items() if not right)
-    return Remains(counts[record.GIVEN], counts[record.TAKEN], found, wrong)
+    found = np.array([len(touch_rows), len(motion_rows), len(samples)])
+    wrong = ", ".join(name for name, correct in checks.items() if not correct)
+    return Remains(counts[record.PRODUCED], counts[record.ACCEPTED], found, wrong)
 
 
 def _derived(session: Session, samples: Labelled, rate: float) -> bool:
-    """Whether the recorded samples are those that the flow makes of the recorded rows."""
+    """Return True if the recorded samples equal those that the flow derives from the recorded rows."""
     sink = TestSink()
-    flow = record.declared(sink, rate, np.zeros(2, np.int64))
-    asyncio.run(ReplayRunner(flow, session, "again").execute())
-    again = sink.rows(Labelled, 0)
-    newest = min(sink.rows(Touch, 0).time[-1], sink.rows(Motion).time[-1]) - UNSURE
-    sure, made = samples[samples.time < newest], again[again.time < newest]
+    flow = record.declare(sink, rate, np.zeros(2, np.int64))
+    asyncio.run(ReplayRunner(flow, session, "derived").execute())
+    derived = sink.rows(Labelled, 0)
+    newest = min(sink.rows(Touch, 0).time[-1], sink.rows(Motion).time[-1]) - UNCERTAIN
+    certain, expected = samples[samples.time < newest], derived[derived.time < newest]
     same = all(
-        getattr(sure, name).tobytes() == getattr(made[: len(sure)], name).tobytes()  # NaN included
-        for name in KEPT
+        getattr(certain, name).tobytes() == getattr(expected[: len(certain)], name).tobytes()  # NaN included
+        for name in COMPARED
     )
-    return same and len(made) - len(sure) <= BOUND
+    return same and len(expected) - len(certain) <= BOUND
 
 
 PROMISES = (kills, steps)

@@ -1,4 +1,4 @@
-"""Brokers that do not let us in."""
+"""Brokers that refuse the rig: errors with a remedy, and no event lost."""
 
 import asyncio
 import os
@@ -20,41 +20,41 @@ from tests.chaos.scale import Scale
 from tests.connectors.mqtt.broker_process import TestBroker
 
 BOUND = 3.0  # s
-EVENTS = 5  # that wait in the outbox
+EVENTS = 5  # in the outbox
 DRAFT = Event("chaos", "rig", "0", "", 0, onset=True, time=1, probability=0.9, latency=1.0)
 
 
 class Clock:
-    """The host's."""
+    """Clock of the host."""
 
     def now(self) -> int:
-        """The present, ns."""
+        """Return the time, ns."""
         return time.time_ns()
 
     async def sleep_until(self, time: int) -> None:
-        """Nobody waits."""
+        """Fail: nothing waits."""
         raise AssertionError(time)
 
 
 class Case(NamedTuple):
-    """A broker, how it is addressed, and what the error must say."""
+    """Broker, how it is addressed, and text that the error must contain."""
 
-    what: str
+    name: str
     settings: Callable[[Path], list[str]]  # of the broker, with its files in a folder
     environment: dict[str, str]
     scheme: str
-    says: str  # to do
+    remedy: str  # text of the error
 
 
-def guarded(folder: Path) -> list[str]:
-    """Only the user rig, who may publish nothing."""
+def with_passwords(folder: Path) -> list[str]:
+    """Return settings with one user, rig, that may not publish."""
     subprocess.run(["mosquitto_passwd", "-c", "-b", folder / "users", "rig", "right"], check=True)
     (folder / "rights").write_text("user rig\ntopic read #\n")
     return ["allow_anonymous false", f"password_file {folder}/users", f"acl_file {folder}/rights"]
 
 
-def certified(folder: Path) -> list[str]:
-    """TLS, with a certificate that nobody knows."""
+def with_tls(folder: Path) -> list[str]:
+    """Return settings with TLS and a certificate of an unknown authority."""
     for name in ("ours", "other"):
         kind = ["-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=test"]
         files = ["-keyout", f"{folder}/{name}.key", "-out", f"{folder}/{name}.pem"]
@@ -63,23 +63,23 @@ def certified(folder: Path) -> list[str]:
     return ["allow_anonymous true", f"certfile {folder}/ours.pem", f"keyfile {folder}/ours.key"]
 
 
-def plain(_: Path) -> list[str]:
-    """Anybody."""
+def anonymous(_: Path) -> list[str]:
+    """Return settings without users."""
     return ["allow_anonymous true"]
 
 
 CASES = (
-    Case("wrong password", guarded, {USER: "rig", PASSWORD: "wrong"}, "mqtt", f"check {USER}"),
-    Case("ACL", guarded, {USER: "rig", PASSWORD: "right"}, "mqtt", "access list"),
-    Case("wrong CA", certified, {CA: "other.pem"}, "mqtts", CA),
-    Case("plain TCP on a TLS port", certified, {}, "mqtt", "mqtts://"),
-    Case("TLS on a plain port", plain, {}, "mqtts", "mqtt://"),
+    Case("wrong password", with_passwords, {USER: "rig", PASSWORD: "wrong"}, "mqtt", f"check {USER}"),
+    Case("ACL", with_passwords, {USER: "rig", PASSWORD: "right"}, "mqtt", "access list"),
+    Case("wrong CA", with_tls, {CA: "other.pem"}, "mqtts", CA),
+    Case("plain TCP on a TLS port", with_tls, {}, "mqtt", "mqtts://"),
+    Case("TLS on a plain port", anonymous, {}, "mqtts", "mqtt://"),
 )
 
 
 def refusals(scale: Scale) -> list[Promise]:
-    """Try to publish, with events in the outbox."""
-    bound = 3 * BOUND if scale.short else BOUND  # a machine may be busy while the suite runs
+    """Try to publish with events in the outbox."""
+    bound = 3 * BOUND if scale.short else BOUND  # the machine may be busy while the suite runs
     found = list[Promise]()
     for case in CASES:
         with TemporaryDirectory(prefix="slipflow-chaos-") as name:
@@ -88,20 +88,20 @@ def refusals(scale: Scale) -> list[Promise]:
             try:
                 with mock.patch.dict(os.environ, case.environment), chdir(folder):
                     url = broker.url.replace("mqtt:", f"{case.scheme}:")
-                    took, error, kept = asyncio.run(_refused(url, folder / "outbox"))
+                    duration, error, events = asyncio.run(_refused(url, folder / "outbox"))
             finally:
                 broker.close()
-        result = f"after {took:.2f} s: {error.partition(': ')[2]}; {kept} events kept"
-        must_be = f"an error within {BOUND:.0f} s that says what to do, {EVENTS} kept"
-        good = took < bound and case.says in error and kept == EVENTS
+        result = f"after {duration:.2f} s: {error.partition(': ')[2]}; {events} events kept"
+        bound_text = f"an error within {BOUND:.0f} s that says what to do, {EVENTS} kept"
+        passed = duration < bound and case.remedy in error and events == EVENTS
         found.append(
-            Promise(f"events: {case.what}, {EVENTS} events in the outbox", result, must_be, kept=good)
+            Promise(f"events: {case.name}, {EVENTS} events in the outbox", result, bound_text, passed=passed)
         )
     return found
 
 
 async def _refused(url: str, path: Path) -> tuple[float, str, int]:
-    """How long it took (s), what was said, and how many events are still in the outbox."""
+    """Return duration (s), error, and number of events that are still in the outbox."""
     async with _opened(path) as outbox:
         await outbox.append([DRAFT] * EVENTS)
     sink, error, began = Mqtt(url, "chaos", "rig", outbox=path), "none", time.monotonic()
@@ -110,9 +110,9 @@ async def _refused(url: str, path: Path) -> tuple[float, str, int]:
         await sink.close()
     except SlipflowError as raised:
         error = str(raised)
-    took = time.monotonic() - began
+    duration = time.monotonic() - began
     async with _opened(path) as outbox:
-        return took, error, outbox.waiting
+        return duration, error, outbox.waiting
 
 
 @asynccontextmanager

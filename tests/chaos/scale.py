@@ -1,11 +1,11 @@
-"""How much of a promise is put to the test."""
+"""Size of a test."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Scale:
-    """The whole test, or the short one that belongs to the suite."""
+    """Full test, or the short one of the test suite."""
 
-    seed: int = 0  # of what is drawn by chance
+    seed: int = 0  # of all random draws
     short: bool = False

@@ -1,4 +1,4 @@
-"""An independent subscriber, mosquitto_sub, that notes what comes and when."""
+"""Independent subscriber, mosquitto_sub, which stores messages and their times."""
 
 import subprocess
 from collections.abc import Generator
@@ -9,8 +9,8 @@ from typing import NamedTuple
 from operators import s
 
 
-class Came(NamedTuple):
-    """A message that came."""
+class Received(NamedTuple):
+    """Message that arrived."""
 
     at: int  # ns
     topic: str
@@ -19,7 +19,7 @@ class Came(NamedTuple):
 
 @contextmanager
 def subscribed(port: int, topic: str, path: Path) -> Generator[None]:
-    """Note in a file what comes on a topic."""
+    """Store the messages of a topic in a file."""
     command = ["mosquitto_sub", "-h", "127.0.0.1", "-p", str(port), "-V", "mqttv5", "-q", "1", "-t", topic]
     with path.open("wb") as file:
         process = subprocess.Popen([*command, "-F", "%U %t %p"], stdout=file)
@@ -30,12 +30,12 @@ def subscribed(port: int, topic: str, path: Path) -> Generator[None]:
         process.wait()
 
 
-def came(path: Path) -> list[Came]:
-    """What was noted."""
+def received(path: Path) -> list[Received]:
+    """Return the stored messages."""
     *lines, _ = path.read_bytes().split(b"\n")
-    found = list[Came]()
+    found = list[Received]()
     for line in lines:
         at, topic, payload = line.split(b" ", 2)
         seconds, _, nanoseconds = at.partition(b".")
-        found.append(Came(int(seconds) * s + int(nanoseconds), topic.decode(), payload))
+        found.append(Received(int(seconds) * s + int(nanoseconds), topic.decode(), payload))
     return found

@@ -7,8 +7,8 @@ from signal import SIGCONT, SIGSTOP
 import pytest
 
 from tests.chaos.child import SLIPFLOW, Child
-from tests.chaos.subscribe import came, subscribed
-from tests.chaos.world import World, world
+from tests.chaos.subscribe import received, subscribed
+from tests.chaos.system import System, start_system
 
 pytestmark = pytest.mark.broker
 
@@ -17,62 +17,62 @@ GROWTH = 20.0  # MB that the rig may grow by
 SILENCE = 4.0  # s, longer than the rig waits for an answer
 
 
-def kill_rig(it: World) -> None:
-    it.rig.kill()
-    it.rig.start()
+def kill_rig(system: System) -> None:
+    system.rig.kill()
+    system.rig.start()
 
 
-def kill_broker(it: World) -> None:
-    it.broker.stop()
-    it.wait_for_more()
-    it.broker.start()
+def kill_broker(system: System) -> None:
+    system.broker.stop()
+    system.wait_for_more()
+    system.broker.start()
 
 
-def kill_consumer(it: World) -> None:
-    it.consumer.kill()
-    it.wait_for_more()
-    it.consumer.start()
+def kill_consumer(system: System) -> None:
+    system.consumer.kill()
+    system.wait_for_more()
+    system.consumer.start()
 
 
-def stop_consumer(it: World) -> None:
-    it.consumer.send(SIGSTOP)
-    it.wait_for_more()
-    it.consumer.send(SIGCONT)
+def stop_consumer(system: System) -> None:
+    system.consumer.send(SIGSTOP)
+    system.wait_for_more()
+    system.consumer.send(SIGCONT)
 
 
-def cut_line(it: World) -> None:
-    it.line.cut()
-    it.wait_for_more()
-    it.line.mend()
+def cut_connection(system: System) -> None:
+    system.proxy.cut()
+    system.wait_for_more()
+    system.proxy.restore()
 
 
-def silence_line(it: World) -> None:
-    it.line.hush()
+def silence_connection(system: System) -> None:
+    system.proxy.silence()
     time.sleep(SILENCE)
-    it.line.mend()
+    system.proxy.restore()
 
 
 def test_whatever_is_killed_cut_or_stuck_each_event_arrives_once_and_in_order() -> None:
-    """The short form of `events`, `outage`, `stuck` and `watching`, with one rig, broker and consumer."""
-    with world() as it, subscribed(it.broker.port, TOPIC, it.folder / "came"):
-        watch = Child(it.folder, *SLIPFLOW, "watch", it.broker.url, "--json", "--since", "start")
+    """Short form of `events`, `outage`, `stuck` and `watching`, with one rig, broker and consumer."""
+    with start_system() as system, subscribed(system.broker.port, TOPIC, system.folder / "received"):
+        watch = Child(system.folder, *SLIPFLOW, "watch", system.broker.url, "--json", "--since", "start")
         watch.start()
         try:
             assert watch.wait_for(lambda: bool(watch.lines))
-            kill_rig(it)
-            it.wait_for_more()
-            before = it.rig.memory()
-            for fault in (cut_line, kill_consumer, silence_line, stop_consumer, kill_broker):
-                fault(it)
-                it.wait_for_more()
-            grown = it.rig.memory() - before
-            found = it.finish()
-            wanted = {*it.made()}
+            kill_rig(system)
+            system.wait_for_more()
+            before = system.rig.memory()
+            for fault in (cut_connection, kill_consumer, silence_connection, stop_consumer, kill_broker):
+                fault(system)
+                system.wait_for_more()
+            grown = system.rig.memory() - before
+            found = system.finish()
+            wanted = {*system.made()}
             assert watch.wait_for(lambda: wanted <= {time_of(line) for line in watch.lines.copy()})
         finally:
             watch.kill()
-        order = [time_of(each.payload) for each in came(it.folder / "came")]
-    assert (found.lost, found.twice) == (0, 0)
+        order = [time_of(each.payload) for each in received(system.folder / "received")]
+    assert (found.lost, found.reused) == (0, 0)
     assert found.made > 50
     assert grown < GROWTH
     printed = Counter(json.loads(line)["id"] for line in watch.lines)

@@ -1,4 +1,4 @@
-"""Files whose checksums hold, but which say what no slipflow says."""
+"""Files with valid checksums and invalid content."""
 
 import json
 from collections.abc import Callable, Generator, Iterator
@@ -33,7 +33,7 @@ ANY = st.recursive(
 
 @pytest.fixture(scope="module", params=["killed", "closed"])
 def folder(request: pytest.FixtureRequest) -> Iterator[Path]:
-    """A session, whole."""
+    """Session that is complete."""
     with scratch(memory=True) as root:
         writer = begin(root / "data", part_rows=6)
         for number in range(9):
@@ -45,19 +45,19 @@ def folder(request: pytest.FixtureRequest) -> Iterator[Path]:
         yield root / name
 
 
-def places(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:  # noqa: ANN401 - JSON
-    """The ways to all values in a JSON object."""
+def value_paths(content: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:  # noqa: ANN401 - JSON
+    """Yield the paths of all values in a JSON object."""
     keys: list[str | int] = [*content] if type(content) is dict else [*range(len(content))]
     for key in keys:
         yield (*path, key)
         if isinstance(content[key], dict | list):
-            yield from places(content[key], (*path, key))
+            yield from value_paths(content[key], (*path, key))
 
 
 def changed(content: Any, data: st.DataObject) -> Any:  # noqa: ANN401 - JSON
-    """It with one value replaced, or left out."""
+    """Return a copy with one value replaced or removed."""
     content = deepcopy(content)
-    *path, last = data.draw(st.sampled_from(list(places(content))))
+    *path, last = data.draw(st.sampled_from(list(value_paths(content))))
     inner = content
     for key in path:
         inner = inner[key]
@@ -69,7 +69,7 @@ def changed(content: Any, data: st.DataObject) -> Any:  # noqa: ANN401 - JSON
 
 
 def use(path: Path, *works: Callable[[Path], object]) -> None:
-    """All that reads it raises nothing but typed errors."""
+    """Call functions that read a path; only typed errors may occur."""
     for work in works:
         with suppress(SlipflowError):
             work(path)
@@ -77,7 +77,7 @@ def use(path: Path, *works: Callable[[Path], object]) -> None:
 
 @contextmanager
 def copied(folder: Path) -> Generator[Path]:
-    """A copy of a session, and then all that reads one, verify and recover included."""
+    """Yield a copy of a session, then read, verify and recover it."""
     copy = folder.with_name("copy")
     copytree(folder, copy)
     try:
@@ -133,7 +133,7 @@ def test_whatever_a_model_says_of_itself_the_errors_are_typed(
     size = int.from_bytes(whole[:8], "little")
     header: Any = changed(json.loads(whole[8 : 8 + size]), data)
     if isinstance(header.get("__metadata__"), dict):
-        header["__metadata__"].pop("slipflow.sha256", None)  # else it is refused for that
+        header["__metadata__"].pop("slipflow.sha256", None)  # otherwise it is refused for its checksum
     text = json.dumps(header).encode()
     path = tmp_path_factory.getbasetemp() / "headed.safetensors"
     path.write_bytes(len(text).to_bytes(8, "little") + text + whole[8 + size :])

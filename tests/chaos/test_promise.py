@@ -1,7 +1,7 @@
 from collections.abc import Sequence
 
 from tests.chaos.promise import Promise, table
-from tests.chaos.run import carry_out, subjects
+from tests.chaos.run import run_test, subjects
 from tests.chaos.scale import Scale
 
 
@@ -17,7 +17,7 @@ def test_a_test_that_fails_has_kept_nothing_and_the_others_go_on() -> None:
     def fails(_: Scale) -> Sequence[Promise]:
         raise OSError("no disk")
 
-    [promise] = carry_out(fails, Scale())
-    assert not promise.kept
+    [promise] = run_test(fails, Scale())
+    assert not promise.passed
     assert "no disk" in promise.result
     assert table([promise]).splitlines()[1].endswith("NO")

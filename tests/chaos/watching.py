@@ -1,4 +1,4 @@
-"""What `slipflow watch` prints while the rig comes and goes."""
+"""Kills of the rig while `slipflow watch` runs."""
 
 import json
 import random
@@ -8,24 +8,24 @@ from collections import Counter
 from tests.chaos.child import SLIPFLOW, Child, until
 from tests.chaos.promise import Promise
 from tests.chaos.scale import Scale
-from tests.chaos.world import world
+from tests.chaos.system import start_system
 
 
 def watch(scale: Scale) -> Promise:
-    """Kill the rig and start it again under a watch."""
-    chance = random.Random(scale.seed)  # noqa: S311 - not for secrets
+    """Kill the rig and start it again while `slipflow watch` runs."""
+    rng = random.Random(scale.seed)  # noqa: S311 - not for secrets
     kills = 1 if scale.short else 10
-    with world() as it:
-        watch = Child(it.folder, *SLIPFLOW, "watch", it.broker.url, "--json", "--since", "start")
+    with start_system() as system:
+        watch = Child(system.folder, *SLIPFLOW, "watch", system.broker.url, "--json", "--since", "start")
         watch.start()
         try:
             watch.wait_for(lambda: bool(watch.lines))
             for _ in range(kills):
-                time.sleep(chance.uniform(0.2, 1))
-                it.rig.kill()
-                it.rig.start()
-                it.wait_for_more()
-            wanted = {*it.made()}
+                time.sleep(rng.uniform(0.2, 1))
+                system.rig.kill()
+                system.rig.start()
+                system.wait_for_more()
+            wanted = {*system.made()}
             until(lambda: wanted <= {_time(line) for line in watch.lines.copy()}, pause=0.5)
         finally:
             watch.kill()
@@ -36,7 +36,7 @@ def watch(scale: Scale) -> Promise:
         f"events: rig killed {kills} times under `slipflow watch`",
         f"{lost} of {len(wanted)} events not printed, {again} printed twice",
         "0, 0",
-        kept=not lost and not again,
+        passed=not lost and not again,
     )
 
 
