@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from connectors.mqtt import outbox
 from connectors.mqtt.broker_link import Link
 from flows.graph.testing import run_virtually
 from operators.ports import Run
 from tests.connectors.mqtt.broker_process import TestBroker
+from tests.waiting import PATIENCE
 
 LIMIT = 120.0  # s, for a coroutine
 
@@ -72,8 +74,9 @@ def run() -> Run:
 
 
 @pytest.fixture
-def quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Require that no error is logged, also by asyncio for a callback."""
+def quiet(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Require that no error is logged, also by asyncio for a callback; the disk of a busy machine is slow."""
+    monkeypatch.setattr(outbox, "WRITE_TIMEOUT", PATIENCE)
     yield
     records = [*caplog.get_records("setup"), *caplog.get_records("call")]
     assert not [record for record in records if record.levelno >= logging.ERROR]
