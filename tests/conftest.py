@@ -29,6 +29,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell ignores it in background jobs
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+logging.getLogger("slipflow.compilation").setLevel(logging.WARNING)  # any test may be the first that compiles
+
 settings.register_profile("slipflow", deadline=None, max_examples=50)  # no deadline: machines vary in speed
 settings.load_profile("slipflow")
 
