@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from math import isfinite, nan
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -79,6 +79,7 @@ class Align(Join[Zeroed, Motion, Sample]):
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
 
+    _none: Sample = field(default_factory=Sample.empty, init=False, repr=False, compare=False)
     _code: int = field(init=False, repr=False)  # position of `how` in its choices
 
     def __post_init__(self) -> None:
@@ -96,32 +97,29 @@ class Align(Join[Zeroed, Motion, Sample]):
         if left.time.size:
             self._held.append(left)
         passed = self._late_left.newest - self.wait  # ns, touch up to this time has waited long enough
-        samples = self._match(self._held.take(max(self._newest, passed + 1)), oldest)
-        if right.time.size:
-            self._forget(self._newest - self.keep - self.within)
-        return samples
+        rows = self._held.take(max(self._newest, passed + 1))
+        return self._match(rows, oldest) if rows.time.size else self._none
 
     def flush(self) -> Sample:
         """Return the held touch samples, matched with the motion so far."""
-        return self._match(self._held.take(), -END)
+        rows = self._held.take()
+        return self._match(rows, -END) if rows.time.size else self._none
 
     def _store(self, motion: Motion) -> None:
         kept = self._motion
         kept.reserve(motion.time.size)
-        block, before = kept.block, kept.stop
-        kept.stop = _keep(motion.time, motion.velocity, motion.pose, block.time, block.values, before)
-        if kept.stop > before:
-            self._newest = block.time.item(kept.stop - 1)
+        block, used = kept.block, (kept.start, kept.stop, self._newest, self.keep + self.within)
+        kept.start, kept.stop, self._newest = _keep(
+            motion.time, motion.velocity, motion.pose, block.time, block.values, used
+        )
 
-    def _forget(self, oldest: int) -> None:
-        kept = self._motion
-        if len(kept) and kept.block.time.item(kept.start) < oldest - self.keep // 8:  # many rows at once
-            kept.drop(int(kept.time.searchsorted(oldest)))
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the state without motion that is too old."""
+        self._motion.drop(int(self._motion.time.searchsorted(self._newest - self.keep - self.within)))
+        return self.__dict__
 
     def _match(self, rows: Zeroed, oldest: int) -> Sample:
         size, kept = rows.time.size, self._motion
-        if not size:
-            return Sample.empty()
         velocity, pose, matched = np.empty((size, 6)), np.empty((size, 6)), np.empty(size, np.bool_)
         limits = kept.start, kept.stop, self.within, oldest
         _match(
@@ -140,17 +138,27 @@ class Align(Join[Zeroed, Motion, Sample]):
 
 @row_loop
 def _keep(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times, velocity: Reals, pose: Reals, /, stamps: Times, values: Reals, stop: int
-) -> int:
-    """Store rows with finite velocity from index `stop` on, and return the new stop."""
+    time: Times,
+    velocity: Reals,
+    pose: Reals,
+    /,
+    stamps: Times,
+    values: Reals,
+    used: tuple[int, int, int, int],
+) -> tuple[int, int, int]:
+    """Drop old rows, then store those with finite velocity; return start, stop and newest time."""
+    start, stop, newest, longest = used
+    while start < stop and stamps[start] < newest - longest:
+        start += 1
     for row in range(len(time)):
         finite = True
         for axis in range(6):
             values[stop, axis], values[stop, 6 + axis] = velocity[row, axis], pose[row, axis]
             finite = finite and isfinite(velocity[row, axis])
-        stamps[stop] = time[row]
-        stop += finite
-    return stop
+        if finite:
+            stamps[stop] = newest = time[row]
+            stop += 1
+    return start, stop, newest
 
 
 @row_loop
