@@ -6,24 +6,12 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from operators.batch import (
-    Batch,
-    Flags,
-    Motion,
-    Reals,
-    Sample,
-    Times,
-    Zeroed,
-    batch_type,
-    column,
-    ms,
-    s,
-)
+from operators.batch import Batch, Flags, Motion, Reals, Sample, Times, Zeroed, batch_type, column, ms, s
 from operators.chain import END, Chain
 from operators.checks import check_at_least, check_choice
 from operators.operator import Join
 from operators.rotation import interpolate_rotation
-from operators.row_loop import row_loop
+from operators.row_loop import Ints, row_loop
 from operators.tail import Tail
 
 How = Literal["nearest", "previous", "linear"]
@@ -78,7 +66,6 @@ class Align(Join[Zeroed, Motion, Sample]):
     _motion: "Tail[_Kept]" = field(default_factory=lambda: Tail(_Kept), init=False, repr=False, compare=False)
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
-
     _none: Sample = field(default_factory=Sample.empty, init=False, repr=False, compare=False)
     _code: int = field(init=False, repr=False)  # position of `how` in its choices
 
@@ -121,30 +108,15 @@ class Align(Join[Zeroed, Motion, Sample]):
     def _match(self, rows: Zeroed, oldest: int) -> Sample:
         size, kept = rows.time.size, self._motion
         velocity, pose, matched = np.empty((size, 6)), np.empty((size, 6)), np.empty(size, np.bool_)
-        limits = kept.start, kept.stop, self.within, oldest
-        _match(
-            rows.time,
-            kept.block.time,
-            kept.block.values,
-            limits,
-            self._code,
-            velocity,
-            pose,
-            matched,
-        )
+        limits = kept.start, kept.stop, self.within, oldest, self._code
+        _match(rows.time, kept.block.time, kept.block.values, limits, velocity, pose, matched)
         values = rows.counts, rows.temperature, rows.valid, velocity, pose, matched
         return Sample(rows.time, *values, finger=rows.finger)
 
 
 @row_loop
 def _keep(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times,
-    velocity: Reals,
-    pose: Reals,
-    /,
-    stamps: Times,
-    values: Reals,
-    used: tuple[int, int, int, int],
+    time: Times, velocity: Reals, pose: Reals, /, stamps: Times, values: Reals, used: Ints
 ) -> tuple[int, int, int]:
     """Drop old rows, then store those with finite velocity; return start, stop and newest time."""
     start, stop, newest, longest = used
@@ -163,17 +135,9 @@ def _keep(  # noqa: PLR0917 - compiled functions take no keywords
 
 @row_loop
 def _match(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times,
-    stamps: Times,
-    values: Reals,
-    /,
-    limits: tuple[int, int, int, int],
-    how: int,
-    velocity: Reals,
-    pose: Reals,
-    matched: Flags,
+    time: Times, stamps: Times, values: Reals, /, limits: Ints, velocity: Reals, pose: Reals, matched: Flags
 ) -> None:
-    start, stop, within, oldest = limits
+    start, stop, within, oldest, how = limits
     after = stop  # index of the first motion after the row
     while after > start and stamps[after - 1] > time[0]:
         after -= 1

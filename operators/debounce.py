@@ -8,7 +8,7 @@ from operators.batch import SLIP, STATIC, UNKNOWN, Reals, Scores, Slips, Times
 from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
-from operators.row_loop import row_loop
+from operators.row_loop import Ints, row_loop
 
 
 @dataclass
@@ -41,7 +41,7 @@ class Debounce(Operator[Scores, Slips]):
     release: int = 2
     minimum: int = 0
     _state: Times = field(init=False, repr=False, compare=False)
-    _limits: tuple[int, int, int] = field(init=False, repr=False)
+    _limits: Ints = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if not 0 < self.threshold <= 1:
@@ -71,13 +71,7 @@ _DECISION, _LENGTH, _START, _STATE, _EARLIEST = range(5)
 
 @row_loop
 def _debounce(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times,
-    probability: Reals,
-    /,
-    threshold: float,
-    limits: tuple[int, int, int],
-    state: Times,
-    events: Times,
+    time: Times, probability: Reals, /, threshold: float, limits: Ints, state: Times, events: Times
 ) -> int:
     """Write row, start and state of each event, and return their number."""
     consecutive, release, minimum = limits

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from math import isnan
-from typing import Final
+from math import inf, isnan
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from operators.batch import Codes, Counts, Faults, Flags, Reals, Times, Touch, Zeroed, ms, s
-from operators.chain import END
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
@@ -92,18 +91,15 @@ class Health(Operator[Touch, Faults]):
         """Return the faults that started or ended."""
         if not self._clock.size:
             self._set_up(np.array([batch.time[0], 0]), batch.counts.shape[1])
-        floor, ceiling = (-END, END) if isinstance(batch, Zeroed) else (self.floor, self.ceiling)
+        floor, ceiling = (
+            (-inf, inf) if isinstance(batch, Zeroed) else (float(self.floor), float(self.ceiling))
+        )
         changes = np.zeros((*batch.counts.shape, len(FaultKind)), np.int8)
-        state = self._state, self._active, self._first, self._clock
-        if not _examine(
-            batch.time,
-            batch.counts,
-            batch.valid,
-            state,
-            self._limits,
+        memory, limits = (
+            (self._state, self._active, self._first, self._clock),
             (floor, ceiling, float(self.drift)),
-            changes,
-        ):
+        )
+        if not _examine(batch.time, batch.counts, batch.valid, memory, self._limits, limits, changes):
             return Faults.empty()
         row, cell, kind = np.nonzero(changes)
         active = changes[row, cell, kind] > 0
@@ -122,21 +118,16 @@ class Health(Operator[Touch, Faults]):
 # saturated); number, sum and sum of squares of the current second's readings.
 _LAST, _SOUND, _FAULTY, _SUMS = 0, 1, 4, 7
 _DEAD, _STUCK, _SATURATED, _DRIFTING = range(4)
+Memory: TypeAlias = tuple[Times, Flags, Reals, Times]  # state, active, first, clock
+Limits: TypeAlias = tuple[float, float, float]  # floor, ceiling, drift
 
 
 @row_loop
 def _examine(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times,
-    counts: Counts,
-    valid: Flags,
-    /,
-    memory: tuple[Times, Flags, Reals, Times],
-    after: Times,
-    limits: tuple[int, int, float],
-    changes: Codes,
+    time: Times, counts: Counts, valid: Flags, /, memory: Memory, after: Times, limits: Limits, changes: Codes
 ) -> bool:
     """Mark starts (1) and ends (-1) of faults in (n, cells, 4) `changes`; return whether there are any."""
-    state, active, first, clock = memory
+    state, active, _, clock = memory
     changed = False
     for row in range(len(time)):
         ends_second = time[row] // s != clock[0] // s
@@ -144,22 +135,22 @@ def _examine(  # noqa: PLR0917 - compiled functions take no keywords
         clock[0] = time[row]
         age = clock[1]
         for cell in range(counts.shape[1]):
-            found = valid[row, cell]
-            drifting = active[cell, _DRIFTING]
-            if ends_second:
-                drifting = _drifts(state, first, cell, limits, drifting)
+            drifting = _drifts(memory, cell, limits) if ends_second else active[cell, _DRIFTING]
             before = state[_LAST, cell]
-            if found:
+            if valid[row, cell]:
                 count = int(counts[row, cell])
                 state[_LAST, cell] = count
                 state[_SUMS, cell] += 1
                 state[_SUMS + 1, cell] += count
                 state[_SUMS + 2, cell] += count * count
-            reading = state[_LAST, cell]
-            dead = _lasts(state, _DEAD, cell, found, age, after)
-            stuck = _lasts(state, _STUCK, cell, dead or reading != before, age, after)
-            inside = limits[0] < reading < limits[1]
-            saturated = _lasts(state, _SATURATED, cell, dead or inside, age, after)
+                state[_SOUND + _DEAD, cell] = age
+            dead = _lasts(state, _DEAD, cell, age, after)
+            if dead or state[_LAST, cell] != before:
+                state[_SOUND + _STUCK, cell] = age
+            if dead or limits[0] < state[_LAST, cell] < limits[1]:
+                state[_SOUND + _SATURATED, cell] = age
+            stuck = _lasts(state, _STUCK, cell, age, after)
+            saturated = _lasts(state, _SATURATED, cell, age, after)
             now = dead, stuck, saturated, drifting
             for kind in range(4):
                 if now[kind] != active[cell, kind]:
@@ -169,17 +160,8 @@ def _examine(  # noqa: PLR0917 - compiled functions take no keywords
     return changed
 
 
-def _lasts(  # noqa: PLR0917 - compiled functions take no keywords
-    state: Times,
-    kind: int,
-    cell: int,
-    sound: bool,  # noqa: FBT001
-    age: int,
-    after: Times,
-) -> bool:
+def _lasts(state: Times, kind: int, cell: int, age: int, after: Times) -> bool:
     """Return whether a cell has been faulty for the kind's time, now or within `clear_after`."""
-    if sound:
-        state[_SOUND + kind, cell] = age
     faulty: bool = age - state[_SOUND + kind, cell] >= after[kind]
     if faulty:
         state[_FAULTY + kind, cell] = age
@@ -187,23 +169,16 @@ def _lasts(  # noqa: PLR0917 - compiled functions take no keywords
     return faulty or recently
 
 
-def _drifts(
-    state: Times,
-    first: Reals,
-    cell: int,
-    limits: tuple[int, int, float],
-    drifting: bool,  # noqa: FBT001
-) -> bool:
-    """End a second: return whether its mean differs from the first, or `drifting` if it was not quiet."""
+def _drifts(memory: Memory, cell: int, limits: Limits) -> bool:
+    """End a second: return whether its mean differs from the first, or as before if it was not quiet."""
+    state, active, first, _ = memory
     readings, total, squares = state[_SUMS, cell], state[_SUMS + 1, cell], state[_SUMS + 2, cell]
     state[_SUMS, cell] = state[_SUMS + 1, cell] = state[_SUMS + 2, cell] = 0
-    most = _QUIET * readings
-    if readings < _READINGS or readings * squares - total * total >= most * most:
-        return drifting
-    mean = total / readings
-    if not limits[0] < mean < limits[1]:
-        return drifting
-    if isnan(first[cell]):
-        first[cell] = mean
-    differs: bool = abs(mean - first[cell]) > limits[2]
-    return differs
+    drifting: bool = active[cell, _DRIFTING]
+    most, mean = _QUIET * readings, total / max(readings, 1)
+    quiet = readings >= _READINGS and readings * squares - total * total < most * most
+    if quiet and limits[0] < mean < limits[1]:
+        if isnan(first[cell]):
+            first[cell] = mean
+        drifting = abs(mean - first[cell]) > limits[2]
+    return drifting

@@ -25,7 +25,7 @@ from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 from operators.rotation import quaternion, rotate
-from operators.row_loop import row_loop
+from operators.row_loop import Ints, row_loop
 from operators.tail import Tail
 
 _AXES: Final = 3
@@ -79,7 +79,6 @@ class Label(Operator[Sample, Labelled]):
     delay: int = 0
     within: int = 20 * ms
     _parameters: Reals = field(init=False, repr=False, compare=False)  # speed, limit, rotation, unit normal
-    _limits: Times = field(init=False, repr=False, compare=False)  # delay, within
     # samples labelled by the motion at their own time
     _held: Chain[Labelled] = field(
         default_factory=lambda: Chain(Labelled), init=False, repr=False, compare=False
@@ -100,7 +99,6 @@ class Label(Operator[Sample, Labelled]):
         rotation = nan if self.rotation is None else self.rotation
         unit = (component / length for component in self.normal)
         self._parameters = np.array([self.speed, self.limit, rotation, *unit])
-        self._limits = np.array([self.delay, self.within])
 
     def process(self, batch: Sample) -> Labelled:
         """Return the labelled batch, or the delayed samples that it completes."""
@@ -126,7 +124,8 @@ class Label(Operator[Sample, Labelled]):
         if not rows.time.size:
             return rows
         block, speed, label = known.block, np.empty(rows.time.size), np.empty(rows.time.size, np.int8)
-        _shift(rows.time, block.time, block.speed, block.label, known.stop, self._limits, speed, label)
+        limits = known.stop, self.delay, self.within
+        _shift(rows.time, block.time, block.speed, block.label, limits, speed, label)
         return _labelled(rows, speed, label)
 
 
@@ -152,18 +151,10 @@ def _label(velocity: Reals, pose: Reals, /, parameters: Reals, speeds: Reals, la
 
 @row_loop
 def _shift(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times,
-    stamps: Times,
-    known_speeds: Reals,
-    known_labels: Codes,
-    /,
-    stop: int,
-    limits: Times,
-    speeds: Reals,
-    labels: Codes,
+    time: Times, stamps: Times, speed: Reals, label: Codes, /, limits: Ints, speeds: Reals, labels: Codes
 ) -> None:
     """Label each row by the last one up to its time + delay, if that is within the limit."""
-    delay, within = limits[0], limits[1]
+    stop, delay, within = limits
     after = stop  # index of the first stamp beyond the instant
     while after > 0 and stamps[after - 1] > time[0] + delay:
         after -= 1
@@ -172,8 +163,8 @@ def _shift(  # noqa: PLR0917 - compiled functions take no keywords
         while after < stop and stamps[after] <= instant:
             after += 1
         known = after > 0 and instant - stamps[after - 1] <= within
-        speeds[row] = known_speeds[after - 1] if known else nan
-        labels[row] = known_labels[after - 1] if known else UNKNOWN
+        speeds[row] = speed[after - 1] if known else nan
+        labels[row] = label[after - 1] if known else UNKNOWN
 
 
 def _length(x: float, y: float, z: float) -> float:

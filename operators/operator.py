@@ -34,14 +34,7 @@ class LateRowFilter:
     def filter(self, batch: SomeBatch) -> SomeBatch:
         """Return the rows that are not late; rows with equal stamps keep their order of arrival."""
         time, newest = batch.time, self.newest
-        if len(time) == 1:
-            first = time.item(0)
-            if first < newest:
-                self.late += 1
-                return batch[:0]
-            self.newest = first
-            return batch
-        if time.item(0) >= newest and bool((time[1:] >= time[:-1]).all()):
+        if time.item(0) >= newest and (time.size == 1 or bool((time[1:] >= time[:-1]).all())):
             self.newest = time.item(-1)
             return batch
         limit = np.maximum.accumulate(np.maximum(time, newest))  # (n,)

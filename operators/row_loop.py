@@ -4,9 +4,10 @@ import zlib
 from collections.abc import Callable
 from functools import wraps
 from types import FunctionType
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+Ints: TypeAlias = tuple[int, ...]
 
 
 def row_loop(function: Function) -> Function:

@@ -3,7 +3,6 @@
 from typing import Any, Final, Generic
 
 import numpy as np
-from numpy.typing import NDArray
 
 from operators.batch import EVERY, AnyBatch, Times, layout
 
@@ -32,7 +31,6 @@ class Tail(Generic[AnyBatch]):
     block: AnyBatch
     start: int
     stop: int
-    _cells: list[NDArray[Any]]  # columns of the block as 2-d arrays: the fastest way to set one row
 
     def __init__(self, kind: type[AnyBatch]) -> None:
         self.__setstate__(kind.empty())
@@ -55,12 +53,8 @@ class Tail(Generic[AnyBatch]):
         size = batch.time.size
         self.reserve(size, batch.finger)
         stop = self.stop + size
-        if size == 1:
-            for cells, values in zip(self._cells, self._take(batch), strict=True):
-                cells[self.stop] = values
-        else:
-            for column, values in zip(self._take(self.block), self._take(batch), strict=True):
-                column[self.stop : stop] = values
+        for column, values in zip(self._take(self.block), self._take(batch), strict=True):
+            column[self.stop : stop] = values
         self.stop = stop
 
     def drop(self, count: int) -> None:
@@ -87,5 +81,3 @@ class Tail(Generic[AnyBatch]):
         self.block, self.start, self.stop = rows, 0, len(rows)
         self._size, self._finger = len(rows), rows.finger  # of the block
         self._take = layout(type(rows)).take
-        columns = self._take(rows)
-        self._cells = [column if column.ndim > 1 else column[:, None] for column in columns]

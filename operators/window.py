@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import BAROMETERS, Touch, Windows
+from operators.batch import Touch, Windows
 from operators.checks import check_at_least
 from operators.operator import Operator
 from operators.tail import Tail
@@ -69,7 +69,7 @@ class Window(Operator[Touch, Windows]):
         # (count, length, 6), ten times as fast as sliding_window_view
         row, item = rows.strides
         windows = np.ndarray(
-            (count, self.length, BAROMETERS),
+            (count, self.length, rows.shape[1]),
             rows.dtype,
             rows,
             (newest + 1 - self.length) * row,

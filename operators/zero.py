@@ -70,7 +70,7 @@ class Zero(Operator[Touch, Zeroed]):
         first = held[: self.scans]
         known = np.any(first.valid, axis=0)  # (6,)
         self._known = None if np.all(known) else known
-        self._offset = np.zeros((1, BAROMETERS), np.int16)
+        self._offset = np.zeros((1, len(known)), np.int16)
         for cell in np.flatnonzero(known):
             self._offset[0, cell] = np.rint(np.median(first.counts[first.valid[:, cell], cell]))
         return self._subtract(held, self._offset)
