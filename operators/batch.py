@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
-from numpy.typing import ArrayLike, DTypeLike, NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from operators.errors import BatchError
 
@@ -178,10 +178,9 @@ def columns(kind: type[Batch]) -> Mapping[str, Column]:
 
 def layout(kind: type[Batch]) -> Layout:
     """Return the layout of a batch type."""
-    found = _layouts.get(kind)
-    if found is None:
-        found = _layouts[kind] = Layout(kind)
-    return found
+    if kind not in _layouts:
+        _layouts[kind] = Layout(kind)
+    return _layouts[kind]
 
 
 def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
@@ -199,13 +198,6 @@ def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
         raise BatchError(kind.__name__, "finger", "cannot concatenate batches of several fingertips")
     parts = zip(*map(layout(kind).take, full), strict=True)  # arrays of each column
     return kind(*map(np.concatenate, parts), finger=full[0].finger)
-
-
-def constant(values: ArrayLike, dtype: DTypeLike | None = None) -> NDArray[Any]:
-    """Return a read-only array that batches can share."""
-    array = np.array(values, dtype)
-    array.flags.writeable = False
-    return array
 
 
 @batch_type

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from operators import Batch, BatchError, Labelled, Motion, Scores, Slips, Touch, Windows, Zeroed, concat
-from operators.batch import columns, constant
+from operators.batch import columns
 
 KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
 
@@ -12,13 +12,6 @@ KINDS = [Touch, Zeroed, Labelled, Motion, Windows, Scores, Slips]
 def _columns(kind: type[Batch], rows: int) -> list[Any]:
     shapes = [(rows, *(max(size, 1) for size in column.shape)) for column in columns(kind).values()]
     return [np.zeros(shape, c.dtype) for shape, c in zip(shapes, columns(kind).values(), strict=True)]
-
-
-def test_a_constant_cannot_be_written_to() -> None:
-    array = constant([1, 2], np.int8)
-    assert array.dtype == np.int8
-    with pytest.raises(ValueError, match="read-only"):
-        array[0] = 3
 
 
 @pytest.mark.parametrize("kind", KINDS)
