@@ -14,7 +14,7 @@ from flows.graph.validation import validate
 from operators.batch import EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
 from operators.operator import Join, Operator
-from operators.ports import Sink
+from operators.ports import Sink, Source
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
 Delivery: TypeAlias = tuple[Node, Batch]  # a sink's node and a batch for it
@@ -98,6 +98,7 @@ class CompiledFlow:
     Args:
         flow: Declaration to compile.
         only: Fingertips to compile for, with the streams that belong to all fingertips; None: all fingertips.
+        operators: Operators and joins to compile, with all that they read from; None: all.
 
     Attributes:
         entries: Source nodes with their fingertips.
@@ -108,7 +109,9 @@ class CompiledFlow:
         FlowError: if the flow is wired wrongly.
     """
 
-    def __init__(self, flow: Flow, only: Collection[int] | None = None) -> None:
+    def __init__(
+        self, flow: Flow, only: Collection[int] | None = None, operators: Collection[Node] | None = None
+    ) -> None:
         validate(flow)
         self._flow = flow.name
         self._stages: list[Stage] = []
@@ -116,14 +119,15 @@ class CompiledFlow:
         fingers = {
             node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
             for node in flow.nodes
+            if operators is None or node in operators or isinstance(node.part, Source)
         }
         for node in flow.nodes:  # declared after its inputs, unless it is a sink
             if not isinstance(node.part, Sink):
-                for finger in fingers[node]:
+                for finger in fingers.get(node, ()):
                     self._add_stage(node, finger)
         for node in flow.sinks():
             for parent in node.inputs:
-                for finger in fingers[parent]:
+                for finger in fingers.get(parent, ()):
                     self._stages[self._stage_of[parent, finger]].sinks.append(node)
         self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
         self.sink_types = {
@@ -211,18 +215,16 @@ class CompiledFlow:
         Raises:
             OperatorError: if an operator's state does not pickle.
         """
-        states = list[bytes]()
-        for stage in self.operator_stages:
-            try:
-                states.append(pickle.dumps(stage.operator, pickle.HIGHEST_PROTOCOL))
-            except (pickle.PicklingError, AttributeError, TypeError) as error:
-                raise self._failure(stage, error) from error
-        return pickle.dumps(states, pickle.HIGHEST_PROTOCOL)
+        operators = [stage.operator for stage in self.operator_stages]
+        try:
+            return pickle.dumps(operators, pickle.HIGHEST_PROTOCOL)  # what they share is in it once
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise self._failure(next(filter(_fails_to_pickle, self.operator_stages)), error) from error
 
     def restore(self, snapshot: bytes) -> None:
         """Restore the state from a snapshot of the same flow; it is a pickle, so load only trusted ones."""
-        for stage, state in zip(self.operator_stages, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
-            stage.resume(pickle.loads(state))  # noqa: S301 - the same
+        for stage, operator in zip(self.operator_stages, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
+            stage.resume(operator)
 
     def _failure(self, stage: Stage, error: Exception) -> OperatorError:
         reason = str(error)
@@ -252,6 +254,14 @@ class CompiledFlow:
                 reached.add(stage.index)
                 stages.append(stage)
         return stages
+
+
+def _fails_to_pickle(stage: Stage) -> bool:
+    try:
+        pickle.dumps(stage.operator, pickle.HIGHEST_PROTOCOL)
+    except (pickle.PicklingError, AttributeError, TypeError):
+        return True
+    return False
 
 
 def location(part: object, error: Exception) -> str:

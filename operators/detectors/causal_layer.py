@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from operators.detectors.weights import Floats
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CausalLayer:
     """Causal convolution over past steps; a dense layer has a single tap."""
 

@@ -11,7 +11,7 @@ The result of a sample depends neither on the number of samples nor on the numbe
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final
 
 import numpy as np
@@ -111,6 +111,22 @@ def _compiled(code: str) -> Callable[..., bool]:
     return compile_function(types.boolean(counts, *arrays), fastmath=_VECTORIZED)(advance)
 
 
+@lru_cache(4)  # streams of one detector share the arrays, also in a pickle
+def _packed(
+    layers: tuple[CausalLayer, ...], position_scale: np.float32, step_scale: np.float32
+) -> tuple[Times, Floats, int]:
+    """Return the table of layers and the weights for `advance`, and the size of a fingertip's memory."""
+    rows, weights = list[list[int]](), [np.array([position_scale, step_scale])]
+    size = BAROMETERS
+    for layer in layers:
+        taps, channels, _ = layer.kernel.shape
+        rows.append([taps, channels, layer.dilation, size, sum(map(len, weights)), layer.skip])
+        weights += [layer.kernel.transpose(2, 0, 1).ravel(), layer.bias]
+        size += layer.dilation * 2 * taps * channels
+    rows.append([1, 1, 1, size, 0, 0])
+    return np.array(rows, np.int64), np.concatenate(weights), size + 2
+
+
 class TcnStream:
     """State of a TCN for one or more fingertips; can be pickled.
 
@@ -135,17 +151,8 @@ class TcnStream:
         fingers: int = 1,
     ) -> None:
         check_at_least("TcnStream", "fingers", fingers, 1)
-        rows, weights = list[list[int]](), [np.array([position_scale, step_scale])]
-        memory = BAROMETERS
-        for layer in layers:
-            taps, channels, _ = layer.kernel.shape
-            rows.append([taps, channels, layer.dilation, memory, sum(map(len, weights)), layer.skip])
-            weights += [layer.kernel.transpose(2, 0, 1).ravel(), layer.bias]
-            memory += layer.dilation * 2 * taps * channels
-        rows.append([1, 1, 1, memory, 0, 0])
-        self._layers = np.array(rows, np.int64)
-        self._weights = np.concatenate(weights)
-        self._memory = np.zeros((fingers, memory + 2), np.float32)
+        self._layers, self._weights, size = _packed(tuple(layers), position_scale, step_scale)
+        self._memory = np.zeros((fingers, size), np.float32)
         self._seen = 0  # samples
         _compiled("h")  # before the first sample
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -75,11 +75,25 @@ class Local:
     python: Path  # that has pyflink
     pids: Path  # of its task managers
 
-    def ask(self, path: str) -> dict[str, Any]:
-        """Return the response of its REST interface; a list is under the key "list"."""
-        with urlopen(self.url + path, timeout=10) as answer:  # noqa: S310 - ours
-            document: object = json.load(answer)
-        return cast("dict[str, Any]", document if isinstance(document, dict) else {"list": document})
+    def ask(self, path: str, body: object = None) -> dict[str, Any]:
+        """Return the response of its REST interface; with a body, to a POST."""
+        data = None if body is None else json.dumps(body).encode()
+        request = Request(self.url + path, data, {"Content-Type": "application/json"})  # noqa: S310 - ours
+        with urlopen(request, timeout=10) as answer:  # noqa: S310 - the same
+            return cast("dict[str, Any]", json.load(answer))
+
+    def processed_units(self, job: str) -> list[int]:
+        """Return how many work units each worker has processed."""
+        vertices = self.ask(f"/jobs/{job}")["vertices"]
+        [work] = [each for each in vertices if each["name"].startswith("process units")]
+        workers = self.ask(f"/jobs/{job}/vertices/{work['id']}")["subtasks"]
+        assert len({each["endpoint"] for each in workers}) == len(workers)
+        return [each["metrics"]["write-records"] for each in workers]
+
+    def job_manager(self) -> int:
+        """Return the id of the job manager."""
+        [file] = self.pids.parent.glob("*standalonesession.pid")
+        return int(file.read_text().split()[-1])
 
     def task_managers(self) -> list[int]:
         """Return the ids of the running task managers."""

@@ -16,7 +16,7 @@ from flows.run.cluster.cluster_replay import Cluster
 from flows.run.cluster.job_folder import JobFolder
 from flows.run.cluster.work_units import WorkUnit
 
-from .conftest import ROOT, Local, Recorder, World, contents, stop, until
+from .conftest import ROOT, Local, Recorder, World, contents, start, stop, until
 
 pytestmark = pytest.mark.cluster
 
@@ -44,16 +44,13 @@ def test_two_task_managers_write_the_files_of_one_process(
     expected = world.expected()
     assert any(path.endswith("slips.parquet") for path in expected)
     assert contents(world.out) == expected
-    vertices = world.local.ask(f"/jobs/{cluster.job}")["vertices"]
-    [work] = [each for each in vertices if each["name"].startswith("process units")]
-    shares = world.local.ask(f"/jobs/{cluster.job}/vertices/{work['id']}")["subtasks"]
-    assert len({each["endpoint"] for each in shares}) == 2
-    records = [each["metrics"]["read-records"] for each in shares]
-    assert min(records) > 0.4 * sum(records), "one of the two processed most units"
+    units = world.local.processed_units(cluster.job)
+    assert len(units) == 2
+    assert min(units) > 0.4 * sum(units), "one of the two processed most units"
 
 
-@pytest.mark.parametrize("victim", ["task manager", "python worker"])
-def test_a_kill_changes_nothing(victim: str, world: World) -> None:
+@pytest.mark.parametrize("victim", ["task manager", "python worker", "job manager", "none: a savepoint"])
+def test_a_kill_or_a_savepoint_changes_nothing(victim: str, world: World) -> None:
     world.record(sessions=2, fingers=4, seconds=120)
     cluster, local = cluster_of(world), world.local
     with ThreadPoolExecutor() as pool:
@@ -61,13 +58,21 @@ def test_a_kill_changes_nothing(victim: str, world: World) -> None:
         ended = pool.submit(cluster.run, "job", load(str(world.flow)), settings, [world.source])
         until(lambda: ended.done() or bool(cluster.job))
         assert cluster.job, ended.exception()
-        until(lambda: any((world.out / ".jobs").rglob("*.result")))
-        until(lambda: local.ask(f"/jobs/{cluster.job}/checkpoints").get("counts", {}).get("completed", 0) > 0)
-        workers = local.workers()
-        os.kill((local.task_managers() if victim == "task manager" else workers)[0], signal.SIGKILL)
+        first, checkpoints = cluster.job, f"/jobs/{cluster.job}/checkpoints"
+        until(lambda: local.ask(checkpoints).get("counts", {}).get("completed", 0) > 0)
+        until(lambda: sum(local.processed_units(first)) > 0)
+        if victim == "job manager":
+            os.kill(local.job_manager(), signal.SIGKILL)
+            start()
+        elif victim == "none: a savepoint":
+            local.ask(f"/jobs/{first}/stop", {"targetDirectory": f"file://{world.root}/savepoints"})
+        else:
+            killed = local.task_managers() if victim == "task manager" else local.workers()
+            os.kill(killed[0], signal.SIGKILL)
         assert not ended.done()
         assert ended.result(timeout=400) == {"session-0": "", "session-1": ""}
     assert local.ask(f"/jobs/{cluster.job}/checkpoints")["counts"]["restored"] >= 1
+    assert (cluster.job != first) == (victim in {"job manager", "none: a savepoint"})
     if victim == "task manager":
         stop()
         assert local.workers() == []
@@ -120,7 +125,8 @@ def test_parts_that_appear_in_any_order_and_repeatedly_are_processed_once(
 
     with ThreadPoolExecutor() as pool:
         ended = pool.submit(run)
-        until(lambda: ended.done() or any((world.out / ".jobs").rglob("*.result")))
+        until(lambda: ended.done() or bool(cluster.job))
+        until(lambda: ended.done() or sum(world.local.processed_units(cluster.job)) > 0)
         assert not ended.done(), ended.exception()
         assert not written("growing").exists()
         recorder.record(100)

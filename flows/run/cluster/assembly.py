@@ -1,4 +1,4 @@
-"""Assembly of a session from stored results: a replay that reads results instead of running operators.
+"""Writing of a session: a replay that takes the events from the results of work units.
 
 The code that cuts streams and writes sinks is that of a single-process replay, so the session's files are
 byte-identical.
@@ -6,20 +6,21 @@ byte-identical.
 
 import asyncio
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from shutil import rmtree
 from typing import Any, Final
 from uuid import uuid4
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow, Entry, Stage
-from flows.graph.node import Node, Part
-from flows.run.cluster.work_units import RecordingEnd, ShareResult
-from flows.run.cluster.worker import SliceResult, read_results
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
+from flows.graph.node import Node, Part, consumers
+from flows.run.cluster.work_units import SliceResult, UnitResult
+from flows.run.cluster.worker import event_nodes, result_nodes, with_inputs
 from flows.run.replay_runner import ReplayRunner
 from operators.batch import Batch
 from operators.errors import EndpointError, InputError, os_error_reason
+from operators.ports import Sink
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.files import make_folder, sync
@@ -28,39 +29,49 @@ from storage.layout import MANIFEST, SESSIONS, session_folder
 JOBS: Final = ".jobs"  # folder in a dataset
 
 
-class StoredResults(CompiledFlow):
-    """Compiled flow that returns stored results instead of running its operators.
+class StoredEvents(CompiledFlow):
+    """Compiled flow that takes events from the results of work units instead of running their operators.
 
     Args:
         flow: Flow over the recording.
-        folder: Folder of the results, with a folder per share.
-        end: End of the recording.
+        shares: Results of each share, slice by slice.
     """
 
-    def __init__(self, flow: Flow, folder: Path, end: RecordingEnd) -> None:
-        super().__init__(flow)
-        self._index = {node: number for number, node in enumerate(flow.nodes)}
-        self._shares = [read_results(folder / str(share), end.units) for share in range(len(end.shares))]
+    def __init__(self, flow: Flow, shares: Sequence[Iterator[SliceResult]]) -> None:
+        events = event_nodes(flow)
+        super().__init__(flow, operators=with_inputs(result_nodes(flow) - events))
+        fed = consumers(flow.nodes)
+        self._sinks = [[each for each in fed[node] if isinstance(each.part, Sink)] for node in flow.nodes]
+        self._shares = shares
         self.slices = 0  # pushed so far
 
-    def outputs(self, batches: Mapping[Entry, Batch]) -> list[tuple[Stage, Batch]]:
-        """Return the next slice's batches and results."""
+    def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
+        """Return the next slice's batches for the sinks; a sink gets each type from one operator only."""
         self.slices += 1
-        return [(self.stage(entry), batch) for entry, batch in batches.items()] + self.last_outputs()
+        return super().push(batches) + self._events()
 
-    def last_outputs(self) -> list[tuple[Stage, Batch]]:
-        """Return the results of the next slice; after the last one, those at the end of all streams."""
-        results = SliceResult()
+    def flush(self) -> list[Delivery]:
+        """Return the batches at the end of all streams."""
+        return super().flush() + self._events()
+
+    def _events(self) -> list[Delivery]:
+        """Return the events of the next slice, in the order of a compiled flow."""
+        events = SliceResult()
         for share in self._shares:
-            results |= next(share, SliceResult())
-        found = [
-            (stage, results.get((self._index[stage.node], stage.finger))) for stage in self.operator_stages
+            events |= next(share, SliceResult())
+        return [
+            (sink, events[index, finger]) for index, finger in sorted(events) for sink in self._sinks[index]
         ]
-        return [(stage, batch) for stage, batch in found if batch is not None]
 
 
-def assemble(flow: Flow, datasets: Mapping[str, str], job: str, results: Path, share: ShareResult) -> None:
-    """Write a session into each dataset of a flow from stored results.
+def assemble(
+    flow: Flow,
+    datasets: Mapping[str, str],
+    job: str,
+    last: UnitResult,
+    shares: Sequence[Iterator[SliceResult]],
+) -> None:
+    """Write a session into each dataset of a flow.
 
     A session appears in a dataset as a whole. If it is already in the dataset, nothing changes.
 
@@ -68,15 +79,15 @@ def assemble(flow: Flow, datasets: Mapping[str, str], job: str, results: Path, s
         flow: Flow that the job runs.
         datasets: Folders of its datasets, by the names of the sinks.
         job: Name of the job.
-        results: Folder of the session's results, with a folder per share.
-        share: Result of any share, which names the recording and its end.
+        last: Last result of any share, which names the recording and its end.
+        shares: Results of each share, slice by slice.
 
     Raises:
-        InputError: if the recording or a result cannot be read, or another session has that name.
+        InputError: if the recording cannot be read, or another session has that name.
         EndpointError: if a dataset cannot be written to.
     """
-    assert share.end, "a session with a failed share is not assembled"
-    end, attempt, compiled = share.end, uuid4().hex, list[StoredResults]()
+    assert last.end, "a session with a failed unit is not written"
+    attempt, compiled = uuid4().hex, list[StoredEvents]()
     scratch = {name: Path(root) / JOBS / job / attempt for name, root in datasets.items()}
 
     def to_scratch(node: Node) -> Part:
@@ -84,20 +95,20 @@ def assemble(flow: Flow, datasets: Mapping[str, str], job: str, results: Path, s
         return part.with_path(scratch[node.name]) if isinstance(part, Dataset) else part
 
     def compile_flow(replayed: Flow) -> CompiledFlow:
-        compiled.append(StoredResults(replayed, results, end))
+        compiled.append(StoredEvents(replayed, shares))
         return compiled[0]
 
     try:
-        recording = Session.open(share.folder)
-        runner = ReplayRunner(flow.replaced(to_scratch), recording, share.session, compile_flow=compile_flow)
+        recording = Session.open(last.folder)
+        runner = ReplayRunner(flow.replaced(to_scratch), recording, last.session, compile_flow=compile_flow)
         asyncio.run(runner.execute())
-        if compiled[0].slices != end.slices:
-            raise InputError(share.folder, "has changed since the job began")
+        if compiled[0].slices != last.end.slices:
+            raise InputError(last.folder, "has changed since the job began")
         for name, root in datasets.items():
-            _commit(session_folder(scratch[name], share.session), Path(root), share.session)
+            _commit(session_folder(scratch[name], last.session), Path(root), last.session)
     finally:
-        for folder in scratch.values():
-            rmtree(folder, ignore_errors=True)
+        for each in scratch.values():
+            rmtree(each, ignore_errors=True)
 
 
 def _commit(complete: Path, root: Path, session: str) -> None:

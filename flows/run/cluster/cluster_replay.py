@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from time import sleep
@@ -13,15 +14,15 @@ from typing import Final
 from flows.graph import Flow
 from flows.graph.loading import Declaration
 from flows.run.cluster.job_folder import JobFolder
-from flows.run.cluster.job_manager import ENDED, JobManager
+from flows.run.cluster.job_manager import ENDED, LOST, JobManager
 from flows.run.cluster.splitting import Splitter, check_flow
+from flows.run.log_events import warn
 from flows.run.parallel_replay import recordings
 from operators.errors import EndpointError, InputError, ParameterError, SlipflowError, os_error_reason
 from operators.ports import Sink
 from storage.layout import SESSION, session_folder, session_names
 
 PYTHON: Final = Path(".cluster/bin/python")  # created by deploy/cluster
-_SHARES: Final = 2  # of a session's fingertips, per worker
 _INTERVAL: Final = 1.0  # s, between checks of the job and of growing recordings
 _MISSED: Final = 30  # consecutive checks without a response of the job manager before it is an error
 
@@ -40,7 +41,7 @@ class Cluster:
 
     url: str
     python: Path | None = None
-    slices: int = 8
+    slices: int = 16
     workers: int | None = None
     job: str = field(default="", init=False)  # Flink's id, after submission
 
@@ -81,14 +82,14 @@ class Cluster:
         workers = manager.slots() if self.workers is None else self.workers
         if workers < 1:
             raise EndpointError(self.url, "has no task manager: start one, or try again when it has joined")
-        shares = _SHARES * workers
-        feed = UnitFeed(flow, paths, follow=follow, slices=self.slices, shares=shares)
+        feed = UnitFeed(flow, paths, follow=follow, slices=self.slices, shares=workers)
         feed.find_recordings()
         folder = JobFolder.create(name, declaration, settings, flow)
         try:
             feed.send_units(folder)
-            self.job = _submit(python, self.url, folder, workers, follow=follow)
-            return self._watch(manager, feed, folder, follow=follow, stopped=stopped, progress=progress)
+            submit = partial(_submit, python, self.url, folder, workers, follow=follow)
+            self.job = submit(None)
+            return self._watch(manager, feed, folder, submit, stopped=stopped, progress=progress)
         finally:
             with suppress(EndpointError):
                 if self.job and manager.state(self.job) not in ENDED:
@@ -101,15 +102,20 @@ class Cluster:
         manager: JobManager,
         feed: "UnitFeed",
         folder: JobFolder,
+        submit: Callable[[str | None], str],
         *,
-        follow: bool,
         stopped: Callable[[], bool],
         progress: Callable[[int, int], object],
     ) -> dict[str, str]:
+        """Monitor the job to its end; submit it again if it is lost, or was stopped with a savepoint."""
         missed = 0  # consecutive checks without a response
+        restore: str | None = None  # newest checkpoint
         while True:
             try:
-                state, missed = manager.state(self.job), 0
+                state = manager.state(self.job)
+                if state != LOST:
+                    restore = manager.restore_point(self.job) or restore
+                missed = 0
             except EndpointError:
                 missed += 1
                 if missed == _MISSED:
@@ -118,12 +124,18 @@ class Cluster:
                 continue
             done = feed.failed | folder.done()
             progress(len(done), len(feed.splitters))
-            if state == "FINISHED" or (stopped() and not (follow and feed.ended - done.keys())):
+            unfinished = feed.follow or len(done) < len(feed.splitters)
+            if stopped() and not (feed.follow and feed.ended - done.keys()):
                 return done
-            if state in ENDED:
+            if state == LOST or (state == "FINISHED" and unfinished and manager.has_savepoint(self.job)):
+                warn("job_resumed", f"Flink job {self.job} continues as a new job", restore=restore)
+                self.job = submit(restore)
+            elif state == "FINISHED":
+                return done
+            elif state in ENDED:
                 reason = f"the job was {state.lower()}: {manager.cause(self.job)}"
                 raise EndpointError(self.url, reason)
-            if follow and not stopped():
+            if feed.follow and not stopped():
                 feed.find_recordings()
                 feed.send_units(folder)
             sleep(_INTERVAL)
@@ -221,12 +233,15 @@ def _sessions(path: Path, *, follow: bool) -> list[Path]:
     return recordings([path])
 
 
-def _submit(python: Path, url: str, folder: JobFolder, workers: int, *, follow: bool) -> str:
+def _submit(
+    python: Path, url: str, folder: JobFolder, workers: int, restore: str | None, *, follow: bool
+) -> str:
     """Submit the job with a Python that has pyflink; return Flink's id of the job."""
     command = [str(python), "-m", "flows.run.cluster.flink_job", url, str(folder.path), str(workers)]
+    command += ["--follow"] * follow + (["--restore", restore] if restore else [])
     try:
         done = subprocess.run(  # noqa: S603 - our own module
-            [*command, "--follow"] if follow else command, capture_output=True, text=True, check=False
+            command, capture_output=True, text=True, check=False
         )
     except OSError as error:
         raise EndpointError(str(python), f"cannot be run: {os_error_reason(error)}") from error

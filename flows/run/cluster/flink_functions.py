@@ -15,7 +15,7 @@ from pyflink.datastream import KeyedProcessFunction, RuntimeContext
 from pyflink.datastream.state import MapStateDescriptor
 
 from flows.run.cluster.job_folder import JobFolder
-from flows.run.cluster.work_units import ShareResult, WorkUnit, partition_of
+from flows.run.cluster.work_units import UnitResult, WorkUnit, partition_of
 from flows.run.cluster.worker import Worker
 
 
@@ -36,7 +36,7 @@ class _JobFunction(KeyedProcessFunction):
 
 
 class ProcessUnits(_JobFunction):
-    """Function that processes work units and yields a `ShareResult` after the last unit of a share, as lines.
+    """Function that processes work units and yields a `UnitResult` for each, as a line.
 
     Args:
         folder: Folder of the job.
@@ -47,36 +47,41 @@ class ProcessUnits(_JobFunction):
     def open(self, runtime_context: RuntimeContext) -> None:
         """Build the flow, once per worker."""
         super().open(runtime_context)
-        self._worker = Worker(self._folder.flow(), self._folder.results)
+        self._worker = Worker(self._folder.flow())
 
     def process_element(self, value: str, ctx: object) -> Iterator[str]:  # noqa: ARG002 - Flink's signature
         """Process one unit."""
         unit = WorkUnit.from_line(value)
         before: bytes | None = self._states.get(unit.key)
-        state, result = self._worker.process(before, unit)
+        state, results = self._worker.process(before, unit)
         self._states.put(unit.key, state)
-        if result:
+        for result in results:
             yield result.to_line()
 
 
 class WriteSessions(_JobFunction):
-    """Function that takes the results of `ProcessUnits` and writes a session when its shares are done.
+    """Function that stores the results of `ProcessUnits`, and writes a session when it has all of them.
 
     Args:
         folder: Folder of the job.
     """
 
-    _map = "sessions"
+    _map = "results"
 
     def process_element(self, value: str, ctx: object) -> Iterator[str]:  # noqa: ARG002 - Flink's signature
-        """Store that a share is done; yield the session's name when it is written."""
-        result = ShareResult.from_line(value)
-        before: frozenset[int] | None = self._states.get(result.key)
-        shares = (before or frozenset()) | {result.share}
-        self._states.put(result.key, shares)
-        if result.error or (result.end and len(shares) == len(result.end.shares)):
-            self._folder.finish(result)
+        """Store a result; yield the session's name when it is written."""
+        result = UnitResult.from_line(value)
+        self._states.put(result.key, value)
+        if result.error or (result.end and all(map(self._states.contains, result.last_keys()))):
+            shares = [map(self._result, keys) for keys in result.all_keys()]
+            self._folder.finish(result, shares)
+            for key in list(self._states.keys()):
+                if key.startswith(f"{result.session}/"):
+                    self._states.remove(key)
             yield result.session
+
+    def _result(self, key: str) -> UnitResult:
+        return UnitResult.from_line(self._states.get(key))
 
 
 def worker_key(keys: Sequence[str], line: str) -> str:

@@ -1,12 +1,15 @@
 """Submission of a job to a Flink cluster; runs as a command in an environment that has pyflink.
 
-    python -m flows.run.cluster.flink_job http://localhost:8081 FOLDER 2        prints the job's id
+    python -m flows.run.cluster.flink_job http://localhost:8081 FOLDER 2 [--follow] [--restore PATH]
+
+prints the job's id.
 
 The files of work units are the source. One keyed process function runs the flow's operators, a second one
 writes the sessions. See `docs/decisions/0013-work-units-on-flink.md`.
 """
 
 import sys
+from argparse import ArgumentParser
 from functools import partial
 from importlib.resources import files
 from itertools import count
@@ -28,6 +31,8 @@ _SETTINGS: Final = {
     "python.execution-mode": "process",
     "execution.checkpointing.interval": "5 s",
     "execution.checkpointing.mode": "EXACTLY_ONCE",
+    "execution.checkpointing.num-retained": "3",  # one is in use until the command has seen a newer one
+    "execution.checkpointing.timeout": "1 d",  # a checkpoint waits while a session is written
     "execution.checkpointing.unaligned.enabled": "true",  # thousands of small units wait before a barrier
     "restart-strategy.type": "failure-rate",
     "restart-strategy.failure-rate.max-failures-per-interval": "20",
@@ -36,7 +41,7 @@ _SETTINGS: Final = {
 }
 
 
-def submit(url: str, folder: Path, parallelism: int, *, follow: bool) -> str:
+def submit(url: str, folder: Path, parallelism: int, *, follow: bool, restore: str | None) -> str:
     """Submit the job of a folder.
 
     Args:
@@ -44,6 +49,7 @@ def submit(url: str, folder: Path, parallelism: int, *, follow: bool) -> str:
         folder: Folder of the job, on storage that all machines of the cluster share.
         parallelism: Number of workers.
         follow: Wait for further units; else the job ends with the existing ones.
+        restore: Checkpoint or savepoint of an earlier job of the same folder to continue from.
 
     Returns:
         Flink's id of the job.
@@ -51,6 +57,8 @@ def submit(url: str, folder: Path, parallelism: int, *, follow: bool) -> str:
     settings = Configuration()
     for name, value in {**_SETTINGS, "python.executable": sys.executable}.items():
         settings.set_string(name, value)
+    if restore:
+        settings.set_string("execution.state-recovery.path", restore)
     source = FileSource.for_record_stream_format(StreamFormat.text_line_format(), f"file://{folder}/units")
     if follow:
         source = source.monitor_continuously(Duration.of_millis(500))
@@ -59,7 +67,7 @@ def submit(url: str, folder: Path, parallelism: int, *, follow: bool) -> str:
     environment.set_parallelism(parallelism)
     units = environment.from_source(source.build(), WatermarkStrategy.no_watermarks(), "units")
     key = partial(worker_key, _keys(parallelism))
-    keyed = units.set_parallelism(1).key_by(key, Types.STRING())
+    keyed = units.uid("units").set_parallelism(1).key_by(key, Types.STRING())
     results = (
         keyed.process(ProcessUnits(str(folder)), Types.STRING()).name("process units").uid("process-units")
     )
@@ -102,5 +110,10 @@ def _environment(url: str, settings: Configuration) -> StreamExecutionEnvironmen
 
 
 if __name__ == "__main__":
-    _, _url, _folder, _parallelism, *_rest = sys.argv
-    sys.stdout.write(submit(_url, Path(_folder), int(_parallelism), follow="--follow" in _rest) + "\n")
+    parser = ArgumentParser()
+    parser.add_argument("url")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("parallelism", type=int)
+    parser.add_argument("--follow", action="store_true")
+    parser.add_argument("--restore")
+    sys.stdout.write(submit(**vars(parser.parse_args())) + "\n")

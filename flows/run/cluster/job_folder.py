@@ -5,14 +5,15 @@
     job.json               the flow, its parameters and the folders of its datasets
     flow/<name>.py         the flow's file when the job began
     units/<name>.lines     work units; a file appears when it is complete
-    results/<session>/<generation>/<share>/<unit>.result
+    <attempt>/             a session that is being written, see flows.run.cluster.assembly
     done/<session>.json    error of a session; empty if it was written
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import chdir, suppress
 from dataclasses import dataclass
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from shutil import copyfile, rmtree
 from threading import Lock
@@ -22,7 +23,7 @@ from uuid import uuid4
 from flows.graph import Flow
 from flows.graph.loading import Declaration, load
 from flows.run.cluster.assembly import JOBS, assemble
-from flows.run.cluster.work_units import ShareResult, WorkUnit
+from flows.run.cluster.work_units import UnitResult, WorkUnit
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Sink
 from storage import files
@@ -54,7 +55,7 @@ class JobFolder:
         path = Path(next(iter(datasets.values()))) / JOBS / job
         folder = cls(path)
         try:
-            for each in (folder.units, folder.results, path / "done", path / "flow"):
+            for each in (folder.units, path / "done", path / "flow"):
                 each.mkdir(parents=True)
             copyfile(declaration.file, path / "flow" / declaration.file.name)
             files.put_json(
@@ -85,11 +86,6 @@ class JobFolder:
         """Folder that the cluster reads work units from."""
         return self.path / "units"
 
-    @property
-    def results(self) -> Path:
-        """Folder that workers write results to."""
-        return self.path / "results"
-
     def flow(self) -> Flow:
         """Build the flow; relative paths in its parameters refer to the directory where the job began.
 
@@ -114,28 +110,31 @@ class JobFolder:
         except OSError as error:
             raise _write_error(self.path, error) from error
 
-    def finish(self, share: ShareResult) -> None:
-        """Write a session whose shares are all processed, or store the error of a failed share.
+    def finish(self, last: UnitResult, shares: Sequence[Iterable[UnitResult]]) -> None:
+        """Write a session whose units are all processed, or store the error of a failed one.
+
+        Args:
+            last: Result that completed the session or has an error.
+            shares: All results of each share, in order; not read if there is an error.
 
         Raises:
             EndpointError: if a dataset cannot be written to; nothing is stored then.
         """
-        if self.done().get(share.session) == "":
+        if self.done().get(last.session) == "":
             return
-        error = share.error
-        if not error:
+        error = last.error
+        if last.end:
             try:
                 about = self.about
-                assemble(self.flow(), about["datasets"], about["job"], self.results / share.key, share)
+                slices = [chain.from_iterable(result.slices for result in share) for share in shares]
+                assemble(self.flow(), about["datasets"], about["job"], last, slices)
             except InputError as failure:
                 error = str(failure)
         try:
-            note = {"session": share.session, "error": error}
-            files.put_json(self.path / "done" / f"{share.session}.json", note)
+            note = {"session": last.session, "error": error}
+            files.put_json(self.path / "done" / f"{last.session}.json", note)
         except OSError as failure:
             raise _write_error(self.path, failure) from failure
-        with suppress(OSError):
-            rmtree(self.results / share.session)
 
     def done(self) -> dict[str, str]:
         """Return the finished sessions with their errors; empty: no error.

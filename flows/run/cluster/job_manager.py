@@ -1,6 +1,7 @@
 """Client of a Flink job manager's REST interface."""
 
 import json
+from operator import itemgetter
 from typing import Any, Final, cast
 from urllib.error import HTTPError
 from urllib.parse import urlsplit
@@ -10,6 +11,7 @@ from operators.errors import EndpointError, ParameterError
 
 _TIMEOUT: Final = 10.0  # s
 _LIMIT: Final = 16_000_000  # bytes of a response
+LOST: Final = "LOST"
 ENDED: Final = frozenset({"FINISHED", "FAILED", "CANCELED"})  # states of a job
 
 
@@ -38,12 +40,34 @@ class JobManager:
         return int(self._request("/overview")["slots-total"])
 
     def state(self, job: str) -> str:
-        """Return the state of a job; one of `ENDED` if it has ended.
+        """Return the state of a job; one of `ENDED` if it has ended, LOST if the job manager was restarted.
+
+        Raises:
+            EndpointError: if the job manager does not respond.
+        """
+        jobs: list[dict[str, str]] = self._request("/jobs/overview")["jobs"]
+        return next((each["state"] for each in jobs if each["jid"] == job), LOST)
+
+    def restore_point(self, job: str) -> str | None:
+        """Return the path of a job's newest checkpoint or savepoint; None: there is none.
 
         Raises:
             EndpointError: if the job manager does not respond, or there is no such job.
         """
-        return str(self._request(f"/jobs/{job}")["state"])
+        latest = self._latest(job)
+        found = [latest[kind] for kind in ("completed", "savepoint") if latest.get(kind)]
+        return max(found, key=itemgetter("trigger_timestamp"))["external_path"] if found else None
+
+    def has_savepoint(self, job: str) -> bool:
+        """Return true if a savepoint of a job was taken.
+
+        Raises:
+            EndpointError: if the job manager does not respond, or there is no such job.
+        """
+        return self._latest(job).get("savepoint") is not None
+
+    def _latest(self, job: str) -> dict[str, Any]:
+        return cast("dict[str, Any]", self._request(f"/jobs/{job}/checkpoints").get("latest", {}))
 
     def cause(self, job: str) -> str:
         """Return the reason of a job's last failure in one line; empty if it did not fail.

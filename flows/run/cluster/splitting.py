@@ -9,13 +9,12 @@ import numpy as np
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Entry
-from flows.graph.node import Node
 from flows.run.cluster.work_units import RecordingEnd, RowRange, WorkUnit
-from flows.run.cluster.worker import checked_type
+from flows.run.cluster.worker import checked_type, event_nodes, result_nodes, with_inputs
 from flows.run.replay_runner import in_slices, replayed
 from operators.batch import EVERY, Batch, Times, batch_type, column
 from operators.errors import FlowError, InputError
-from operators.ports import Description, SomeBatch, Source
+from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
 from storage.layout import TABLE_OF, inside
 
@@ -48,7 +47,7 @@ class Splitter:
     flow: Flow
     folder: Path
     rows: int = 1000
-    slices: int = 8
+    slices: int = 16
     shares: int = 8
     partition: int = 0
     ended: bool = field(default=False, init=False)  # the last units were returned
@@ -110,19 +109,19 @@ class Splitter:
         files = {
             node.name: list(session.files(cast("type[Batch]", node.gives)).items()) for node in flow.sources()
         }
-        needed, shares = needed_sources(self.flow), split_fingers(flow, self.shares)
+        needed, shares = with_inputs(event_nodes(flow)), split_fingers(flow, self.shares)
         last = max(-(-len(slices) // self.slices) - 1, 0) if closed else len(slices) // self.slices - 1
         units = list[WorkUnit]()
         for number in range(self._done, last + 1):
             first = number * self.slices
             group = slices[first : first + self.slices]
-            end = RecordingEnd(len(slices), last + 1, shares) if closed and number == last else None
+            end = RecordingEnd(len(slices), last + 1, len(shares)) if closed and number == last else None
             for share, fingers in enumerate(shares):
                 own = tuple(
                     tuple(
                         _row_range(entry, times, files)
                         for entry, times in each.items()
-                        if entry[0].name in needed and entry[1] in (*fingers, EVERY)
+                        if entry[0] in needed and entry[1] in (*fingers, EVERY)
                     )
                     for each in group
                 )
@@ -154,37 +153,20 @@ def check_flow(flow: Flow) -> None:
         if not isinstance(node.part, Dataset):
             reason = "a cluster writes datasets only: remove this sink, or set the parameter that adds it"
             raise FlowError(flow.name, node.name, reason)
-    if not _result_nodes(flow):
+    if not result_nodes(flow):
         raise FlowError(
             flow.name, "datasets", "none takes the rows of an operator: add a dataset after an operator"
         )
 
 
-def _result_nodes(flow: Flow) -> list[Node]:
-    """Return the operators whose rows go to sinks."""
-    inputs = {parent for node in flow.sinks() for parent in node.inputs}
-    return [node for node in inputs if not isinstance(node.part, Source)]
-
-
-def needed_sources(flow: Flow) -> set[str]:
-    """Return the names of the sources whose rows operators take."""
-    found, rest = set[str](), _result_nodes(flow)
-    while rest:
-        node = rest.pop()
-        rest += node.inputs
-        if isinstance(node.part, Source):
-            found.add(node.name)
-    return found
-
-
 def split_fingers(flow: Flow, most: int) -> tuple[tuple[int, ...], ...]:
-    """Split the fingertips whose rows the flow derives into at most `most` shares; EVERY counts as one.
+    """Split the fingertips that have events into at most `most` shares; EVERY counts as one.
 
-    Rows that belong to every fingertip are read for each share, so few large shares cost less than many
-    small ones.
+    Each share reads whole parts, so few large shares cost less than many small ones. A flow without events
+    has one share without fingertips.
     """
-    fingers = sorted({finger for node in _result_nodes(flow) for finger in node.fingers})
-    count = min(most, len(fingers))
+    fingers = sorted({finger for node in event_nodes(flow) for finger in node.fingers})
+    count = max(min(most, len(fingers)), 1)
     return tuple(tuple(fingers[share::count]) for share in range(count))
 
 

@@ -1,7 +1,7 @@
-"""Work units: messages that name rows of a recording, which the worker reads.
+"""Work units: messages that name rows of a recording, which the worker reads; and their results.
 
-Units and results travel as lines of text: the partition, a tab, and a pickle in base64. All machines share
-the storage that holds the named Parquet files, and trust it: the flow to run is on it too.
+Both travel as lines of text: the partition, a tab, and a pickle in base64. All machines share the storage
+that holds the named Parquet files, and trust it: the flow to run is on it too.
 """
 
 import pickle
@@ -9,6 +9,8 @@ from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple, Self, TypeAlias, cast
+
+from operators.batch import Batch
 
 _TAB: Final = "\t"
 
@@ -27,6 +29,9 @@ class RowRange(NamedTuple):
 Slice: TypeAlias = tuple[
     RowRange, ...
 ]  # rows of a time span, as a replay cuts it; at most one range per stream
+SliceResult: TypeAlias = dict[
+    tuple[int, int], Batch
+]  # events by the operator's index in the flow, and the fingertip
 
 
 class RecordingEnd(NamedTuple):
@@ -34,7 +39,7 @@ class RecordingEnd(NamedTuple):
 
     slices: int  # total number
     units: int  # number per share
-    shares: tuple[tuple[int, ...], ...]  # fingertips of each share
+    shares: int  # number
 
 
 class _Line:
@@ -74,38 +79,56 @@ class WorkUnit(_Line):
 
     @property
     def key(self) -> str:
-        """Key of the share's state, which is also a relative path."""
+        """Key of the share's state."""
         return f"{self.session}/{self.generation}/{self.share}"
 
 
 @dataclass(frozen=True)
-class ShareResult(_Line):
-    """Result of a share: all of its units are processed, or one of them failed."""
+class UnitResult(_Line):
+    """Events that the operators gave in a work unit, or the error of its share."""
 
     session: str
     folder: str
     generation: int
     share: int
+    number: int
     partition: int  # of the session, not of the share
-    end: RecordingEnd | None  # None: a unit failed
+    slices: tuple[SliceResult, ...] = ()  # one more at the end of the recording
+    end: RecordingEnd | None = None
     error: str = ""
+
+    @classmethod
+    def of(cls, unit: WorkUnit, slices: tuple[SliceResult, ...] = (), error: str = "") -> Self:
+        """Return the result of a unit; an error ends its share."""
+        partition, end = unit.partition - unit.share, None if error else unit.end
+        about = (unit.session, unit.folder, unit.generation, unit.share, unit.number)
+        return cls(*about, partition, slices, end, error)
 
     @property
     def key(self) -> str:
-        """Key of the session's state, which is also a relative path."""
-        return f"{self.session}/{self.generation}"
+        """Key of this result."""
+        return self._key(self.share, self.number)
 
-    @classmethod
-    def of(cls, unit: WorkUnit, error: str = "") -> Self:
-        """Return the result of a share whose last unit, or failed one, is `unit`."""
-        end, partition = None if error else unit.end, unit.partition - unit.share
-        return cls(unit.session, unit.folder, unit.generation, unit.share, partition, end, error)
+    def last_keys(self) -> list[str]:
+        """Return the keys of the last results of all shares; empty if this is no last one."""
+        return [self._key(share, self.end.units - 1) for share in range(self.end.shares)] if self.end else []
+
+    def all_keys(self) -> list[list[str]]:
+        """Return the keys of all results of the session by share; empty if this is no last one."""
+        if not self.end:
+            return []
+        return [
+            [self._key(share, number) for number in range(self.end.units)] for share in range(self.end.shares)
+        ]
+
+    def _key(self, share: int, number: int) -> str:
+        return f"{self.session}/{self.generation}/{share}/{number}"
 
 
 def partition_of(line: str) -> int:
     """Return the partition of a line without reading the rest.
 
-    >>> partition_of(ShareResult("one", "/data/one", 0, 3, 7, None).to_line())
+    >>> partition_of(UnitResult("one", "/data/one", 0, 3, 0, 7).to_line())
     7
     """
     return int(line.partition(_TAB)[0])

@@ -1,37 +1,28 @@
 """Processing of work units: a pure function of state and unit, independent of Flink.
 
-Units may arrive repeatedly and in any order. They are numbered, and each is processed once, in order. A
-result's file name follows from its unit, and its content from the recording and the flow: a unit that is
-processed again, after a failure or by another worker, writes the same rows to the same file.
+Units may arrive repeatedly and in any order. They are numbered, and each is processed once, in order.
+
+A unit gives events only, which are few. Rows of the other tables, one per recorded sample, are derived when
+the session is written: deriving them again costs less than to store and read them.
 """
 
-import os
 import pickle
-from collections.abc import AsyncIterator, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import AsyncIterator, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, TypeAlias, cast
-from uuid import uuid4
-from zlib import crc32
+from typing import Any, Final, cast
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Entry, Stage
 from flows.graph.node import Node, Part
-from flows.run.cluster.work_units import ShareResult, Slice, WorkUnit
+from flows.run.cluster.work_units import Slice, SliceResult, UnitResult, WorkUnit
 from operators.batch import Batch
-from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
+from operators.errors import EndpointError, InputError, SlipflowError
 from operators.ports import Clock, Source
-from storage import files
 from storage.layout import TABLE_OF, inside
 
-_CACHED_PARTS: Final = 16  # parts kept in memory, because units of many fingertips name the same ones
-_CRC: Final = 4  # bytes before the pickle of a result
-
-SliceResult: TypeAlias = dict[
-    tuple[int, int], Batch
-]  # by the operator's index in the flow, and the fingertip
+_CACHED_PARTS: Final = 16  # parts kept in memory, because consecutive units name the same ones
 
 
 class UnitSource(Source[Batch]):
@@ -70,19 +61,18 @@ class _State:
 
 
 class Worker:
-    """Processor of work units, one at a time, that stores their results.
+    """Processor of work units, one at a time.
 
     Args:
         flow: Flow that the units belong to.
-        results: Folder for the results.
     """
 
-    def __init__(self, flow: Flow, results: Path) -> None:
-        self._flow, self._results = flow, results
+    def __init__(self, flow: Flow) -> None:
+        self._flow = flow
         self._read_part = lru_cache(_CACHED_PARTS)(read_part)
 
-    def process(self, state: bytes | None, unit: WorkUnit) -> tuple[bytes, ShareResult | None]:
-        """Process a unit; return the new state, and the share's result if this was its last unit.
+    def process(self, state: bytes | None, unit: WorkUnit) -> tuple[bytes, list[UnitResult]]:
+        """Process a unit; return the new state, and the results of the unit and of those that waited for it.
 
         An error that would occur again ends the share and becomes its result.
 
@@ -91,53 +81,51 @@ class Worker:
             unit: Unit with any number.
 
         Raises:
-            EndpointError: if the result cannot be stored; the old state remains valid.
+            EndpointError: if there is not enough memory; the old state remains valid.
         """
         share = _State() if state is None else cast("_State", pickle.loads(state))  # noqa: S301 - our own
-        result = None
-        if share.next >= 0 and unit.number >= share.next:
+        results = list[UnitResult]()
+        if share.next >= 0 and unit.number > share.next:
+            share.waiting[unit.number] = unit
+        elif unit.number == share.next:
             try:
-                result = self._advance(share, unit)
+                results = self._advance(share, unit)
             except EndpointError:
                 raise
             except SlipflowError as error:
-                result = ShareResult.of(unit, str(error))
-            if result:
+                results = [UnitResult.of(unit, error=str(error))]
+            if results[-1].end or results[-1].error:
                 share = _State(next=-1)
-        return pickle.dumps(share, pickle.HIGHEST_PROTOCOL), result
+        return pickle.dumps(share, pickle.HIGHEST_PROTOCOL), results
 
-    def _advance(self, share: _State, newest: WorkUnit) -> ShareResult | None:
-        """Process `newest` and the waiting units after it, or store it until its turn."""
-        if newest.number > share.next:
-            share.waiting[newest.number] = newest
-            return None
+    def _advance(self, share: _State, newest: WorkUnit) -> list[UnitResult]:
+        """Process `newest` and the waiting units after it."""
         flow = self._flow.replaced(lambda node: _placeholder(node, newest.sources))
-        compiled = CompiledFlow(flow, only=newest.fingers)
+        events = event_nodes(flow)
+        compiled = CompiledFlow(flow, newest.fingers, with_inputs(events))
         if share.operators:
             compiled.restore(share.operators)
         index = {node: number for number, node in enumerate(flow.nodes)}
         sources = {node.name: node for node in flow.sources()}
 
         def result_of(outputs: list[tuple[Stage, Batch]]) -> SliceResult:
-            """Return the results of the share's own fingertips; rows of EVERY belong to one share."""
+            """Return the events of the share's own fingertips; rows of EVERY belong to one share."""
             return {
                 (index[stage.node], stage.finger): batch
                 for stage, batch in outputs
-                if stage.sinks and stage.operator is not None and stage.finger in newest.fingers
+                if stage.node in events and stage.finger in newest.fingers
             }
 
-        due: WorkUnit | None = newest
+        results, due = list[UnitResult](), cast("WorkUnit | None", newest)
         while unit := due:
-            result = [result_of(compiled.outputs(self._rows(unit, each, sources))) for each in unit.slices]
+            slices = [result_of(compiled.outputs(self._rows(unit, each, sources))) for each in unit.slices]
             if unit.end:
-                result.append(result_of(compiled.last_outputs()))
-            _write_result(self._results / unit.key / result_file(unit.number), result)
-            if unit.end:
-                return ShareResult.of(unit)
+                slices.append(result_of(compiled.last_outputs()))
+            results.append(UnitResult.of(unit, tuple(slices)))
             share.next += 1
             due = share.waiting.pop(share.next, None)
         share.operators = compiled.snapshot()
-        return None
+        return results
 
     def _rows(self, unit: WorkUnit, rows: Slice, sources: Mapping[str, Node]) -> dict[Entry, Batch]:
         found = dict[Entry, Batch]()
@@ -147,6 +135,32 @@ class Worker:
             part = self._read_part(Path(unit.folder), kind, each.path, each.sha256)
             found[node, each.finger] = part[each.finger][each.start : each.stop]
         return found
+
+
+def result_nodes(flow: Flow) -> set[Node]:
+    """Return the operators whose rows go to sinks."""
+    return {each for sink in flow.sinks() for each in sink.inputs if not isinstance(each.part, Source)}
+
+
+def event_nodes(flow: Flow) -> set[Node]:
+    """Return the operators that work units run for: they give events, and no other result needs them."""
+    results = result_nodes(flow)
+    return results - with_inputs(filter(_is_parted, results))
+
+
+def _is_parted(node: Node) -> bool:
+    table = TABLE_OF.get(cast("type[Batch]", node.gives))
+    return table is None or table.parted
+
+
+def with_inputs(nodes: Iterable[Node]) -> set[Node]:
+    """Return nodes and all that they read from, directly or not."""
+    found, rest = set[Node](), list(nodes)
+    while rest:
+        node = rest.pop()
+        found.add(node)
+        rest += node.inputs
+    return found
 
 
 def _placeholder(node: Node, fingers: Mapping[str, tuple[int, ...]]) -> Part:
@@ -176,44 +190,3 @@ def checked_type(path: Path, stored: type[Batch] | None, kind: type[Batch]) -> t
     if stored is None or not issubclass(stored, kind):
         raise InputError(str(path), 'its metadata "batch" is missing or does not fit its table')
     return stored
-
-
-def _write_result(path: Path, result: list[SliceResult]) -> None:
-    """Write a result atomically and durably; two workers may write the same one at once."""
-    data = pickle.dumps(result, pickle.HIGHEST_PROTOCOL)
-    scratch = path.with_name(f"{path.name}.{uuid4().hex}{files.SCRATCH}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with scratch.open("xb") as file:
-            file.write(crc32(data).to_bytes(_CRC) + data)
-            file.flush()
-            os.fsync(file.fileno())
-        scratch.replace(path)
-        files.sync(path.parent)
-    except OSError as error:
-        with suppress(OSError):
-            scratch.unlink(missing_ok=True)
-        raise EndpointError(str(path), f"cannot be written: {os_error_reason(error)}") from error
-
-
-def read_results(folder: Path, units: int) -> Iterator[SliceResult]:
-    """Yield the results of a share's `units` units, slice by slice.
-
-    Raises:
-        InputError: if a file is missing or damaged.
-    """
-    for number in range(units):
-        path = folder / result_file(number)
-        data = files.read(path)
-        if crc32(data[_CRC:]).to_bytes(_CRC) != data[:_CRC]:
-            raise InputError(str(path), "is damaged")
-        yield from cast("list[SliceResult]", pickle.loads(data[_CRC:]))  # noqa: S301 - our own
-
-
-def result_file(number: int) -> str:
-    """Return the file name of a unit's result.
-
-    >>> result_file(7)
-    '000007.result'
-    """
-    return f"{number:06d}.result"

@@ -1,12 +1,14 @@
 """A flow with a join and two derived streams, and recordings for it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 from flows.graph import Flow
 from flows.graph.testing import TestSource
+from flows.run.cluster.work_units import UnitResult, WorkUnit
+from flows.run.cluster.worker import Worker
 from operators import Align, Debounce, Label, Motion, Score, Touch, Zero, ms, s
 from storage import Dataset, load_detector
 from tests.flows.run.recorder import Recorder
@@ -33,7 +35,19 @@ def derive(out: Path, threshold: float = 0.5) -> Flow:
     flow, dataset = Flow("derive"), Dataset(out, part_span=15 * s, host="test")
     touch = flow.source(TestSource(Touch))
     zeroed = touch | Zero()
-    (zeroed & flow.source(TestSource(Motion)) | Align() | Label(delay=70 * ms)).to(dataset)
-    (zeroed | Score(load_detector("psd")) | Debounce(threshold=threshold)).to(dataset)
+    samples = zeroed & flow.source(TestSource(Motion)) | Align() | Label(delay=70 * ms)
+    samples.to(dataset)
+    (samples | Score(load_detector("psd")) | Debounce(threshold=threshold)).to(dataset)
     touch.to(dataset)
     return flow
+
+
+def processed(flow: Flow, units: Iterable[WorkUnit]) -> Iterator[tuple[UnitResult, list[list[UnitResult]]]]:
+    """Process units as Flink does; yield the last result of each session, and all results by share."""
+    worker, states, results = Worker(flow), dict[str, bytes](), dict[str, UnitResult]()
+    for unit in units:
+        states[unit.key], new = worker.process(states.get(unit.key), WorkUnit.from_line(unit.to_line()))
+        for result in new:
+            results[result.key] = UnitResult.from_line(result.to_line())
+            if result.error or (result.end and all(key in results for key in result.last_keys())):
+                yield result, [[results[key] for key in keys] for keys in result.all_keys()]

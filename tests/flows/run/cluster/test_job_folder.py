@@ -5,7 +5,7 @@ import pytest
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.loading import load
 from flows.run.cluster.job_folder import JobFolder
-from flows.run.cluster.work_units import ShareResult, WorkUnit
+from flows.run.cluster.work_units import UnitResult, WorkUnit
 from operators import EndpointError, InputError
 
 FLOW = """
@@ -71,13 +71,11 @@ def test_a_file_of_units_appears_when_it_is_complete(file: Path, tmp_path: Path)
     assert (folder.units / "first.lines").read_text() == 2 * f"{unit.to_line()}\n"
 
 
-def test_a_failure_is_noted_and_the_results_are_removed(file: Path, tmp_path: Path) -> None:
+def test_a_failure_is_noted(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
-    (folder.results / "one" / "0").mkdir(parents=True)
     assert folder.done() == {}
-    folder.finish(ShareResult("one", "/one", 0, 0, 0, None, "is damaged"))
+    folder.finish(UnitResult("one", "/one", 0, 0, 3, 0, error="is damaged"), [])
     assert folder.done() == {"one": "is damaged"}
-    assert not (folder.results / "one").exists()
 
 
 def test_a_removed_job_leaves_no_files(file: Path, tmp_path: Path) -> None:

@@ -10,11 +10,23 @@ from connectors import Console
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.testing import TestSource
-from flows.run.cluster.splitting import Splitter, check_flow, needed_sources, split_fingers
+from flows.run.cluster.splitting import Splitter, check_flow, split_fingers
 from flows.run.cluster.work_units import WorkUnit
 from flows.run.cluster.worker import UnitSource
 from flows.run.replay_runner import ReplayRunner
-from operators import EVERY, Batch, Debounce, FlowError, InputError, Motion, Score, Touch, Zero
+from operators import (
+    EVERY,
+    Align,
+    Batch,
+    Debounce,
+    FlowError,
+    InputError,
+    Label,
+    Motion,
+    Score,
+    Touch,
+    Zero,
+)
 from storage import Dataset, Session, load_detector
 
 from .conftest import derive
@@ -90,7 +102,7 @@ def test_the_units_of_a_share_are_numbered_and_the_last_has_the_end(folder: Path
         assert [unit.end is not None for unit in own] == [False] * (len(own) - 1) + [True]
         end = own[-1].end
         assert end
-        assert end.shares == ((0,), (1,))
+        assert end.shares == 2
         assert end.units == len(own)
         assert sum(len(unit.slices) for unit in own) == end.slices
 
@@ -152,11 +164,22 @@ def test_a_part_that_differs_from_the_manifest_is_named(folder: Path, tmp_path: 
         Splitter(derive(tmp_path / "out"), folder).units()
 
 
-def test_sources_that_only_feed_sinks_are_not_needed(tmp_path: Path) -> None:
-    flow, dataset = Flow("f"), Dataset(tmp_path)
-    (flow.source(TestSource(Touch)) | Zero() | Score(load_detector("psd")) | Debounce()).to(dataset)
-    flow.source(TestSource(Motion)).to(dataset)
-    assert needed_sources(flow) == {"touch"}
+def test_units_name_only_the_rows_that_events_need(folder: Path, tmp_path: Path) -> None:
+    flow, dataset = Flow("f"), Dataset(tmp_path / "out")
+    zeroed = flow.source(TestSource(Touch)) | Zero()
+    (zeroed & flow.source(TestSource(Motion)) | Align() | Label()).to(dataset)
+    (zeroed | Score(load_detector("psd")) | Debounce()).to(dataset)
+    units = Splitter(flow, folder).units()
+    assert {rows.source for unit in units for each in unit.slices for rows in each} == {"touch"}
+
+
+def test_a_flow_without_events_has_one_share_without_rows(folder: Path, tmp_path: Path) -> None:
+    flow, dataset = Flow("labels"), Dataset(tmp_path / "out")
+    zeroed = flow.source(TestSource(Touch)) | Zero()
+    (zeroed & flow.source(TestSource(Motion)) | Align() | Label()).to(dataset)
+    units = Splitter(flow, folder).units()
+    assert {(unit.share, unit.fingers) for unit in units} == {(0, ())}
+    assert not any(rows for unit in units for rows in unit.slices)
 
 
 def test_a_sink_other_than_a_dataset_is_an_error() -> None:

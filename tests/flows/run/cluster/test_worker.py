@@ -1,54 +1,81 @@
 import asyncio
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flows.graph import Flow
+from flows.graph.testing import TestSource
 from flows.run.cluster.assembly import assemble
 from flows.run.cluster.splitting import Splitter
-from flows.run.cluster.work_units import ShareResult, WorkUnit
+from flows.run.cluster.work_units import UnitResult
 from flows.run.cluster.worker import Worker
 from flows.run.replay_runner import ReplayRunner
-from operators import EndpointError, InputError
-from storage import Session
+from operators import Align, Debounce, InputError, Label, Motion, Score, Slips, Touch, WatchClock, Zero
+from operators.ports import Sink
+from storage import Dataset, Session, load_detector
 
-from .conftest import derive
+from .conftest import derive, processed
 
 
 def contents(root: Path) -> dict[str, bytes]:
     return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
-def processed(flow: Flow, place: Path, units: list[WorkUnit]) -> list[ShareResult]:
-    """Process units as Flink does; return the results of the shares."""
-    worker, states, found = Worker(flow, place), dict[str, bytes](), list[ShareResult]()
-    for unit in units:
-        states[unit.key], done = worker.process(states.get(unit.key), WorkUnit.from_line(unit.to_line()))
-        found += [done] if done else []
-    return found
+def finish(flow: Flow, done: tuple[UnitResult, list[list[UnitResult]]]) -> None:
+    last, shares = done
+    slices = [iter([each for result in share for each in result.slices]) for share in shares]
+    assemble(
+        flow,
+        {node.name: node.part.destination for node in flow.sinks() if isinstance(node.part, Sink)},
+        "job",
+        last,
+        slices,
+    )
 
 
-def finish(flow: Flow, place: Path, done: ShareResult, out: Path) -> None:
-    assemble(flow, {"dataset": str(out)}, "job", place / done.key, done)
+def labels(out: Path) -> Flow:
+    """Declare a flow without events."""
+    flow = Flow("labels")
+    zeroed = flow.source(TestSource(Touch)) | Zero()
+    (zeroed & flow.source(TestSource(Motion)) | Align() | Label()).to(Dataset(out, host="test"))
+    return flow
 
 
-@pytest.mark.parametrize(("rows", "slices", "shares"), [(1000, 8, 2), (1000, 1, 2), (1000, 3, 1)])
+def events(out: Path) -> Flow:
+    """Declare a flow with events of single fingertips and of all, before and after their rows."""
+    flow, dataset = Flow("events"), Dataset(out, host="test")
+    motion, zeroed = flow.source(TestSource(Motion)), flow.source(TestSource(Touch)) | Zero()
+    (motion | WatchClock()).to(dataset)
+    (zeroed | Score(load_detector("psd")) | Debounce()).to(dataset)
+    zeroed.to(dataset)
+    (zeroed | Score(load_detector("tcn")) | Debounce()).to(Dataset(out.with_name("other"), host="test"))
+    return flow
+
+
+@pytest.mark.parametrize(
+    ("declared", "rows", "slices", "shares"),
+    [
+        (derive, 1000, 8, 2),
+        (derive, 1000, 1, 2),
+        (derive, 1000, 3, 1),
+        (labels, 1000, 2, 2),
+        (events, 1000, 2, 3),
+    ],
+)
 def test_units_in_any_order_and_repeated_give_the_files_of_one_process(
-    rows: int, slices: int, shares: int, folder: Path, tmp_path: Path
+    declared: Callable[[Path], Flow], rows: int, slices: int, shares: int, *, folder: Path, tmp_path: Path
 ) -> None:
-    one = ReplayRunner(derive(tmp_path / "one"), Session.open(folder), "one")
-    asyncio.run(one.execute())
-    out = tmp_path / "many"
-    flow = derive(out)
+    asyncio.run(ReplayRunner(declared(tmp_path / "one" / "out"), Session.open(folder), "one").execute())
+    flow = declared(tmp_path / "many" / "out")
     units = Splitter(flow, folder, rows, slices, shares).units()
     mixed = [*units, *units[::3]]
     order: list[int] = np.random.default_rng(0).permutation(len(mixed)).tolist()
-    mixed = [mixed[place] for place in order]
-    done = processed(flow, tmp_path / "results", mixed)
-    assert sorted(each.share for each in done) == list(range(shares))
-    finish(flow, tmp_path / "results", done[-1], out)
-    assert contents(out / "sessions") == contents(tmp_path / "one" / "sessions")
+    [done] = processed(flow, [mixed[place] for place in order])
+    finish(flow, done)
+    assert contents(tmp_path / "many") == contents(tmp_path / "one")
 
 
 def test_an_empty_slips_table_equals_that_of_one_process(folder: Path, tmp_path: Path) -> None:
@@ -56,73 +83,70 @@ def test_an_empty_slips_table_equals_that_of_one_process(folder: Path, tmp_path:
     asyncio.run(ReplayRunner(derive(one, 1.0), Session.open(folder), "one").execute())
     assert len(Session.open(one).frame("slips")) == 0
     flow = derive(out, 1.0)
-    done = processed(flow, tmp_path / "results", list(Splitter(flow, folder, 1000, 8, 2).units()))
-    finish(flow, tmp_path / "results", done[-1], out)
+    [done] = processed(flow, Splitter(flow, folder, shares=2).units())
+    finish(flow, done)
     assert contents(out / "sessions") == contents(one / "sessions")
 
 
-def test_a_unit_processed_again_from_its_state_writes_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+def test_results_have_only_events(folder: Path, tmp_path: Path) -> None:
+    flow = derive(tmp_path / "out")
+    [(_, shares)] = processed(flow, Splitter(flow, folder).units())
+    kinds = {
+        type(batch)
+        for share in shares
+        for result in share
+        for each in result.slices
+        for batch in each.values()
+    }
+    assert kinds == {Slips}
+
+
+def test_a_unit_processed_again_from_its_state_gives_the_same_result(folder: Path, tmp_path: Path) -> None:
     flow = derive(tmp_path / "out")
     units = [each for each in Splitter(flow, folder, 400, 2).units() if each.share == 1]
     assert len(units) > 3
-    processed(flow, tmp_path / "once", units)
-    states: list[bytes | None] = [None]
+    state: bytes | None = None
     for unit in units:
-        state, _ = Worker(flow, tmp_path / "again").process(states[-1], unit)
-        states.append(state)
-    for number in range(len(units)):
-        Worker(flow, tmp_path / "again").process(states[number], units[number])
-    assert contents(tmp_path / "again") == contents(tmp_path / "once")
+        (after, [result]), (_, [again]) = (Worker(flow).process(state, unit) for _ in range(2))
+        assert result.to_line() == again.to_line()
+        state = after
 
 
 def test_an_error_of_the_recording_ends_its_shares(folder: Path, tmp_path: Path) -> None:
     flow = derive(tmp_path / "out")
     units = Splitter(flow, folder, 130, 2).units()
     (folder / "touch" / "part-000000.parquet").unlink()
-    done = processed(flow, tmp_path / "results", units)
-    assert {(each.share, each.end) for each in done} == {(0, None), (1, None)}
+    done = [last for last, _ in processed(flow, units)]
+    assert [(each.share, each.number, each.end) for each in done] == [(0, 0, None), (1, 0, None)]
     assert all("part-000000.parquet: cannot be read" in each.error for each in done)
 
 
-def test_a_write_error_is_raised_for_flink_to_retry(folder: Path, tmp_path: Path) -> None:
-    flow = derive(tmp_path / "out")
-    (tmp_path / "results").write_text("in the way")
-    with pytest.raises(EndpointError, match="cannot be written"):
-        processed(flow, tmp_path / "results", Splitter(flow, folder).units())
-
-
-def test_a_session_is_assembled_once(folder: Path, tmp_path: Path) -> None:
+def test_a_session_is_written_once(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "many"
     flow = derive(out)
-    done = processed(flow, tmp_path / "results", Splitter(flow, folder).units())[-1]
-    finish(flow, tmp_path / "results", done, out)
+    [done] = processed(flow, Splitter(flow, folder).units())
+    finish(flow, done)
     before = contents(out)
-    finish(flow, tmp_path / "results", done, out)
+    finish(flow, done)
     assert contents(out) == before
 
 
 def test_another_session_of_the_same_name_is_not_changed(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "many"
     flow = derive(out)
-    done = processed(flow, tmp_path / "results", Splitter(flow, folder).units())[-1]
+    [done] = processed(flow, Splitter(flow, folder).units())
     (out / "sessions" / "one").mkdir(parents=True)
     (out / "sessions" / "one" / "MANIFEST.json").write_text("{}")
     with pytest.raises(InputError, match="another session has this name"):
-        finish(flow, tmp_path / "results", done, out)
+        finish(flow, done)
     assert [path.name for path in (out / "sessions" / "one").iterdir()] == ["MANIFEST.json"]
 
 
-@pytest.mark.parametrize(("harm", "number"), [("cut", 0), ("gone", 0), ("gone", 9)])
-def test_a_damaged_result_is_named(harm: str, number: int, folder: Path, tmp_path: Path) -> None:
+def test_a_recording_that_has_grown_is_an_error(folder: Path, tmp_path: Path) -> None:
     flow = derive(tmp_path / "many")
-    done = processed(flow, tmp_path / "results", Splitter(flow, folder, slices=2).units())[-1]
-    assert done.end
-    assert done.end.units == 10
-    file = tmp_path / "results" / done.key / "1" / f"{number:06d}.result"
-    if harm == "cut":
-        file.write_bytes(file.read_bytes()[:-100])
-    else:
-        file.unlink()
-    with pytest.raises(InputError, match=file.name):
-        finish(flow, tmp_path / "results", done, tmp_path / "many")
+    [(last, shares)] = processed(flow, Splitter(flow, folder).units())
+    assert last.end
+    fewer = replace(last, end=last.end._replace(slices=last.end.slices - 1))
+    with pytest.raises(InputError, match="has changed since the job began"):
+        finish(flow, (fewer, shares))
     assert not (tmp_path / "many" / "sessions" / "one").exists()
