@@ -1,16 +1,19 @@
-"""What a Flink cluster on this machine brings: samples per second with one worker and with two.
+"""Samples per second and CPU per sample of a Flink cluster on this machine, with one worker and with two.
 
 Run by hand, after `make cluster`. The job relabels recordings of many fingertips: in one process, one after
-the other, then on the cluster. Starting a job takes many seconds; so it is done with one session and with
-several, and the difference counts. The rows of all must be those of the one process, bit for bit.
+the other, then on the cluster. Starting a job takes many seconds; so it runs with several sessions and with
+one, and the difference counts. The rows of all must be those of the one process, bit for bit.
 """
 
 import argparse
 import asyncio
 import os
 import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import numpy as np
 
@@ -66,6 +69,41 @@ def same(one: Path, other: Path) -> bool:
     return session_names(one) == session_names(other)
 
 
+def cluster_cpu() -> float:
+    """Return the CPU seconds of all processes of Flink on this machine, Python workers included."""
+    total = 0.0
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            if b"flink" in (path / "cmdline").read_bytes():
+                fields = (path / "stat").read_text().rpartition(")")[2].split()
+                total += sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+        except OSError:  # it has ended
+            continue
+    return total
+
+
+@dataclass
+class Job:
+    """Seconds and CPU seconds of replays of all sessions and of one."""
+
+    name: str
+    wall: list[float] = field(default_factory=list[float])
+    cpu: list[float] = field(default_factory=list[float])
+
+    def measure(self, run: Callable[[], object], cpu: Callable[[], float]) -> None:
+        """Run once."""
+        wall, used = perf_counter(), cpu()
+        run()
+        self.wall.append(perf_counter() - wall)
+        self.cpu.append(cpu() - used)
+
+    def print(self, samples: int, same: str = "") -> None:
+        """Print a line; `samples` are those of all sessions but one."""
+        rate = samples / (self.wall[0] - self.wall[1])
+        cpu = (self.cpu[0] - self.cpu[1]) / samples * 1e6
+        print(f"{self.name:32}{self.wall[0]:8.1f}{self.wall[1]:8.1f}{rate:11.0f}{cpu:12.2f}{same:>7}")
+
+
 def main() -> None:
     """Measure and print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -73,40 +111,41 @@ def main() -> None:
     parser.add_argument("--fingers", type=int, default=64)
     parser.add_argument("--seconds", type=int, default=60)
     parser.add_argument("--sessions", type=int, default=4)
-    parser.add_argument("--slices", type=int, nargs="+", default=[8])
+    parser.add_argument("--slices", type=int, nargs="+", default=[16])
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         root = Path(place)
         for number in range(options.sessions):
             asyncio.run(record(root / "in", f"s{number}", options.fingers, options.seconds, number))
         samples = options.fingers * options.seconds * 100
+        rest = samples * (options.sessions - 1)
         print(f"{options.sessions} sessions of {samples} samples, {options.fingers} fingertips, ", end="")
         print(f"commit {commit()}, load {os.getloadavg()[0]:.1f}")
-        print(f"{machine()}")
-        print(f"{'':32}{'all, s':>10}{'one, s':>10}{'samples/s':>12}{'same':>6}")
+        print(machine())
+        print(f"{'':32}{'all, s':>8}{'one, s':>8}{'samples/s':>11}{'CPU us each':>12}{'same':>7}")
         sessions = [session_folder(root / "in", name) for name in session_names(root / "in")]
-        began, first = perf_counter(), 0.0
-        for count, folder in enumerate(sessions):
-            flow = load("relabel").flow({"out": str(root / "single")})
-            asyncio.run(ReplayRunner(flow, Session.open(folder), folder.name).execute())
-            if count == 0:
-                first = perf_counter() - began
-        whole = perf_counter() - began
-        rest = samples * (options.sessions - 1)
-        print(f"{'one process':32}{whole:10.1f}{first:10.1f}{rest / (whole - first):12.0f}")
+
+        def replay(out: Path, given: list[Path]) -> None:
+            for folder in given:
+                flow = load("relabel").flow({"out": str(out)})
+                asyncio.run(ReplayRunner(flow, Session.open(folder), folder.name).execute())
+
+        replay(root / "first", sessions[:1])  # compiles
+        one = Job("one process")
+        for given in (sessions, sessions[:1]):
+            out = root / f"single-{len(given)}"
+            one.measure(partial(replay, out, given), process_time)
+        one.print(rest)
         for slices in options.slices:
             for workers in (1, 2):
-                seconds = list[float]()
-                name = f"{workers} workers, {slices} slices per unit"
+                job = Job(f"{workers} workers, {slices} slices per unit")
                 for given in (sessions, sessions[:1]):
                     out = root / f"{workers}-{slices}-{len(given)}"
-                    began = perf_counter()
                     cluster = Cluster(options.url, PYTHON.absolute(), slices=slices, workers=workers)
-                    cluster.run("bench", load("relabel"), {"out": str(out)}, given)
-                    seconds.append(perf_counter() - began)
-                equal = same(root / "single", root / f"{workers}-{slices}-{len(sessions)}")
-                rate = rest / (seconds[0] - seconds[1])
-                print(f"{name:32}{seconds[0]:10.1f}{seconds[1]:10.1f}{rate:12.0f}{equal!s:>6}")
+                    run = partial(cluster.run, "bench", load("relabel"), {"out": str(out)}, given)
+                    job.measure(run, cluster_cpu)
+                outs = [root / f"{each}-{len(sessions)}" for each in ("single", f"{workers}-{slices}")]
+                job.print(rest, str(same(*outs)))
 
 
 if __name__ == "__main__":
