@@ -86,7 +86,8 @@ def assemble(
         InputError: if the recording cannot be read, or another session has that name.
         EndpointError: if a dataset cannot be written to.
     """
-    assert last.end, "a session with a failed unit is not written"
+    unit, end = last.unit, last.unit.end
+    assert end, "a session with a failed unit is not written"
     attempt, compiled = uuid4().hex, list[StoredEvents]()
     scratch = {name: Path(root) / JOBS / job / attempt for name, root in datasets.items()}
 
@@ -99,13 +100,13 @@ def assemble(
         return compiled[0]
 
     try:
-        recording = Session.open(last.folder)
-        runner = ReplayRunner(flow.replaced(to_scratch), recording, last.session, compile_flow=compile_flow)
+        recording = Session.open(unit.folder)
+        runner = ReplayRunner(flow.replaced(to_scratch), recording, unit.session, compile_flow=compile_flow)
         asyncio.run(runner.execute())
-        if compiled[0].slices != last.end.slices:
-            raise InputError(last.folder, "has changed since the job began")
+        if compiled[0].slices != end.slices:
+            raise InputError(unit.folder, "has changed since the job began")
         for name, root in datasets.items():
-            _commit(session_folder(scratch[name], last.session), Path(root), last.session)
+            _commit(session_folder(scratch[name], unit.session), Path(root), unit.session)
     finally:
         for each in scratch.values():
             rmtree(each, ignore_errors=True)

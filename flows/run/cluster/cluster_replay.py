@@ -109,7 +109,7 @@ class Cluster:
     ) -> dict[str, str]:
         """Monitor the job to its end; submit it again if it is lost, or was stopped with a savepoint."""
         missed = 0  # consecutive checks without a response
-        restore: str | None = None  # newest checkpoint
+        restore: str | None = None  # newest checkpoint or savepoint
         while True:
             try:
                 state = manager.state(self.job)
@@ -127,7 +127,7 @@ class Cluster:
             unfinished = feed.follow or len(done) < len(feed.splitters)
             if stopped() and not (feed.follow and feed.ended - done.keys()):
                 return done
-            if state == LOST or (state == "FINISHED" and unfinished and manager.has_savepoint(self.job)):
+            if state == LOST or (state == "FINISHED" and unfinished):
                 warn("job_resumed", f"Flink job {self.job} continues as a new job", restore=restore)
                 self.job = submit(restore)
             elif state == "FINISHED":
@@ -198,7 +198,7 @@ class UnitFeed:
                     folder.resolve(),
                     slices=self.slices,
                     shares=self.shares,
-                    partition=len(self.splitters),
+                    number=len(self.splitters),
                 )
         if not self.splitters and not self.follow:
             raise InputError(", ".join(map(str, self.paths)), "has no session")

@@ -15,7 +15,7 @@ from pyflink.datastream import KeyedProcessFunction, RuntimeContext
 from pyflink.datastream.state import MapStateDescriptor
 
 from flows.run.cluster.job_folder import JobFolder
-from flows.run.cluster.work_units import UnitResult, WorkUnit, partition_of
+from flows.run.cluster.work_units import UnitResult, WorkUnit, receiver_of
 from flows.run.cluster.worker import Worker
 
 
@@ -72,13 +72,14 @@ class WriteSessions(_JobFunction):
         """Store a result; yield the session's name when it is written."""
         result = UnitResult.from_line(value)
         self._states.put(result.key, value)
-        if result.error or (result.end and all(map(self._states.contains, result.last_keys()))):
-            shares = [map(self._result, keys) for keys in result.all_keys()]
-            self._folder.finish(result, shares)
+        shares = result.all_keys()
+        if result.error or (shares and all(self._states.contains(keys[-1]) for keys in shares)):
+            session = result.unit.session
+            self._folder.finish(result, [map(self._result, keys) for keys in shares])
             for key in list(self._states.keys()):
-                if key.startswith(f"{result.session}/"):
+                if key.startswith(f"{session}/"):
                     self._states.remove(key)
-            yield result.session
+            yield session
 
     def _result(self, key: str) -> UnitResult:
         return UnitResult.from_line(self._states.get(key))
@@ -86,7 +87,7 @@ class WriteSessions(_JobFunction):
 
 def worker_key(keys: Sequence[str], line: str) -> str:
     """Return the key of the worker that gets a line; `keys` has one key per worker."""
-    return keys[partition_of(line) % len(keys)]
+    return keys[receiver_of(line) % len(keys)]
 
 
 def _restore_print() -> None:

@@ -120,10 +120,10 @@ class JobFolder:
         Raises:
             EndpointError: if a dataset cannot be written to; nothing is stored then.
         """
-        if self.done().get(last.session) == "":
+        session, error = last.unit.session, last.error
+        if self.done().get(session) == "":
             return
-        error = last.error
-        if last.end:
+        if not error:
             try:
                 about = self.about
                 slices = [chain.from_iterable(result.slices for result in share) for share in shares]
@@ -131,8 +131,8 @@ class JobFolder:
             except InputError as failure:
                 error = str(failure)
         try:
-            note = {"session": last.session, "error": error}
-            files.put_json(self.path / "done" / f"{last.session}.json", note)
+            note = {"session": session, "error": error}
+            files.put_json(self.path / "done" / f"{session}.json", note)
         except OSError as failure:
             raise _write_error(self.path, failure) from failure
 

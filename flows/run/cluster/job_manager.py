@@ -54,20 +54,9 @@ class JobManager:
         Raises:
             EndpointError: if the job manager does not respond, or there is no such job.
         """
-        latest = self._latest(job)
+        latest: dict[str, Any] = self._request(f"/jobs/{job}/checkpoints").get("latest", {})
         found = [latest[kind] for kind in ("completed", "savepoint") if latest.get(kind)]
         return max(found, key=itemgetter("trigger_timestamp"))["external_path"] if found else None
-
-    def has_savepoint(self, job: str) -> bool:
-        """Return true if a savepoint of a job was taken.
-
-        Raises:
-            EndpointError: if the job manager does not respond, or there is no such job.
-        """
-        return self._latest(job).get("savepoint") is not None
-
-    def _latest(self, job: str) -> dict[str, Any]:
-        return cast("dict[str, Any]", self._request(f"/jobs/{job}/checkpoints").get("latest", {}))
 
     def cause(self, job: str) -> str:
         """Return the reason of a job's last failure in one line; empty if it did not fail.

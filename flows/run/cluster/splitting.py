@@ -41,7 +41,7 @@ class Splitter:
         rows: Largest batch of a stream; the writer of the session must use the same value.
         slices: Slices per unit.
         shares: Largest number of shares that the fingertips are split into.
-        partition: Number of the recording; recordings and shares are assigned to the workers in turn.
+        number: Number of the recording; recordings and shares are assigned to the workers in turn.
     """
 
     flow: Flow
@@ -49,7 +49,7 @@ class Splitter:
     rows: int = 1000
     slices: int = 16
     shares: int = 8
-    partition: int = 0
+    number: int = 0
     ended: bool = field(default=False, init=False)  # the last units were returned
     _times: dict[str, dict[int, _RowTimes]] = field(
         default_factory=dict[str, dict[int, _RowTimes]], init=False
@@ -129,10 +129,10 @@ class Splitter:
                     WorkUnit(
                         session.name,
                         str(self.folder),
+                        self.number,
                         self._generation,
                         share,
                         fingers,
-                        self.partition + share,
                         number,
                         self._sources,
                         own,

@@ -1,13 +1,13 @@
 """Work units: messages that name rows of a recording, which the worker reads; and their results.
 
-Both travel as lines of text: the partition, a tab, and a pickle in base64. All machines share the storage
-that holds the named Parquet files, and trust it: the flow to run is on it too.
+Both travel as lines of text: the number of the receiver, a tab, and a pickle in base64. All machines share
+the storage that holds the named Parquet files, and trust it: the flow to run is on it too.
 """
 
 import pickle
 from base64 import b64decode, b64encode
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, Self, TypeAlias, cast
 
 from operators.batch import Batch
@@ -45,11 +45,14 @@ class RecordingEnd(NamedTuple):
 class _Line:
     """Dataclass that is written as one line of text."""
 
-    partition: int
+    @property
+    def receiver(self) -> int:
+        """Number of the worker that gets it, modulo the number of workers."""
+        raise NotImplementedError
 
     def to_line(self) -> str:
         """Return the line, without a line break."""
-        return f"{self.partition}{_TAB}{b64encode(pickle.dumps(self)).decode()}"
+        return f"{self.receiver}{_TAB}{b64encode(pickle.dumps(self)).decode()}"
 
     @classmethod
     def from_line(cls, line: str) -> Self:
@@ -61,21 +64,26 @@ class _Line:
 class WorkUnit(_Line):
     """Consecutive slices of a recording for one share of its fingertips.
 
-    >>> unit = WorkUnit("one", "/data/one", 0, 1, (2,), 5, 0, {"touch": (0, 1, 2)}, ())
+    >>> unit = WorkUnit("one", "/data/one", 4, 0, 1, (2,), 0, {"touch": (0, 1, 2)}, ())
     >>> WorkUnit.from_line(unit.to_line()) == unit
     True
     """
 
     session: str
     folder: str  # of the session
+    recording: int  # number of the recording; recordings and shares are assigned to the workers in turn
     generation: int  # number of times that the recording was split again from its start
     share: int  # number of the share in this generation
     fingers: tuple[int, ...]  # of the share
-    partition: int  # units go to worker partition % workers; consecutive for the shares of a recording
     number: int  # among the units of the share
     sources: Mapping[str, tuple[int, ...]]  # fingertips of each source
     slices: tuple[Slice, ...]
     end: RecordingEnd | None = None  # only in the last unit
+
+    @property
+    def receiver(self) -> int:
+        """Number of the worker that processes the share."""
+        return self.recording + self.share
 
     @property
     def key(self) -> str:
@@ -85,50 +93,39 @@ class WorkUnit(_Line):
 
 @dataclass(frozen=True)
 class UnitResult(_Line):
-    """Events that the operators gave in a work unit, or the error of its share."""
+    """Events that the operators gave in a work unit, or the error that ends its share."""
 
-    session: str
-    folder: str
-    generation: int
-    share: int
-    number: int
-    partition: int  # of the session, not of the share
+    unit: WorkUnit  # without slices
     slices: tuple[SliceResult, ...] = ()  # one more at the end of the recording
-    end: RecordingEnd | None = None
     error: str = ""
 
     @classmethod
     def of(cls, unit: WorkUnit, slices: tuple[SliceResult, ...] = (), error: str = "") -> Self:
-        """Return the result of a unit; an error ends its share."""
-        partition, end = unit.partition - unit.share, None if error else unit.end
-        about = (unit.session, unit.folder, unit.generation, unit.share, unit.number)
-        return cls(*about, partition, slices, end, error)
+        """Return the result of a unit."""
+        return cls(replace(unit, slices=()), slices, error)
+
+    @property
+    def receiver(self) -> int:
+        """Number of the worker that writes the session."""
+        return self.unit.recording
 
     @property
     def key(self) -> str:
-        """Key of this result."""
-        return self._key(self.share, self.number)
-
-    def last_keys(self) -> list[str]:
-        """Return the keys of the last results of all shares; empty if this is no last one."""
-        return [self._key(share, self.end.units - 1) for share in range(self.end.shares)] if self.end else []
+        """Key of the result."""
+        return f"{self.unit.key}/{self.unit.number}"
 
     def all_keys(self) -> list[list[str]]:
-        """Return the keys of all results of the session by share; empty if this is no last one."""
-        if not self.end:
+        """Return the keys of all results of the session by share; empty before the end of the share."""
+        if self.unit.end is None:
             return []
-        return [
-            [self._key(share, number) for number in range(self.end.units)] for share in range(self.end.shares)
-        ]
-
-    def _key(self, share: int, number: int) -> str:
-        return f"{self.session}/{self.generation}/{share}/{number}"
+        shares = (replace(self.unit, share=share).key for share in range(self.unit.end.shares))
+        return [[f"{share}/{number}" for number in range(self.unit.end.units)] for share in shares]
 
 
-def partition_of(line: str) -> int:
-    """Return the partition of a line without reading the rest.
+def receiver_of(line: str) -> int:
+    """Return the receiver of a line without reading the rest.
 
-    >>> partition_of(UnitResult("one", "/data/one", 0, 3, 0, 7).to_line())
-    7
+    >>> receiver_of(WorkUnit("one", "/data/one", 4, 0, 1, (2,), 0, {}, ()).to_line())
+    5
     """
     return int(line.partition(_TAB)[0])

@@ -94,7 +94,7 @@ class Worker:
                 raise
             except SlipflowError as error:
                 results = [UnitResult.of(unit, error=str(error))]
-            if results[-1].end or results[-1].error:
+            if results[-1].unit.end or results[-1].error:
                 share = _State(next=-1)
         return pickle.dumps(share, pickle.HIGHEST_PROTOCOL), results
 

@@ -49,5 +49,6 @@ def processed(flow: Flow, units: Iterable[WorkUnit]) -> Iterator[tuple[UnitResul
         states[unit.key], new = worker.process(states.get(unit.key), WorkUnit.from_line(unit.to_line()))
         for result in new:
             results[result.key] = UnitResult.from_line(result.to_line())
-            if result.error or (result.end and all(key in results for key in result.last_keys())):
-                yield result, [[results[key] for key in keys] for keys in result.all_keys()]
+            shares = result.all_keys()
+            if result.error or (shares and all(keys[-1] in results for keys in shares)):
+                yield result, [[results[key] for key in keys] for keys in shares]

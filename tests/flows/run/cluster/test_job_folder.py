@@ -65,7 +65,7 @@ def test_relative_paths_refer_to_the_directory_where_the_job_began(
 
 def test_a_file_of_units_appears_when_it_is_complete(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
-    unit = WorkUnit("one", "/one", 0, 0, (0,), 0, 0, {}, ())
+    unit = WorkUnit("one", "/one", 0, 0, 0, (0,), 0, {}, ())
     folder.add_units("first", [unit, unit])
     assert [path.name for path in folder.units.iterdir()] == ["first.lines"]
     assert (folder.units / "first.lines").read_text() == 2 * f"{unit.to_line()}\n"
@@ -74,7 +74,8 @@ def test_a_file_of_units_appears_when_it_is_complete(file: Path, tmp_path: Path)
 def test_a_failure_is_noted(file: Path, tmp_path: Path) -> None:
     folder = created(file, str(tmp_path / "out"))
     assert folder.done() == {}
-    folder.finish(UnitResult("one", "/one", 0, 0, 3, 0, error="is damaged"), [])
+    unit = WorkUnit("one", "/one", 0, 0, 0, (0,), 0, {}, ())
+    folder.finish(UnitResult(unit, error="is damaged"), [])
     assert folder.done() == {"one": "is damaged"}
 
 

@@ -62,9 +62,9 @@ def test_each_row_is_in_one_unit_of_its_fingertip(folder: Path, tmp_path: Path) 
         assert all(before[2] == after[1] or after[1] == 0 for before, after in pairwise(found))
 
 
-def test_partitions_of_shares_follow_that_of_the_recording(folder: Path, tmp_path: Path) -> None:
-    units = Splitter(derive(tmp_path / "out"), folder, partition=5).units()
-    assert {(unit.share, unit.partition) for unit in units} == {(0, 5), (1, 6)}
+def test_the_receivers_of_shares_follow_the_number_of_the_recording(folder: Path, tmp_path: Path) -> None:
+    units = Splitter(derive(tmp_path / "out"), folder, number=5).units()
+    assert {(unit.share, unit.receiver) for unit in units} == {(0, 5), (1, 6)}
 
 
 def test_fingertips_of_one_share_are_in_the_same_units(folder: Path, tmp_path: Path) -> None:

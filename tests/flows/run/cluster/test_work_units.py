@@ -2,12 +2,12 @@ from dataclasses import replace
 
 import pytest
 
-from flows.run.cluster.work_units import RecordingEnd, RowRange, UnitResult, WorkUnit, partition_of
+from flows.run.cluster.work_units import RecordingEnd, RowRange, UnitResult, WorkUnit, receiver_of
 
 ROWS = RowRange("touch", 3, "touch/part-000001.parquet", "0" * 64, 10, 1010)
 FOLDER, SOURCES = "/data/sessions/one", {"touch": (0, 3), "motion": (-1,)}
-UNIT = WorkUnit("one", FOLDER, 1, 2, (3,), 12, 7, SOURCES, ((ROWS,), ()))
-LAST = WorkUnit("one", FOLDER, 1, 2, (3, 5), 12, 8, SOURCES, (), RecordingEnd(57, 9, 3))
+UNIT = WorkUnit("one", FOLDER, 10, 1, 2, (3,), 7, SOURCES, ((ROWS,), ()))
+LAST = WorkUnit("one", FOLDER, 10, 1, 2, (3, 5), 8, SOURCES, (), RecordingEnd(57, 9, 3))
 
 
 @pytest.mark.parametrize("unit", [UNIT, LAST])
@@ -16,9 +16,8 @@ def test_a_unit_is_read_from_its_line(unit: WorkUnit) -> None:
     assert WorkUnit.from_line(unit.to_line()) == unit
 
 
-@pytest.mark.parametrize(("end", "error"), [(RecordingEnd(57, 9, 1), ""), (None, "damaged")])
-def test_a_result_is_read_from_its_line(end: RecordingEnd | None, error: str) -> None:
-    result = UnitResult("one", "/one", 0, 3, 8, 10, (), end, error)
+@pytest.mark.parametrize("result", [UnitResult.of(LAST, ({},)), UnitResult.of(UNIT, error="damaged")])
+def test_a_result_is_read_from_its_line(result: UnitResult) -> None:
     assert UnitResult.from_line(result.to_line()) == result
 
 
@@ -27,14 +26,12 @@ def test_keys_name_session_generation_share_and_unit() -> None:
     assert UnitResult.of(UNIT).key == "one/1/2/7"
 
 
-def test_the_last_result_names_all_results_of_the_session() -> None:
+def test_the_last_result_of_a_share_names_all_results_of_the_session() -> None:
     last = UnitResult.of(replace(LAST, end=RecordingEnd(57, 2, 2)))
     assert last.all_keys() == [["one/1/0/0", "one/1/0/1"], ["one/1/1/0", "one/1/1/1"]]
-    assert last.last_keys() == ["one/1/0/1", "one/1/1/1"]
-    assert not UnitResult.of(UNIT).all_keys()
-    assert not UnitResult.of(UNIT).last_keys()
+    assert UnitResult.of(UNIT).all_keys() == []
 
 
-def test_a_line_starts_with_its_partition() -> None:
-    assert partition_of(UNIT.to_line()) == 12
-    assert partition_of(UnitResult.of(UNIT).to_line()) == 10
+def test_a_line_starts_with_its_receiver() -> None:
+    assert receiver_of(UNIT.to_line()) == 12
+    assert receiver_of(UnitResult.of(UNIT).to_line()) == 10

@@ -117,7 +117,7 @@ def test_an_error_of_the_recording_ends_its_shares(folder: Path, tmp_path: Path)
     units = Splitter(flow, folder, 130, 2).units()
     (folder / "touch" / "part-000000.parquet").unlink()
     done = [last for last, _ in processed(flow, units)]
-    assert [(each.share, each.number, each.end) for each in done] == [(0, 0, None), (1, 0, None)]
+    assert [(each.unit.share, each.unit.number) for each in done] == [(0, 0), (1, 0)]
     assert all("part-000000.parquet: cannot be read" in each.error for each in done)
 
 
@@ -145,8 +145,9 @@ def test_another_session_of_the_same_name_is_not_changed(folder: Path, tmp_path:
 def test_a_recording_that_has_grown_is_an_error(folder: Path, tmp_path: Path) -> None:
     flow = derive(tmp_path / "many")
     [(last, shares)] = processed(flow, Splitter(flow, folder).units())
-    assert last.end
-    fewer = replace(last, end=last.end._replace(slices=last.end.slices - 1))
+    assert last.unit.end
+    end = last.unit.end._replace(slices=last.unit.end.slices - 1)
+    fewer = replace(last, unit=replace(last.unit, end=end))
     with pytest.raises(InputError, match="has changed since the job began"):
         finish(flow, (fewer, shares))
     assert not (tmp_path / "many" / "sessions" / "one").exists()
