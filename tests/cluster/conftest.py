@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,6 +82,10 @@ class Local:
         request = Request(self.url + path, data, {"Content-Type": "application/json"})  # noqa: S310 - ours
         with urlopen(request, timeout=10) as answer:  # noqa: S310 - the same
             return cast("dict[str, Any]", json.load(answer))
+
+    def checkpoints(self, job: str) -> Counter[str]:
+        """Return how many checkpoints of a job have each state."""
+        return Counter(self.ask(f"/jobs/{job}/checkpoints").get("counts", {}))
 
     def processed_units(self, job: str) -> list[int]:
         """Return how many work units each worker has processed."""

@@ -24,7 +24,7 @@ from storage.layout import SESSION, session_folder, session_names
 
 PYTHON: Final = Path(".cluster/bin/python")  # created by deploy/cluster
 _INTERVAL: Final = 1.0  # s, between checks of the job and of growing recordings
-_MISSED: Final = 30  # consecutive checks without a response of the job manager before it is an error
+_MISSED: Final = 120  # consecutive checks without a response of the job manager before it is an error
 
 
 @dataclass
