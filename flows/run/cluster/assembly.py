@@ -7,9 +7,10 @@ byte-identical.
 import asyncio
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from shutil import rmtree
-from typing import Any, Final
+from typing import Any, Final, cast
 from uuid import uuid4
 
 from flows.graph import Flow
@@ -88,22 +89,19 @@ def assemble(
     """
     unit, end = last.unit, last.unit.end
     assert end, "a session with a failed unit is not written"
-    attempt, compiled = uuid4().hex, list[StoredEvents]()
+    attempt = uuid4().hex
     scratch = {name: Path(root) / JOBS / job / attempt for name, root in datasets.items()}
 
     def to_scratch(node: Node) -> Part:
         part: Any = node.part
         return part.with_path(scratch[node.name]) if isinstance(part, Dataset) else part
 
-    def compile_flow(replayed: Flow) -> CompiledFlow:
-        compiled.append(StoredEvents(replayed, shares))
-        return compiled[0]
-
     try:
+        stored = partial(StoredEvents, shares=shares)
         recording = Session.open(unit.folder)
-        runner = ReplayRunner(flow.replaced(to_scratch), recording, unit.session, compile_flow=compile_flow)
+        runner = ReplayRunner(flow.replaced(to_scratch), recording, unit.session, compile_flow=stored)
         asyncio.run(runner.execute())
-        if compiled[0].slices != end.slices:
+        if cast("StoredEvents", runner.compiled).slices != end.slices:
             raise InputError(unit.folder, "has changed since the job began")
         for name, root in datasets.items():
             _commit(session_folder(scratch[name], unit.session), Path(root), unit.session)

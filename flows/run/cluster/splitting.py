@@ -125,20 +125,8 @@ class Splitter:
                     )
                     for each in group
                 )
-                units.append(
-                    WorkUnit(
-                        session.name,
-                        str(self.folder),
-                        self.number,
-                        self._generation,
-                        share,
-                        fingers,
-                        number,
-                        self._sources,
-                        own,
-                        end,
-                    )
-                )
+                about = (session.name, str(self.folder), self.number, self._generation)
+                units.append(WorkUnit(*about, share, fingers, number, self._sources, own, end))
         self._done = max(self._done, last + 1)
         return units
 

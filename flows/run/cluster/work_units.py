@@ -5,6 +5,7 @@ the storage that holds the named Parquet files, and trust it: the flow to run is
 """
 
 import pickle
+from abc import ABC, abstractmethod
 from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -26,12 +27,10 @@ class RowRange(NamedTuple):
     stop: int  # end of the range, exclusive
 
 
-Slice: TypeAlias = tuple[
-    RowRange, ...
-]  # rows of a time span, as a replay cuts it; at most one range per stream
-SliceResult: TypeAlias = dict[
-    tuple[int, int], Batch
-]  # events by the operator's index in the flow, and the fingertip
+# rows of a time span, as a replay cuts it; at most one range per stream
+Slice: TypeAlias = tuple[RowRange, ...]
+# events by the operator's index in the flow, and the fingertip
+SliceResult: TypeAlias = dict[tuple[int, int], Batch]
 
 
 class RecordingEnd(NamedTuple):
@@ -42,13 +41,13 @@ class RecordingEnd(NamedTuple):
     shares: int  # number
 
 
-class _Line:
+class _Line(ABC):
     """Dataclass that is written as one line of text."""
 
     @property
+    @abstractmethod
     def receiver(self) -> int:
         """Number of the worker that gets it, modulo the number of workers."""
-        raise NotImplementedError
 
     def to_line(self) -> str:
         """Return the line, without a line break."""
