@@ -95,14 +95,14 @@ class Local:
         assert len({each["endpoint"] for each in workers}) == len(workers)
         return [each["metrics"]["write-records"] for each in workers]
 
-    def job_manager(self) -> int:
-        """Return the id of the job manager."""
+    def job_managers(self) -> list[int]:
+        """Return the id of the running job manager."""
         [file] = self.pids.parent.glob("*standalonesession.pid")
-        return int(file.read_text().split()[-1])
+        return _running(file)
 
     def task_managers(self) -> list[int]:
         """Return the ids of the running task managers."""
-        return [int(each) for each in self.pids.read_text().split() if Path(f"/proc/{each}").exists()]
+        return _running(self.pids)
 
     def workers(self) -> list[int]:
         """Return the ids of the Python workers, including those whose task manager was killed."""
@@ -113,6 +113,10 @@ class Local:
         ]
         mark = f"FLINK_PID_DIR={self.pids.parent}".encode()
         return [int(path.name) for path in found if mark in _read(path / "environ").split(b"\0")]
+
+
+def _running(file: Path) -> list[int]:
+    return [int(each) for each in file.read_text().split() if Path(f"/proc/{each}").exists()]
 
 
 def _read(path: Path) -> bytes:
