@@ -3,7 +3,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 from shutil import rmtree
 from threading import Event
@@ -67,7 +67,9 @@ def test_a_kill_changes_nothing(victim: str, world: World) -> None:
         }
         os.kill(victims[victim]()[0], signal.SIGKILL)
         assert not ended.done(), ended.exception()
-        while not ended.done():  # as Compose and Kubernetes do; a dying worker may end its task manager
+        while wait(
+            [ended], timeout=5
+        ).not_done:  # as Compose and Kubernetes do; a dying worker may end its task manager
             start()
         assert ended.result() == {"session-0": "", "session-1": ""}
     assert local.checkpoints(cluster.job)["restored"] >= 1
