@@ -69,7 +69,7 @@ def test_a_kill_changes_nothing(victim: str, world: World) -> None:
         assert not ended.done(), ended.exception()
         while wait(
             [ended], timeout=5
-        ).not_done:  # as Compose and Kubernetes do; a dying worker may end its task manager
+        ).not_done:  # restart what has died, as Compose does
             start()
         assert ended.result() == {"session-0": "", "session-1": ""}
     assert local.checkpoints(cluster.job)["restored"] >= 1
