@@ -67,9 +67,7 @@ def test_a_kill_changes_nothing(victim: str, world: World) -> None:
         }
         os.kill(victims[victim]()[0], signal.SIGKILL)
         assert not ended.done(), ended.exception()
-        while wait(
-            [ended], timeout=5
-        ).not_done:  # restart what has died, as Compose does
+        while wait([ended], timeout=5).not_done:  # restart what has died, as Compose does
             start()
         assert ended.result() == {"session-0": "", "session-1": ""}
     assert local.checkpoints(cluster.job)["restored"] >= 1
