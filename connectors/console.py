@@ -58,7 +58,7 @@ class Console(Sink[Slips | Faults]):
         """Print the events of a batch.
 
         Raises:
-            OutputClosedError: if nobody reads the stream any more.
+            OutputClosedError: if the reader of the stream has gone.
         """
         try:
             self._print_events(batch)
