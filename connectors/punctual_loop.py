@@ -7,7 +7,7 @@ from collections.abc import Coroutine
 from time import monotonic
 from typing import Any, Final, TypeVar
 
-EARLY: Final = 100e-6  # s before the end of a wait from which the process polls instead of sleeping
+EARLY: Final = 150e-6  # s before the end of a wait from which the process polls instead of sleeping
 
 T = TypeVar("T")
 
@@ -15,8 +15,8 @@ T = TypeVar("T")
 class PunctualSelector(selectors.DefaultSelector):
     """Selector whose waits end within about 100 us of their time.
 
-    The system wakes a process 50 to 100 us late. So it sleeps until `EARLY` before the end of the wait and
-    then polls, which costs up to 100 us of CPU time per wait.
+    The system wakes a process 50 to 150 us late. So it sleeps until `EARLY` before the end of the wait and
+    then polls, which costs up to 100 us of CPU time per wait; see docs/explanations/performance.md.
     """
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
