@@ -22,7 +22,7 @@ from tests.pages import ROOT, block
 
 PAGE = ROOT / "docs" / "how-to" / "extend.md"
 OWED = [name for name in vars(test_conformance) if name.startswith("test_")]
-same = conftest.same  # the fixture
+same, uncompiled = conftest.same, test_conformance.uncompiled  # the fixtures
 
 
 @pytest.fixture
@@ -52,10 +52,13 @@ def case_of(defined: dict[str, Any]) -> test_conformance.Case:
     [name for name in OWED if "case" in inspect.signature(getattr(test_conformance, name)).parameters],
 )
 def test_the_operator_passes_the_conformance_suite(
-    name: str, made: Callable[..., dict[str, Any]], same: Callable[[Batch, Batch], None]
+    name: str,
+    made: Callable[..., dict[str, Any]],
+    same: Callable[[Batch, Batch], None],
+    uncompiled: Callable[[], None],
 ) -> None:
     check = getattr(test_conformance, name)
-    given = {"case": case_of(made("active_rows.py")), "same": same}
+    given = {"case": case_of(made("active_rows.py")), "same": same, "uncompiled": uncompiled}
     check(**{key: given[key] for key in inspect.signature(check).parameters})
 
 
