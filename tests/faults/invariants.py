@@ -13,15 +13,15 @@ from operators.batch import Batch
 from operators.errors import SlipflowError
 from storage import Session, recover, verify
 from tests.faults.schedule import STALL_MAX
-from tests.faults.simulated_rig import FINGERS, Identity, Life, Row, numbered_rows
+from tests.faults.simulated_rig import FINGERS, Identity, RigRun, Row, numbered_rows
 
 if TYPE_CHECKING:
     from tests.faults.world import World
 
 KILL_ROWS: Final = 10  # rows of a table that a kill may lose
 POWER_SPAN: Final = 0.3  # s, before a power loss, whose rows and events may be lost
-SAVED: Final = 0.01  # s, in which the consumer saves that an event is processed
-REPAIR: Final = 0.7  # s, after a fault of the disk, in which what it delayed is written again
+SAVED: Final = 0.01  # s, until the consumer has saved that an event is processed
+REPAIR: Final = 0.7  # s after a fault of the disk, until the delayed rows and events are written
 DISK_FAULTS: Final = frozenset({"disk full", "disk error", "fsync error", "slow disk"})
 
 
@@ -32,7 +32,7 @@ def violations(world: World) -> list[str]:
 
 def _events(world: World) -> Iterator[str]:
     """Check that the consumer received each event once, and none that the rig did not raise."""
-    raised = {event for life in world.lives for event in life.started_events}
+    raised = {event for rig_run in world.rig_runs for event in rig_run.started_events}
     counts = Counter(event for _, event in world.received)
     invented = counts.keys() - raised
     if invented:
@@ -42,11 +42,11 @@ def _events(world: World) -> Iterator[str]:
         if event in delivered and not _may_redeliver(world, event, delivered[event], when):
             yield f"event {event} was delivered at {delivered[event]:.3f} s and again at {when:.3f} s"
         delivered[event] = when
-    must = {event for life in world.lives for event in _kept_events(world, life)}
+    must = {event for rig_run in world.rig_runs for event in _kept_events(world, rig_run)}
     lost = must - world.processed.keys()
     if lost:
         yield f"{len(lost)} of {len(must)} events were lost: {sorted(lost)[:3]}"
-    may_lose = any(life.events.keys() - world.processed.keys() for life in world.lives)
+    may_lose = any(rig_run.events.keys() - world.processed.keys() for rig_run in world.rig_runs)
     reported = [each for each in world.reports if re.search(r" (is|are) lost", each)]
     if reported and not may_lose and not _lossy(world):
         yield f"a loss was reported, but nothing is lost: {reported[0]}"
@@ -63,13 +63,13 @@ def _lossy(world: World) -> bool:
     return any(fault.kind in DISK_FAULTS | {"power loss"} for fault in world.schedule.faults)
 
 
-def _kept_events(world: World, life: Life) -> Iterator[Identity]:
+def _kept_events(world: World, rig_run: RigRun) -> Iterator[Identity]:
     """Yield the accepted events that must arrive."""
-    for event, when in life.events.items():
+    for event, when in rig_run.events.items():
         lost_power = _next_power_loss(world, when)
-        if lost_power is not None and not _durable(world, when, min(lost_power, life.ended)):
+        if lost_power is not None and not _durable(world, when, min(lost_power, rig_run.ended)):
             continue
-        if life.end == "killed" and _disk_fails(world, when, life.ended):
+        if rig_run.end == "killed" and _disk_fails(world, when, rig_run.ended):
             continue  # events in memory may be lost
         yield event
 
@@ -80,7 +80,7 @@ def _next_power_loss(world: World, when: float) -> float | None:
 
 
 def _durable(world: World, when: float, ended: float) -> bool:
-    """Return True if what was accepted at `when` by a life that ended must survive a power loss."""
+    """Return True if rows accepted at `when` by a run that ended at `ended` must survive a power loss."""
     stalled = sum(
         STALL_MAX * fault.size
         for fault in world.schedule.faults
@@ -90,7 +90,7 @@ def _durable(world: World, when: float, ended: float) -> bool:
 
 
 def _disk_fails(world: World, first: float, last: float) -> bool:
-    """Return True if a fault of the disk delays what is accepted from `first` on beyond `last`."""
+    """Return True if a fault of the disk delays rows accepted from `first` on until after `last`."""
     return any(
         fault.kind in DISK_FAULTS
         and fault.start <= first + POWER_SPAN
@@ -104,38 +104,38 @@ def _recordings(world: World) -> Iterator[str]:
     root = world.folder / "data"
     if not root.exists():
         return
-    for life in world.lives:
-        folder = root / "sessions" / life.session
+    for rig_run in world.rig_runs:
+        folder = root / "sessions" / rig_run.session
         if not folder.exists():
-            if life.rows and life.end != "power loss":
-                yield f"{life.session}: is missing, but had rows"
+            if rig_run.rows and rig_run.end != "power loss":
+                yield f"{rig_run.session}: is missing, but had rows"
             continue
         try:
-            if life.end != "orderly":
+            if rig_run.end != "orderly":
                 recover(folder)
-            yield from _rows(world, life, Session.open(folder))
+            yield from _rows(world, rig_run, Session.open(folder))
             result = verify(folder)
         except SlipflowError as error:
-            if any(life.rows.values()) or life.end == "orderly":
-                yield f"{life.session} ({life.end}): {error}"
+            if any(rig_run.rows.values()) or rig_run.end == "orderly":
+                yield f"{rig_run.session} ({rig_run.end}): {error}"
             continue
-        allowed = {"orderly": ("note",)}.get(life.end, ("note", "repairable", "repaired", "lossy"))
+        allowed = {"orderly": ("note",)}.get(rig_run.end, ("note", "repairable", "repaired", "lossy"))
         if result.worst not in allowed and not _lossy(world):
-            yield f"{life.session} ({life.end}): verify says {result.worst}: {result.findings}"
+            yield f"{rig_run.session} ({rig_run.end}): verify says {result.worst}: {result.findings}"
 
 
-def _rows(world: World, life: Life, session: Session) -> Iterator[str]:
+def _rows(world: World, rig_run: RigRun, session: Session) -> Iterator[str]:
     for kind, name in ((Touch, "Touch"), (Slips, "Slips")):
-        accepted, recorded = life.rows.get(name, []), _read(session, kind)
+        accepted, recorded = rig_run.rows.get(name, []), _read(session, kind)
         for finger in FINGERS:
             expected = [row for row in accepted if row[0] == finger]
             found = [row for row in recorded if row[0] == finger]
             common = min(len(expected), len(found))
             if found[:common] != expected[:common]:
-                yield f"{life.session}: {name} of finger {finger} has other rows than were accepted"
+                yield f"{rig_run.session}: {name} of finger {finger} has other rows than were accepted"
             missing = expected[common:]
             if missing:
-                yield from _missing(world, life, name, missing)
+                yield from _missing(world, rig_run, name, missing)
 
 
 def _read(session: Session, kind: type[Batch]) -> list[Row]:
@@ -146,13 +146,13 @@ def _read(session: Session, kind: type[Batch]) -> list[Row]:
     return found
 
 
-def _missing(world: World, life: Life, name: str, missing: list[Row]) -> Iterator[str]:
-    text = f"{life.session} ({life.end}): {len(missing)} accepted rows of {name} are missing"
-    lost_power = _next_power_loss(world, life.ended) if life.end != "orderly" else None
+def _missing(world: World, rig_run: RigRun, name: str, missing: list[Row]) -> Iterator[str]:
+    text = f"{rig_run.session} ({rig_run.end}): {len(missing)} accepted rows of {name} are missing"
+    lost_power = _next_power_loss(world, rig_run.ended) if rig_run.end != "orderly" else None
     if lost_power is not None:
-        when = dict(zip(life.rows[name], life.rows_at[name], strict=True))
-        old = [row for row in missing if _durable(world, when[row], life.ended)]
+        when = dict(zip(rig_run.rows[name], rig_run.rows_at[name], strict=True))
+        old = [row for row in missing if _durable(world, when[row], rig_run.ended)]
         if old:
             yield f"{text}, {len(old)} of them older than {POWER_SPAN} s"
-    elif len(missing) > (KILL_ROWS if life.end == "killed" else 0):
+    elif len(missing) > (KILL_ROWS if rig_run.end == "killed" else 0):
         yield text

@@ -24,7 +24,7 @@ class _Session:
     unacknowledged: deque[Message] = field(default_factory=deque[Message])  # QoS 1, in order of delivery
     link: "SimulatedLink | None" = None
     will: Message | None = None
-    left: float = 0.0  # loop time (s) of the last disconnection
+    disconnected: float = 0.0  # loop time (s) of the last disconnection
 
 
 class SimulatedBroker:
@@ -61,7 +61,7 @@ class SimulatedBroker:
         session = self._sessions.get(identifier)
         if session and session.link:  # MQTT 5 section 3.1.4: the older connection is closed
             session.link.cut("session taken over")
-        if session is None or session.left + SESSION_EXPIRY < loop.time():
+        if session is None or session.disconnected + SESSION_EXPIRY < loop.time():
             session = self._sessions[identifier] = _Session()
         session.will = will
         session.link = link = SimulatedLink(self, session, str(broker), changed or asyncio.Event())
@@ -110,7 +110,7 @@ class SimulatedBroker:
     def closed(self, session: _Session, *, with_will: bool) -> None:
         """Publish the will of a client that disappeared, unless it returns in time."""
         loop = asyncio.get_running_loop()
-        session.link, session.left = None, loop.time()
+        session.link, session.disconnected = None, loop.time()
         will, session.will = session.will, None
         if will and with_will:
 

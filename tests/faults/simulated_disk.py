@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 from tests.faults.simulated_process import Killed, SimulatedProcess, current
 
-TAILS = ("cut", "zeros", "garbage")  # what follows the last byte that reached the disk
+TAILS = ("cut", "zeros", "garbage")  # content after the last byte that reached the disk
 
 
 @dataclass
@@ -59,7 +59,7 @@ class SimulatedDisk:
             yield
 
     def lose_power(self) -> None:
-        """Replace the files by what a power loss may leave of them."""
+        """Replace the files by a state that a power loss may leave."""
         image = self._image(self._root)
         self._inodes.clear()
         self._names.clear()

@@ -32,7 +32,7 @@ class SimulatedLoop(VirtualLoop):
         self.latency: Callable[[], float] = lambda: self._random.uniform(20e-6, 500e-6)
 
     def _run_once(self) -> None:
-        """Run what is ready, as asyncio's own method does, but without sockets, signals or other threads.
+        """Run the callbacks that are due, like asyncio's method, but without sockets, signals and threads.
 
         Raises:
             AssertionError: if tasks keep each other busy.

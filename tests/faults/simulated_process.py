@@ -12,7 +12,7 @@ class Killed(BaseException):
 
 
 class SimulatedProcess:
-    """Tasks started by `start`, and what they own.
+    """Tasks started by `start`, and their links and files.
 
     Code finds its process with `current`. After `kill`, each access to disk or network raises `Killed`, so
     that `finally` blocks and background tasks of the killed process change nothing.
@@ -20,7 +20,7 @@ class SimulatedProcess:
 
     def __init__(self, name: str) -> None:
         self.name, self.alive = name, True
-        self.on_kill: list[Callable[[], object]] = []  # close what the operating system would close
+        self.on_kill: list[Callable[[], object]] = []  # close links and files, as the operating system does
         self._tasks = WeakSet[asyncio.Task[Any]]()
         self._context: Context = copy_context()
         self._context.run(_CURRENT.set, self)

@@ -1,4 +1,4 @@
-"""Rig and consumer of the simulation: devices with numbered rows, and what each side has seen."""
+"""Rig and consumer of the simulation: devices with numbered rows, and records of accepted rows and events."""
 
 import asyncio
 from collections.abc import AsyncIterator
@@ -24,8 +24,8 @@ Row = tuple[int, int, int]  # finger, time (ns), value
 
 
 @dataclass
-class Life:
-    """One life of the rig, from start to end, kill or power loss."""
+class RigRun:
+    """One run of the rig, from its start to its end, kill or power loss."""
 
     session: str
     end: str = "running"  # running, orderly, refused, killed, power loss
@@ -98,7 +98,7 @@ class EveryFifth(Operator[Touch, Slips]):
 class WatchedDataset(Dataset):
     """Dataset that notes the accepted rows."""
 
-    life: Life
+    rig_run: RigRun
     _noted = 0  # batches
 
     def take(self, batch: Recordable) -> bool:
@@ -119,31 +119,31 @@ class WatchedDataset(Dataset):
     def _note(self, batch: Recordable) -> None:
         self._noted += 1
         table = type(batch).__name__
-        self.life.rows.setdefault(table, []).extend(numbered_rows(batch))
-        self.life.rows_at.setdefault(table, []).extend([asyncio.get_running_loop().time()] * len(batch))
+        self.rig_run.rows.setdefault(table, []).extend(numbered_rows(batch))
+        self.rig_run.rows_at.setdefault(table, []).extend([asyncio.get_running_loop().time()] * len(batch))
 
 
 class WatchedMqtt(Mqtt):
     """Event sink that notes the accepted events."""
 
-    life: Life
+    rig_run: RigRun
 
     async def write(self, batch: Slips | Faults | Clocks) -> None:
         """Write and note a batch."""
-        new = [(self.life.session, str(batch.finger), time) for time in batch.time.tolist()]
-        self.life.started_events |= set(new)
+        new = [(self.rig_run.session, str(batch.finger), time) for time in batch.time.tolist()]
+        self.rig_run.started_events |= set(new)
         await super().write(batch)
         current()
-        self.life.events |= dict.fromkeys(new, asyncio.get_running_loop().time())
+        self.rig_run.events |= dict.fromkeys(new, asyncio.get_running_loop().time())
 
 
 def numbered_rows(batch: Batch) -> list[Row]:
-    """Return what identifies the rows of a batch."""
+    """Return the identities of the rows of a batch."""
     assert isinstance(batch, Touch | Slips), "the flow records nothing else"
     values = batch.counts[:, 0] if isinstance(batch, Touch) else batch.state
     return list(zip([batch.finger] * len(batch), batch.time.tolist(), values.tolist(), strict=True))
 
 
 def identity(event: Event) -> Identity:
-    """Return what identifies an event independent of its number."""
+    """Return the identity of an event, independent of its number."""
     return (event.session or "", event.finger, event.time)

@@ -36,7 +36,7 @@ from tests.faults.simulated_rig import (
     Device,
     EveryFifth,
     Identity,
-    Life,
+    RigRun,
     WatchedDataset,
     WatchedMqtt,
     identity,
@@ -46,7 +46,7 @@ START: Final = 1_700_000_000 * 10**9  # ns, host time at the start
 MEMORY: Final = Path("/dev/shm")  # noqa: S108 - files in memory, which fsync does not slow down
 QUIET: Final = 90.0  # s; limit for everything to arrive after the last fault
 URL: Final = "mqtt://broker"
-LAST: Final = "last"  # session of the life without faults
+LAST: Final = "last"  # session of the run without faults
 LIMIT: Final = 600.0  # s, of virtual time
 REST: Final = (1.0, 1.0, 1.0, 5.0)  # s
 
@@ -68,7 +68,7 @@ class World:
 
     schedule: Schedule
     folder: Path
-    lives: list[Life] = field(default_factory=list[Life])
+    rig_runs: list[RigRun] = field(default_factory=list[RigRun])
     received: list[tuple[float, Identity]] = field(default_factory=list[tuple[float, Identity]])
     processed: dict[Identity, float] = field(default_factory=dict[Identity, float])  # loop time of the end, s
     consumer_kills: list[float] = field(default_factory=list[float])
@@ -117,44 +117,44 @@ class World:
     async def _keep_rig(self) -> None:
         """Restart the rig whenever it ends, as a service manager does."""
         while not self.healed:
-            await self._live(Life(f"run-{len(self.lives)}"))
+            await self._run_rig(RigRun(f"run-{len(self.rig_runs)}"))
             await asyncio.sleep(self.random.uniform(0.01, self.schedule.span / 3))
 
-    async def _live(self, life: Life) -> None:
-        self.lives.append(life)
+    async def _run_rig(self, rig_run: RigRun) -> None:
+        self.rig_runs.append(rig_run)
         self.rig = SimulatedProcess("rig")
-        task = self.rig.start(self._record(life))
+        task = self.rig.start(self._record(rig_run))
         try:
             await task
         except (Killed, asyncio.CancelledError):
-            life.end = life.end if life.end == "power loss" else "killed"
+            rig_run.end = rig_run.end if rig_run.end == "power loss" else "killed"
         except SlipflowError as error:
-            life.end, life.error = "refused", str(error)
+            rig_run.end, rig_run.error = "refused", str(error)
         else:
-            life.end = "orderly" if self.rig.alive else "killed"
-        life.ended = life.ended or self.loop.time()
+            rig_run.end = "orderly" if self.rig.alive else "killed"
+        rig_run.ended = rig_run.ended or self.loop.time()
         self.runner = None
         self.rig.kill()
 
-    async def _record(self, life: Life) -> None:
+    async def _record(self, rig_run: RigRun) -> None:
         flow = Flow("faults")
         dataset = WatchedDataset(self.folder / "data", part_span=round(self.schedule.span * 0.4e9))
         mqtt = WatchedMqtt(URL, outbox=self.folder / "outbox", connect_required=False)
-        dataset.life = mqtt.life = life
+        dataset.rig_run = mqtt.rig_run = rig_run
         for device in self.devices:
             touch = flow.source(device)
             slips = touch | EveryFifth()
             slips.to(mqtt)
-            if life.session != LAST:
+            if rig_run.session != LAST:
                 touch.to(dataset)
                 slips.to(dataset)
-        runner = self.runner = LiveRunner(flow, life.session, signals=False)
-        if self.healed and life.session != LAST:  # stopped in the moment in which it started
+        runner = self.runner = LiveRunner(flow, rig_run.session, signals=False)
+        if self.healed and rig_run.session != LAST:  # stopped in the moment in which it started
             runner.stop()
         await runner.execute()
         if runner.run.error:
-            life.error = runner.run.error
-        life.error += "".join(
+            rig_run.error = runner.run.error
+        rig_run.error += "".join(
             f" {name}: {sink.error}" for name, sink in runner.run.sinks.items() if sink.error
         )
 
@@ -185,16 +185,16 @@ class World:
 
     async def _deliver_rest(self) -> None:
         """Run the rig without devices until the consumer has all events."""
-        life = Life(LAST)
-        flow_end = self.loop.create_task(self._live(life))
+        rig_run = RigRun(LAST)
+        flow_end = self.loop.create_task(self._run_rig(rig_run))
         for device in self.devices:
             device.silent_until = inf
-        expected = {event for each in self.lives for event in each.events}
+        expected = {event for each in self.rig_runs for event in each.events}
         for _ in range(round(QUIET / 2 / 0.2)):
             if not expected - self.processed.keys():
                 break
             await asyncio.sleep(0.2)
-        await asyncio.sleep(self.random.choice(REST))  # what is delivered twice or invented arrives too
+        await asyncio.sleep(self.random.choice(REST))  # duplicates and invented events arrive too
         if self.runner:
             self.runner.stop()
         await flow_end
@@ -243,12 +243,12 @@ class World:
             self.consumer.kill()
 
     def lose_power(self, fault: Fault) -> None:
-        """Cut the rig's power: its process ends, and its disk keeps what was durable and some of the rest."""
+        """Cut the rig's power: its process ends, and its disk keeps durable data and some of the rest."""
         del fault
-        if not self.rig or not self.lives:
+        if not self.rig or not self.rig_runs:
             return
-        if self.rig.alive and self.lives[-1].end == "running":
-            self.lives[-1].end, self.lives[-1].ended = "power loss", self.loop.time()
+        if self.rig.alive and self.rig_runs[-1].end == "running":
+            self.rig_runs[-1].end, self.rig_runs[-1].ended = "power loss", self.loop.time()
         self.rig.kill()
         self.power_losses.append(self.loop.time())
         self.disk.lose_power()
@@ -315,7 +315,7 @@ _EFFECTS: Final[dict[str, _Effect]] = {
 
 
 def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda _: None) -> Outcome:
-    """Run one schedule and examine what is left.
+    """Run one schedule and check the invariants.
 
     Args:
         schedule: Seed and faults.
@@ -331,14 +331,17 @@ def simulate(schedule: Schedule, prepare: Callable[[ExitStack], object] = lambda
             prepare(stack)
             world.loop.run_until_complete(asyncio.wait_for(world.main(), LIMIT))
             found = [*world.errors, *violations(world)]
-        lives = [(life.session, life.end, life.ended, life.rows, life.events) for life in world.lives]
-        observed = repr((world.received, world.reports, lives, found)).replace(str(folder), "")
+        rig_runs = [
+            (rig_run.session, rig_run.end, rig_run.ended, rig_run.rows, rig_run.events)
+            for rig_run in world.rig_runs
+        ]
+        observed = repr((world.received, world.reports, rig_runs, found)).replace(str(folder), "")
         return Outcome(
             [each.replace(str(folder), "") for each in found],
             hashlib.sha256(observed.encode()).hexdigest(),
             world.disk.operations,
-            sum(len(life.events) for life in world.lives),
-            sum(len(rows) for life in world.lives for rows in life.rows.values()),
+            sum(len(rig_run.events) for rig_run in world.rig_runs),
+            sum(len(rows) for rig_run in world.rig_runs for rows in rig_run.rows.values()),
         )
     finally:
         rmtree(folder, ignore_errors=True)
