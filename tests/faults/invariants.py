@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from itertools import zip_longest
+from math import inf
 from typing import TYPE_CHECKING, Final
 
 from operators import Slips, Touch
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 KILL_ROWS: Final = 10  # rows of a table that a kill may lose
 POWER_SPAN: Final = 0.3  # s, before a power loss, whose rows and events may be lost
 SAVED: Final = 0.01  # s, until the consumer has saved that an event is processed
-REPAIR: Final = 0.7  # s after a fault of the disk, until the delayed rows and events are written
+REPAIR: Final = 0.7  # s after a fault of the disk, until the delayed rows and events are written; at least
+RETRY: Final = 0.2  # s, first delay between two attempts, and time of an attempt
 DISK_FAULTS: Final = frozenset({"disk full", "disk error", "fsync error", "slow disk"})
 
 
@@ -91,12 +93,24 @@ def _durable(world: World, when: float, ended: float) -> bool:
 
 def _disk_fails(world: World, first: float, last: float) -> bool:
     """Return True if a fault of the disk delays rows accepted from `first` on until after `last`."""
-    return any(
-        fault.kind in DISK_FAULTS
-        and fault.start <= first + POWER_SPAN
-        and fault.start + fault.duration >= last - REPAIR
-        for fault in world.schedule.faults
-    )
+    return any(start <= first + POWER_SPAN and last <= repaired for start, repaired in _disk_failures(world))
+
+
+def _disk_failures(world: World) -> Iterator[tuple[float, float]]:
+    """Yield start and latest repair (s) of each failure of the disk.
+
+    A fault before the repair of an earlier one prolongs that failure. Delays between two attempts double, so
+    the last one is about as long as the failure.
+    """
+    start, end, repaired = inf, 0.0, 0.0
+    for fault in world.schedule.faults:
+        if fault.kind in DISK_FAULTS:
+            if fault.start > repaired:
+                yield start, repaired
+                start, end = fault.start, 0.0
+            start, end = min(start, fault.start), max(end, fault.start + fault.duration)
+            repaired = end + max(REPAIR, end - start + RETRY)
+    yield start, repaired
 
 
 def _recordings(world: World) -> Iterator[str]:

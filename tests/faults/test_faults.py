@@ -33,6 +33,10 @@ def test_without_faults_one_run_records_and_delivers_everything() -> None:
     assert outcome.rows > 150
 
 
+def test_events_may_be_lost_if_a_second_failure_of_the_disk_prevents_their_repair_before_a_kill() -> None:
+    assert not violations(draw(34031))
+
+
 def test_a_seed_gives_the_same_history_in_another_process() -> None:
     seeds = [seed for seed in range(30) if seed % 3 == 0]
     text = (
