@@ -99,18 +99,20 @@ def _disk_fails(world: World, first: float, last: float) -> bool:
 def _disk_failures(world: World) -> Iterator[tuple[float, float]]:
     """Yield start and latest repair (s) of each failure of the disk.
 
-    A fault before the repair of an earlier one prolongs that failure. Delays between two attempts double, so
-    the last one is about as long as the failure.
+    The delay to the next attempt is at most as long as the failure until then; a fault that begins before it
+    prolongs the failure.
     """
-    start, end, repaired = inf, 0.0, 0.0
+    start, end, attempt = inf, 0.0, 0.0
     for fault in world.schedule.faults:
-        if fault.kind in DISK_FAULTS:
-            if fault.start > repaired:
-                yield start, repaired
+        if fault.kind == "fsync error":  # writes succeed, so there is no delay
+            yield fault.start, fault.start + fault.duration + REPAIR
+        elif fault.kind in DISK_FAULTS:
+            if fault.start > attempt:
+                yield start, max(attempt, end + REPAIR)
                 start, end = fault.start, 0.0
             start, end = min(start, fault.start), max(end, fault.start + fault.duration)
-            repaired = end + max(REPAIR, end - start + RETRY)
-    yield start, repaired
+            attempt = end + (end - start) + RETRY
+    yield start, max(attempt, end + REPAIR)
 
 
 def _recordings(world: World) -> Iterator[str]:
