@@ -103,7 +103,7 @@ class Align(Join[Zeroed, Motion, Sample]):
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without motion that is too old."""
         self._motion.drop(int(self._motion.time.searchsorted(self._newest - self.keep - self.within)))
-        return self.__dict__
+        return vars(self)
 
     def _match(self, rows: Zeroed, oldest: int) -> Sample:
         size, kept = rows.time.size, self._motion

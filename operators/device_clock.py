@@ -110,7 +110,7 @@ class WatchClock(Operator[Motion, Clocks]):
         stamps, lines = np.empty((2, batch.time.size), np.int64), np.empty((2, batch.time.size))
         state = self._envelope, self._open
         count = _watch(batch.device_time, batch.time, state, self.every, stamps, lines)
-        return Clocks(*stamps[:, :count], *lines[:, :count], finger=batch.finger) if count else Clocks.empty()
+        return self._clocks(stamps[:, :count], lines[:, :count]) if count else Clocks.empty()
 
     def flush(self) -> Clocks:
         """Return the report of the remaining rows."""
@@ -118,7 +118,10 @@ class WatchClock(Operator[Motion, Clocks]):
             return Clocks.empty()
         stamps, lines = np.empty((2, 1), np.int64), np.empty((2, 1))
         _report(self._envelope, self._open, stamps, lines, 0)
-        return Clocks(*stamps, *lines, finger=self._finger)
+        return self._clocks(stamps, lines)
+
+    def _clocks(self, stamps: Times, lines: Reals) -> Clocks:
+        return Clocks(stamps[0], stamps[1], lines[0], lines[1], finger=self._finger)
 
 
 # Rows since the last report: device stamp of the first (ns), number, total lateness (ns); host time of the

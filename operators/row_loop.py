@@ -31,15 +31,15 @@ def row_loop(function: Function) -> Function:
 
 def _compiled(function: FunctionType, arguments: tuple[object, ...]) -> Callable[..., Any]:
     try:
-        from numba import typeof, types  # noqa: PLC0415 - takes 0.4 s to import
+        import numba  # noqa: PLC0415 - takes 0.4 s to import
 
         from operators.compilation import compile_function  # noqa: PLC0415 - imports numba
     except ModuleNotFoundError:
         return function
-    signature: list[Any] = [cast("Any", typeof)(each) for each in arguments]
+    signature: list[Any] = [cast("Any", numba).typeof(each) for each in arguments]
     for place in range(function.__code__.co_posonlyargcount):
         column = signature[place]
-        signature[place] = types.Array(column.dtype, column.ndim, "A", readonly=True)
+        signature[place] = numba.types.Array(column.dtype, column.ndim, "A", readonly=True)
     compiled: Any = compile_function([tuple(signature)])(_with_compiled_helpers(function))
     compiled.__wrapped__ = function
     return cast("Callable[..., Any]", compiled)
