@@ -70,13 +70,13 @@ def same(one: Path, other: Path) -> bool:
 
 
 def cluster_cpu() -> float:
-    """Return the CPU seconds of all processes of Flink on this machine, Python workers included."""
-    total = 0.0
+    """Return the CPU seconds of this process and of all of Flink, including Python workers that have ended."""
+    total = process_time()
     for path in Path("/proc").glob("[0-9]*"):
         try:
             if b"flink" in (path / "cmdline").read_bytes():
                 fields = (path / "stat").read_text().rpartition(")")[2].split()
-                total += sum(map(int, fields[11:13])) / os.sysconf("SC_CLK_TCK")
+                total += sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
         except OSError:  # it has ended
             continue
     return total
@@ -136,6 +136,9 @@ def main() -> None:
             out = root / f"single-{len(given)}"
             one.measure(partial(replay, out, given), process_time)
         one.print(rest)
+        Cluster(options.url, PYTHON.absolute()).run(
+            "first", load("relabel"), {"out": str(root / "warm")}, sessions[:1]
+        )
         for slices in options.slices:
             for workers in (1, 2):
                 job = Job(f"{workers} workers, {slices} slices per unit")
