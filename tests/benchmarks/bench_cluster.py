@@ -70,7 +70,7 @@ def same(one: Path, other: Path) -> bool:
 
 
 def cluster_cpu() -> float:
-    """Return the CPU seconds of this process and of all of Flink, including Python workers that have ended."""
+    """Return the CPU seconds of this process and of Flink, including ended Python workers."""
     total = process_time()
     for path in Path("/proc").glob("[0-9]*"):
         try:
