@@ -1,4 +1,4 @@
-"""Samples per second and CPU per sample of a Flink cluster on this machine, with one worker and with two.
+"""Samples per second of a Flink cluster on this machine, with one worker and with two.
 
 Run by hand, after `make cluster`. The job relabels recordings of many fingertips: in one process, one after
 the other, then on the cluster. Starting a job takes many seconds; so it runs with several sessions and with
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from time import perf_counter, process_time
+from time import perf_counter
 
 import numpy as np
 
@@ -69,39 +69,23 @@ def same(one: Path, other: Path) -> bool:
     return session_names(one) == session_names(other)
 
 
-def cluster_cpu() -> float:
-    """Return the CPU seconds of this process and of Flink, including ended Python workers."""
-    total = process_time()
-    for path in Path("/proc").glob("[0-9]*"):
-        try:
-            if b"flink" in (path / "cmdline").read_bytes():
-                fields = (path / "stat").read_text().rpartition(")")[2].split()
-                total += sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
-        except OSError:  # it has ended
-            continue
-    return total
-
-
 @dataclass
 class Job:
-    """Seconds and CPU seconds of replays of all sessions and of one."""
+    """Seconds of replays of all sessions and of one."""
 
     name: str
-    wall: list[float] = field(default_factory=list[float])
-    cpu: list[float] = field(default_factory=list[float])
+    seconds: list[float] = field(default_factory=list[float])
 
-    def measure(self, run: Callable[[], object], cpu: Callable[[], float]) -> None:
+    def measure(self, run: Callable[[], object]) -> None:
         """Run once."""
-        wall, used = perf_counter(), cpu()
+        began = perf_counter()
         run()
-        self.wall.append(perf_counter() - wall)
-        self.cpu.append(cpu() - used)
+        self.seconds.append(perf_counter() - began)
 
     def print(self, samples: int, same: str = "") -> None:
         """Print a line; `samples` are those of all sessions but one."""
-        rate = samples / (self.wall[0] - self.wall[1])
-        cpu = (self.cpu[0] - self.cpu[1]) / samples * 1e6
-        print(f"{self.name:32}{self.wall[0]:8.1f}{self.wall[1]:8.1f}{rate:11.0f}{cpu:12.2f}{same:>7}")
+        whole, one = self.seconds
+        print(f"{self.name:32}{whole:10.1f}{one:10.1f}{samples / (whole - one):12.0f}{same:>6}")
 
 
 def main() -> None:
@@ -122,7 +106,7 @@ def main() -> None:
         print(f"{options.sessions} sessions of {samples} samples, {options.fingers} fingertips, ", end="")
         print(f"commit {commit()}, load {os.getloadavg()[0]:.1f}")
         print(machine())
-        print(f"{'':32}{'all, s':>8}{'one, s':>8}{'samples/s':>11}{'CPU us each':>12}{'same':>7}")
+        print(f"{'':32}{'all, s':>10}{'one, s':>10}{'samples/s':>12}{'same':>6}")
         sessions = [session_folder(root / "in", name) for name in session_names(root / "in")]
 
         def replay(out: Path, given: list[Path]) -> None:
@@ -134,7 +118,7 @@ def main() -> None:
         one = Job("one process")
         for given in (sessions, sessions[:1]):
             out = root / f"single-{len(given)}"
-            one.measure(partial(replay, out, given), process_time)
+            one.measure(partial(replay, out, given))
         one.print(rest)
         Cluster(options.url, PYTHON.absolute()).run(
             "first", load("relabel"), {"out": str(root / "warm")}, sessions[:1]
@@ -146,7 +130,7 @@ def main() -> None:
                     out = root / f"{workers}-{slices}-{len(given)}"
                     cluster = Cluster(options.url, PYTHON.absolute(), slices=slices, workers=workers)
                     run = partial(cluster.run, "bench", load("relabel"), {"out": str(out)}, given)
-                    job.measure(run, cluster_cpu)
+                    job.measure(run)
                 outs = [root / f"{each}-{len(sessions)}" for each in ("single", f"{workers}-{slices}")]
                 job.print(rest, str(same(*outs)))
 
