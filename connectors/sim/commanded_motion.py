@@ -16,13 +16,12 @@ from typing import Final
 
 import numpy as np
 
-from connectors.sim.arm_motion import SPIN_ACCELERATION, in_base
+from connectors.sim.arm_motion import SPIN_ACCELERATION
 from connectors.sim.scene import Scene, surface_drop
 from operators.batch import Commands, Reals, s
 
 FORCE_RATE: Final = 50.0  # N/s; assumed
 STIFFNESS: Final = 1000.0  # N/m of fingertip, arm and surface in series; assumed
-_Z: Final = 2  # column of the height in a pose of the base frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +92,9 @@ class CommandedArm:
 
     def motion(self, instant: float) -> tuple[Reals, Reals, float]:
         """Return pose (6,), velocity (6,) and force of the surface (N) at an instant (s); base frame."""
-        times = np.array([instant])
-        [velocity], [pose] = in_base(*self.at(times))
-        _, [local], [place], [push] = self._states(times)
-        pose[_Z], velocity[_Z] = place[3], local[3]
-        return pose, velocity, float(push)
+        _, [[vx, vy, spin, rise]], [[x, y, yaw, height]], [push] = self._states(np.array([instant]))
+        pose = np.array([x, -y, height, math.pi * math.cos(yaw / 2), -math.pi * math.sin(yaw / 2), 0.0])
+        return pose, np.array([vx, -vy, rise, 0.0, 0.0, -spin]), float(push)
 
     def _states(self, times: Reals) -> tuple[Reals, Reals, Reals, Reals]:
         """Return grip force (k,), velocity (k, 4), pose (k, 4) and force of the surface (k,)."""
@@ -107,6 +104,7 @@ class CommandedArm:
         bounds = np.searchsorted(times, [segment.start for segment in self._segments[1:]])
         for segment, begin, end in zip(self._segments, [0, *bounds], [*bounds, len(times)], strict=True):
             force[begin:end], velocity[begin:end], pose[begin:end] = segment.at(times[begin:end])
-        curvatures = self._scene.curvatures
-        drop = np.array([surface_drop(curvatures, x, y) for x, y in pose[:, :2].tolist()])  # (k,) m
+        curvatures, drop = self._scene.curvatures, np.zeros(len(times))  # (k,) m
+        if any(curvatures):
+            drop[:] = [surface_drop(curvatures, x, y) for x, y in pose[:, :2].tolist()]
         return force, velocity, pose, STIFFNESS * np.maximum(0.0, -drop - pose[:, 3])
