@@ -281,14 +281,24 @@ class OutboxLog:
         return full or 0 < segment.started < time.time() - SEGMENT_SPAN
 
     def _start_segment(self, epoch: Epoch, first: int) -> None:
-        """Create a segment that begins with the id `first`; replace one of which no event was durable."""
+        """Create a segment that begins with id `first`; replace one whose events are all written again."""
         if self._log and not self._log.suspect:
             self._log.sync()
-        path = self.path / f"{first:020}.log"
+        path = self.path / f"{self._next_number(first):020}.log"
         created = AppendLog.create(path, IDENTITY, [_encode_epoch(epoch)])
         self._close_log()
         self._log, self._epoch = created, epoch.name
         self._segments = [*(each for each in self._segments if each.path != path), _Segment(path)]
+
+    def _next_number(self, first: int) -> int:
+        """Return the number of the next segment, which must be read after the newest one."""
+        if not self._segments:
+            return first
+        newest = self._segments[-1]
+        number = int(newest.path.stem)
+        if first > number:
+            return first
+        return number + (len(newest.ids) > 0 and newest.ids[0] < first)
 
     def _decode(self, data: bytes) -> Entry:
         head, _, payload = data.partition(b"\n")

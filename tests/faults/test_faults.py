@@ -37,6 +37,10 @@ def test_events_may_be_lost_if_a_second_failure_of_the_disk_prevents_their_repai
     assert not violations(draw(34031))
 
 
+def test_events_written_again_after_two_failed_fsyncs_are_found_by_the_next_run() -> None:
+    assert not violations(draw(41966))
+
+
 def test_a_seed_gives_the_same_history_in_another_process() -> None:
     seeds = [seed for seed in range(30) if seed % 3 == 0]
     text = (
