@@ -16,6 +16,7 @@ from connectors.ur.path_follower import Point
 from connectors.ur.ur_arm import UrArm
 from connectors.ur.ur_state import Bounds, read_state
 from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.contact_monitor import ContactMonitor
 from flows.lab.collection.stroke_driver import StrokeDriver
 from flows.lab.collection.stroke_plan import CollectionPlan, Limits, StrokeSeries, total_extent
@@ -91,6 +92,7 @@ async def collect(
         {"plan": plan.name, "seed": seed, "workspace": [*low, *high], "force_limit": limits.force},
         log,
     )
+    await asyncio.to_thread(collector.compile_operators, here)
     stop = collector.interrupt
     actions = {signal.SIGINT: stop, signal.SIGTERM: stop, signal.SIGUSR1: collector.pause_or_resume}
     with signal_handlers(actions):
@@ -195,6 +197,10 @@ class Collector:
             self.log(f"{number}/{len(series)} {each.name}: {len(each.strokes)} strokes")
             await self.driver.follow([each.begin])
             await self._record(each, f"{each.name}-{stamp}")
+
+    def compile_operators(self, surface: Pose) -> None:
+        """Compile the operators of a session; once the arm is commanded, this would delay the commands."""
+        CompiledFlow(self._declare(surface, ContactMonitor()))
 
     def pause_or_resume(self) -> None:
         """Pause, or resume if paused."""

@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
 import pytest
@@ -19,6 +19,9 @@ from connectors.emulators.virtual_lab import VirtualLab, virtual_lab
 from connectors.sim.commanded_motion import STIFFNESS
 from connectors.sim.scene import Curvature, commanded_scene
 from connectors.ur.control_process import Pose
+from connectors.ur.ur_arm import UrArm
+from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
 from flows.lab.collection.collector import Collector, collect, workspace
 from flows.lab.collection.stroke_plan import (
     CollectionPlan,
@@ -331,6 +334,27 @@ def test_nothing_moves_without_a_sensor(tmp_path: Path, monkeypatch: pytest.Monk
     with pytest.raises(EndpointError, match=VIRTUAL):
         made(tmp_path / "data", act=unplug, pressed=False)
     assert not list(tmp_path.iterdir())
+
+
+def test_operators_are_compiled_before_the_arm_is_commanded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    steps = list[str]()
+
+    class Arm(UrArm):
+        async def __aenter__(self) -> Self:
+            steps.append("commanded")
+            raise EndpointError("the arm", "is not needed here")
+
+    def compiled(flow: Flow) -> CompiledFlow:
+        steps.append("compiled")
+        return CompiledFlow(flow)
+
+    monkeypatch.setattr("flows.lab.collection.collector.UrArm", Arm)
+    monkeypatch.setattr("flows.lab.collection.collector.CompiledFlow", compiled)
+    with pytest.raises(EndpointError, match="is not needed here"):
+        made(tmp_path / "data", pressed=False)
+    assert steps == ["compiled", "commanded"]
 
 
 def test_a_path_outside_the_workspace_is_refused() -> None:
