@@ -30,8 +30,8 @@ class Node:
         if isinstance(self.part, Operator | Join):
             return input_types(type(self.part))
         if isinstance(self.part, Sink):
-            kind = type(self.part)
-            hints: dict[str, Any] = get_type_hints(kind.take if kind.write is Sink.write else kind.write)
+            kind, base = type(self.part), cast("Any", Sink)
+            hints: dict[str, Any] = get_type_hints(kind.take if kind.write is base.write else kind.write)
             hint = hints.get(next(iter(hints), ""))  # of the first parameter
             kinds: tuple[Any, ...] = get_args(hint) or (hint,)
             if not all(isinstance(kind, type) and issubclass(kind, Batch) for kind in kinds):

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from operators.batch import Motion, Touch
 from operators.errors import EndpointError, InputError
-from storage import files
+from storage import arrow, files
 from storage.layout import MOTION, TOUCH, Table
 from storage.parts import read_part, write_part
 from storage.schema import schema, to_arrow
@@ -123,7 +123,7 @@ def test_a_lack_of_memory_is_not_reported_as_damage(
         raise error("malloc of size 64 failed")
 
     (tmp_path / "x.parquet").write_bytes(part)
-    monkeypatch.setattr(pq, "ParquetFile", fail)
+    monkeypatch.setattr(arrow.pq, "ParquetFile", fail)
     with pytest.raises(EndpointError, match="not enough memory"):
         read_part(tmp_path / "x.parquet", schema(TOUCH))
 
