@@ -127,6 +127,8 @@ class Cluster:
             unfinished = feed.follow or len(done) < len(feed.splitters)
             if stopped() and not (feed.follow and feed.ended - done.keys()):
                 return done
+            if state == "FINISHED" and unfinished:
+                restore = self._savepoint(manager)
             if state == LOST or (state == "FINISHED" and unfinished):
                 warn("job_resumed", f"Flink job {self.job} continues as a new job", restore=restore)
                 self.job = submit(restore)
@@ -139,6 +141,18 @@ class Cluster:
                 feed.find_recordings()
                 feed.send_units(folder)
             sleep(_INTERVAL)
+
+    def _savepoint(self, manager: JobManager) -> str:
+        """Return the savepoint with which the job was stopped; Flink has deleted its checkpoints.
+
+        Raises:
+            EndpointError: if the job manager does not respond, or there is none.
+        """
+        for _ in range(_MISSED):
+            if path := manager.savepoint(self.job):
+                return path
+            sleep(_INTERVAL)  # Flink reports it some seconds after the end of the job
+        raise EndpointError(self.url, "the job has ended without a savepoint")
 
     def _python(self) -> Path:
         if self.python:

@@ -54,9 +54,17 @@ class JobManager:
         Raises:
             EndpointError: if the job manager does not respond, or there is no such job.
         """
-        latest: dict[str, Any] = self._request(f"/jobs/{job}/checkpoints").get("latest", {})
-        found = [latest[kind] for kind in ("completed", "savepoint") if latest.get(kind)]
+        found = self._latest(job, "completed", "savepoint")
         return max(found, key=itemgetter("trigger_timestamp"))["external_path"] if found else None
+
+    def savepoint(self, job: str) -> str | None:
+        """Return the path of a job's newest savepoint; None: there is none, or it is a few seconds old.
+
+        Raises:
+            EndpointError: if the job manager does not respond, or there is no such job.
+        """
+        found = self._latest(job, "savepoint")
+        return found[0]["external_path"] if found else None
 
     def cause(self, job: str) -> str:
         """Return the reason of a job's last failure in one line; empty if it did not fail.
@@ -78,6 +86,10 @@ class JobManager:
             EndpointError: if the job manager does not respond, or there is no such job.
         """
         self._request(f"/jobs/{job}", "PATCH")
+
+    def _latest(self, job: str, *kinds: str) -> list[dict[str, Any]]:
+        latest: dict[str, Any] = self._request(f"/jobs/{job}/checkpoints").get("latest", {})
+        return [latest[kind] for kind in kinds if latest.get(kind)]
 
     def _request(self, path: str, method: str = "GET") -> dict[str, Any]:
         request = Request(self.url + path, method=method)  # noqa: S310 - http or https, as checked above
