@@ -127,9 +127,8 @@ class Cluster:
             unfinished = feed.follow or len(done) < len(feed.splitters)
             if stopped() and not (feed.follow and feed.ended - done.keys()):
                 return done
-            if state == "FINISHED" and unfinished:
-                restore = self._savepoint(manager)
             if state == LOST or (state == "FINISHED" and unfinished):
+                restore = restore if state == LOST else self._savepoint(manager)
                 warn("job_resumed", f"Flink job {self.job} continues as a new job", restore=restore)
                 self.job = submit(restore)
             elif state == "FINISHED":
