@@ -66,7 +66,6 @@ class Align(Join[Zeroed, Motion, Sample]):
     _motion: "Tail[_Kept]" = field(default_factory=lambda: Tail(_Kept), init=False, repr=False, compare=False)
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
-    _none: Sample = field(default_factory=Sample.empty, init=False, repr=False, compare=False)
     _code: int = field(init=False, repr=False)  # position of `how` in its choices
 
     def __post_init__(self) -> None:
@@ -85,12 +84,12 @@ class Align(Join[Zeroed, Motion, Sample]):
             self._held.append(left)
         passed = self._late_left.newest - self.wait  # ns, touch up to this time has waited long enough
         rows = self._held.take(max(self._newest, passed + 1))
-        return self._match(rows, oldest) if rows.time.size else self._none
+        return self._match(rows, oldest) if rows.time.size else Sample.empty()
 
     def flush(self) -> Sample:
         """Return the held touch samples, matched with the motion so far."""
         rows = self._held.take()
-        return self._match(rows, -END) if rows.time.size else self._none
+        return self._match(rows, -END) if rows.time.size else Sample.empty()
 
     def _store(self, motion: Motion) -> None:
         kept = self._motion

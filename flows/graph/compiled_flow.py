@@ -1,13 +1,11 @@
 """Compilation of a flow: one new operator per node and fingertip, in the order of declaration."""
 
-import inspect
 import pickle
-import traceback
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, TypeAlias, cast
 
+from flows.graph.error_location import location
 from flows.graph.flow import Flow
 from flows.graph.node import Node
 from flows.graph.validation import validate
@@ -262,13 +260,3 @@ def _fails_to_pickle(stage: Stage) -> bool:
     except (pickle.PicklingError, AttributeError, TypeError):
         return True
     return False
-
-
-def location(part: object, error: Exception) -> str:
-    """Return the line of a part's file at which an error was raised, such as `` (own.py:23)``."""
-    try:
-        file = inspect.getfile(type(part))
-    except (TypeError, OSError):
-        return ""
-    lines = [each.lineno for each in traceback.extract_tb(error.__traceback__) if each.filename == file]
-    return f" ({Path(file).name}:{lines[-1]})" if lines else ""

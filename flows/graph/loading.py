@@ -8,7 +8,6 @@ load only files that you trust.
 import importlib.util
 import inspect
 import sys
-import traceback
 import types
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import get_type_hints
 
+from flows.graph.error_location import line_in
 from flows.graph.flow import Flow
 from flows.graph.parameter import Parameter
 from operators.errors import InputError, SlipflowError
@@ -140,8 +140,7 @@ def _errors_of(file: Path) -> Generator[None]:
     except SyntaxError as error:
         raise InputError(f"{error.filename or file}:{error.lineno}", error.msg) from error
     except (Exception, SystemExit) as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == file.resolve()]
-        where = f"{file}:{lines[-1]}" if lines else str(file)
+        line = line_in(file, error)
+        where = str(file) if line is None else f"{file}:{line}"
         reason = "calls sys.exit" if isinstance(error, SystemExit) else f"{type(error).__name__}: {error}"
         raise InputError(where, reason) from error

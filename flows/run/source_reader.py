@@ -6,7 +6,7 @@ from collections.abc import AsyncGenerator
 from dataclasses import asdict
 from typing import Any, Final, cast
 
-from flows.graph.compiled_flow import location
+from flows.graph.error_location import location
 from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch, s

@@ -58,7 +58,7 @@ class JobManager:
         return max(found, key=itemgetter("trigger_timestamp"))["external_path"] if found else None
 
     def savepoint(self, job: str) -> str | None:
-        """Return the path of a job's newest savepoint; None: there is none, or it is a few seconds old.
+        """Return the path of a job's newest savepoint; None: Flink has not reported one yet.
 
         Raises:
             EndpointError: if the job manager does not respond, or there is no such job.
