@@ -49,6 +49,7 @@ docs:  ## build the documentation site into build/site; warnings are errors
 bench:  ## measure; prints tables
 	@deploy/prepare test
 	.venv/bin/python tests/benchmarks/bench_engine.py
+	.venv/bin/python tests/benchmarks/bench_row_loops.py
 	.venv/bin/python tests/benchmarks/bench_replay.py
 	.venv/bin/python tests/benchmarks/bench_page.py
 	.venv/bin/python tests/benchmarks/bench_edge.py

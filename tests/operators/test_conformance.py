@@ -2,9 +2,9 @@
 
 import inspect
 import pickle
-import sys
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
@@ -53,6 +53,7 @@ from operators.detectors import (
     tcn,
 )
 from operators.operator import Step, input_types, output_type
+from tests.operators.plain_loops import use_plain_loops
 
 Value = TypeVar("Value")
 SomeTouch = TypeVar("SomeTouch", bound=Touch)
@@ -336,16 +337,9 @@ def test_whichever_stream_lags_within_the_wait_the_join_is_the_same(
 
 @pytest.fixture
 def uncompiled(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """Switches to the loops as plain Python, as where numba is not installed."""
+    """Return a function that switches to the loops as plain Python."""
 
-    def switch() -> None:
-        for name, module in list(sys.modules.items()):
-            if name.startswith("operators.") and not name.startswith("operators.detectors"):
-                for key, value in list(vars(module).items()):
-                    if hasattr(value, "__wrapped__"):
-                        monkeypatch.setattr(module, key, value.__wrapped__)
-
-    return switch
+    return partial(use_plain_loops, monkeypatch)
 
 
 @every
