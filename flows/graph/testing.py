@@ -3,13 +3,15 @@
 import asyncio
 import selectors
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterable, Sequence
-from typing import Any, Generic, TypeVar
+from concurrent.futures import Executor
+from typing import Any, Generic, TypeVar, TypeVarTuple, Unpack
 
 from operators.batch import EVERY, Batch, concat
 from operators.ports import Clock, Run, Sink, Source
 
 T = TypeVar("T")
 B = TypeVar("B", bound=Batch)
+Arguments = TypeVarTuple("Arguments")
 
 
 class TestSource(Source[B], Generic[B]):
@@ -138,16 +140,20 @@ class _InstantSelector(selectors.DefaultSelector):
     """Selector that advances the loop's time instead of waiting."""
 
     time = 0.0  # s
+    threads = 0  # calls in progress
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        ready = super().select(None if timeout is None else 0)
+        ready = super().select(None if timeout is None or (timeout and self.threads) else 0)
         if not ready and timeout:
             self.time += timeout
         return ready
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """Event loop in virtual time: sleeping jumps to the time of the next task."""
+    """Event loop in virtual time: sleeping jumps to the time of the next task.
+
+    Calls in threads take no virtual time.
+    """
 
     def __init__(self) -> None:
         self._virtual = _InstantSelector()
@@ -156,6 +162,18 @@ class VirtualLoop(asyncio.SelectorEventLoop):
     def time(self) -> float:
         """Return the virtual time since the loop was created, s."""
         return self._virtual.time
+
+    def run_in_executor(
+        self, executor: Executor | None, func: Callable[[Unpack[Arguments]], T], *args: Unpack[Arguments]
+    ) -> asyncio.Future[T]:
+        """Call a function in a thread."""
+        call = super().run_in_executor(executor, func, *args)
+        self._virtual.threads += 1
+        call.add_done_callback(self._end_call)
+        return call
+
+    def _end_call(self, _: asyncio.Future[Any]) -> None:
+        self._virtual.threads -= 1
 
     def stall(self, seconds: float) -> None:
         """Advance time without running anything, as on a busy host."""

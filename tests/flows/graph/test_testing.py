@@ -78,3 +78,12 @@ def test_a_test_sink_raises_the_given_failures() -> None:
         asyncio.run(sink.write(batch))
     asyncio.run(sink.write(batch))
     assert sink.written == [batch]
+
+
+def test_calls_in_threads_take_no_virtual_time() -> None:
+    async def call_beside_a_sleep() -> tuple[bool, float]:
+        call = asyncio.create_task(asyncio.to_thread(time.sleep, 0.05))
+        await asyncio.sleep(3600)
+        return call.done(), asyncio.get_running_loop().time()
+
+    assert run_virtually(call_beside_a_sleep()) == (True, 3600)
