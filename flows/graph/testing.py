@@ -164,7 +164,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
         return self._virtual.time
 
     def run_in_executor(
-        self, executor: Executor | None, func: Callable[[Unpack[Arguments]], T], *args: Unpack[Arguments]
+        self, executor: Executor | None, func: Callable[[Unpack[Arguments]], T], *args: *Arguments
     ) -> asyncio.Future[T]:
         """Call a function in a thread."""
         call = super().run_in_executor(executor, func, *args)
