@@ -13,6 +13,7 @@ from storage import files
 from storage.arrow import pa, pq
 from storage.layout import Table, inside
 from storage.manifest import Part
+from storage.parquet_pages import declared_sizes
 from storage.schema import flat, schema
 
 UNPACKED_LIMIT: Final = 512 * files.MiB  # bytes of the rows of one file
@@ -105,7 +106,7 @@ def read_part(path: Path, expected: pa.Schema, sha256: str | None = None) -> pa.
     try:
         file: Any = pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True)
         _check_columns(path, file.schema_arrow, expected)
-        _check_size(path, file.metadata, expected)
+        _check_size(path, data, expected)
         # without Arrow's threads: one that releases `data` last aborts a process that is exiting
         table: pa.Table = file.read(expected.names, use_threads=False)
         table.validate(full=True)
@@ -152,17 +153,18 @@ def _encodings(schema: pa.Schema) -> dict[str, str]:
     return encodings
 
 
-def _check_size(path: Path, about: Any, expected: pa.Schema) -> None:  # noqa: ANN401 - untyped library
+def _check_size(path: Path, data: bytes, expected: pa.Schema) -> None:
     """Check the declared sizes before anything is unpacked.
 
     Raises:
         InputError: if rows or pages have too many bytes.
+        ValueError: if the file is malformed.
     """
-    groups = [about.row_group(number) for number in range(about.num_row_groups)]
-    unpacked = sum(group.total_byte_size for group in groups)
-    values = sum(group.column(number).num_values for group in groups for number in range(group.num_columns))
-    row = sum(_row_size(field.type) for field in _fields(expected))
-    if max(unpacked, about.num_rows * row, values) > UNPACKED_LIMIT:
+    rows, unpacked, values = declared_sizes(data)
+    if (
+        max(unpacked, values, rows * sum(_row_size(field.type) for field in _fields(expected)))
+        > UNPACKED_LIMIT
+    ):
         reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
         raise InputError(str(path), reason)
 

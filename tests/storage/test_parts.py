@@ -69,6 +69,18 @@ def test_a_flipped_bit_in_any_page_is_reported_without_a_manifest(part: bytes, t
             read_part(path, schema(TOUCH))
 
 
+def test_a_flipped_bit_in_the_footer_never_ends_the_process(part: bytes, tmp_path: Path) -> None:
+    """pyarrow aborts if it is asked for a column whose level histograms contradict the schema."""
+    path = tmp_path / "flipped.parquet"
+    size = int.from_bytes(part[-8:-4], "little")
+    for number in range(len(part) - 8 - size, len(part)):
+        damaged = bytearray(part)
+        damaged[number] ^= 1 << number % 8
+        path.write_bytes(damaged)
+        with suppress(InputError):
+            read_part(path, schema(TOUCH))
+
+
 @pytest.mark.parametrize("data", [b"", b"PAR1", b"PAR1PAR1", b"no parquet at all", bytes(1000)])
 def test_a_file_that_is_not_parquet_is_reported(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "x.parquet").write_bytes(data)
