@@ -65,6 +65,7 @@ class Align(Join[Zeroed, Motion, Sample]):
     keep: int = 10 * s
     _motion: "Tail[_Kept]" = field(default_factory=lambda: Tail(_Kept), init=False, repr=False, compare=False)
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
+    _touched: int = field(default=-END, init=False, repr=False)  # ns, newest touch
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
     _code: int = field(init=False, repr=False)  # position of `how` in its choices
 
@@ -82,7 +83,8 @@ class Align(Join[Zeroed, Motion, Sample]):
             self._store(right)
         if left.time.size:
             self._held.append(left)
-        passed = self._late_left.newest - self.wait  # ns, touch up to this time has waited long enough
+            self._touched = left.time.item(-1)
+        passed = self._touched - self.wait  # ns, touch up to this time has waited long enough
         rows = self._held.take(max(self._newest, passed + 1))
         return self._match(rows, oldest) if rows.time.size else Sample.empty()
 

@@ -96,14 +96,14 @@ class Batch:
         return cls(*(np.zeros(shape, dtype) for dtype, shape in shapes))
 
     def check(self) -> Self:
-        """Return this batch if the type and shape of each column are valid; fast for batches of one row.
+        """Return this batch if the type and shape of each column are valid.
 
         Raises:
             BatchError: if a column is invalid.
         """
         expected = layout(type(self))
         try:
-            if expected.traits(self) == expected.single:
+            if expected.traits(self) == expected.of(self.time.size):
                 return self
         except AttributeError:  # a column is not an array
             pass
@@ -115,8 +115,8 @@ class Batch:
         Raises:
             BatchError: if it does.
         """
-        if self.time.size > 1 and (earlier := self.time[1:] < self.time[:-1]).any():
-            row = int(earlier.argmax()) + 1
+        if self.time.size > 1 and not is_ordered(self.time):
+            row = int(np.argmax(self.time[1:] < self.time[:-1])) + 1
             reason = f"decreases at row {row}, must be in order: sort the rows, or yield them one by one"
             raise BatchError(type(self).__name__, "time", reason)
         return self
@@ -149,13 +149,25 @@ class Layout:
 
     def __init__(self, kind: type[Batch]) -> None:
         expected = columns(kind)
-        # type and shape of each column, of a batch and as expected of one row
+        # type and shape of each column
         self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in ("dtype", "shape")))
-        self.single = tuple(trait for each in expected.values() for trait in (each.dtype, (1, *each.shape)))
+        self._columns, self._rows, self._expected = tuple(expected.values()), -1, tuple[object, ...]()
         getter = attrgetter(*expected)
         self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
             getter if len(expected) > 1 else lambda batch: (batch.time,)
         )
+
+    def of(self, rows: int) -> tuple[object, ...]:
+        """Return the expected traits of a batch; those of the newest number of rows are kept."""
+        if rows != self._rows:
+            pairs = ((each.dtype, (rows, *each.shape)) for each in self._columns)
+            self._rows, self._expected = rows, tuple(trait for pair in pairs for trait in pair)
+        return self._expected
+
+
+def is_ordered(time: Times) -> bool:
+    """Return True if time never decreases."""
+    return not np.count_nonzero(time[1:] < time[:-1])  # faster than `any` for few rows
 
 
 _layouts: Final[dict[type[Any], Layout]] = {}

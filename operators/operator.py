@@ -12,7 +12,7 @@ from typing import Any, Generic, Self, TypeVar, cast, get_type_hints
 
 import numpy as np
 
-from operators.batch import Batch
+from operators.batch import Batch, is_ordered
 from operators.errors import ParameterError
 
 In = TypeVar("In", bound=Batch, contravariant=True)
@@ -33,11 +33,11 @@ class LateRowFilter:
 
     def filter(self, batch: SomeBatch) -> SomeBatch:
         """Return the rows that are not late; rows with equal stamps keep their order of arrival."""
-        time, newest = batch.time, self.newest
-        if time.item(0) >= newest and (time.size == 1 or bool((time[1:] >= time[:-1]).all())):
+        time = batch.time
+        if time.item(0) >= self.newest and (time.size == 1 or is_ordered(time)):
             self.newest = time.item(-1)
             return batch
-        limit = np.maximum.accumulate(np.maximum(time, newest))  # (n,)
+        limit = np.maximum.accumulate(np.maximum(time, self.newest))  # (n,)
         kept = time >= limit  # (n,)
         self.newest = limit.item(-1)
         self.late += len(time) - int(kept.sum())

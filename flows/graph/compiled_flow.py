@@ -11,72 +11,70 @@ from flows.graph.node import Node
 from flows.graph.validation import validate
 from operators.batch import EVERY, Batch, concat
 from operators.errors import BatchError, OperatorError, SlipflowError
-from operators.operator import Join, Operator
+from operators.operator import Join, LateRowFilter, Operator, output_type
 from operators.ports import Sink, Source
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
-Delivery: TypeAlias = tuple[Node, Batch]  # a sink's node and a batch for it
+Delivery: TypeAlias = tuple[Node, Batch]  # a node and a batch of its output, for the sinks that read from it
 
 
 @dataclass(eq=False)
 class Stage:
-    """One node for one fingertip; `index` is the position of its output among the values of a push."""
+    """Operator or join for one fingertip."""
 
-    index: int
     node: Node
     finger: int
-    inputs: tuple[int, ...]
-    operator: Operator[Any, Any] | Join[Any, Any, Any] | None  # None for a source
-    takes: tuple[type[Batch], ...]
-    gives: type[Batch]
-    ordered: bool  # all inputs come from operators of slipflow, so no row is late
-    sinks: list[Node] = field(default_factory=list[Node])
-    tested: bool = field(init=False)  # an operator of slipflow: its tests check the output
-    _push: Callable[..., Batch] = field(init=False)
+    inputs: tuple[Entry, ...]
+    operator: Operator[Any, Any] | Join[Any, Any, Any]
+    delivers: bool  # sinks read from it
+    output: Entry = field(init=False)
+    gives: type[Batch] = field(init=False)
+    tested: bool = field(init=False)
+    _process: Callable[..., Batch] = field(init=False)
     _empty: tuple[Batch, ...] = field(init=False)
-    _first: int = field(init=False)
-    _second: int | None = field(init=False)  # None: an operator, not a join
+    _first: Entry = field(init=False)
+    _second: Entry | None = field(init=False)  # None: an operator, not a join
 
     def __post_init__(self) -> None:
-        if self.operator is not None:
-            self.resume(self.operator)
-            self._first, *second = self.inputs
-            self._second = second[0] if second else None
-        self._empty = tuple(kind.empty() for kind in self.takes)
-        self.tested = type(self.operator).__module__.startswith("operators.")
+        self.output, self.tested = (self.node, self.finger), _is_tested(self.node)
+        self.gives = output_type(type(self.operator))
+        self._empty = tuple(kind.empty() for kind in self.node.takes)
+        self._first, *second = self.inputs
+        self._second = second[0] if second else None
+        self.resume(self.operator)
 
-    def push(self, values: Sequence[Batch | None]) -> Batch | None:
+    def push(self, values: Mapping[Entry, Batch]) -> Batch | None:
         """Run the operator on its inputs; return None if there is no input or no output."""
-        left = values[self._first]
+        left = values.get(self._first)
         if self._second is None:
             if left is None:
                 return None
-            out = self._push(left)
+            out = self._process(left)
         else:
-            right = values[self._second]
-            if left is None and right is None:
-                return None
-            empty = self._empty
-            out = self._push(empty[0] if left is None else left, empty[1] if right is None else right)
-        if self.tested:
-            return out if out.time.size else None
-        return self.checked(out)
+            right = values.get(self._second)
+            if left is None:
+                if right is None:
+                    return None
+                left = self._empty[0]
+            out = self._process(left, self._empty[1] if right is None else right)
+        return out if out.time.size else None
 
     def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
         """Set the operator, or replace it by a restored one."""
-        self.operator, self._push = operator, operator.process if self.ordered else operator.push
+        ordered = all(isinstance(parent.part, Source) or _is_tested(parent) for parent, _ in self.inputs)
+        process: Callable[..., Batch] = operator.process if ordered else operator.push
+        self.operator = operator
+        self._process = process if self.tested else lambda *inputs: self.checked(process(*inputs))
 
-    def checked(self, out: Batch) -> Batch | None:
-        """Return the output, or None if it is empty; check its type, columns, fingertip and order."""
-        if type(out) is not self.gives and not isinstance(out, self.gives):
+    def checked(self, out: Batch) -> Batch:
+        """Return the output after a check of its type, columns, fingertip and order."""
+        if not isinstance(out, self.gives):
             raise TypeError(f"returned {type(out).__name__}, but declares {self.gives.__name__}")
-        if not out.check().time.size:
-            return None
-        if out.finger != self.finger:
+        if out.check().time.size and out.finger != self.finger:
             raise ValueError(
                 f"returned rows of fingertip {out.finger}, not {self.finger}: pass on finger=batch.finger"
             )
-        return out if out.time.size == 1 else out.check_order()
+        return out.check_order()
 
 
 class CompiledFlow:
@@ -89,9 +87,9 @@ class CompiledFlow:
     >>> (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
     >>> compiled = CompiledFlow(flow)
     >>> scores = Scores(np.arange(4), np.array([0.1, 0.9, 0.9, 0.9]))
-    >>> [(sink, slips)] = compiled.push({compiled.entries[0]: scores})
-    >>> sink.name, slips.time, slips.start
-    ('testsink', array([2]), array([1]))
+    >>> [(node, slips)] = compiled.push({compiled.entries[0]: scores})
+    >>> node.name, slips.time, slips.start
+    ('Debounce', array([2]), array([1]))
 
     Args:
         flow: Declaration to compile.
@@ -100,7 +98,8 @@ class CompiledFlow:
 
     Attributes:
         entries: Source nodes with their fingertips.
-        operator_stages: Operators and joins, one per fingertip, in the order of declaration.
+        filters: Filters of late rows, by entry.
+        stages: Operators and joins, one per fingertip, in the order of declaration.
         sink_types: Batch types that each sink can receive, by its destination.
 
     Raises:
@@ -112,39 +111,31 @@ class CompiledFlow:
     ) -> None:
         validate(flow)
         self._flow = flow.name
-        self._stages: list[Stage] = []
-        self._stage_of: dict[Entry, int] = {}  # of each node and fingertip
         fingers = {
             node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
             for node in flow.nodes
             if operators is None or node in operators or isinstance(node.part, Source)
         }
-        for node in flow.nodes:  # declared after its inputs, unless it is a sink
-            if not isinstance(node.part, Sink):
-                for finger in fingers.get(node, ()):
-                    self._add_stage(node, finger)
-        for node in flow.sinks():
-            for parent in node.inputs:
-                for finger in fingers.get(parent, ()):
-                    self._stages[self._stage_of[parent, finger]].sinks.append(node)
+        self._read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
+        self.stages = [  # declared after their inputs
+            self._stage(node, finger)
+            for node in flow.nodes
+            if isinstance(node.part, Operator | Join)
+            for finger in fingers.get(node, ())
+        ]
         self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
         self.sink_types = {
             node.part.destination: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
             for node in flow.nodes
             if isinstance(node.part, Sink)
         }
-        self.operator_stages = [stage for stage in self._stages if stage.operator is not None]
-        indices = {entry: self._stage_of[entry] for entry in self.entries}
-        self._entered = {
-            entry: (self._stages[index], self._downstream(index)) for entry, index in indices.items()
-        }
-
-    def stage(self, entry: Entry) -> Stage:
-        """Return the stage of a source and fingertip."""
-        return self._entered[entry][0]
+        self.filters = {entry: LateRowFilter() for entry in self.entries}
+        self._reached = {entry: self._downstream(entry) for entry in self.entries}
 
     def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
-        """Run the operators on batches that arrived together, and return the batches for the sinks, in order.
+        """Run the operators on batches that arrived together, and return the batches for sinks, in order.
+
+        Operators receive no late rows; sinks that read from a source do.
 
         Args:
             batches: Batches by source and fingertip; several must be slices of one time span.
@@ -153,59 +144,50 @@ class CompiledFlow:
             BatchError: if a source yields a fingertip that it does not declare.
             OperatorError: if an operator fails or returns another type than it declares.
         """
-        return [(sink, batch) for stage, batch in self.outputs(batches) for sink in stage.sinks]
-
-    def flush(self) -> list[Delivery]:
-        """End all streams, and return the last batches for the sinks, in order."""
-        return [(sink, batch) for stage, batch in self.last_outputs() for sink in stage.sinks]
-
-    def outputs(self, batches: Mapping[Entry, Batch]) -> list[tuple[Stage, Batch]]:
-        """Push batches as `push` does, and return the output of each stage, including sources.
-
-        Raises:
-            BatchError: if a source yields a fingertip that it does not declare.
-            OperatorError: if an operator fails or returns another type than it declares.
-        """
-        values: list[Batch | None] = [None] * len(self._stages)
-        outputs: list[tuple[Stage, Batch]] = []
-        stages = self.operator_stages
+        values: dict[Entry, Batch] = {}
+        deliveries: list[Delivery] = []
+        stages = self.stages
         for entry, batch in batches.items():
             try:
-                stage, downstream = self._entered[entry]
+                late_filter = self.filters[entry]
             except KeyError:
                 node, finger = entry
                 reason = f"source {node.name!r} yielded fingertip {finger}, but declares {node.fingers}"
                 raise BatchError(type(batch).__name__, "finger", reason) from None
-            if batch.time.size:
-                values[stage.index] = batch
-                outputs.append((stage, batch))
             if len(batches) == 1:
-                stages = downstream
+                stages = self._reached[entry]
+            if batch.time.size:
+                if entry[0] in self._read:
+                    deliveries.append((entry[0], batch))
+                if (kept := late_filter.filter(batch)).time.size:
+                    values[entry] = kept
         for stage in stages:
             try:
                 out = stage.push(values)
             except Exception as error:
                 raise self._failure(stage, error) from error
             if out is not None:
-                values[stage.index] = out
-                outputs.append((stage, out))
-        return outputs
+                values[stage.output] = out
+                if stage.delivers:
+                    deliveries.append((stage.node, out))
+        return deliveries
 
-    def last_outputs(self) -> list[tuple[Stage, Batch]]:
-        """End all streams as `flush` does, and return the last output of each operator."""
-        values: list[Batch | None] = [None] * len(self._stages)
-        outputs: list[tuple[Stage, Batch]] = []
-        for stage in self.operator_stages:
+    def flush(self) -> list[Delivery]:
+        """End all streams, and return the last batches for sinks, in order."""
+        values: dict[Entry, Batch] = {}
+        deliveries: list[Delivery] = []
+        for stage in self.stages:
             try:
                 pushed = stage.push(values)
-                last = stage.checked(cast("Operator[Any, Any]", stage.operator).flush())
+                last = stage.checked(stage.operator.flush())
             except Exception as error:
                 raise self._failure(stage, error) from error
             out = concat(stage.gives, [batch for batch in (pushed, last) if batch is not None])
             if len(out):
-                values[stage.index] = out
-                outputs.append((stage, out))
-        return outputs
+                values[stage.output] = out
+                if stage.delivers:
+                    deliveries.append((stage.node, out))
+        return deliveries
 
     def snapshot(self) -> bytes:
         """Pickle the state of all operators, for `restore` in this or another process.
@@ -213,16 +195,18 @@ class CompiledFlow:
         Raises:
             OperatorError: if an operator's state does not pickle.
         """
-        operators = [stage.operator for stage in self.operator_stages]
-        try:
-            return pickle.dumps(operators, pickle.HIGHEST_PROTOCOL)  # what they share is in it once
+        operators = [stage.operator for stage in self.stages]
+        try:  # what operators share is in the pickle once
+            return pickle.dumps((operators, self.filters.values()), pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            raise self._failure(next(filter(_fails_to_pickle, self.operator_stages)), error) from error
+            raise self._failure(next(filter(_fails_to_pickle, self.stages)), error) from error
 
     def restore(self, snapshot: bytes) -> None:
         """Restore the state from a snapshot of the same flow; it is a pickle, so load only trusted ones."""
-        for stage, operator in zip(self.operator_stages, pickle.loads(snapshot), strict=True):  # noqa: S301 - our own
+        operators, filters = pickle.loads(snapshot)  # noqa: S301 - our own
+        for stage, operator in zip(self.stages, operators, strict=True):
             stage.resume(operator)
+        self.filters = dict(zip(self.entries, filters, strict=True))
 
     def _failure(self, stage: Stage, error: Exception) -> OperatorError:
         reason = str(error)
@@ -231,27 +215,24 @@ class CompiledFlow:
         reason += "" if stage.tested else location(stage.operator, error)
         return OperatorError(self._flow, stage.node.name, reason)
 
-    def _add_stage(self, node: Node, finger: int) -> None:
-        inputs = tuple(
-            self._stage_of[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
-        )
-        operator = node.part.reset_copy() if isinstance(node.part, Operator | Join) else None
-        if operator is not None:
-            operator.prepare()
-        kind = cast("type[Batch]", node.gives)
-        ordered = all(self._stages[index].tested for index in inputs)
-        self._stage_of[node, finger] = len(self._stages)
-        self._stages.append(
-            Stage(len(self._stages), node, finger, inputs, operator, node.takes, kind, ordered)
-        )
+    def _stage(self, node: Node, finger: int) -> Stage:
+        inputs = tuple((parent, finger if finger in parent.fingers else EVERY) for parent in node.inputs)
+        operator = cast("Operator[Any, Any] | Join[Any, Any, Any]", node.part).reset_copy()
+        operator.prepare()
+        return Stage(node, finger, inputs, operator, node in self._read)
 
-    def _downstream(self, index: int) -> list[Stage]:
-        reached, stages = {index}, list[Stage]()
-        for stage in self.operator_stages:
+    def _downstream(self, entry: Entry) -> list[Stage]:
+        reached, stages = {entry}, list[Stage]()
+        for stage in self.stages:
             if reached.intersection(stage.inputs):
-                reached.add(stage.index)
+                reached.add(stage.output)
                 stages.append(stage)
         return stages
+
+
+def _is_tested(node: Node) -> bool:
+    """Return True for an operator of slipflow, whose tests check its output."""
+    return type(node.part).__module__.startswith("operators.")
 
 
 def _fails_to_pickle(stage: Stage) -> bool:

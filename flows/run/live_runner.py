@@ -8,7 +8,7 @@ from typing import Any, Final
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
-from flows.graph.node import Node
+from flows.graph.node import Node, consumers
 from flows.run.clocks import STEP, LoopClock
 from flows.run.log_events import reason_of, warn
 from flows.run.replay_runner import close_sinks, replayed_recording
@@ -80,6 +80,10 @@ class LiveRunner:
         }
         for queue in self._queues.values():
             self.run.sinks[queue.name] = queue.status
+        self._readers_of = {
+            node: [self._queues[each] for each in readers if each in self._queues]
+            for node, readers in consumers(flow.nodes).items()
+        }
         self._push = asyncio.Lock()  # while a sink is full, all sources wait: streams stay in order
         self._pending = 0  # batches of sources that wait for room in a queue
         self._delivered, self._ending = asyncio.Event(), False
@@ -112,7 +116,7 @@ class LiveRunner:
             writers = [queue.start() for queue in self._queues.values()]
             try:
                 await self._read_all()
-                await self._deliver(self.compiled.flush())
+                await self._deliver(self._enqueue(self.compiled.flush()))
             except Exception as error:
                 self.run.error = reason_of(error)
                 raise
@@ -207,17 +211,21 @@ class LiveRunner:
         self._pending += 1
         try:
             async with self._push:
-                await self._deliver(self.compiled.push(batches) if waiting is None else waiting)
+                if waiting is None:
+                    waiting = self._enqueue(self.compiled.push(batches))
+                await self._deliver(waiting)
         finally:
             self._pending -= 1
             self._delivered.set()
 
-    def _enqueue(self, deliveries: list[Delivery]) -> list[Delivery]:
+    def _enqueue(self, deliveries: Sequence[Delivery]) -> list[tuple[SinkQueue, Batch]]:
         """Queue deliveries up to the first full queue; return the rest."""
-        for index, (node, batch) in enumerate(deliveries):
-            if not self._queues[node].try_put(batch):
-                return deliveries[index:]
-        return []
+        waiting: list[tuple[SinkQueue, Batch]] = []
+        for node, batch in deliveries:
+            for queue in self._readers_of[node]:
+                if waiting or not queue.try_put(batch):
+                    waiting.append((queue, batch))
+        return waiting
 
     async def _wait_for_older_rows(self, status: SourceStatus) -> None:
         """Let other sources deliver older rows first: a join waits only for a limited time."""
@@ -227,9 +235,9 @@ class LiveRunner:
                 return
             await asyncio.sleep(0)
 
-    async def _deliver(self, deliveries: Sequence[Delivery]) -> None:
-        for node, batch in deliveries:
-            await self._queues[node].put(batch)
+    async def _deliver(self, waiting: Sequence[tuple[SinkQueue, Batch]]) -> None:
+        for queue, batch in waiting:
+            await queue.put(batch)
 
     async def _check_regularly(self) -> None:
         """Record steps of the host's clock, and silent sources, until cancelled."""

@@ -1,7 +1,7 @@
 """Execution of a flow over a recording: the same graph at full speed, or paced like a live run."""
 
 import asyncio
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import chain, islice
 from typing import Any, cast
 
@@ -9,14 +9,13 @@ import numpy as np
 
 from connectors.replay import Replay
 from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow, Entry
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
-from flows.graph.node import Node, Part
+from flows.graph.node import Node, Part, consumers
 from flows.run.clocks import EventClock
 from flows.run.log_events import reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
-from operators.operator import LateRowFilter
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
 
 
@@ -97,6 +96,7 @@ class ReplayRunner:
     ) -> None:
         self._flow = replayed(flow, recording, paced=False)
         self.compiled = compile_flow(self._flow)
+        self._consumers = consumers(self._flow.nodes)
         self._recording, self._rows = recording, rows
         self._clock = EventClock(0)
         self.run = Run(
@@ -131,28 +131,27 @@ class ReplayRunner:
         if (first := next(slices, None)) is None:
             raise InputError(self._recording.name, "is empty: it has no rows to replay")
         self._clock.newest = self.run.start = min(int(batch.time[0]) for batch in first.values())
-        sinks = {node: cast("Sink[Any]", node.part) for node in self._flow.sinks()}
-        filters = {entry: LateRowFilter() for entry in self.compiled.entries}
         opened: list[Sink[Any]] = []
         try:
-            for sink in sinks.values():
+            for sink in (cast("Sink[Any]", node.part) for node in self._flow.sinks()):
                 await sink.open(self.run)
                 opened.append(sink)
+            filters = self.compiled.filters
             for batches in chain([first], slices):
+                deliveries = self.compiled.push(batches)
                 for entry, batch in batches.items():
-                    filters[entry].filter(batch)
                     status = self.run.sources[entry[0].name]
                     status.up = True
                     status.newest = max(status.newest, filters[entry].newest)
                     status.rows += len(batch)
                     status.late = sum(each.late for (node, _), each in filters.items() if node is entry[0])
                     self._clock.newest = max(self._clock.newest, status.newest)
-                await self._write(sinks, self.compiled.push(batches))
+                await self._write(deliveries)
                 await asyncio.sleep(0)  # let sinks serve their clients
                 if stopped(self.run):
                     self.run.error = "was interrupted"
                     break
-            await self._write(sinks, self.compiled.flush())
+            await self._write(self.compiled.flush())
         except BaseException as error:  # a cancelled run is incomplete too
             self.run.error = str(error) or "was interrupted"
             await close_sinks(opened, failed=True)
@@ -163,10 +162,12 @@ class ReplayRunner:
         await close_sinks(opened)
         return self.run
 
-    async def _write(self, sinks: Mapping[Node, Sink[Any]], deliveries: list[tuple[Node, Batch]]) -> None:
+    async def _write(self, deliveries: Sequence[Delivery]) -> None:
         for node, batch in deliveries:
-            await sinks[node].write(batch)
-            self.run.sinks[node.name].rows += len(batch)
+            for reader in self._consumers[node]:
+                if isinstance(reader.part, Sink):
+                    await reader.part.write(batch)
+                    self.run.sinks[reader.name].rows += len(batch)
 
 
 async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> None:

@@ -216,11 +216,10 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
         if apart:
             names = smbus2.smbus2.__dict__
             names["ioctl"] = spent.timed("bus", names["ioctl"])
-            for stage in runner.compiled._stages:  # pyright: ignore[reportPrivateUsage]
-                if stage.operator is not None:
-                    name = type(stage.operator).__name__
-                    vars(stage.operator)["push"] = spent.timed(name, cast("Any", stage.operator).push)
-                    stage.resume(stage.operator)  # it looks push up once
+            for stage in runner.compiled.stages:
+                name = type(stage.operator).__name__
+                vars(stage.operator)["process"] = spent.timed(name, stage.operator.process)
+                stage.resume(stage.operator)  # it looks process up once
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
         first = Used.now(spent)

@@ -15,13 +15,12 @@ from uuid import uuid4
 
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
-from flows.graph.node import Node, Part, consumers
+from flows.graph.node import Node, Part
 from flows.run.cluster.work_units import SliceResult, UnitResult
 from flows.run.cluster.worker import event_nodes, result_nodes, with_inputs
 from flows.run.replay_runner import ReplayRunner
 from operators.batch import Batch
 from operators.errors import EndpointError, InputError, os_error_reason
-from operators.ports import Sink
 from storage import Dataset, Session
 from storage.description import describe_dataset
 from storage.files import make_folder, sync
@@ -41,9 +40,7 @@ class StoredEvents(CompiledFlow):
     def __init__(self, flow: Flow, shares: Sequence[Iterator[SliceResult]]) -> None:
         events = event_nodes(flow)
         super().__init__(flow, operators=with_inputs(result_nodes(flow) - events))
-        fed = consumers(flow.nodes)
-        self._sinks = [[each for each in fed[node] if isinstance(each.part, Sink)] for node in flow.nodes]
-        self._shares = shares
+        self._nodes, self._shares = flow.nodes, shares
         self.slices = 0  # pushed so far
 
     def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
@@ -60,9 +57,7 @@ class StoredEvents(CompiledFlow):
         events = SliceResult()
         for share in self._shares:
             events |= next(share, SliceResult())
-        return [
-            (sink, events[index, finger]) for index, finger in sorted(events) for sink in self._sinks[index]
-        ]
+        return [(self._nodes[index], events[index, finger]) for index, finger in sorted(events)]
 
 
 def assemble(

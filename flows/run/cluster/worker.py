@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from flows.graph import Flow
-from flows.graph.compiled_flow import CompiledFlow, Entry, Stage
+from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.node import Node, Part
 from flows.run.cluster.work_units import Slice, SliceResult, UnitResult, WorkUnit
 from operators.batch import Batch
@@ -108,19 +108,19 @@ class Worker:
         index = {node: number for number, node in enumerate(flow.nodes)}
         sources = {node.name: node for node in flow.sources()}
 
-        def result_of(outputs: list[tuple[Stage, Batch]]) -> SliceResult:
+        def result_of(deliveries: list[Delivery]) -> SliceResult:
             """Return the events of the share's own fingertips; rows of EVERY belong to one share."""
             return {
-                (index[stage.node], stage.finger): batch
-                for stage, batch in outputs
-                if stage.node in events and stage.finger in newest.fingers
+                (index[node], batch.finger): batch
+                for node, batch in deliveries
+                if node in events and batch.finger in newest.fingers
             }
 
         results, due = list[UnitResult](), cast("WorkUnit | None", newest)
         while unit := due:
-            slices = [result_of(compiled.outputs(self._rows(unit, each, sources))) for each in unit.slices]
+            slices = [result_of(compiled.push(self._rows(unit, each, sources))) for each in unit.slices]
             if unit.end:
-                slices.append(result_of(compiled.last_outputs()))
+                slices.append(result_of(compiled.flush()))
             results.append(UnitResult.of(unit, tuple(slices)))
             share.next += 1
             due = share.waiting.pop(share.next, None)

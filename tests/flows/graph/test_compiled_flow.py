@@ -15,6 +15,7 @@ from operators import (
     Batch,
     BatchError,
     Debounce,
+    DeviceClock,
     Motion,
     Operator,
     OperatorError,
@@ -89,19 +90,6 @@ def test_the_arm_motion_reaches_every_fingertip() -> None:
     joined = [batch for _, batch in compiled.push({arm: motion(0, 8 * ms)})]
     assert [batch.finger for batch in joined] == [0, 1]
     assert all(isinstance(batch, Sample) and batch.matched.all() for batch in joined)
-
-
-def test_a_fan_out_gives_every_sink_the_same_batch() -> None:
-    flow, one, other = Flow("f"), TestSink(), TestSink()
-    stream = flow.source(TestSource(Scores))
-    stream.to(one)
-    stream.to(other)
-    batch = scores(0.1)
-    compiled = CompiledFlow(flow)
-    assert [(node.part, given) for node, given in compiled.push({compiled.entries[0]: batch})] == [
-        (one, batch),
-        (other, batch),
-    ]
 
 
 def test_a_compiled_flow_lists_the_types_of_each_sink() -> None:
@@ -235,6 +223,26 @@ def test_a_compiled_flow_resumes_from_a_snapshot() -> None:
     [(_, found)] = second.push({second.entries[0]: batch[2:]})
     assert found.time.tolist() == expected.time.tolist()
     assert cast("Slips", found).start.tolist() == cast("Slips", expected).start.tolist()
+
+
+def test_a_snapshot_remembers_the_newest_row_of_each_source() -> None:
+    flow = Flow("f")
+    (flow.source(TestSource(Scores)) | Debounce()).to(TestSink())
+    first, second = CompiledFlow(flow), CompiledFlow(flow)
+    first.push({first.entries[0]: scores(0.1, start=10 * ms)})
+    second.restore(first.snapshot())
+    assert second.push({second.entries[0]: scores(0.9, 0.9)}) == []
+    assert second.filters[second.entries[0]].late == 1
+
+
+def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_operators() -> None:
+    flow = Flow("f")
+    motion_stream = flow.source(TestSource(Motion)) | DeviceClock()
+    zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
+    (zeroed & motion_stream | Align(wait=100 * ms)).to(TestSink())
+    compiled = CompiledFlow(flow)
+    pushed = [compiled.push({compiled.entries[0]: touch(time)}) for time in (0, 100 * ms, 101 * ms)]
+    assert [len(deliveries) for deliveries in pushed] == [0, 0, 1]
 
 
 def test_a_state_that_does_not_pickle_names_its_operator() -> None:

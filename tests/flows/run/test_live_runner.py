@@ -50,13 +50,14 @@ def test_a_run_ends_when_its_sources_end_and_closes_its_sinks() -> None:
     assert not run.sources["scores"].up
 
 
-def test_the_status_of_a_run_marks_recording_sinks() -> None:
+def test_all_sinks_of_a_stream_get_its_batches_and_the_status_marks_recording_ones() -> None:
     flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
     recorder.records = True
     touch = flow.source(TestSource(Scores, scores(0, 5)))
     touch.to(recorder)
     touch.to(viewer)
     assert [sink.records for sink in execute(flow).sinks.values()] == [True, False]
+    assert times(recorder) == times(viewer) == list(range(5))
 
 
 def test_a_run_ends_after_its_duration() -> None:

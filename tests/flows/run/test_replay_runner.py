@@ -137,7 +137,7 @@ def test_the_sources_of_a_replay_are_up_while_it_lasts() -> None:
     assert not any(source.up for source in run.sources.values())
 
 
-def test_the_status_of_a_replay_marks_recording_sinks() -> None:
+def test_all_sinks_of_a_replayed_stream_get_its_batches_and_the_status_marks_recording_ones() -> None:
     flow, recorder, viewer = Flow("f"), TestSink(), TestSink()
     recorder.records = True
     touch = flow.source(TestSource(Touch))
@@ -145,6 +145,8 @@ def test_the_status_of_a_replay_marks_recording_sinks() -> None:
     touch.to(viewer)
     run = asyncio.run(ReplayRunner(flow, recording(), "again").execute())
     assert [sink.records for sink in run.sinks.values()] == [True, False]
+    assert recorder.batches
+    assert recorder.batches == viewer.batches
 
 
 def test_other_destinations_of_a_replay_are_logged(caplog: pytest.LogCaptureFixture) -> None:
