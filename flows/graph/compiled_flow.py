@@ -15,6 +15,7 @@ from operators.operator import Join, LateRowFilter, Operator, output_type
 from operators.ports import Sink, Source
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
+Values: TypeAlias = Mapping[Entry, Batch]  # batches of sources and operators in one push
 Delivery: TypeAlias = tuple[Node, Batch]  # a node and a batch of its output, for the sinks that read from it
 
 
@@ -43,7 +44,7 @@ class Stage:
         self._second = second[0] if second else None
         self.resume(self.operator)
 
-    def push(self, values: Mapping[Entry, Batch]) -> Batch | None:
+    def push(self, values: Values) -> Batch | None:
         """Run the operator on its inputs; return None if there is no input or no output."""
         left = values.get(self._first)
         if self._second is None:
@@ -57,6 +58,12 @@ class Stage:
                     return None
                 left = self._empty[0]
             out = self._process(left, self._empty[1] if right is None else right)
+        return out if out.time.size else None
+
+    def flush(self, values: Values) -> Batch | None:
+        """Run the operator on its last inputs and end it; return None if there is no output."""
+        pushed, last = self.push(values), self.checked(self.operator.flush())
+        out = concat(self.gives, [last] if pushed is None else [pushed, last])
         return out if out.time.size else None
 
     def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
@@ -161,33 +168,11 @@ class CompiledFlow:
                     deliveries.append((entry[0], batch))
                 if (kept := late_filter.filter(batch)).time.size:
                     values[entry] = kept
-        for stage in stages:
-            try:
-                out = stage.push(values)
-            except Exception as error:
-                raise self._failure(stage, error) from error
-            if out is not None:
-                values[stage.output] = out
-                if stage.delivers:
-                    deliveries.append((stage.node, out))
-        return deliveries
+        return self._run(stages, Stage.push, values, deliveries)
 
     def flush(self) -> list[Delivery]:
         """End all streams, and return the last batches for sinks, in order."""
-        values: dict[Entry, Batch] = {}
-        deliveries: list[Delivery] = []
-        for stage in self.stages:
-            try:
-                pushed = stage.push(values)
-                last = stage.checked(stage.operator.flush())
-            except Exception as error:
-                raise self._failure(stage, error) from error
-            out = concat(stage.gives, [batch for batch in (pushed, last) if batch is not None])
-            if len(out):
-                values[stage.output] = out
-                if stage.delivers:
-                    deliveries.append((stage.node, out))
-        return deliveries
+        return self._run(self.stages, Stage.flush, {}, [])
 
     def snapshot(self) -> bytes:
         """Pickle the state of all operators, for `restore` in this or another process.
@@ -197,7 +182,7 @@ class CompiledFlow:
         """
         operators = [stage.operator for stage in self.stages]
         try:  # what operators share is in the pickle once
-            return pickle.dumps((operators, self.filters.values()), pickle.HIGHEST_PROTOCOL)
+            return pickle.dumps((operators, [*self.filters.values()]), pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise self._failure(next(filter(_fails_to_pickle, self.stages)), error) from error
 
@@ -207,6 +192,25 @@ class CompiledFlow:
         for stage, operator in zip(self.stages, operators, strict=True):
             stage.resume(operator)
         self.filters = dict(zip(self.entries, filters, strict=True))
+
+    def _run(
+        self,
+        stages: Sequence[Stage],
+        step: Callable[[Stage, Values], Batch | None],
+        values: dict[Entry, Batch],
+        deliveries: list[Delivery],
+    ) -> list[Delivery]:
+        """Run a step of each stage, and add its output to the values and deliveries."""
+        for stage in stages:
+            try:
+                out = step(stage, values)
+            except Exception as error:
+                raise self._failure(stage, error) from error
+            if out is not None:
+                values[stage.output] = out
+                if stage.delivers:
+                    deliveries.append((stage.node, out))
+        return deliveries
 
     def _failure(self, stage: Stage, error: Exception) -> OperatorError:
         reason = str(error)

@@ -145,8 +145,8 @@ def test_all_sinks_of_a_replayed_stream_get_its_batches_and_the_status_marks_rec
     touch.to(viewer)
     run = asyncio.run(ReplayRunner(flow, recording(), "again").execute())
     assert [sink.records for sink in run.sinks.values()] == [True, False]
-    assert recorder.batches
-    assert recorder.batches == viewer.batches
+    assert recorder.written
+    assert recorder.written == viewer.written
 
 
 def test_other_destinations_of_a_replay_are_logged(caplog: pytest.LogCaptureFixture) -> None:
