@@ -2,28 +2,21 @@
 
 from dataclasses import dataclass, field
 from math import isfinite, nan
-from typing import Any, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 
-from operators.batch import Batch, Flags, Motion, Reals, Sample, Times, Zeroed, batch_type, column, ms, s
+from operators.batch import Flags, Motion, Reals, Sample, Times, Zeroed, ms, s
 from operators.chain import END, Chain
 from operators.checks import check_at_least, check_choice
 from operators.operator import Join
 from operators.rotation import interpolate_rotation
-from operators.row_loop import Ints, row_loop
-from operators.tail import Tail
+from operators.row_loop import row_loop
 
 How = Literal["nearest", "previous", "linear"]
 
+_ROWS: Final = 1024  # of motion, smallest size of the arrays
 _NEAREST, _, _LINEAR = range(len(get_args(How)))
-
-
-@batch_type
-class _Kept(Batch):
-    """Motion without the stamps of the device."""
-
-    values: Reals = field(metadata=column(np.float64, 12))  # (n, 12) velocity and pose
 
 
 @dataclass
@@ -63,18 +56,24 @@ class Align(Join[Zeroed, Motion, Sample]):
     how: How = "nearest"
     wait: int = 100 * ms
     keep: int = 10 * s
-    _motion: "Tail[_Kept]" = field(default_factory=lambda: Tail(_Kept), init=False, repr=False, compare=False)
+    _stamps: Times = field(init=False, repr=False, compare=False)  # of the motion kept, ns
+    _values: Reals = field(init=False, repr=False, compare=False)  # (n, 12) velocity and pose
+    # start and stop of the motion kept in these arrays; `within`, longest distance from the newest, `how`
+    _state: Times = field(init=False, repr=False, compare=False)
+    _room: int = field(
+        default=0, init=False, repr=False, compare=False
+    )  # rows free in these arrays, at least
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _touched: int = field(default=-END, init=False, repr=False)  # ns, newest touch
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
-    _code: int = field(init=False, repr=False)  # position of `how` in its choices
 
     def __post_init__(self) -> None:
         check_choice("Align", "how", self.how, get_args(How))
-        self._code = get_args(How).index(self.how)
         check_at_least("Align", "within", self.within, 0, "ns")
         check_at_least("Align", "keep", self.keep, 0, "ns")
         check_at_least("Align", "wait", self.wait, 0 if self.how == "previous" else self.within, "ns")
+        self._stamps, self._values = np.empty(0, np.int64), np.empty((0, 12))
+        self._state = np.array([0, 0, self.within, self.keep + self.within, get_args(How).index(self.how)])
 
     def process(self, left: Zeroed, right: Motion) -> Sample:
         """Store the motion, then return the touch samples that can be matched."""
@@ -84,8 +83,8 @@ class Align(Join[Zeroed, Motion, Sample]):
         if left.time.size:
             self._held.append(left)
             self._touched = left.time.item(-1)
-        passed = self._touched - self.wait  # ns, touch up to this time has waited long enough
-        rows = self._held.take(max(self._newest, passed + 1))
+        # touch up to `wait` before the newest one has waited long enough
+        rows = self._held.take(max(self._newest, self._touched - self.wait + 1))
         return self._match(rows, oldest) if rows.time.size else Sample.empty()
 
     def flush(self) -> Sample:
@@ -94,34 +93,44 @@ class Align(Join[Zeroed, Motion, Sample]):
         return self._match(rows, -END) if rows.time.size else Sample.empty()
 
     def _store(self, motion: Motion) -> None:
-        kept = self._motion
-        kept.reserve(motion.time.size)
-        block, used = kept.block, (kept.start, kept.stop, self._newest, self.keep + self.within)
-        kept.start, kept.stop, self._newest = _keep(
-            motion.time, motion.velocity, motion.pose, block.time, block.values, used
-        )
+        size = motion.time.size
+        if size > self._room:
+            self._resize(max(_ROWS, size + 2 * (len(self._stamps) - self._room)))
+        self._room -= size
+        values = motion.velocity, motion.pose
+        self._newest = _keep(motion.time, *values, self._stamps, self._values, self._state, self._newest)
+
+    def _resize(self, size: int) -> None:
+        """Move the motion kept to new arrays with room for `size` rows."""
+        start, stop = self._state[:2].tolist()
+        stamps, values = np.empty(size, np.int64), np.empty((size, 12))
+        stamps[: stop - start], values[: stop - start] = self._stamps[start:stop], self._values[start:stop]
+        self._stamps, self._values, self._room = stamps, values, size - (stop - start)
+        self._state[:2] = 0, stop - start
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the state without motion that is too old."""
-        self._motion.drop(int(self._motion.time.searchsorted(self._newest - self.keep - self.within)))
+        start, stop = self._state[:2].tolist()
+        oldest = self._newest - self.keep - self.within
+        self._state[0] = start + int(self._stamps[start:stop].searchsorted(oldest))
+        self._resize(stop - int(self._state[0]))
         return vars(self)
 
     def _match(self, rows: Zeroed, oldest: int) -> Sample:
-        size, kept = rows.time.size, self._motion
+        size = rows.time.size
         velocity, pose, matched = np.empty((size, 6)), np.empty((size, 6)), np.empty(size, np.bool_)
-        limits = kept.start, kept.stop, self.within, oldest, self._code
-        _match(rows.time, kept.block.time, kept.block.values, limits, velocity, pose, matched)
+        _match(rows.time, self._stamps, self._values, self._state, oldest, velocity, pose, matched)
         values = rows.counts, rows.temperature, rows.valid, velocity, pose, matched
         return Sample(rows.time, *values, finger=rows.finger)
 
 
 @row_loop
 def _keep(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times, velocity: Reals, pose: Reals, /, stamps: Times, values: Reals, used: Ints
-) -> tuple[int, int, int]:
-    """Drop old rows, then store those with finite velocity; return start, stop and newest time."""
-    start, stop, newest, longest = used
-    while start < stop and stamps[start] < newest - longest:
+    time: Times, velocity: Reals, pose: Reals, /, stamps: Times, values: Reals, state: Times, newest: int
+) -> int:
+    """Drop old rows, then store those with finite velocity; return the newest time."""
+    start, stop = int(state[0]), int(state[1])
+    while start < stop and stamps[start] < newest - state[3]:
         start += 1
     for row in range(len(time)):
         finite = True
@@ -129,16 +138,26 @@ def _keep(  # noqa: PLR0917 - compiled functions take no keywords
             values[stop, axis], values[stop, 6 + axis] = velocity[row, axis], pose[row, axis]
             finite = finite and isfinite(velocity[row, axis])
         if finite:
-            stamps[stop] = newest = time[row]
+            stamps[stop] = newest = int(time[row])
             stop += 1
-    return start, stop, newest
+    state[0], state[1] = start, stop
+    return newest
 
 
 @row_loop
 def _match(  # noqa: PLR0917 - compiled functions take no keywords
-    time: Times, stamps: Times, values: Reals, /, limits: Ints, velocity: Reals, pose: Reals, matched: Flags
+    time: Times,
+    /,
+    stamps: Times,
+    values: Reals,
+    state: Times,
+    oldest: int,
+    velocity: Reals,
+    pose: Reals,
+    matched: Flags,
 ) -> None:
-    start, stop, within, oldest, how = limits
+    """Select the motion of each row."""
+    start, stop, within, how = int(state[0]), int(state[1]), int(state[2]), int(state[4])
     after = stop  # index of the first motion after the row
     while after > start and stamps[after - 1] > time[0]:
         after -= 1

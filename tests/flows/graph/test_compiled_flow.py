@@ -237,9 +237,8 @@ def test_a_snapshot_remembers_the_newest_row_of_each_source() -> None:
 
 def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_operators() -> None:
     flow = Flow("f")
-    motion_stream = flow.source(TestSource(Motion)) | DeviceClock()
     zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
-    (zeroed & motion_stream | Align(wait=100 * ms)).to(TestSink())
+    (zeroed & (flow.source(TestSource(Motion)) | DeviceClock()) | Align(wait=100 * ms)).to(TestSink())
     compiled = CompiledFlow(flow)
     pushed = [compiled.push({compiled.entries[0]: touch(time)}) for time in (0, 100 * ms, 101 * ms)]
     assert [len(deliveries) for deliveries in pushed] == [0, 0, 1]
