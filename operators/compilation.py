@@ -30,8 +30,13 @@ class _Announcer(event.Listener):
 cast("Any", event).register("numba:compile", _Announcer())
 
 
-def compile_function(signatures: Any = None, **options: Any) -> Callable[[Function], Function]:  # noqa: ANN401 - numba's
-    """Return a decorator that compiles without the GIL; `options` are those of `numba.njit`.
+def compile_function(
+    signatures: Any = None,  # noqa: ANN401 - numba's
+    *,
+    nogil: bool = True,
+    **options: Any,  # noqa: ANN401 - numba's
+) -> Callable[[Function], Function]:
+    """Return a decorator that compiles, by default without the GIL; `options` are those of `numba.njit`.
 
     Without signatures a function is compiled on its first call, else when it is defined. If neither the
     folder of the code nor a cache folder of the user can be written, each process compiles it again.
@@ -39,11 +44,11 @@ def compile_function(signatures: Any = None, **options: Any) -> Callable[[Functi
 
     def decorate(function: Function) -> Function:
         try:
-            result = njit(signatures, cache=True, nogil=True, error_model="numpy", **options)(function)
+            result = njit(signatures, cache=True, nogil=nogil, error_model="numpy", **options)(function)
         except RuntimeError as error:
             if "no locator available" not in str(error):
                 raise
-            result = njit(signatures, nogil=True, error_model="numpy", **options)(function)
+            result = njit(signatures, nogil=nogil, error_model="numpy", **options)(function)
         return cast("Function", result)
 
     return decorate

@@ -40,7 +40,8 @@ def _compiled(function: FunctionType, arguments: tuple[object, ...]) -> Callable
     for place in range(function.__code__.co_posonlyargcount):
         column = signature[place]
         signature[place] = numba.types.Array(column.dtype, column.ndim, "A", readonly=True)
-    compiled: Any = compile_function([tuple(signature)])(_with_compiled_helpers(function))
+    # keeps the GIL: a call takes less than another thread may take to give it back
+    compiled: Any = compile_function([tuple(signature)], nogil=False)(_with_compiled_helpers(function))
     compiled.__wrapped__ = function
     return cast("Callable[..., Any]", compiled)
 

@@ -15,29 +15,29 @@ from operators.operator import Join, LateRowFilter, Operator, output_type
 from operators.ports import Sink, Source
 
 Entry: TypeAlias = tuple[Node, int]  # a source's node and a fingertip
-Values: TypeAlias = Mapping[Entry, Batch]  # batches of sources and operators in one push
+Values: TypeAlias = Mapping[int, Batch]  # batches of sources and operators in one push
 Delivery: TypeAlias = tuple[Node, Batch]  # a node and a batch of its output, for the sinks that read from it
 
 
 @dataclass(eq=False)
 class Stage:
-    """Operator or join for one fingertip."""
+    """Operator or join for one fingertip; `index` is the key of its output among the values of a push."""
 
+    index: int
     node: Node
     finger: int
-    inputs: tuple[Entry, ...]
+    inputs: tuple[int, ...]
     operator: Operator[Any, Any] | Join[Any, Any, Any]
     delivers: bool  # sinks read from it
-    output: Entry = field(init=False)
     gives: type[Batch] = field(init=False)
     tested: bool = field(init=False)
     _process: Callable[..., Batch] = field(init=False)
     _empty: tuple[Batch, ...] = field(init=False)
-    _first: Entry = field(init=False)
-    _second: Entry | None = field(init=False)  # None: an operator, not a join
+    _first: int = field(init=False)
+    _second: int | None = field(init=False)  # None: an operator, not a join
 
     def __post_init__(self) -> None:
-        self.output, self.tested = (self.node, self.finger), _is_tested(self.node)
+        self.tested = _is_tested(self.node)
         self.gives = output_type(type(self.operator))
         self._empty = tuple(kind.empty() for kind in self.node.takes)
         self._first, *second = self.inputs
@@ -68,7 +68,7 @@ class Stage:
 
     def resume(self, operator: Operator[Any, Any] | Join[Any, Any, Any]) -> None:
         """Set the operator, or replace it by a restored one."""
-        ordered = all(isinstance(parent.part, Source) or _is_tested(parent) for parent, _ in self.inputs)
+        ordered = all(isinstance(parent.part, Source) or _is_tested(parent) for parent in self.node.inputs)
         process: Callable[..., Batch] = operator.process if ordered else operator.push
         self.operator = operator
         self._process = process if self.tested else lambda *inputs: self.checked(process(*inputs))
@@ -82,6 +82,16 @@ class Stage:
                 f"returned rows of fingertip {out.finger}, not {self.finger}: pass on finger=batch.finger"
             )
         return out.check_order()
+
+
+@dataclass(eq=False)
+class _Entrance:
+    """Start of the path of a source's rows; `index` is the key of these rows among the values of a push."""
+
+    index: int
+    delivers: bool  # sinks read from the source
+    downstream: list[Stage]
+    late_filter: LateRowFilter = field(default_factory=LateRowFilter)
 
 
 class CompiledFlow:
@@ -105,7 +115,6 @@ class CompiledFlow:
 
     Attributes:
         entries: Source nodes with their fingertips.
-        filters: Filters of late rows, by entry.
         stages: Operators and joins, one per fingertip, in the order of declaration.
         sink_types: Batch types that each sink can receive, by its destination.
 
@@ -123,21 +132,29 @@ class CompiledFlow:
             for node in flow.nodes
             if operators is None or node in operators or isinstance(node.part, Source)
         }
-        self._read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
+        self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
+        self._indices = {entry: index for index, entry in enumerate(self.entries)}
+        read = {parent for sink in flow.sinks() for parent in sink.inputs}  # nodes that sinks read from
         self.stages = [  # declared after their inputs
-            self._stage(node, finger)
+            self._stage(node, finger, delivers=node in read)
             for node in flow.nodes
             if isinstance(node.part, Operator | Join)
             for finger in fingers.get(node, ())
         ]
-        self.entries = [(node, finger) for node in flow.sources() for finger in fingers[node]]
+        self._entrances = {
+            entry: _Entrance(index, entry[0] in read, self._downstream(index))
+            for index, entry in enumerate(self.entries)
+        }
         self.sink_types = {
             node.part.destination: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
             for node in flow.nodes
             if isinstance(node.part, Sink)
         }
-        self.filters = {entry: LateRowFilter() for entry in self.entries}
-        self._reached = {entry: self._downstream(entry) for entry in self.entries}
+
+    @property
+    def late_filters(self) -> dict[Entry, LateRowFilter]:
+        """Filters of late rows, by source and fingertip."""
+        return {entry: entrance.late_filter for entry, entrance in self._entrances.items()}
 
     def push(self, batches: Mapping[Entry, Batch]) -> list[Delivery]:
         """Run the operators on batches that arrived together, and return the batches for sinks, in order.
@@ -151,23 +168,23 @@ class CompiledFlow:
             BatchError: if a source yields a fingertip that it does not declare.
             OperatorError: if an operator fails or returns another type than it declares.
         """
-        values: dict[Entry, Batch] = {}
+        values: dict[int, Batch] = {}
         deliveries: list[Delivery] = []
         stages = self.stages
         for entry, batch in batches.items():
             try:
-                late_filter = self.filters[entry]
+                entrance = self._entrances[entry]
             except KeyError:
                 node, finger = entry
                 reason = f"source {node.name!r} yielded fingertip {finger}, but declares {node.fingers}"
                 raise BatchError(type(batch).__name__, "finger", reason) from None
             if len(batches) == 1:
-                stages = self._reached[entry]
+                stages = entrance.downstream
             if batch.time.size:
-                if entry[0] in self._read:
+                if entrance.delivers:
                     deliveries.append((entry[0], batch))
-                if (kept := late_filter.filter(batch)).time.size:
-                    values[entry] = kept
+                if (kept := entrance.late_filter.filter(batch)).time.size:
+                    values[entrance.index] = kept
         return self._run(stages, Stage.push, values, deliveries)
 
     def flush(self) -> list[Delivery]:
@@ -182,7 +199,7 @@ class CompiledFlow:
         """
         operators = [stage.operator for stage in self.stages]
         try:  # what operators share is in the pickle once
-            return pickle.dumps((operators, [*self.filters.values()]), pickle.HIGHEST_PROTOCOL)
+            return pickle.dumps((operators, [*self.late_filters.values()]), pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise self._failure(next(filter(_fails_to_pickle, self.stages)), error) from error
 
@@ -191,13 +208,14 @@ class CompiledFlow:
         operators, filters = pickle.loads(snapshot)  # noqa: S301 - our own
         for stage, operator in zip(self.stages, operators, strict=True):
             stage.resume(operator)
-        self.filters = dict(zip(self.entries, filters, strict=True))
+        for entrance, late_filter in zip(self._entrances.values(), filters, strict=True):
+            entrance.late_filter = late_filter
 
     def _run(
         self,
         stages: Sequence[Stage],
         step: Callable[[Stage, Values], Batch | None],
-        values: dict[Entry, Batch],
+        values: dict[int, Batch],
         deliveries: list[Delivery],
     ) -> list[Delivery]:
         """Run a step of each stage, and add its output to the values and deliveries."""
@@ -207,7 +225,7 @@ class CompiledFlow:
             except Exception as error:
                 raise self._failure(stage, error) from error
             if out is not None:
-                values[stage.output] = out
+                values[stage.index] = out
                 if stage.delivers:
                     deliveries.append((stage.node, out))
         return deliveries
@@ -219,17 +237,20 @@ class CompiledFlow:
         reason += "" if stage.tested else location(stage.operator, error)
         return OperatorError(self._flow, stage.node.name, reason)
 
-    def _stage(self, node: Node, finger: int) -> Stage:
-        inputs = tuple((parent, finger if finger in parent.fingers else EVERY) for parent in node.inputs)
+    def _stage(self, node: Node, finger: int, *, delivers: bool) -> Stage:
+        inputs = tuple(
+            self._indices[parent, finger if finger in parent.fingers else EVERY] for parent in node.inputs
+        )
+        index = self._indices[node, finger] = len(self._indices)
         operator = cast("Operator[Any, Any] | Join[Any, Any, Any]", node.part).reset_copy()
         operator.prepare()
-        return Stage(node, finger, inputs, operator, node in self._read)
+        return Stage(index, node, finger, inputs, operator, delivers)
 
-    def _downstream(self, entry: Entry) -> list[Stage]:
-        reached, stages = {entry}, list[Stage]()
+    def _downstream(self, index: int) -> list[Stage]:
+        reached, stages = {index}, list[Stage]()
         for stage in self.stages:
             if reached.intersection(stage.inputs):
-                reached.add(stage.output)
+                reached.add(stage.index)
                 stages.append(stage)
         return stages
 

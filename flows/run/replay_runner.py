@@ -136,7 +136,7 @@ class ReplayRunner:
             for sink in (cast("Sink[Any]", node.part) for node in self._flow.sinks()):
                 await sink.open(self.run)
                 opened.append(sink)
-            filters = self.compiled.filters
+            filters = self.compiled.late_filters
             for batches in chain([first], slices):
                 deliveries = self.compiled.push(batches)
                 for entry, batch in batches.items():

@@ -232,7 +232,7 @@ def test_a_snapshot_remembers_the_newest_row_of_each_source() -> None:
     first.push({first.entries[0]: scores(0.1, start=10 * ms)})
     second.restore(first.snapshot())
     assert second.push({second.entries[0]: scores(0.9, 0.9)}) == []
-    assert second.filters[second.entries[0]].late == 1
+    assert second.late_filters[second.entries[0]].late == 1
 
 
 def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_operators() -> None:
@@ -240,7 +240,7 @@ def test_rows_are_released_though_the_arm_is_silent_and_all_inputs_come_from_ope
     zeroed = flow.source(TestSource(Touch)) | Zero(baseline=400)
     (zeroed & (flow.source(TestSource(Motion)) | DeviceClock()) | Align(wait=100 * ms)).to(TestSink())
     compiled = CompiledFlow(flow)
-    pushed = [compiled.push({compiled.entries[0]: touch(time)}) for time in (0, 100 * ms, 101 * ms)]
+    pushed = [compiled.push({compiled.entries[0]: touch(time)}) for time in (0, 99 * ms, 100 * ms)]
     assert [len(deliveries) for deliveries in pushed] == [0, 0, 1]
 
 
