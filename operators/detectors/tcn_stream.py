@@ -2,7 +2,8 @@
 
 A layer with dilation d reads every d-th of its inputs. They are stored in d interleaved rings, each value
 twice, `taps` slots apart. So the inputs of the taps are always contiguous, oldest first, and a layer is one
-product of a matrix and a vector. A ring of 4 taps after the inputs 0 to 5::
+product of a matrix and a vector, computed four outputs at a time: each input is loaded once for the four.
+Layers are padded with zeros to a multiple of four outputs. A ring of 4 taps after the inputs 0 to 5::
 
     4 5 2 3 4 5 2 3       the newest, 5, is in slots 1 and 5; the inputs 2 3 4 5 start after the first
 
@@ -15,7 +16,7 @@ from functools import cache, lru_cache
 from typing import Final
 
 import numpy as np
-from numba import types
+from numba import from_dtype, types
 
 from operators.batch import BAROMETERS, Counts, Reals, Times
 from operators.checks import check_at_least
@@ -26,6 +27,9 @@ from operators.errors import ParameterError
 
 _TAPS, _CHANNELS, _DILATION, _RINGS, _KERNEL, _SKIP = range(6)  # columns of the table of layers
 _VECTORIZED: Final = {"reassoc", "contract", "nsz"}  # sums in any order
+_TOGETHER: Final = 4  # outputs that are computed together
+_TABLE: Final = 2046  # largest step of a 10-bit count; asinh of whole numbers up to it is tabulated
+_ENTRIES: Final = 2 * _TABLE + 1
 
 
 @compile_function(fastmath=_VECTORIZED)
@@ -38,12 +42,39 @@ def _slot(layers: Times, layer: int, time: int) -> int:
 
 
 @compile_function(fastmath=_VECTORIZED)
-def _product(row: Floats, run: Floats) -> np.float32:
-    """Return the dot product; faster than np.dot, whose BLAS call takes longer than the sum."""
-    value = np.float32(0)
+def _products(a: Floats, b: Floats, c: Floats, d: Floats, run: Floats) -> tuple[np.float32, ...]:
+    """Return the dot products of four rows of a kernel with the inputs."""
+    w = x = y = z = np.float32(0)
     for i in range(len(run)):
-        value += row[i] * run[i]
-    return value
+        value = run[i]
+        w += a[i] * value
+        x += b[i] * value
+        y += c[i] * value
+        z += d[i] * value
+    return w, x, y, z
+
+
+@compile_function(fastmath=_VECTORIZED)
+def _asinh(count: np.float32, weights: Floats, scale: int) -> float:
+    """Return asinh(count / scale), which takes ten times as long if it is not in the table."""
+    whole = int(count)
+    if whole == count and abs(whole) <= _TABLE:
+        return float(weights[2 + scale * _ENTRIES + _TABLE + whole])
+    return math.asinh(count / weights[scale])
+
+
+@compile_function(fastmath=_VECTORIZED)
+def _enter(  # noqa: PLR0917 - a compiled function takes no keywords
+    counts: Counts | Reals, time: int, memory: Floats, new: int, again: int, weights: Floats
+) -> None:
+    """Store a fingertip's counts (6,), and position and step of each in both slots."""
+    cells = len(counts)
+    for cell in range(cells):
+        count = np.float32(counts[cell])
+        step = count - memory[cell] if time > 0 else np.float32(0)
+        memory[cell] = count
+        memory[new + cell] = memory[again + cell] = _asinh(count, weights, 0)
+        memory[new + cells + cell] = memory[again + cells + cell] = _asinh(step, weights, 1)
 
 
 def advance(  # noqa: PLR0917 - a compiled function takes no keywords
@@ -56,7 +87,8 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
         probability: (n, fingers), output
         memory: (fingers, size) previous counts, then the rings of each layer; changed in place
         seen: Number of samples before.
-        weights: (m,) scales of counts and of steps; kernel (outputs, taps, inputs) and bias of each layer
+        weights: (m,) scales of counts and of steps; a table of asinh for each; kernel (outputs, taps,
+            inputs) and bias of each layer
         layers: (layers + 1, 6) taps, input channels, dilation, offset of the rings in `memory`, offset of the
             kernel in `weights`, and whether the input of the previous layer is added; the last row is the
             logit
@@ -69,13 +101,7 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
         old = new = _slot(layers, 0, time)
         again = new + layers[0, _TAPS] * layers[0, _CHANNELS]
         for finger in range(fingers):
-            for cell in range(cells):
-                count = np.float32(counts[time - seen, finger, cell])
-                before = memory[finger, cell] if time > 0 else count
-                memory[finger, cell] = count
-                position, step = math.asinh(count / weights[0]), math.asinh((count - before) / weights[1])
-                memory[finger, new + cell] = memory[finger, again + cell] = position
-                memory[finger, new + cells + cell] = memory[finger, again + cells + cell] = step
+            _enter(counts[time - seen, finger], time, memory[finger], new, again, weights)
         for layer in range(last):
             older, old, new = old, new, _slot(layers, layer + 1, time)
             channels, outputs = layers[layer, _CHANNELS], layers[layer + 1, _CHANNELS]
@@ -84,13 +110,20 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
             skip, least = layers[layer, _SKIP], np.float32(0 if layer + 1 < last else -np.inf)
             for finger in range(fingers):
                 run = memory[finger, old + channels : old + channels + reach]
-                for output in range(outputs):
-                    row = weights[kernel + output * reach : kernel + (output + 1) * reach]
-                    value = _product(row, run) + weights[bias + output]
-                    value = max(value, least)
-                    if skip:
-                        value += memory[finger, older + output]
-                    memory[finger, new + output] = memory[finger, again + output] = value
+                for output in range(0, outputs, _TOGETHER):
+                    row = kernel + output * reach
+                    four = _products(
+                        weights[row : row + reach],
+                        weights[row + reach : row + 2 * reach],
+                        weights[row + 2 * reach : row + 3 * reach],
+                        weights[row + 3 * reach : row + 4 * reach],
+                        run,
+                    )
+                    for i in range(_TOGETHER):
+                        value = max(four[i] + weights[bias + output + i], least)
+                        if skip:
+                            value += memory[finger, older + output + i]
+                        memory[finger, new + output + i] = memory[finger, again + output + i] = value
         for finger in range(fingers):
             probability[time - seen, finger] = 1 / (1 + math.exp(-np.float64(memory[finger, new])))
     return True
@@ -98,9 +131,8 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
 
 @cache
 def _compiled(code: str) -> Callable[..., bool]:
-    """Return `advance`, compiled for counts of one type, given as numpy's type code: h or d."""
-    scalar = types.int16 if code == "h" else types.float64
-    counts = types.Array(scalar, 3, "A", readonly=True)  # any strides, writeable or not
+    """Return `advance`, compiled for counts of one type, given as numpy's type code, such as h for int16."""
+    counts = types.Array(from_dtype(np.dtype(code)), 3, "A", readonly=True)  # any strides, writeable or not
     arrays = (
         types.float64[:, ::1],
         types.float32[:, ::1],
@@ -116,15 +148,19 @@ def _packed(
     layers: tuple[CausalLayer, ...], position_scale: np.float32, step_scale: np.float32
 ) -> tuple[Times, Floats, int]:
     """Return the table of layers and the weights for `advance`, and the size of a fingertip's memory."""
-    rows, weights = list[list[int]](), [np.array([position_scale, step_scale])]
+    whole = np.arange(-_TABLE, _TABLE + 1, dtype=np.float32)
+    scales = np.array([position_scale, step_scale])
+    rows, weights = list[list[int]](), [scales, *(np.arcsinh(whole / scale) for scale in scales)]
     size = BAROMETERS
     for layer in layers:
-        taps, channels, _ = layer.kernel.shape
+        spare = [(0, -count % _TOGETHER) for count in layer.kernel.shape[1:]]  # of channels and outputs
+        kernel = np.pad(layer.kernel, [(0, 0), *spare])
+        taps, channels, _ = kernel.shape
         rows.append([taps, channels, layer.dilation, size, sum(map(len, weights)), layer.skip])
-        weights += [layer.kernel.transpose(2, 0, 1).ravel(), layer.bias]
+        weights += [kernel.transpose(2, 0, 1).ravel(), np.pad(layer.bias, spare[1])]
         size += layer.dilation * 2 * taps * channels
-    rows.append([1, 1, 1, size, 0, 0])
-    return np.array(rows, np.int64), np.concatenate(weights), size + 2
+    rows.append([1, _TOGETHER, 1, size, 0, 0])
+    return np.array(rows, np.int64), np.concatenate(weights), size + 2 * _TOGETHER
 
 
 class TcnStream:
@@ -162,13 +198,10 @@ class TcnStream:
         Raises:
             ParameterError: if the counts have a wrong shape.
         """
-        if counts.dtype.char != "h":  # int16
-            counts = counts.astype(np.float64)
-        kernel = _compiled(counts.dtype.char)
-        fingers = len(self._memory)
-        probability = np.empty((len(counts), fingers))
+        probability, kernel = np.empty(counts.shape[:2]), _compiled(counts.dtype.char)
         arrays = self._weights, self._layers
         if counts.ndim != 3 or not kernel(counts, probability, self._memory, self._seen, *arrays):  # noqa: PLR2004
-            raise ParameterError("TcnStream", "shape of the counts", counts.shape, f"(n, {fingers}, 6)")
+            expected = f"(n, {len(self._memory)}, 6)"
+            raise ParameterError("TcnStream", "shape of the counts", counts.shape, expected)
         self._seen += len(counts)
         return probability
