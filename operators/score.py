@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Reals, Scores, Zeroed
+from operators.batch import Counts, Reals, Scores, Zeroed
 from operators.checks import check_at_least
 from operators.detectors.detector import Detector, Stream, Streaming
 from operators.forward_fill import forward_fill
@@ -14,15 +14,14 @@ from operators.operator import Operator
 from operators.window import Window
 
 _BLOCK: Final = 64  # windows per call of a detector; few enough to stay in the cache
-MISSING: Final = 3  # largest number of invalid cells in the newest sample
 
 
 @dataclass
 class Score(Operator[Zeroed, Scores]):
     """Compute a detector's slip probability at every `hop`-th sample, starting with the first full window.
 
-    Invalid cells take their last valid counts, or 0 before the first. If more than three cells of the newest
-    sample are invalid, the score is NaN.
+    Invalid cells take their last valid counts, or 0 before the first. If more than half of the cells of the
+    newest sample are invalid, the score is NaN.
 
     Streaming detectors process each sample once. If numba, which compiles them, is not installed, they
     process windows like the other detectors, which takes several times the CPU time.
@@ -42,12 +41,11 @@ class Score(Operator[Zeroed, Scores]):
 
     detector: Detector
     hop: int = 1
-    _last: Counts = field(init=False, repr=False, compare=False)  # (6,) last valid counts
+    _last: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (cells,) last valid
     _due: int = field(default=0, init=False, repr=False)  # samples until the next score
 
     def __post_init__(self) -> None:
         check_at_least("Score", "hop", self.hop, 1, "sample")
-        self._last = np.zeros(BAROMETERS, np.int16)
         self._due = self.detector.length
 
     @cached_property
@@ -65,19 +63,19 @@ class Score(Operator[Zeroed, Scores]):
     def process(self, batch: Zeroed) -> Scores:
         """Return a score for each window whose newest sample is in the batch."""
         counts = forward_fill(batch.counts, batch.valid, self._last)
-        complete = counts is batch.counts
-        if not complete:
-            batch = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
         self._last = counts[-1]
-        rows = slice(self._due - 1, None, self.hop)  # to be scored
-        probability = self._scorer.score(batch, rows)
-        self._due += len(probability) * self.hop - len(counts)
-        if not len(probability):
+        time, valid, rows = batch.time, batch.valid, None
+        if self._due > 1 or self.hop > 1:
+            rows = slice(self._due - 1, None, self.hop)  # to be scored
+            time, valid = time[rows], valid[rows]
+        self._due += time.size * self.hop - len(counts)
+        probability = self._scorer.score(batch, counts, rows)
+        if not time.size:
             return Scores.empty()
-        if not complete:
-            missing = BAROMETERS - batch.valid[rows].sum(axis=1)  # (n,)
-            probability = np.where(missing > MISSING, np.nan, probability)
-        return Scores(batch.time[rows], probability, finger=batch.finger)
+        if counts is not batch.counts:
+            few = np.count_nonzero(valid, axis=1) * 2 < valid.shape[1]  # (n,) of the cells
+            probability = np.where(few, np.nan, probability)
+        return Scores(time, probability, finger=batch.finger)
 
 
 def _stream(detector: Detector) -> Stream | None:
@@ -96,8 +94,9 @@ class _Streamed:
 
     stream: Stream
 
-    def score(self, batch: Zeroed, rows: slice) -> Reals:
-        return self.stream.push(batch.counts[:, None])[rows, 0]
+    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002
+        probability = self.stream.push(counts[:, None]).ravel()
+        return probability if rows is None else probability[rows]
 
 
 @dataclass
@@ -107,8 +106,9 @@ class _Windowed:
     detector: Detector
     window: Window
 
-    def score(self, batch: Zeroed, rows: slice) -> Reals:  # noqa: ARG002 - `Window` selects the same rows
-        windows, score = self.window.process(batch).counts, self.detector.score
+    def score(self, batch: Zeroed, counts: Counts, rows: slice | None) -> Reals:  # noqa: ARG002 - `Window` selects them
+        filled = Zeroed(batch.time, counts, batch.temperature, batch.valid, finger=batch.finger)
+        windows, score = self.window.process(filled).counts, self.detector.score
         if len(windows) <= _BLOCK:
             return score(windows) if len(windows) else np.empty(0)
         blocks = range(0, len(windows), _BLOCK)

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, Counts, Flags, Touch, Zeroed
+from operators.batch import Counts, Flags, Touch, Zeroed
 from operators.chain import Chain
 from operators.checks import check_at_least
 from operators.errors import ParameterError
@@ -27,7 +27,8 @@ class Zero(Operator[Touch, Zeroed]):
         scans: Number of samples for the measurement.
 
     Raises:
-        ParameterError: if the baseline is out of range or `scans` is below 1.
+        ParameterError: if the baseline is out of range or `scans` is below 1; from `push`, if a baseline has
+            another number of cells than the fingertip.
 
     >>> cells = np.full((1, 6), 700, np.int16)
     >>> touch = Touch(np.zeros(1, int), cells, cells, cells > 0)
@@ -37,25 +38,25 @@ class Zero(Operator[Touch, Zeroed]):
 
     baseline: int | tuple[int, ...] | None = None
     scans: int = 100
-    _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (1, 6)
-    # (6,) cells with a baseline; None: all
+    _offset: Counts | None = field(
+        default=None, init=False, repr=False, compare=False
+    )  # (1, cells) or (1, 1)
+    # (cells,) cells with a baseline; None: all
     _known: Flags | None = field(default=None, init=False, repr=False, compare=False)
     _held: Chain[Touch] = field(default_factory=lambda: Chain(Touch), init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_at_least("Zero", "scans", self.scans, 1, "sample")
-        if self.baseline is not None:
-            cells = (self.baseline,) * BAROMETERS if isinstance(self.baseline, int) else self.baseline
-            if len(cells) != BAROMETERS or not all(0 <= cell <= _FULL for cell in cells):
-                raise ParameterError(
-                    "Zero", "baseline", self.baseline, f"one or six counts from 0 to {_FULL}"
-                )
-            self._offset = np.array([cells], np.int16)
+        given = (self.baseline,) if isinstance(self.baseline, int) else self.baseline
+        if given is not None and not (given and all(0 <= cell <= _FULL for cell in given)):
+            raise self._error(f"one count, or one of each cell, from 0 to {_FULL}")
 
     def process(self, batch: Touch) -> Zeroed:
         """Return the batch with the baseline subtracted, or delay it."""
         if isinstance(batch, Zeroed):
             return batch
+        if self._offset is None and self.baseline is not None:
+            self._offset = self._given(batch.counts.shape[1])
         if self._offset is not None:
             return self._subtract(batch, self._offset)
         self._held.append(batch)
@@ -65,10 +66,20 @@ class Zero(Operator[Touch, Zeroed]):
         """Return the delayed samples, zeroed with their own baseline."""
         return self._release() if len(self._held) else Zeroed.empty()
 
+    def _given(self, cells: int) -> Counts:
+        """Return the given baseline for a fingertip with this number of cells; (1, 1) or (1, cells)."""
+        offset = np.array(self.baseline, np.int16).reshape(1, -1)
+        if offset.size not in {1, cells}:
+            raise self._error(f"one count, or {cells}: the fingertip has {cells} cells")
+        return offset
+
+    def _error(self, expected: str) -> ParameterError:
+        return ParameterError("Zero", "baseline", self.baseline, expected)
+
     def _release(self) -> Zeroed:
         held = self._held.take()
         first = held[: self.scans]
-        known = np.any(first.valid, axis=0)  # (6,)
+        known = np.any(first.valid, axis=0)  # (cells,)
         self._known = None if np.all(known) else known
         self._offset = np.zeros((1, len(known)), np.int16)
         for cell in np.flatnonzero(known):

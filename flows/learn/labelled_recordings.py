@@ -15,7 +15,6 @@ from connectors.sim.truth import SLIDING
 from flows.learn.splits import SPLITS, TURNS
 from operators import Align, Health, Label, Zero, ms
 from operators.batch import (
-    BAROMETERS,
     EVERY,
     MOTIONS,
     SLIP,
@@ -174,4 +173,4 @@ def _degraded(faults: Faults, time: Times) -> Flags:
 
 
 def _filled(labelled: Labelled) -> Counts:
-    return forward_fill(labelled.counts, labelled.valid, np.zeros(BAROMETERS, np.int16))
+    return forward_fill(labelled.counts, labelled.valid)

@@ -13,7 +13,7 @@ The result of a sample depends neither on the number of samples nor on the numbe
 import math
 from collections.abc import Callable, Sequence
 from functools import cache, lru_cache
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 from numba import from_dtype, types
@@ -30,6 +30,8 @@ _VECTORIZED: Final = {"reassoc", "contract", "nsz"}  # sums in any order
 _TOGETHER: Final = 4  # outputs that are computed together
 _TABLE: Final = 2046  # largest step of a 10-bit count; asinh of whole numbers up to it is tabulated
 _ENTRIES: Final = 2 * _TABLE + 1
+_Network: TypeAlias = tuple[tuple[CausalLayer, ...], np.float32, np.float32]  # with its two scales
+_State: TypeAlias = tuple[_Network, Floats, int]
 
 
 @compile_function(fastmath=_VECTORIZED)
@@ -79,8 +81,8 @@ def _enter(  # noqa: PLR0917 - a compiled function takes no keywords
 
 def advance(  # noqa: PLR0917 - a compiled function takes no keywords
     counts: Counts | Reals, probability: Reals, memory: Floats, seen: int, weights: Floats, layers: Times
-) -> bool:
-    """Process the next samples; return False, without any change, if their shape does not match the memory.
+) -> None:
+    """Process the next samples.
 
     Args:
         counts: (n, fingers, 6)
@@ -93,9 +95,7 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
             kernel in `weights`, and whether the input of the previous layer is added; the last row is the
             logit
     """
-    size, fingers, cells = counts.shape
-    if fingers != len(memory) or cells != BAROMETERS:
-        return False
+    size, fingers, _ = counts.shape
     last = len(layers) - 1
     for time in range(seen, seen + size):
         old = new = _slot(layers, 0, time)
@@ -126,11 +126,10 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
                         memory[finger, new + output + i] = memory[finger, again + output + i] = value
         for finger in range(fingers):
             probability[time - seen, finger] = 1 / (1 + math.exp(-np.float64(memory[finger, new])))
-    return True
 
 
 @cache
-def _compiled(code: str) -> Callable[..., bool]:
+def _compiled(code: str) -> Callable[..., None]:
     """Return `advance`, compiled for counts of one type, given as numpy's type code, such as h for int16."""
     counts = types.Array(from_dtype(np.dtype(code)), 3, "A", readonly=True)  # any strides, writeable or not
     arrays = (
@@ -140,10 +139,10 @@ def _compiled(code: str) -> Callable[..., bool]:
         types.float32[::1],
         types.int64[:, ::1],
     )
-    return compile_function(types.boolean(counts, *arrays), fastmath=_VECTORIZED)(advance)
+    return compile_function(types.void(counts, *arrays), fastmath=_VECTORIZED)(advance)
 
 
-@lru_cache(4)  # streams of one detector share the arrays, also in a pickle
+@lru_cache(4)  # streams of one detector share the arrays
 def _packed(
     layers: tuple[CausalLayer, ...], position_scale: np.float32, step_scale: np.float32
 ) -> tuple[Times, Floats, int]:
@@ -187,10 +186,18 @@ class TcnStream:
         fingers: int = 1,
     ) -> None:
         check_at_least("TcnStream", "fingers", fingers, 1)
-        self._layers, self._weights, size = _packed(tuple(layers), position_scale, step_scale)
-        self._memory = np.zeros((fingers, size), np.float32)
-        self._seen = 0  # samples
+        network = tuple(layers), position_scale, step_scale
+        size = _packed(*network)[2]
+        self.__setstate__((network, np.zeros((fingers, size), np.float32), 0))
         _compiled("h")  # before the first sample
+
+    def __getstate__(self) -> _State:
+        return self._network, self._memory, self._seen  # the layers are in the detector's pickle, too
+
+    def __setstate__(self, state: _State) -> None:
+        self._network, self._memory, self._seen = state  # `_seen`: samples
+        self._layers, self._weights, _ = _packed(*self._network)
+        self._shape = len(self._memory), BAROMETERS  # of a sample's counts
 
     def push(self, counts: Counts | Reals) -> Reals:
         """Return the probability of slip of the next samples (n, fingers, 6) of zeroed counts; (n, fingers).
@@ -198,10 +205,12 @@ class TcnStream:
         Raises:
             ParameterError: if the counts have a wrong shape.
         """
-        probability, kernel = np.empty(counts.shape[:2]), _compiled(counts.dtype.char)
-        arrays = self._weights, self._layers
-        if counts.ndim != 3 or not kernel(counts, probability, self._memory, self._seen, *arrays):  # noqa: PLR2004
-            expected = f"(n, {len(self._memory)}, 6)"
-            raise ParameterError("TcnStream", "shape of the counts", counts.shape, expected)
-        self._seen += len(counts)
+        shape = counts.shape
+        if shape[1:] != self._shape:
+            expected = f"(n, {self._shape[0]}, {self._shape[1]})"
+            raise ParameterError("TcnStream", "shape of the counts", shape, expected)
+        probability = np.empty(shape[:2])
+        kernel = _compiled(counts.dtype.char)
+        kernel(counts, probability, self._memory, self._seen, self._weights, self._layers)
+        self._seen += shape[0]
         return probability

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import BAROMETERS, EVERY, Codes, Counts, Flags, Labelled, Motion, Times, ms, s
+from operators.batch import EVERY, Codes, Counts, Flags, Labelled, Motion, Times, ms, s
 from operators.errors import InputError
 from operators.forward_fill import forward_fill
 from storage.session import Session
@@ -135,7 +135,7 @@ def _samples(session: Session, finger: int) -> _Samples:
     ]
     time, counts, valid, label, velocity = (np.concatenate(column) for column in zip(*pieces, strict=True))
     order = np.argsort(time, kind="stable")
-    filled = forward_fill(counts[order], valid[order], np.zeros(BAROMETERS, np.int16))
+    filled = forward_fill(counts[order], valid[order])
     return _Samples(time[order], filled, valid[order], label[order], velocity[order])
 
 

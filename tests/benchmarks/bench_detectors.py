@@ -1,9 +1,9 @@
 """What a sample costs our TCN, by its filters: streaming, and on windows; batch 1, one core, CPU time.
 
-Run by `make bench`. Streaming takes sample after sample, of one fingertip or of 64 that are sampled together,
-then per fingertip; live is one fingertip's batches of one through `Score`. Windowed takes a whole window for
-each sample, as those must who do not stream. Weights are random: they cost what trained ones do. All variants
-take turns, so that a change of the machine's speed hits all of them; the table shows medians.
+Run by `make bench`. Streaming takes sample after sample, of one fingertip or of 64 or 1000 that are sampled
+together, then per fingertip; live is one fingertip's batches of one through `Score`. Windowed takes a whole
+window for each sample, as those must who do not stream. Weights are random: they cost what trained ones do.
+All variants take turns, so that a change of the machine's speed hits all of them; the table shows medians.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from operators.detectors.tcn import shapes
 from tests.benchmarks.machine import commit, machine
 
 FILTERS = (4, 8, 12, 16, 24)
-FINGERS = 64
+FINGERS = (64, 1000)
 SAMPLES = 2000  # of one fingertip
 Run = Callable[[], int]  # says how many samples it scored
 
@@ -87,7 +87,10 @@ def variants(filters: int, counts: Counts, seed: int) -> dict[str, Run]:
         np.testing.assert_allclose(same, streamed, atol=1e-5)
     return {
         "streaming": streaming(tcn, counts, 1),
-        f"streaming, {FINGERS} fingertips, each": streaming(tcn, counts[: SAMPLES // FINGERS], FINGERS),
+        **{
+            f"streaming, {fingers} fingertips, each": streaming(tcn, counts[: SAMPLES // fingers], fingers)
+            for fingers in FINGERS
+        },
         "live, through Score": live(tcn, counts),
         "windowed, numpy": windowed(tcn, counts, 200),
         "windowed, onnxruntime": windowed(runtime, counts, 100),

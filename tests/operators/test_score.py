@@ -73,6 +73,13 @@ def test_a_sample_of_which_more_than_three_cells_are_invalid_has_no_score() -> N
     assert np.isnan(Score(_Keeper()).push(touch).probability).tolist() == [False, True, False]
 
 
+def test_the_number_of_cells_comes_from_the_batch() -> None:
+    cells = np.full((3, 9), 200, np.int16)
+    touch = Zeroed(np.arange(3), cells, cells, np.ones_like(cells, np.bool_))
+    touch.valid[0] = touch.valid[1, :4] = touch.valid[2, :5] = False
+    assert np.isnan(Score(_Runner(length=1)).push(touch).probability).tolist() == [True, False, True]
+
+
 @pytest.mark.parametrize("hop", [1, 3, 11])
 @pytest.mark.parametrize("rows", [1, 4, 30])
 def test_a_streaming_detector_is_given_each_sample_once_and_judges_as_one_of_windows(

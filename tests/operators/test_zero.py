@@ -77,10 +77,20 @@ def test_zeroed_input_passes_unchanged() -> None:
         {"scans": 0},
         {"baseline": -1},
         {"baseline": 1024},
-        {"baseline": (1, 2)},
+        {"baseline": ()},
         {"baseline": (0, 0, 0, 0, 0, -1)},
     ],
 )
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError, match=r"^Zero: "):
         Zero(**parameters)
+
+
+def test_the_number_of_cells_comes_from_the_batch() -> None:
+    cells = np.full((3, 4), 700, np.int16)
+    touch = Touch(np.arange(3), cells, cells, cells > 0)
+    for zero in (Zero(650), Zero((650, 650, 650, 650))):
+        assert (zero.push(touch).counts == 50).all()
+    assert (Zero(scans=2).push(touch).counts == 0).all()
+    with pytest.raises(ParameterError, match=r"^Zero: baseline is \(1, 2\), must be one count, or 4"):
+        Zero((1, 2)).push(touch)

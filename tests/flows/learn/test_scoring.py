@@ -72,7 +72,7 @@ def test_the_operator_says_the_same() -> None:
     valid = np.random.default_rng(1).random((700, 6)) > 0.4
     one = recording(700, valid)
     scores = Score(Psd()).push(Zeroed(np.arange(700), one.counts, np.zeros((700, 6), np.int16), valid))
-    found = probabilities(Psd(), replace(one, counts=forward_fill(one.counts, valid, np.zeros(6, np.int16))))
+    found = probabilities(Psd(), replace(one, counts=forward_fill(one.counts, valid)))
     later = scores.probability[WARM_UP - 24 :]
     assert np.isnan(later).any()
     np.testing.assert_array_equal(found[WARM_UP:], later)
