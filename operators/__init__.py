@@ -56,6 +56,7 @@ from operators.ports import (
     SourceStatus,
 )
 from operators.score import Score
+from operators.sliding_motion import SlidingMotion
 from operators.window import Window
 from operators.zero import Zero
 
@@ -100,6 +101,7 @@ __all__ = [
     "Scores",
     "Sink",
     "SinkStatus",
+    "SlidingMotion",
     "SlipflowError",
     "Slips",
     "Source",

@@ -102,7 +102,7 @@ def load_detector(name: str | Path) -> Detector:
             return TRAINED[kind](weights)
         except InputError as error:
             raise InputError(str(name), error.reason) from error
-    known = ", ".join(sorted([*DETECTORS, *filter(shipped, TRAINED)]))
+    known = ", ".join(sorted([*DETECTORS, *shipped_names()]))
     raise InputError(
         str(name), f"is not a detector: give {known} or a {' or '.join(_READERS)} file of weights"
     )
@@ -125,8 +125,17 @@ def identify_detector(name: str | Path) -> dict[str, str]:
 
 def shipped(name: str) -> Path | None:
     """Return the file of a detector that ships with the package, None if there is none of that name."""
-    path = _SHIPPED / f"{name}.safetensors"
-    return path if name in TRAINED and path.exists() else None
+    return _SHIPPED / f"{name}.safetensors" if name in shipped_names() else None
+
+
+def shipped_names() -> list[str]:
+    """Return the names of the models that ship with the package, the default first.
+
+    >>> shipped_names()[0]
+    'tcn'
+    """
+    found = {path.stem for path in _SHIPPED.glob("*.safetensors")}
+    return [*filter(found.__contains__, TRAINED), *sorted(found - TRAINED.keys())]
 
 
 def load_card(path: Path) -> dict[str, Any]:

@@ -31,6 +31,13 @@ def train(
             help="Network: tcn, or one of the paper's: paper_tcn, frequency_cnn, frequency_cnn_interleaved."
         ),
     ] = "tcn",
+    target: Annotated[
+        str,
+        typer.Option(
+            help="What the network learns: arm-speed, the paper's label, or sliding, the true sliding of the"
+            " contact, which only simulated datasets contain."
+        ),
+    ] = "arm-speed",
     filters: Annotated[
         int, typer.Option(min=1, help="Filters per layer of the tcn; more are slower and more accurate.")
     ] = 16,
@@ -49,6 +56,9 @@ def train(
             " (default: no shift).",
         ),
     ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep models whose card states the same data and settings.")
+    ] = False,
     curve: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the learning curve to this .svg or .png file.")
     ] = None,
@@ -62,6 +72,7 @@ def train(
     Examples:
       slipflow train recordings -o mine.safetensors
       slipflow train lab simulated --filters 32 --lag 70ms --curve curve.svg
+      slipflow train simulated --target sliding -o early.safetensors
     """
     from flows.graph.quantity import parse_time
     from flows.learn.training.learning_curve import draw
@@ -87,7 +98,9 @@ def train(
                 recipe=Recipe(filters=filters, steps=steps, seed=seed),
                 epochs=epochs,
                 seeds=seeds,
+                target=target,
                 lag=delay,
+                resume=resume,
                 progress=progress,
             )
         except KeyboardInterrupt:

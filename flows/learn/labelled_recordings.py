@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import episode
-from connectors.sim.truth import SLIDING
+from connectors.sim.truth import SLIDING, STICK
 from flows.learn.splits import SPLITS, TURNS
-from operators import Align, Health, Label, Zero, ms
+from operators import Align, Health, Label, SlidingMotion, Zero, ms
 from operators.batch import (
     EVERY,
     MOTIONS,
@@ -29,7 +29,6 @@ from operators.batch import (
     Reals,
     Sample,
     Times,
-    Touch,
     Truth,
     Zeroed,
     concat,
@@ -41,6 +40,8 @@ from storage.layout import session_folder, session_names
 
 PERIOD: Final = 10 * ms  # ns from one sample to the next
 WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
+Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
+TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 
@@ -56,7 +57,7 @@ class LabelledRecording:
     oblique: Flags | None = None  # (n,) True if the latest stroke is oblique to the fingertip's axes
     valid: Flags | None = None  # (n, 6) False where a cell has no reading; None: all valid
     force: Reals | None = None  # (n,) N, true normal force in simulation
-    sliding: Flags | None = None  # (n,) true sliding of the contact in simulation
+    sliding: Codes | None = None  # (n,) the same by true sliding of the contact in simulation
     zeroing: int = 0  # samples at the start that determine the baseline
     name: str = ""
     split: str = ""  # train, validation or test
@@ -91,11 +92,19 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
     from connectors.sim.finger import simulate_scene  # noqa: PLC0415 - loads numba: only to simulate
 
     touch, motion, truth = simulate_scene(scene, seed)
-    labelled, faults = _label(touch, motion)
+    zero, health = Zero(), Health()
+    zeroed = concat(Zeroed, [zero.push(touch), zero.flush()])
+    faults = concat(Faults, [health.push(touch), health.flush()])
     moves = [episode(move, start, 0, scene) for start, move in scene.moves(seed)]
-    recording = _recording(labelled, concat(Episodes, moves), truth, truth.time)
-    degraded = _degraded(faults, touch.time)
-    return replace(recording, zeroing=Zero().scans, name=name, split=split, degraded=degraded)
+    recording = _recording(_labelled(zeroed, motion), concat(Episodes, moves), truth, truth.time)
+    return replace(
+        recording,
+        sliding=_sliding(zeroed, replace(truth, time=touch.time)),  # the clock of the touch may be wrong
+        zeroing=zero.scans,
+        name=name,
+        split=split,
+        degraded=_degraded(faults, touch.time),
+    )
 
 
 def load(dataset: Path) -> list[LabelledRecording]:
@@ -130,12 +139,46 @@ def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[Labelled
     return {split: [each for each in recordings if each.split == split] for split in SPLITS}
 
 
+def targets(recordings: Iterable[LabelledRecording]) -> tuple[Target, ...]:
+    """Return the targets that all recordings have labels for."""
+    return TARGETS if all(recording.sliding is not None for recording in recordings) else TARGETS[:1]
+
+
+def labelled_by(
+    target: Target, recordings: Iterable[LabelledRecording], source: str = "recording"
+) -> list[LabelledRecording]:
+    """Return the recordings with the label of a target.
+
+    Args:
+        target: What the label says.
+        recordings: Recordings, with the label by arm speed.
+        source: Dataset of the recordings, for the error.
+
+    Raises:
+        InputError: if the target is true sliding and a recording has no truth.
+    """
+    recordings = list(recordings)
+    if target == "arm-speed":
+        return recordings
+    found = [replace(each, label=each.sliding) for each in recordings if each.sliding is not None]
+    if len(found) < len(recordings):
+        name = next(each.name for each in recordings if each.sliding is None)
+        reason = "has no truth table to learn sliding from; `slipflow simulate` makes datasets that have one"
+        raise InputError(f"{source} {name}".rstrip(), reason)
+    return found
+
+
 def _of_session(session: Session, finger: int) -> LabelledRecording:
     labelled = concat(Labelled, list(session.read(Labelled, finger)))
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
     recording = _recording(labelled, episodes, truth, labelled.time)
-    return replace(recording, name=session.name, split=str(session.about.get("split") or ""))
+    return replace(
+        recording,
+        sliding=_sliding(labelled, truth) if len(truth) else None,
+        name=session.name,
+        split=str(session.about.get("split") or ""),
+    )
 
 
 def _recording(labelled: Labelled, episodes: Episodes, truth: Truth, time: Times) -> LabelledRecording:
@@ -152,17 +195,20 @@ def _recording(labelled: Labelled, episodes: Episodes, truth: Truth, time: Times
         oblique[np.searchsorted(strokes.time, time, "right") - 1] if len(episodes) else None,
         labelled.valid,
         truth.force if known else None,
-        truth.sliding > SLIDING if known else None,
     )
 
 
-def _label(touch: Touch, motion: Motion) -> tuple[Labelled, Faults]:
-    """Run the operators that label a recording and watch its health, as a flow does."""
-    zero, align, label, health = Zero(), Align(within=20 * ms), Label(rotation=0.2), Health()
-    zeroed = concat(Zeroed, [zero.push(touch), zero.flush()])
+def _labelled(zeroed: Zeroed, motion: Motion) -> Labelled:
+    """Run the operators that label samples, as a flow does."""
+    align, label = Align(within=20 * ms), Label(SLIDING, rotation=0.2)
     samples = concat(Sample, [align.push(zeroed, motion), align.flush()])
-    labelled = concat(Labelled, [label.push(samples), label.flush()])
-    return labelled, concat(Faults, [health.push(touch), health.flush()])
+    return concat(Labelled, [label.push(samples), label.flush()])
+
+
+def _sliding(zeroed: Zeroed, truth: Truth) -> Codes:
+    """Return the label of each sample by the true sliding at its time; (n,)."""
+    sliding = SlidingMotion(SLIDING, STICK)
+    return _labelled(zeroed, concat(Motion, [sliding.push(truth), sliding.flush()])).label
 
 
 def _degraded(faults: Faults, time: Times) -> Flags:

@@ -31,8 +31,10 @@ from operators import (
     Sample,
     Score,
     Scores,
+    SlidingMotion,
     StepGrip,
     Touch,
+    Truth,
     WatchClock,
     Window,
     Zero,
@@ -139,6 +141,11 @@ def _scores(rng: np.random.Generator, rows: int) -> Scores:
     return Scores(_times(rng, rows, 10 * ms), level - rng.random(rows) / 20, finger=_FINGER)
 
 
+def _truth(rng: np.random.Generator, rows: int) -> Truth:
+    sliding = _held(rng, (0.0, 0.003, 0.05), (rows, 1), 6)[:, 0] * rng.random(rows)
+    return Truth(_times(rng, rows, 10 * ms), sliding, np.ones(rows), np.zeros((rows, 3)), finger=_FINGER)
+
+
 # --- the table: a new operator or join needs a line here -------------------------------------------------
 
 
@@ -222,6 +229,8 @@ CASES: Final = [
         ),
         (_scores,),
     ),
+    Case(SlidingMotion(), (_truth,)),
+    Case(SlidingMotion(speed=0.001, stick=40 * ms), (_truth,)),
     Case(StepGrip(settle=50 * ms), (_scores,)),
     Case(Health(), (_touch(Touch),)),
     Case(Health(dead_after=30 * ms, stuck_after=50 * ms, drift=3), (_touch(Zeroed),)),

@@ -60,14 +60,14 @@ def _recording(random: np.random.Generator, name: str, split: str) -> LabelledRe
         gripper.update(grasp, k / RATE, truth.speed)
     zeroed = concat(Zeroed, [Zero().push(concat(Touch, touches))])
     speed = np.array(speeds)  # (n,) m/s
-    label = sliding_labels(speed > SLIDING)
-    label[(label == STATIC) & (speed > CREEP * SLIDING)] = UNKNOWN
+    sliding = sliding_labels(speed > SLIDING)
+    label = np.where((sliding == STATIC) & (speed > CREEP * SLIDING), np.int8(UNKNOWN), sliding)
     return LabelledRecording(
         zeroed.counts,
         label,
         held.curvature,
         valid=zeroed.valid,
-        sliding=speed > SLIDING,
+        sliding=sliding,
         zeroing=WARM_UP + 1,
         name=name,
         split=split,

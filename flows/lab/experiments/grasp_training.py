@@ -11,9 +11,8 @@ import numpy as np
 
 from connectors.sim.paper_plan import PaperPlan, varied
 from connectors.sim.physics_parameters import Parameters
-from connectors.sim.truth import STICK
-from flows.lab.experiments.grasp_recordings import grasp_recordings, sliding_labels
-from flows.learn.labelled_recordings import LabelledRecording, by_split, simulated_recordings
+from flows.lab.experiments.grasp_recordings import grasp_recordings
+from flows.learn.labelled_recordings import LabelledRecording, by_split, labelled_by, simulated_recordings
 from flows.learn.onsets import runs
 from flows.learn.train_extra import require_train_extra
 from flows.learn.training.learning_curve import Check
@@ -117,6 +116,7 @@ def _data_card(kinds: dict[str, list[LabelledRecording]], seed: int) -> dict[str
             }
             for number, (kind, found) in enumerate(kinds.items())
         ],
+        "target": "sliding",
         "label": "true sliding above 3 mm/s; sticks shorter than 50 ms (strokes: 150 ms) count as slip",
     }
 
@@ -169,11 +169,6 @@ def _split(recordings: Sequence[LabelledRecording]) -> list[LabelledRecording]:
     """Label recordings by true sliding and assign their splits in turn."""
     roles = {0: "validation", 1: "test"}
     return [
-        replace(recording, label=_label(recording), split=roles.get(number % _SPLIT_CYCLE, "train"))
-        for number, recording in enumerate(recordings)
+        replace(recording, split=roles.get(number % _SPLIT_CYCLE, "train"))
+        for number, recording in enumerate(labelled_by("sliding", recordings))
     ]
-
-
-def _label(recording: LabelledRecording) -> Codes:
-    assert recording.sliding is not None, "simulated recordings have it"
-    return sliding_labels(recording.sliding, STICK)

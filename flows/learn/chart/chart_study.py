@@ -10,9 +10,9 @@ from typing import Final
 
 from flows.learn.chart.detector_speed import costs
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
-from flows.learn.evaluation.event_metrics import Performance
+from flows.learn.evaluation.event_metrics import Performance, performances
 from flows.learn.evaluation.methods import trained_methods, with_baselines
-from flows.learn.labelled_recordings import by_split, load
+from flows.learn.labelled_recordings import Target, by_split, load
 from flows.learn.scoring import probabilities
 from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread
@@ -34,9 +34,14 @@ class Point:
     us: float  # CPU time for a sample of one fingertip
     us_64: float  # CPU time for a sample of 64 fingertips
     streams: bool  # runs sample by sample; False: on windows
-    performance: Performance
+    performances: Mapping[Target, Performance]  # against each target that the dataset has labels for
     same: bool = False  # is the default detector, run by another library
     pareto: bool = False  # no other point is faster and more accurate
+
+    @property
+    def performance(self) -> Performance:
+        """Performance against the arm-speed label."""
+        return self.performances["arm-speed"]
 
     @property
     def core_64(self) -> float:
@@ -94,21 +99,21 @@ def chart(
     rules = {method.name: method.debounce for method in chosen}
     others = _by_other_libraries(detectors.get(DEFAULT))  # imports torch: `one_thread` then limits it, too
     with one_thread():
-        performances = dict[str, Performance]()
+        found = dict[str, Mapping[Target, Performance]]()
         for name, detector in {**detectors, **others}.items():
             log(f"evaluating {name}")
             rule = rules.get(DEFAULT if name in others else name)
             if rule is None:
                 rule = rules[name] = tuned_on(validation, detector, budget)
             scores = [probabilities(detector, recording) for recording in test]
-            performances[name] = Performance.of(test, scores, rule)
+            found[name] = performances(test, scores, rule)
         log("timing the detectors in turns")
         detectors |= others
         counts = max((recording.counts for recording in test), key=len)[-_TIMED:]
         one = costs(detectors, counts, rounds=_ROUNDS[0], span=span)
         many = costs(detectors, counts, fingers=MANY, rounds=_ROUNDS[1], span=span)
     points = [
-        Point(name, one[name], many[name], isinstance(each, Streaming), performances[name], name in others)
+        Point(name, one[name], many[name], isinstance(each, Streaming), found[name], name in others)
         for name, each in detectors.items()
     ]
     return Chart(dataset.resolve().name, len(test), tuple(with_front(points)), missing)

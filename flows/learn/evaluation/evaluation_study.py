@@ -8,21 +8,34 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.sim.truth import STICK
 from flows.learn.evaluation.debounce_tuning import BUDGET, tuned_on
-from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, filled
+from flows.learn.evaluation.event_metrics import (
+    DECISION,
+    PAUSE,
+    EventMetrics,
+    Performance,
+    Slips,
+    performances,
+)
 from flows.learn.evaluation.methods import Method, trained_methods, with_baselines
 from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
-from flows.learn.labelled_recordings import LabelledRecording, load
+from flows.learn.labelled_recordings import (
+    PERIOD,
+    WARM_UP,
+    LabelledRecording,
+    Target,
+    load,
+)
 from flows.learn.scoring import probabilities
 from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread
 from operators import Debounce
-from operators.batch import SLIP, STATIC, UNKNOWN, Flags
+from operators.batch import SLIP, STATIC, UNKNOWN, Reals
 from operators.errors import InputError
 
 PAPER_RULE: Final = Debounce(threshold=0.5, consecutive=2, release=2)  # in the paper's robot tests
+_LABEL_RULE: Final = Debounce(threshold=0.5, consecutive=1, release=PAUSE // PERIOD)  # slips as in `Slips`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,8 +52,7 @@ class MethodResult:
     chosen_on: str  # origin of the debounce settings
     events: EventMetrics  # against the label
     paper_rule: EventMetrics  # the same with the debounce of the paper's robot tests
-    sliding: Confusion | None  # against true sliding; None: unknown
-    sliding_events: EventMetrics | None
+    performance: Mapping[Target, Performance]  # against each target that the recordings have
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +68,7 @@ class Evaluation:
     budget: float  # false alarms per static minute that the debounce was tuned for
     results: tuple[MethodResult, ...]  # the most accurate first
     missing: Mapping[str, str]  # reasons by method
-    label: Confusion | None  # the label itself against true sliding; None: unknown
+    label: Mapping[Target, Performance]  # of the arm-speed label itself, against each target
 
     @property
     def leader(self) -> MethodResult:
@@ -113,7 +125,7 @@ def evaluate(
         budget,
         tuple(sorted(results, key=lambda result: -result.confusion.accuracy)),
         missing,
-        evaluator.against_sliding(evaluator.known, slip),
+        performances(recordings, [_certain(each) for each in recordings], _LABEL_RULE),
     )
 
 
@@ -142,10 +154,6 @@ class _Evaluator:
         self.recordings, self.validation, self.budget = recordings, validation, budget
         self.known = [_known(recording) for recording in recordings]
         self.slips = [Slips.labelled(recording) for recording in recordings]
-        sliding = [each.sliding for each in recordings if each.sliding is not None]
-        self.truth_known = len(sliding) == len(recordings)
-        self.sliding = [filled(each, STICK) for each in sliding]
-        self.slid = [Slips.of(each, STICK) for each in sliding]
 
     def result(self, method: Method) -> MethodResult:
         scores = [probabilities(method.detector, recording) for recording in self.recordings]
@@ -167,16 +175,8 @@ class _Evaluator:
             chosen_on,
             EventMetrics.of(scores, self.slips, debounce),
             EventMetrics.of(scores, self.slips, PAPER_RULE),
-            self.against_sliding(at, predicted),
-            EventMetrics.of(scores, self.slid, debounce) if self.truth_known else None,
+            performances(self.recordings, scores, debounce),
         )
-
-    def against_sliding(self, at: Sequence[NDArray[np.intp]], predicted: Sequence[Flags]) -> Confusion | None:
-        """Compare predictions (j,) at samples (j,) of each recording with true sliding."""
-        if not self.truth_known:
-            return None
-        truth = [sliding[each] for sliding, each in zip(self.sliding, at, strict=True)]
-        return Confusion.of(np.concatenate(predicted), np.concatenate(truth))
 
     def _debounce(self, method: Method) -> tuple[Debounce, str]:
         if method.debounce is not None:
@@ -190,3 +190,10 @@ def _known(recording: LabelledRecording) -> NDArray[np.intp]:
     at = recording.evaluated(1)
     known: NDArray[np.intp] = at[recording.label[at] != UNKNOWN]
     return known
+
+
+def _certain(recording: LabelledRecording) -> Reals:
+    """Return the label as probabilities (n,); NaN: not evaluated or unknown."""
+    probability = np.where(recording.label == UNKNOWN, np.nan, recording.label == SLIP)
+    probability[:WARM_UP] = np.nan
+    return probability

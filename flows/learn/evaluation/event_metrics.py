@@ -2,22 +2,27 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, Self, TypeAlias
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from connectors.sim.truth import STICK
 from flows.learn.evaluation.sample_metrics import Confusion, percent
-from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
+from flows.learn.labelled_recordings import (
+    PERIOD,
+    WARM_UP,
+    LabelledRecording,
+    Target,
+    labelled_by,
+    targets,
+)
 from flows.learn.onsets import match_onsets, runs
 from operators import Debounce, ms, s
 from operators.batch import SLIP, UNKNOWN, Flags, Reals, Scores, Times
 
 PAUSE: Final = 100 * ms  # ns; a slip continues through shorter static stretches of the label
 BRIEF: Final = 50 * ms  # ns; uncertainty of the labels (paper, Fig. 6)
-Reference: TypeAlias = Literal["label", "sliding"]  # arm speed; true sliding of the contact, sticks filled
-REFERENCES: Final[tuple[Reference, ...]] = ("label", "sliding")
+AHEAD: Final = 150 * ms  # ns, largest lead over the arm-speed label; the arm's velocity is later than touch
 DECISION: Final = 0.5  # probability from which on a sample counts as slip
 
 
@@ -35,7 +40,7 @@ class Slips:
 
     @classmethod
     def labelled(cls, recording: LabelledRecording) -> Self:
-        """Return the slips by arm speed, as in the paper."""
+        """Return the slips by the recording's label."""
         return cls.of(recording.slip, PAUSE, recording.label == UNKNOWN)
 
     @classmethod
@@ -90,9 +95,13 @@ class EventMetrics:
     @classmethod
     def of(cls, probabilities: Sequence[Reals], slips: Sequence[Slips], debounce: Debounce) -> Self:
         """Debounce the probabilities (n,) of each recording and match the onsets with its slips."""
+        return cls.of_onsets([onsets(probability, debounce) for probability in probabilities], slips)
+
+    @classmethod
+    def of_onsets(cls, found: Sequence[Times], slips: Sequence[Slips]) -> Self:
+        """Match the onsets (k,) of each recording, ns, with its slips."""
         delays, missed, false, repeats = list[Times](), 0, 0, 0
-        for probability, true in zip(probabilities, slips, strict=True):
-            raised = onsets(probability, debounce)
+        for raised, true in zip(found, slips, strict=True):
             matched = match_onsets(raised, true.found)
             delays.append(matched.delays)
             missed += matched.missed
@@ -144,9 +153,21 @@ def onsets(probability: Reals, debounce: Debounce) -> Times:
     return raised
 
 
+def lead_ms(onsets: Sequence[Times], slips: Sequence[Slips]) -> float:
+    """Return the median time by which onsets precede the slips of the arm-speed label, ms; NaN if none do.
+
+    Args:
+        onsets: Onsets (k,) of each recording, ns.
+        slips: Slips of each recording by arm speed. Of each, the first onset counts, from `AHEAD` before it.
+    """
+    matched = [match_onsets(own, true.found, before=AHEAD) for own, true in zip(onsets, slips, strict=True)]
+    delays = np.concatenate([np.empty(0), *(each.delays for each in matched)])
+    return -float(np.median(delays)) / ms if len(delays) else float("nan")
+
+
 @dataclass(frozen=True, slots=True)
 class Performance:
-    """Performance of one detector against one reference.
+    """Performance of one detector against one target.
 
     Samples without a score do not count. Every slip without an onset is missed.
     """
@@ -156,6 +177,7 @@ class Performance:
     false_alarms_per_min: float  # per static minute
     missed: float  # % of slips
     onset_ms: float  # median delay
+    lead_ms: float  # median lead of the onsets over the arm-speed label, whatever the target
 
     @classmethod
     def of(
@@ -163,28 +185,38 @@ class Performance:
         recordings: Sequence[LabelledRecording],
         probabilities: Sequence[Reals],
         debounce: Debounce,
-        reference: Reference = "label",
+        target: Target = "arm-speed",
     ) -> Self:
-        """Compare the probabilities (n,) of each recording with a reference.
+        """Compare the probabilities (n,) of each recording with a target.
 
         Args:
-            recordings: Recordings; the reference "sliding" needs simulated ones.
+            recordings: Recordings; the target "sliding" needs simulated ones.
             probabilities: Probability of slip, (n,) for each recording.
             debounce: Debounce of the slip events.
-            reference: Reference for true slip.
+            target: What the label says.
         """
-        counts, slips = np.zeros((2, 2)), list[Slips]()
-        for recording, probability in zip(recordings, probabilities, strict=True):
-            known = np.isfinite(probability)  # (n,)
-            if reference == "sliding":
-                assert recording.sliding is not None, "simulated recordings have it"
-                slip = filled(recording.sliding, STICK)
-                slips.append(Slips.of(recording.sliding, STICK))
-            else:
-                slip, known = recording.slip, known & (recording.label != UNKNOWN)
-                slips.append(Slips.labelled(recording))
-            counts += Confusion.of(probability[known] >= DECISION, slip[known]).counts
-        samples, events = Confusion(counts), EventMetrics.of(probabilities, slips, debounce)
+        counts, labelled = np.zeros((2, 2)), labelled_by(target, recordings)
+        for recording, probability in zip(labelled, probabilities, strict=True):
+            known = np.isfinite(probability) & (recording.label != UNKNOWN)  # (n,)
+            counts += Confusion.of(probability[known] >= DECISION, recording.slip[known]).counts
+        raised = [onsets(probability, debounce) for probability in probabilities]
+        samples = Confusion(counts)
+        events = EventMetrics.of_onsets(raised, [Slips.labelled(each) for each in labelled])
+        lead = lead_ms(raised, [Slips.labelled(each) for each in recordings])
         return cls(
-            samples.accuracy, samples.balanced, events.false_alarms_per_min, events.missed, events.onset_ms
+            samples.accuracy,
+            samples.balanced,
+            events.false_alarms_per_min,
+            events.missed,
+            events.onset_ms,
+            lead,
         )
+
+
+def performances(
+    recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals], debounce: Debounce
+) -> dict[Target, Performance]:
+    """Compare the probabilities (n,) of each recording with each target that is known."""
+    return {
+        target: Performance.of(recordings, probabilities, debounce, target) for target in targets(recordings)
+    }

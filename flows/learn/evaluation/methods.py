@@ -8,14 +8,14 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from flows.learn.evaluation.baselines import GradientBoosting, Logistic
-from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.labelled_recordings import TARGETS, LabelledRecording
 from flows.learn.scoring import labels, windows
 from operators import Debounce
 from operators.batch import SLIP, STATIC, Counts, Flags
 from operators.detectors import TRAINED, Detector, Psd
 from operators.errors import InputError
 from storage import load_debounce, load_detector
-from storage.models import shipped
+from storage.models import load_card, shipped, shipped_names
 
 _HOP: Final = 5  # samples between the windows that baselines are fitted to
 
@@ -30,6 +30,7 @@ class Method:
     detector: Detector
     origin: str
     debounce: Debounce | None = None  # from its model card
+    target: str | None = TARGETS[0]  # that it was trained on, by its model card; None: the card does not say
 
 
 def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) -> list[Method]:
@@ -42,7 +43,7 @@ def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) ->
     Raises:
         InputError: if a file does not hold the weights of a detector, or a name is unknown.
     """
-    found = {method.name: method for method in map(_shipped, filter(shipped, TRAINED))}
+    found = {method.name: method for method in map(_shipped, shipped_names())}
     given: list[str] = []
     for path in models:
         method = _of_file(path, found)
@@ -111,7 +112,7 @@ def _fitted(
 def _shipped(name: str) -> Method:
     path = shipped(name)
     assert path is not None, "the caller asks for shipped ones only"
-    return Method(name, load_detector(name), "ships", load_debounce(path))
+    return Method(name, load_detector(name), "ships", load_debounce(path), load_card(path).get("target"))
 
 
 def _of_file(path: Path, taken: Collection[str]) -> Method:
@@ -119,4 +120,4 @@ def _of_file(path: Path, taken: Collection[str]) -> Method:
     detector = load_detector(path)
     names = (detector.name, path.stem, *(f"{path.stem}_{number}" for number in range(2, 100)))
     name = next(name for name in names if name not in {*taken, *_BASELINES})
-    return Method(name, detector, path.name, load_debounce(path))
+    return Method(name, detector, path.name, load_debounce(path), load_card(path).get("target"))

@@ -151,7 +151,7 @@ FIELDS: Final[Mapping[str, StressField]] = MappingProxyType(
         ),
         "slip_speed": StressField(
             lambda scene, x: replace(scene, plan=Scaled(scene.plan, 1.0, x)),
-            (1, 0.6, 0.4, 0.2, 0.1),
+            (1, 0.6, 0.4, 0.2, 0.08),
             "slip speed",
             "mm/s",
             50,
@@ -181,8 +181,8 @@ class StressGoal:
 
 
 GOALS: Final = (
-    StressGoal("slip at 10 mm/s", "slip_speed", 0.2, 85),
-    StressGoal("slip at 5 mm/s", "slip_speed", 0.1, 70),
+    StressGoal("slip at 10 mm/s", "slip_speed", 0.2, 95),
+    StressGoal("slip at 4 mm/s", "slip_speed", 0.08, 92),
     StressGoal("noise of 14 counts", "noise", 14, 88),
     StressGoal("no stick-slip", "stick_slip", 0, 88),
     StressGoal("low friction, x 0.3", "friction", 0.3, 87),

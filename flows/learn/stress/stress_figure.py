@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from math import isnan
 from typing import Final
 
-from flows.learn.evaluation.event_metrics import Reference
+from flows.learn.labelled_recordings import Target
 from flows.learn.stress.stress_fields import FIELDS, StressField
 from flows.learn.stress.stress_study import Stress
 from flows.report.figures import CELLS, FAINT, INK, SECOND, Axes, Figure, grid, styled
@@ -40,11 +40,11 @@ _Line = tuple[str, Callable[[str, float], float]]  # its name; its height at a f
 
 
 @styled
-def panels(of: Stress, measure: Measure, reference: Reference = "label") -> Figure:
+def panels(of: Stress, measure: Measure, target: Target = "arm-speed") -> Figure:
     """Draw a measure of each detector along each field."""
 
     def line(name: str) -> _Line:
-        return name, lambda field, value: getattr(of.at(name, field, value, reference), measure.key)
+        return name, lambda field, value: getattr(of.at(name, field, value, target), measure.key)
 
     figure, axes = _panels([line(name) for name in of.names], measure.text)
     for axis in axes:

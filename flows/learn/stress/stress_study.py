@@ -16,10 +16,10 @@ import numpy as np
 
 from connectors.sim.paper_plan import PaperPlan as Plan
 from flows.learn.evaluation.debounce_tuning import tuned_on
-from flows.learn.evaluation.event_metrics import REFERENCES, Performance, Reference
+from flows.learn.evaluation.event_metrics import Performance, performances
 from flows.learn.evaluation.methods import trained_methods, with_baselines
 from flows.learn.evaluation.sample_metrics import percent
-from flows.learn.labelled_recordings import WARM_UP, simulated_recordings
+from flows.learn.labelled_recordings import WARM_UP, Target, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress.stress_fields import FIELDS, breaking_point, plan_of, stressed
 from flows.learn.train_extra import require_train_extra
@@ -45,7 +45,7 @@ class Outcome:
 
     degraded: float  # % of samples during which `Health` reports a fault
     unscored: Mapping[str, float]  # % of samples, by detector
-    performance: Mapping[tuple[str, Reference], Performance]  # by detector
+    performance: Mapping[tuple[str, Target], Performance]  # by detector
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,20 +59,18 @@ class Stress:
     missing: Mapping[str, str]  # reasons by method
     outcomes: Mapping[Condition, Outcome]
 
-    def at(self, name: str, field: str, value: float, reference: Reference = "label") -> Performance:
+    def at(self, name: str, field: str, value: float, target: Target = "arm-speed") -> Performance:
         """Return the performance of one detector under one condition."""
-        return self.outcome(field, value).performance[name, reference]
+        return self.outcome(field, value).performance[name, target]
 
     def outcome(self, field: str, value: float) -> Outcome:
         """Return the performance of all detectors under one condition."""
         return self.outcomes[field, value]
 
-    def breaking(self, name: str, field: str, reference: Reference = "label") -> dict[str, float | None]:
+    def breaking(self, name: str, field: str, target: Target = "arm-speed") -> dict[str, float | None]:
         """Return the breaking point on each side of nominal; None: not reached."""
         return {
-            side: breaking_point(
-                values, [self.at(name, field, value, reference).balanced for value in values]
-            )
+            side: breaking_point(values, [self.at(name, field, value, target).balanced for value in values])
             for side, values in FIELDS[field].sides.items()
         }
 
@@ -161,12 +159,12 @@ def _outcome(
 ) -> Outcome:
     field, value = condition
     recordings = simulated_recordings(plan_of(field, plan), seed, lambda scene: stressed(scene, field, value))
-    unscored, performance = dict[str, float](), dict[tuple[str, Reference], Performance]()
+    unscored, performance = dict[str, float](), dict[tuple[str, Target], Performance]()
     for name, (detector, debounce) in detectors.items():
         scores = [probabilities(detector, recording) for recording in recordings]
         unscored[name] = _share([np.isnan(score)[WARM_UP:] for score in scores])
-        for reference in REFERENCES:
-            performance[name, reference] = Performance.of(recordings, scores, debounce, reference)
+        for target, found in performances(recordings, scores, debounce).items():
+            performance[name, target] = found
     degraded = [each.degraded[WARM_UP:] for each in recordings if each.degraded is not None]
     return Outcome(_share(degraded), unscored, performance)
 

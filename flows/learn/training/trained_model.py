@@ -1,6 +1,7 @@
 """Trained models on disk: weights and a card with their origin and performance."""
 
 import hashlib
+import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector
 from storage import save_weights
 from storage.layout import MANIFEST, SESSIONS
-from storage.models import save_card
+from storage.models import load_card, save_card
 
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]
 
@@ -78,3 +79,18 @@ def write_model(path: Path, arrays: Arrays, card: Mapping[str, Any], curve: Sequ
     card = {**card, "file": path.name, "sha256": digest, "numbers": size}
     save_card(path, card)
     return Model(path, card, curve)
+
+
+def unchanged(path: Path, settings: Mapping[str, Any]) -> Model | None:
+    """Return the model at `path` if it matches its card and the card states these settings, otherwise None.
+
+    Raises:
+        InputError: if the card is damaged.
+    """
+    card = load_card(path)
+    stated = {name: card.get(name) for name in settings}
+    if stated != json.loads(json.dumps(settings)) or not path.exists():
+        return None
+    if card.get("sha256") != hashlib.sha256(path.read_bytes()).hexdigest():
+        return None
+    return Model(path, card, [Check(**check) for check in card["curve"]])

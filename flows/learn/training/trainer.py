@@ -5,17 +5,24 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import numpy as np
 
 from flows.learn.evaluation.debounce_tuning import tuned_on
-from flows.learn.labelled_recordings import LabelledRecording, by_split, load
+from flows.learn.labelled_recordings import (
+    TARGETS,
+    LabelledRecording,
+    Target,
+    by_split,
+    labelled_by,
+    load,
+)
 from flows.learn.train_extra import require_train_extra
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
-from flows.learn.training.trained_model import Model, label_scores, provenance, write_model
+from flows.learn.training.trained_model import Model, label_scores, provenance, unchanged, write_model
 from operators.checks import check_at_least, check_between, check_choice
 from operators.detectors import TRAINED, Detector
 from operators.errors import InputError, ParameterError
@@ -65,7 +72,9 @@ def train(
     recipe: Recipe | None = None,
     epochs: int = 20,
     seeds: int = 1,
+    target: str = TARGETS[0],
     lag: float | None = None,
+    resume: bool = False,
     progress: Progress = lambda _part, _done, _all, _check: None,
 ) -> Training:
     """Train a detector on the train split of datasets; the validation split selects the best check.
@@ -78,18 +87,21 @@ def train(
         recipe: Settings of the tcn.
         epochs: Epochs of the paper's networks.
         seeds: Number of seeds, from the recipe's seed on.
+        target: What the network learns, one of `TARGETS`; its card and the checks refer to it.
         lag: Delay of labels after the signal to which each recording is shifted, s; None: no shift.
+        resume: Keep a model of an earlier call if its card states the same data and settings.
         progress: Called with the seed as text, the numbers of steps done and of all steps, and a new
             check or None.
 
     Raises:
-        InputError: if the train extra is missing, or a dataset cannot be read.
+        InputError: if the train extra is missing, a dataset cannot be read, or it lacks the target.
         ParameterError: if a parameter is out of range, or the datasets lack a split.
         OSError: if the model cannot be written.
     """
     recipe = recipe or Recipe()
-    _check(out, method, seeds, lag)
-    recordings = {dataset: load(dataset) for dataset in datasets}
+    _check(out, method, seeds, target, lag)
+    chosen = cast("Target", target)
+    recordings = {dataset: labelled_by(chosen, load(dataset), str(dataset)) for dataset in datasets}
     parts = by_split(chain.from_iterable(recordings.values()))
     for split in ("train", "validation"):
         if not parts[split]:
@@ -99,6 +111,7 @@ def train(
     shifted = parts if lag is None else {split: relabelled(found, lag) for split, found in parts.items()}
     about: dict[str, Any] = {
         "detector": method,
+        "target": target,
         "software": f"slipflow {software_version()}",
         "data": [provenance(dataset, found) for dataset, found in recordings.items()],
         "label_lag_s": lag,
@@ -107,10 +120,14 @@ def train(
     for seed in range(recipe.seed, recipe.seed + seeds):
         path = out if seeds == 1 else out.with_stem(f"{out.stem}-seed{seed}")
         own = replace(recipe, seed=seed) if method == OURS else PaperRecipe(epochs=epochs, seed=seed)
-        trained = _train(method, shifted, own, progress)
-        results = {"seed": seed, "recipe": asdict(own), **_results(TRAINED[method](trained.arrays), parts)}
-        card = {**about, **results, "curve": [asdict(check) for check in trained.curve]}
-        models.append(write_model(path, trained.arrays, card, trained.curve))
+        settings = {**about, "seed": seed, "recipe": asdict(own)}
+        model = unchanged(path, settings) if resume else None
+        if model is None:
+            trained = _train(method, shifted, own, progress)
+            results = _results(TRAINED[method](trained.arrays), parts)
+            card = {**settings, **results, "curve": [asdict(check) for check in trained.curve]}
+            model = write_model(path, trained.arrays, card, trained.curve)
+        models.append(model)
     models.sort(key=lambda model: -model.card["scores"]["validation"]["balanced"])
     if seeds > 1:
         first = models[0]
@@ -118,9 +135,10 @@ def train(
     return Training(models)
 
 
-def _check(out: Path, method: str, seeds: int, lag: float | None) -> None:
+def _check(out: Path, method: str, seeds: int, target: str, lag: float | None) -> None:
     require_train_extra("train")
     check_choice("train", "method", method, METHODS)
+    check_choice("train", "target", target, TARGETS)
     if out.suffix != ".safetensors":
         raise ParameterError("train", "out", str(out), "a path that ends in .safetensors")
     if not out.parent.is_dir():

@@ -6,21 +6,31 @@ from shutil import copytree
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from connectors import SimulatedRig
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Faults, Move, Moves, Scene
+from flows.graph import Flow
+from flows.graph.testing import TestSink, run_virtually
 from flows.lab.simulation import planned_recordings
 from flows.learn.labelled_recordings import (
     LabelledRecording,
     by_split,
+    labelled_by,
     load,
     simulated_recording,
     simulated_recordings,
+    targets,
 )
 from flows.learn.splits import SPLITS, TURNS
 from flows.learn.stress.stress_fields import stressed
+from flows.run.clocks import LoopClock
+from flows.run.live_runner import LiveRunner
+from operators import Align, Label, Labelled, SlidingMotion, Zero, ms
 from operators.batch import Flags
 from operators.errors import InputError
+from storage import Dataset
 from storage.files import put_checked, read_checked
 
 SCENE = Scene(
@@ -42,25 +52,69 @@ def there(flags: Flags | None) -> Flags:
     return flags
 
 
+def slides(recording: LabelledRecording) -> NDArray[np.intp]:
+    """Return the samples at which the contact truly slides."""
+    [by_sliding] = labelled_by("sliding", [recording])
+    assert len(by_sliding) == len(recording)
+    assert set(by_sliding.label.tolist()) == {0, 1}
+    return np.flatnonzero(by_sliding.slip)
+
+
 def test_the_truth_of_a_sample_is_that_of_its_own_instant_even_where_others_were_lost() -> None:
     whole, thinned = (
         simulated_recording(SCENE, 3),
         simulated_recording(stressed(SCENE, "touch_dropped", 0.3), 3),
     )
     assert 0.6 < len(thinned) / len(whole) < 0.8
-    found = [there(flags) for flags in (thinned.sliding, thinned.oblique, thinned.degraded)]
-    assert [len(flags) for flags in found] == [len(thinned)] * 3
-    kept = np.flatnonzero(there(thinned.sliding))
+    assert [len(there(flags)) for flags in (thinned.oblique, thinned.degraded)] == [len(thinned)] * 2
+    kept = slides(thinned)
     # the thinned samples keep their place in the recording, in proportion
     share = np.array([kept[0], kept[-1]]) / len(thinned) * len(whole) / 100  # s
-    sliding = np.flatnonzero(there(whole.sliding)) / 100  # s
+    sliding = slides(whole) / 100  # s
     assert share == pytest.approx([sliding[0], sliding[-1]], abs=0.15)
 
 
 def test_the_truth_says_when_the_contact_slides() -> None:
-    sliding = np.flatnonzero(there(simulated_recording(SCENE, 3).sliding)) / 100  # s
+    sliding = slides(simulated_recording(SCENE, 3)) / 100  # s
     assert START < sliding[0] < START + 0.15
     assert not ((sliding > REST[0]) & (sliding < REST[1])).any()
+
+
+def test_a_wrong_clock_of_the_touch_moves_the_arm_speed_label_but_not_the_truth() -> None:
+    nominal, late = (
+        simulated_recording(scene, 3) for scene in (SCENE, stressed(SCENE, "touch_clock_offset", 0.1))
+    )
+    assert slides(nominal).tolist() == slides(late).tolist()
+    assert np.flatnonzero(late.slip)[0] == np.flatnonzero(nominal.slip)[0] - 10
+
+
+def test_a_dataset_has_the_sliding_labels_that_a_live_flow_gives(tmp_path: Path) -> None:
+    rig, sink = SimulatedRig(SCENE, 3), TestSink()
+    flow, dataset = Flow("sliding"), Dataset(tmp_path)
+    zeroed, motion, truth = flow.source(rig.touch) | Zero(), flow.source(rig.motion), flow.source(rig.truth)
+    truth.to(dataset)
+    (zeroed & motion | Align() | Label()).to(dataset)
+    (zeroed & (truth | SlidingMotion()) | Align(wait=200 * ms) | Label()).to(sink)
+
+    async def main() -> None:
+        await LiveRunner(flow, "live", clock=LoopClock(0)).execute()
+
+    run_virtually(main())
+    [recorded] = load(tmp_path)
+    live = sink.rows(Labelled, 0).label
+    assert recorded.sliding is not None
+    assert recorded.sliding.tolist() == live.tolist()
+    assert slides(recorded).tolist() == slides(simulated_recording(SCENE, 3)).tolist()
+
+
+def test_recordings_without_truth_have_one_target(tiny: Path) -> None:
+    known = load(tiny)
+    unknown = [replace(known[0], sliding=None), *known[1:]]
+    assert targets(known) == ("arm-speed", "sliding")
+    assert targets(unknown) == ("arm-speed",)
+    assert labelled_by("arm-speed", unknown) == unknown
+    with pytest.raises(InputError, match=f"tiny {known[0].name}: has no truth table"):
+        labelled_by("sliding", unknown, "tiny")
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ def test_eight_of_ten_train_one_validates_and_one_tests(recordings: list[Labelle
 def test_labels_are_true_sliding_and_both_occur(recordings: list[LabelledRecording]) -> None:
     for recording in recordings:
         assert recording.sliding is not None
-        assert (recording.label[recording.sliding] == SLIP).all()
+        assert (recording.label[recording.sliding == SLIP] == SLIP).all()
         assert (recording.label[:WARM_UP] != SLIP).all()  # the gripper is open
     label = np.concatenate([recording.label for recording in recordings])
     assert 0.02 < (label == SLIP).mean() < 0.3

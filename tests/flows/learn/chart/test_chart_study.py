@@ -104,6 +104,11 @@ def test_the_page_its_numbers_and_its_figure_are_written(found: Chart, tmp_path:
     [line] = [line for line in paths[1].read_text().splitlines() if line.startswith("| tcn4 ")]
     [point] = [point for point in found.points if point.name == "tcn4"]
     assert f"{point.performance.accuracy:.1f}" in line
+    [row] = [row for row in rows if row["detector"] == "tcn4"]
+    sliding = point.performances["sliding"]
+    for name, value in (("balanced %", sliding.balanced), ("delay ms", sliding.onset_ms)):
+        assert row[f"sliding: {name}"] == pytest.approx(None if np.isnan(value) else value, rel=1e-5)
+    assert row["lead ms"] == pytest.approx(None if np.isnan(sliding.lead_ms) else sliding.lead_ms)
     page = paths[0].read_text()
     assert "slipflow chart tiny" in page
     assert not re.search(r"(?:src|href)=.(?!#)", page), "needs no other file"

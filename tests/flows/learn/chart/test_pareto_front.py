@@ -5,9 +5,8 @@ from flows.learn.evaluation.event_metrics import Performance
 
 
 def point(name: str, us: float, accuracy: float, onset_ms: float = 30.0) -> Point:
-    return Point(
-        name, us, 64 * us, streams=True, performance=Performance(accuracy, accuracy, 1.0, 2.0, onset_ms)
-    )
+    performance = Performance(accuracy, accuracy, 1.0, 2.0, onset_ms, 0.0)
+    return Point(name, us, 64 * us, streams=True, performances={"arm-speed": performance})
 
 
 def front(*points: Point) -> set[str]:

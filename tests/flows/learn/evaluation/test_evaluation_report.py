@@ -10,6 +10,7 @@ from flows.learn.evaluation import evaluation_report as sections
 from flows.learn.evaluation.evaluation_report import evaluation_report
 from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult, evaluate
 from flows.learn.evaluation.event_metrics import EventMetrics
+from flows.learn.evaluation.target_table import TITLES
 
 COMMAND = "slipflow evaluate tiny"
 
@@ -83,6 +84,21 @@ def test_the_numbers_of_every_method_are_in_the_json(written: dict[str, str], fo
         [row] = [row for row in tables["events"][0]["rows"] if row["method"] == result.method.name]
         assert row["false/min"] == pytest.approx(result.events.false_alarms_per_min, rel=1e-5)
         assert row["threshold"] == result.debounce.threshold
+
+
+def test_both_targets_and_the_lead_are_in_one_table(written: dict[str, str], found: Evaluation) -> None:
+    [table] = json.loads(written[".json"])["sections"]["sliding"]["tables"]
+    rows = {row["method"]: row for row in table["rows"]}
+    assert rows.keys() == {"the arm-speed label", *(result.method.name for result in found.results)}
+    row, result = rows["psd"], psd(found)
+    for target, name in TITLES.items():
+        expected = result.performance[target]
+        assert row[f"{name}: balanced %"] == pytest.approx(expected.balanced, rel=1e-5)
+        assert row[f"{name}: delay ms"] == pytest.approx(expected.onset_ms, rel=1e-5)
+    assert row["lead ms"] == pytest.approx(result.performance["sliding"].lead_ms, rel=1e-5)
+    assert row["trained on"] == "arm-speed"
+    unknown = replace(found, label={"arm-speed": found.label["arm-speed"]})
+    assert sections.sliding(unknown) == []
 
 
 def test_missing_methods_are_named_with_the_reason(found: Evaluation) -> None:

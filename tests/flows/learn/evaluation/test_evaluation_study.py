@@ -39,13 +39,15 @@ def test_the_most_accurate_comes_first(found: Evaluation) -> None:
 
 
 def test_a_simulated_dataset_is_compared_with_the_truth_too(found: Evaluation) -> None:
-    assert found.label is not None
-    assert 70 < found.label.accuracy < 99
+    itself = found.label
+    assert (itself["arm-speed"].balanced, itself["arm-speed"].onset_ms) == (100, 0)
+    assert 70 < itself["sliding"].balanced < 99
+    assert itself["sliding"].lead_ms == 0
     for result in found.results:
-        assert result.sliding is not None
-        assert result.sliding_events is not None
-        assert result.sliding.counts.sum() == result.confusion.counts.sum()
-        assert result.sliding_events.slips > 0
+        by_speed, by_sliding = result.performance["arm-speed"], result.performance["sliding"]
+        assert (by_speed.balanced, by_speed.onset_ms) == (result.confusion.balanced, result.events.onset_ms)
+        assert by_speed != by_sliding
+        assert by_speed.lead_ms == by_sliding.lead_ms
 
 
 def test_true_sliding_is_unknown_if_the_dataset_does_not_have_it(
@@ -56,9 +58,7 @@ def test_true_sliding_is_unknown_if_the_dataset_does_not_have_it(
 
     monkeypatch.setattr(module, "load", unknown)
     found = evaluate(tiny, names=["psd"])
-    assert found.label is None
-    assert psd(found).sliding is None
-    assert psd(found).sliding_events is None
+    assert found.label.keys() == psd(found).performance.keys() == {"arm-speed"}
 
 
 def test_without_a_validation_split_the_papers_debounce_is_used(

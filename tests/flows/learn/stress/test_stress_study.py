@@ -1,4 +1,5 @@
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -7,6 +8,7 @@ import pytest
 
 from connectors.sim.paper_plan import PaperPlan
 from flows.learn.evaluation.event_metrics import Performance
+from flows.learn.evaluation.target_table import TITLES
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
 from flows.learn.stress import stress_figure
@@ -61,8 +63,8 @@ def test_with_more_than_three_dead_cells_there_is_no_score(found: Stress) -> Non
     for dead in range(5):
         outcome = found.outcome("dead", dead)
         assert outcome.unscored == {"psd": 100 * (dead > 3), "always": 100 * (dead > 3)}
-        assert np.isnan(outcome.performance["psd", "label"].balanced) == (dead > 3)
-    assert found.outcome("dead", 4).performance["always", "label"].missed == 100
+        assert np.isnan(outcome.performance["psd", "arm-speed"].balanced) == (dead > 3)
+    assert found.outcome("dead", 4).performance["always", "arm-speed"].missed == 100
     assert found.breaking("always", "dead") == {"up": 4}
 
 
@@ -84,13 +86,13 @@ def test_nominal_is_the_same_recordings_in_every_field_but_slip_speed(found: Str
 def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: Stress) -> None:
     nominal, off = (found.outcome("motion_clock_offset", value).performance for value in (0, 0.1))
     assert nominal["psd", "sliding"] == off["psd", "sliding"]
-    assert nominal["psd", "label"] != off["psd", "label"]
+    assert nominal["psd", "arm-speed"] != off["psd", "arm-speed"]
 
 
 def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None:
     recordings = simulated_recordings(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
     answers = [probabilities(Psd(), recording) for recording in recordings]
-    expected = Performance.of(recordings, answers, Debounce(), "label")
+    expected = Performance.of(recordings, answers, Debounce(), "arm-speed")
     assert found.at("psd", "friction", 0.3) == expected
 
 
@@ -138,7 +140,7 @@ def test_the_report_has_every_section_and_every_figure(
     markdown, page = paths[1].read_text(), paths[0].read_text()
     assert markdown.count("\n## ") == page.count("<section") == 7
     assert page.count("<svg ") == 6
-    assert "| slip at 5 mm/s" in markdown
+    assert "| slip at 4 mm/s" in markdown
     assert "Missing: oracle, there is none." in markdown
     for path in paths[3:]:
         root = ET.parse(path).getroot()  # noqa: S314 - ours
@@ -150,9 +152,16 @@ def test_goals_and_breaking_points_are_in_the_json(found: Stress) -> None:
     data = stress_report(found, "slipflow stress").json()
     assert data["missing"] == {"oracle": "there is none"}
     assert data["fields"].keys() == FIELDS.keys()
-    goals, _ = data["sections"]["goals"]["tables"]
-    assert [row["stress"] for row in goals["rows"]] == ["nominal", *(goal.text for goal in GOALS)]
-    assert goals["rows"][0]["always"] == 50
+    [table] = data["sections"]["goals"]["tables"]
+    goals = {(row["stress"], row["measure"]): row for row in table["rows"]}
+    measures = [
+        *(f"{name}: {what}" for name in TITLES.values() for what in ("balanced %", "delay ms")),
+        "lead ms",
+    ]
+    assert list(goals) == list(product(["nominal", *(goal.text for goal in GOALS)], measures))
+    assert {goals["nominal", f"{name}: balanced %"]["always"] for name in TITLES.values()} == {50}
+    wanted = {text: row["goal"] for (text, measure), row in goals.items() if measure == measures[0]}
+    assert wanted == {"nominal": None, **{goal.text: goal.least for goal in GOALS}}
     breaking = {row["field"]: row for row in data["sections"]["balanced"]["tables"][0]["rows"]}
     assert (breaking["dead cells"]["hardest"], breaking["dead cells"]["always"]) == (4, 4)
     assert breaking["noise, counts"]["always"] is None

@@ -7,11 +7,11 @@ from shutil import copytree
 import numpy as np
 import pytest
 
-from flows.learn.labelled_recordings import LabelledRecording, by_split, load
+from flows.learn.labelled_recordings import LabelledRecording, by_split, labelled_by, load
 from flows.learn.training import trainer
 from flows.learn.training.learning_curve import Check, best, draw
 from flows.learn.training.recipe import Recipe
-from flows.learn.training.trained_model import provenance
+from flows.learn.training.trained_model import label_scores, provenance
 from flows.learn.training.trainer import train
 from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError
@@ -31,7 +31,7 @@ def test_a_model_and_its_card_say_where_they_come_from(tiny: Path, tmp_path: Pat
     outcome = train([tiny], out, recipe=SMALL, progress=report)
     card = json.loads((tmp_path / "model.json").read_text())
     assert card["sha256"] == hashlib.sha256(out.read_bytes()).hexdigest()
-    assert card["detector"] == "tcn"
+    assert (card["detector"], card["target"]) == ("tcn", "arm-speed")
     assert card["data"][0]["recordings"]["train"] > card["data"][0]["recordings"]["test"]
     assert card["recipe"]["filters"] == 4
     assert card["scores"]["test"]["accuracy"] > 55
@@ -67,6 +67,48 @@ def test_a_network_of_the_paper_is_trained_by_its_recipe(
     assert len(outcome.models[0].curve) == 1
 
 
+def test_a_network_can_learn_true_sliding(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "model.safetensors"
+    [model] = train([tiny], out, recipe=SMALL, target="sliding").models
+    assert model.card["target"] == "sliding"
+    test = [recording for recording in load(tiny) if recording.split == "test"]
+    assert model.card["scores"]["test"] == label_scores(load_detector(out), labelled_by("sliding", test))
+
+    def unknown(dataset: Path) -> list[LabelledRecording]:
+        return [replace(each, sliding=None) for each in load(dataset)]
+
+    monkeypatch.setattr(trainer, "load", unknown)
+    with pytest.raises(InputError, match="has no truth table to learn sliding from; `slipflow simulate`"):
+        train([tiny], out, recipe=SMALL, target="sliding")
+
+
+def test_a_model_with_the_same_data_and_settings_is_kept_on_request(tiny: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model.safetensors"
+
+    def trained(seeds: int, steps: int, target: str = "arm-speed") -> set[str]:
+        """Return the seeds that were trained."""
+        found = set[str]()
+
+        def report(seed: str, *_: object) -> None:
+            found.add(seed)
+
+        recipe = replace(SMALL, steps=steps)
+        train([tiny], out, recipe=recipe, seeds=seeds, target=target, resume=True, progress=report)
+        return found
+
+    assert trained(2, 4) == {"seed 0", "seed 1"}
+    kept = out.read_bytes()
+    assert trained(2, 4) == set()
+    assert out.read_bytes() == kept
+    assert trained(3, 4) == {"seed 2"}
+    assert trained(2, 4, "sliding") == {"seed 0", "seed 1"}
+    assert trained(2, 5, "sliding") == {"seed 0", "seed 1"}
+    out.with_stem("model-seed1").write_bytes(b"damaged")
+    assert trained(2, 5, "sliding") == {"seed 1"}
+
+
 def test_the_sha256_of_the_data_changes_with_the_data(tiny: Path, tmp_path: Path) -> None:
     other = copytree(tiny, tmp_path / "other")
     manifest = next(other.glob("sessions/*/MANIFEST.json"))
@@ -79,6 +121,7 @@ def test_the_sha256_of_the_data_changes_with_the_data(tiny: Path, tmp_path: Path
     ("arguments", "reason"),
     [
         ({"method": "oracle"}, "method"),
+        ({"target": "speed"}, "target"),
         ({"seeds": 0}, "seeds"),
         ({"lag": -0.02}, "lag"),
         ({"lag": float("nan")}, "lag"),
