@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-cluster cluster chaos faults scene check docs bench models clean
+.PHONY: demo test test-slow test-cluster cluster chaos faults scene check docs bench models detector-pages clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -68,21 +68,38 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_peers_live.py
 	.venv/bin/python tests/benchmarks/bench_peers_live.py --together
 
-models: export PATH := $(CURDIR)/.venv/bin:$(PATH)
-models:  ## train again what ships in storage/trained: two hours on two cores
+models detector-pages: export PATH := $(CURDIR)/.venv/bin:$(PATH)
+models: export OMP_NUM_THREADS := 1
+models: DATA := models/paper-0 models/wide-3 models/wide-4 models/wide-5 models/slow-6
+models: PAPER := train models/paper-0 --resume --method
+models:  ## train what ships in storage/trained and what its pages compare: two hours on two cores; resumes; trace=FILE: scores on a real trace
 	@deploy/prepare test
 	mkdir -p models
-	slipflow simulate models/paper-0 --plan paper --seed 0
-	for seed in 3 4 5; do slipflow simulate models/wide-$$seed --plan wide --seed $$seed || exit 1; done
-	slipflow train models/paper-0 models/wide-3 models/wide-4 models/wide-5 --seeds 3 \
-	    --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
-	slipflow train models/paper-0 --method paper_tcn --epochs 25 -o models/paper_tcn.safetensors
-	slipflow train models/paper-0 --method frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors
-	slipflow train models/paper-0 --method frequency_cnn_interleaved --epochs 30 \
-	    -o models/frequency_cnn_interleaved.safetensors
+	for name in $(notdir $(DATA)); do rm -rf models/$$name; \
+	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
+	{ echo "$(PAPER) paper_tcn --epochs 25 -o models/paper_tcn.safetensors"; \
+	  for seed in 0 1 2; do \
+	    echo "train $(DATA) --resume --seed $$seed -o models/tcn-seed$$seed.safetensors"; \
+	    echo "train $(DATA) --resume --seed $$seed --target sliding -o models/tcn_sliding-seed$$seed.safetensors"; \
+	  done; \
+	  for filters in 24 8 4; do \
+	    echo "train $(DATA) --resume --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
+	  echo "$(PAPER) frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors"; \
+	  echo "$(PAPER) frequency_cnn_interleaved --epochs 30 -o models/frequency_cnn_interleaved.safetensors"; \
+	} | xargs -P 2 -L 1 slipflow
+	slipflow train $(DATA) --resume --seeds 3 --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
+	slipflow train $(DATA) --resume --seeds 3 --target sliding -o models/tcn_sliding.safetensors
 	slipflow experiment learn -o models/tcn_grasp.safetensors
-	for name in tcn paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp; do \
+	for name in tcn tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
+	$(if $(trace),for name in tcn tcn_sliding; do \
+	    .venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/$$name-seed?.safetensors || exit 1; done)
+
+detector-pages:  ## print the pages of docs/explanations/detectors again, after `make models`: half an hour
+	slipflow evaluate models/paper-0 --out models/pages
+	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
+	slipflow stress --out models/pages
+	cp models/pages/*.md models/pages/*.svg docs/explanations/detectors/
 
 clean:  ## forget everything that was set up or built
 	rm -rf .venv .cluster dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
