@@ -34,8 +34,8 @@ def train(
     target: Annotated[
         str,
         typer.Option(
-            help="What the network learns: arm-speed, the paper's label, or sliding, the true sliding of the"
-            " contact, which only simulated datasets contain."
+            help="Learn arm-speed, the paper's label, or sliding, the true sliding of the contact, which only"
+            " simulated datasets contain."
         ),
     ] = "arm-speed",
     filters: Annotated[

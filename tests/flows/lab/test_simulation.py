@@ -207,7 +207,7 @@ def test_an_existing_dataset_or_file_is_kept(tmp_path: Path, tiny: SimulatedData
 
 
 def test_invalid_parameters_are_errors_before_anything_is_written(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match="plan is 'papre', must be one of paper, wide, tiny"):
+    with pytest.raises(ParameterError, match="plan is 'papre', must be one of paper, wide, slow, tiny"):
         simulate(tmp_path / "out", "papre")
     with pytest.raises(ParameterError, match="seed is -1, must be at least 0"):
         simulate(tmp_path / "out", "tiny", -1)
