@@ -16,8 +16,8 @@ def simulate(
     plan: Annotated[
         str,
         typer.Option(
-            help="Plan: paper (44 minutes), wide (30 minutes, 30 materials), slow (23 minutes, strokes at 4 to"
-            " 20 mm/s) or tiny (2 minutes)."
+            help="Plan: paper (44 minutes), wide (30 minutes, 30 materials), slow (23 minutes, strokes at"
+            " 4 to 20 mm/s) or tiny (2 minutes)."
         ),
     ] = "paper",
     seed: Seed = 0,

@@ -112,7 +112,7 @@ def test_the_paper_plan_is_measured_in_full_and_others_briefly() -> None:
     assert (full, brief.plan) == (Size(), PLANS["tiny"])
     assert set(brief.terms) < set(full.terms)
     assert brief.timed < full.timed
-    with pytest.raises(ParameterError, match="plan is 'huge', must be one of paper, wide, tiny"):
+    with pytest.raises(ParameterError, match="plan is 'huge', must be one of paper, wide, slow, tiny"):
         Size.of("huge")
 
 
