@@ -39,9 +39,12 @@ def test_the_arm_that_is_commanded_drags_and_presses_the_fingertip(monkeypatch: 
 
             in_air = await counts()
             lab.controller.box.drive.line(np.array([0.0, 0.0, -0.002, np.pi, 0.0, 0.0]), 0.2, 1.0)
+            still_since = 0  # ns
             async with asyncio.timeout(PATIENCE):
                 async for moved in motion.batches(clock):
-                    if moved.pose[-1, 2] < -0.0019:
+                    if moved.pose[-1, 2] > -0.0019:
+                        still_since = int(moved.time[-1])
+                    elif moved.time[-1] - still_since > 0.3 * s:  # the force has settled
                         break
             pressed = await counts()
             assert (in_air - pressed).max() > 20
