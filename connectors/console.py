@@ -72,11 +72,11 @@ class Console(Sink[Slips | Faults]):
                 change = "begins" if begins else "ends"
                 if self.format == "json":
                     details: dict[str, Json] = {"barometer": fault.barometer, "fault": fault.kind}
-                    self._print_json(time, batch.finger, f"fault_{change}", details)
+                    name = f"limit_{change}" if fault.limit else f"fault_{change}"
+                    self._print_json(time, batch.finger, name, details)
                 else:
-                    self._print(
-                        time, batch.finger, f"barometer {fault.barometer} {fault.kind} {change}", "yellow"
-                    )
+                    kind = "range limit" if fault.limit else fault.kind
+                    self._print(time, batch.finger, f"barometer {fault.barometer} {kind} {change}", "yellow")
             return
         rows = zip(batch.time.tolist(), batch.state.tolist(), batch.probability.tolist(), strict=True)
         for time, state, probability in rows:

@@ -19,15 +19,21 @@ from operators.ports import Json
 
 _JSON: Final = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 
+_LIMIT: Final = FaultKind.SATURATED.name.lower()
 CONTENT_TYPE: Final = "application/cloudevents+json"  # CloudEvents MQTT binding 1.0.2, section 3.2
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A faulty barometer at the time of an event."""
+    """A faulty barometer, or one at the end of its range, at the time of an event."""
 
     barometer: int  # 0..5
     kind: str  # kind of fault, such as stuck
+
+    @property
+    def limit(self) -> bool:
+        """True if the cell works, but its load is beyond its range."""
+        return self.kind == _LIMIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +78,13 @@ class Event:
         return "onset" if self.onset else "end"
 
     @property
+    def quality(self) -> str:
+        """``good``; ``limited`` if cells are at the end of their range; ``degraded`` if a cell is broken."""
+        if any(not fault.limit for fault in self.degraded):
+            return "degraded"
+        return "limited" if self.degraded else "good"
+
+    @property
     def identifier(self) -> str:
         """Unique identifier, the same in all copies of the event."""
         return f"{self.epoch}-{self.seq}"
@@ -97,7 +110,7 @@ class Event:
                     "sample_time_ns": self.time,
                     "latency_ms": self.latency,
                     "model": {"id": self.model, "sha256": self.sha256},
-                    "quality": "degraded" if self.degraded else "good",
+                    "quality": self.quality,
                     "degraded": [asdict(fault) for fault in self.degraded],
                     "session": self.session,
                 },

@@ -14,7 +14,7 @@ from operators.operator import Operator
 from operators.row_loop import row_loop
 
 _PAUSE: Final = 25 * ms  # ns, longer pauses of the stream count as this long
-_QUIET: Final = 1.5  # counts, standard deviation; 0.43 to 0.7 unloaded, 4 to 10 under a static load
+_QUIET: Final = 1.0  # counts, standard deviation; 0.43 to 0.7 unloaded, 4 to 10 under a static load
 _READINGS: Final = 10  # least number of readings in a quiet second
 
 
@@ -35,11 +35,13 @@ class Health(Operator[Touch, Faults]):
     - stuck: valid counts unchanged for `stuck_after`. Noise changes the counts of a working cell within a few
       readings. A cell at the end of its range can be saturated and stuck.
     - saturated: raw counts at `floor` or below, or at `ceiling` or above, for `saturated_after`. Overload
-      wraps from 0 to 1023, so both ends indicate it. Not detected in zeroed counts.
-    - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second. A
-      second of event time is quiet if the standard deviation is below 1.5 counts, as in unloaded cells but
-      not in contact. So the stream should start unloaded, and drift in contact is not detected. A perfectly
-      constant load is reported as drift; so is a cell at its floor in zeroed counts.
+      wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events have
+      the quality `limited` rather than `degraded`. Not detected in zeroed counts.
+    - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second. The
+      seconds count from the first row. One is quiet if the standard deviation of every cell is below 1 count,
+      as in an unloaded fingertip but not in contact, where the arm vibrates. So the stream should start
+      unloaded, and drift in contact or beside a noisy cell is not detected. A perfectly constant load is
+      reported as drift; so is a cell at its floor in zeroed counts.
 
     All faults except drift end after `clear_after` without fault. A value above 0 merges the faults of a
     cell that is repeatedly pressed to the end of its range.
@@ -74,7 +76,7 @@ class Health(Operator[Touch, Faults]):
     _state: Times = field(init=False, repr=False, compare=False)  # (10, cells), see `_examine`
     _active: Flags = field(init=False, repr=False, compare=False)  # (cells, 4) by kind
     _first: Reals = field(init=False, repr=False, compare=False)  # (cells,) mean of the first quiet second
-    _clock: Times = field(init=False, repr=False, compare=False)  # ns, newest row and age without pauses
+    _clock: Times = field(init=False, repr=False, compare=False)  # ns: newest row, age without pauses, first row
     _limits: Times = field(init=False, repr=False, compare=False)  # ns
 
     def __post_init__(self) -> None:
@@ -90,7 +92,7 @@ class Health(Operator[Touch, Faults]):
     def process(self, batch: Touch) -> Faults:
         """Return the faults that started or ended."""
         if not self._clock.size:
-            self._set_up(np.array([batch.time[0], 0]), batch.counts.shape[1])
+            self._set_up(np.array([batch.time[0], 0, batch.time[0]]), batch.counts.shape[1])
         floor, ceiling = (
             (-inf, inf) if isinstance(batch, Zeroed) else (float(self.floor), float(self.ceiling))
         )
@@ -130,12 +132,15 @@ def _examine(  # noqa: PLR0917 - compiled functions take no keywords
     state, active, _, clock = memory
     changed = False
     for row in range(len(time)):
-        ends_second = time[row] // s != clock[0] // s
+        ends_second = (time[row] - clock[2]) // s != (clock[0] - clock[2]) // s
         clock[1] += min(time[row] - clock[0], _PAUSE)
         clock[0] = time[row]
         age = clock[1]
+        quiet = ends_second and _quiet(state)
+        if ends_second and not quiet:
+            state[_SUMS:] = 0
         for cell in range(counts.shape[1]):
-            drifting = _drifts(memory, cell, limits) if ends_second else active[cell, _DRIFTING]
+            drifting = _drifts(memory, cell, limits) if quiet else active[cell, _DRIFTING]
             before = state[_LAST, cell]
             if valid[row, cell]:
                 count = int(counts[row, cell])
@@ -169,15 +174,24 @@ def _lasts(state: Times, kind: int, cell: int, age: int, after: Times) -> bool:
     return faulty or recently
 
 
+def _quiet(state: Times) -> bool:
+    """Return whether every cell was quiet in the second that ends, as in an unloaded fingertip."""
+    for cell in range(state.shape[1]):
+        readings, total, squares = state[_SUMS, cell], state[_SUMS + 1, cell], state[_SUMS + 2, cell]
+        most = _QUIET * readings
+        if readings >= _READINGS and readings * squares - total * total >= most * most:
+            return False
+    return True
+
+
 def _drifts(memory: Memory, cell: int, limits: Limits) -> bool:
-    """End a second: return whether its mean differs from the first, or as before if it was not quiet."""
+    """End a quiet second: return whether its mean differs from the first, or as before if it has no mean."""
     state, active, first, _ = memory
-    readings, total, squares = state[_SUMS, cell], state[_SUMS + 1, cell], state[_SUMS + 2, cell]
+    readings, total = state[_SUMS, cell], state[_SUMS + 1, cell]
     state[_SUMS, cell] = state[_SUMS + 1, cell] = state[_SUMS + 2, cell] = 0
     drifting: bool = active[cell, _DRIFTING]
-    most, mean = _QUIET * readings, total / max(readings, 1)
-    quiet = readings >= _READINGS and readings * squares - total * total < most * most
-    if quiet and limits[0] < mean < limits[1]:
+    mean = total / max(readings, 1)
+    if readings >= _READINGS and limits[0] < mean < limits[1]:
         if isnan(first[cell]):
             first[cell] = mean
         drifting = abs(mean - first[cell]) > limits[2]

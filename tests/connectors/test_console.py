@@ -1,6 +1,7 @@
 import asyncio
 import io
 import json
+from dataclasses import replace
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -64,6 +65,13 @@ def test_each_change_of_a_fault_is_one_line(run: Run) -> None:
         "1970-01-01 00:00:01.000  finger 2  barometer 3 stuck begins",
         "1970-01-01 00:00:02.000  finger 2  barometer 3 stuck ends",
     ]
+
+
+def test_a_saturated_cell_is_at_its_limit_rather_than_faulty(run: Run) -> None:
+    saturated = replace(FAULTS, kind=np.full(2, FaultKind.SATURATED, np.int8))
+    first, _ = printed(io.StringIO(), run, saturated)
+    assert first == "1970-01-01 00:00:01.000  finger 2  barometer 3 range limit begins"
+    assert [each["event"] for each in objects(run, saturated)] == ["limit_begins", "limit_ends"]
 
 
 def test_a_terminal_gets_the_same_lines_in_colour(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,7 +36,7 @@ events = st.builds(
     consecutive=st.none() | st.integers(1, 1000),
     model=names,
     sha256=st.none() | st.text("0123456789abcdef", min_size=64, max_size=64),
-    degraded=st.lists(st.builds(Fault, st.integers(0, 5), names), max_size=3).map(tuple),
+    degraded=st.lists(st.builds(Fault, st.integers(0, 5), names | st.just("saturated")), max_size=3).map(tuple),
 )
 
 EVENT = Event(
@@ -96,6 +96,17 @@ def test_nan_and_infinity_become_null(number: float) -> None:
     assert is_valid(payload)
     assert Event.decode(payload).probability is None
     assert json.loads(encode({"deep": [{"x": number}]})) == {"deep": [{"x": None}]}
+
+
+@pytest.mark.parametrize(
+    ("kinds", "quality"),
+    [((), "good"), (("saturated",), "limited"), (("saturated", "stuck"), "degraded")],
+)
+def test_cells_at_the_end_of_their_range_limit_an_event_and_broken_ones_degrade_it(
+    kinds: tuple[str, ...], quality: str
+) -> None:
+    faults = tuple(Fault(cell, kind) for cell, kind in enumerate(kinds))
+    assert replace(EVENT, degraded=faults).quality == quality
 
 
 @pytest.mark.parametrize("path", READ, ids=str)
