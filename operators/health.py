@@ -37,9 +37,9 @@ class Health(Operator[Touch, Faults]):
     - saturated: raw counts at `floor` or below, or at `ceiling` or above, for `saturated_after`. Overload
       wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events have
       the quality `limited` rather than `degraded`. Not detected in zeroed counts.
-    - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second. The
-      seconds count from the first row. One is quiet if the standard deviation of every cell is below 1 count,
-      as in an unloaded fingertip but not in contact, where the arm vibrates. So the stream should start
+    - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second.
+      The seconds count from the first row. One is quiet if the standard deviation of every cell is below 1
+      count, as in an unloaded fingertip but not in contact, where the arm vibrates. So the stream should start
       unloaded, and drift in contact or next to a noisy cell is not detected. A perfectly constant load is
       reported as drift; so is a cell at its floor in zeroed counts.
 
@@ -76,7 +76,9 @@ class Health(Operator[Touch, Faults]):
     _state: Times = field(init=False, repr=False, compare=False)  # (10, cells), see `_examine`
     _active: Flags = field(init=False, repr=False, compare=False)  # (cells, 4) by kind
     _first: Reals = field(init=False, repr=False, compare=False)  # (cells,) mean of the first quiet second
-    _clock: Times = field(init=False, repr=False, compare=False)  # ns: newest row, age without pauses, first row
+    _clock: Times = field(
+        init=False, repr=False, compare=False
+    )  # ns: newest row, age without pauses, first row
     _limits: Times = field(init=False, repr=False, compare=False)  # ns
 
     def __post_init__(self) -> None:

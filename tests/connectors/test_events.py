@@ -36,7 +36,9 @@ events = st.builds(
     consecutive=st.none() | st.integers(1, 1000),
     model=names,
     sha256=st.none() | st.text("0123456789abcdef", min_size=64, max_size=64),
-    degraded=st.lists(st.builds(Fault, st.integers(0, 5), names | st.just("saturated")), max_size=3).map(tuple),
+    degraded=st.lists(st.builds(Fault, st.integers(0, 5), names | st.just("saturated")), max_size=3).map(
+        tuple
+    ),
 )
 
 EVENT = Event(
