@@ -39,9 +39,9 @@ class Health(Operator[Touch, Faults]):
       the quality `limited` rather than `degraded`. Not detected in zeroed counts.
     - drifting: the mean of a quiet second differs by more than `drift` from that of the first quiet second.
       The seconds count from the first row. One is quiet if the standard deviation of every cell is below 1
-      count, as in an unloaded fingertip but not in contact, where the arm vibrates. So the stream should start
-      unloaded, and drift in contact or next to a noisy cell is not detected. A perfectly constant load is
-      reported as drift; so is a cell at its floor in zeroed counts.
+      count, as in an unloaded fingertip but not in contact, where the arm vibrates. So the stream should
+      start unloaded, and drift in contact or next to a noisy cell is not detected. A perfectly constant load
+      is reported as drift; so is a cell at its floor in zeroed counts.
 
     All faults except drift end after `clear_after` without fault. A value above 0 merges the faults of a
     cell that is repeatedly pressed to the end of its range.
