@@ -16,11 +16,13 @@ from operators.errors import EndpointError, InputError, os_error_reason
 
 MiB: Final = 1 << 20  # bytes
 SCRATCH: Final = ".tmp"  # suffix of a file that is not complete
+LIMIT: Final = 512 * MiB  # bytes of a file that is read as a whole
 PARTIAL: Final = ".partial"  # suffix of an output that is not complete
 
 CHECK: Final = "check"  # last key of a JSON object: the sha256 of the others
 Put: TypeAlias = Callable[[Path, bytes], None]  # writes a whole file
 _OF_THE_PATH: Final = {EACCES, EISDIR, ELOOP, ENAMETOOLONG, ENOENT, ENOTDIR, EPERM}  # errors, not of the disk
+_NO_MEMORY: Final = "cannot be read: there is not enough memory"
 _SYNCED_AT_ONCE: Final = 8  # files that are synced concurrently: a disk batches them
 
 
@@ -186,7 +188,7 @@ def make_folder(path: Path, *, new: bool = False, parents: bool = False, mode: i
         raise
 
 
-def read(path: Path, limit: int = 1024 * MiB) -> bytes:
+def read(path: Path, limit: int = LIMIT) -> bytes:
     """Return the content of a file.
 
     Raises:
@@ -196,19 +198,20 @@ def read(path: Path, limit: int = 1024 * MiB) -> bytes:
     try:
         descriptor = open_file(path, follow=True)
         try:
-            data = read_at(descriptor, min(size_of(descriptor), limit) + 1, 0)
+            size = size_of(descriptor)
+            data = read_at(descriptor, size, 0) if size <= limit else b""
         finally:
             close(descriptor)
     except OSError as error:
         raise read_error(path, error) from error
     except MemoryError as error:
-        raise EndpointError(str(path), "cannot be read: there is not enough memory") from error
-    if len(data) > limit:
+        raise EndpointError(str(path), _NO_MEMORY) from error
+    if size > limit:
         raise InputError(str(path), f"is larger than {limit // MiB} MiB, the limit for such a file")
     return data
 
 
-def read_error(path: Path, error: OSError) -> InputError | EndpointError:
+def read_error(path: str | Path, error: OSError) -> InputError | EndpointError:
     """Return the error for a file that cannot be read: an InputError only if its path is the reason."""
     kind = InputError if error.errno in _OF_THE_PATH else EndpointError
     return kind(str(path), f"cannot be read: {os_error_reason(error)}")
@@ -222,6 +225,8 @@ def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
     """
     try:
         content: object = json.loads(read(path, limit), parse_constant=_reject_number)
+    except MemoryError as error:
+        raise EndpointError(str(path), _NO_MEMORY) from error
     except (ValueError, RecursionError) as error:
         raise InputError(str(path), f"is not valid JSON: {error}; correct it or restore a copy") from error
     if not isinstance(content, dict):

@@ -29,14 +29,13 @@ from operators.errors import InputError
 from operators.ports import Description
 from storage import append_log, files
 from storage.append_log import AppendLog, LogReader
-from storage.layout import JOURNAL, TABLE_OF, Table, segment_file, segments, single_log
+from storage.layout import JOURNAL, TABLE_OF, Table, files_of, may_exist, segment_file, segments, single_log
 
 VERSION: Final = 4  # of identity and records; other versions refuse the segment
 SINGLE: Final = -1  # number of the segment with the rows of single-file tables
 APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once
 MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
 
-_OLD: Final = b"SLIPWAL"  # start of the segments of earlier versions
 _HEAD: Final = Struct("<BhIQ")
 _KINDS: Final = tuple(TABLE_OF)  # the code of a record is the index of its batch type
 _CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
@@ -226,8 +225,7 @@ class SegmentReader(LogReader):
     def __init__(self, path: Path, session: str, number: int) -> None:
         super().__init__(path)
         try:
-            start = files.read_at(self._file, len(_OLD), 0)
-            whole = self.damage is None or start == _OLD
+            whole = self.damage is None
             self._kinds = _kinds(self.identity, str(path), session, number) if whole else {}
         except BaseException:
             self.close()
@@ -251,7 +249,11 @@ def delete_journal(folder: Path) -> None:
         OSError: some of it is left.
     """
     journal = folder / JOURNAL
-    for path in [*segments(folder).values(), single_log(folder), *journal.glob("*" + files.SCRATCH)]:
+    for path in [
+        *segments(folder).values(),
+        single_log(folder),
+        *files_of(folder, f"{JOURNAL}/*{files.SCRATCH}"),
+    ]:
         files.unlink(path)
     files.remove_folder(journal)
     files.sync(folder)
@@ -265,8 +267,8 @@ def missing_segments(folder: Path, about: Description) -> list[str]:
         return [f"{JOURNAL}: has no segment: the newest rows are lost"] if expected else []
     gaps = sorted(set(range(numbers[0], numbers[-1])) - set(numbers))
     lost = [segment_file(number) for number in gaps]
-    if not single_log(folder).exists() and "end_ns" not in about:  # it is created before all others
-        lost.append(single_log(folder).relative_to(folder.resolve()).as_posix())
+    if not may_exist(single_log(folder)) and "end_ns" not in about:  # it is created before all others
+        lost.append(single_log(folder).relative_to(folder).as_posix())
     return [f"{path}: is missing, with its rows" for path in lost]
 
 
@@ -326,10 +328,7 @@ def _decode(record: bytes, kinds: dict[int, type[Batch]], where: str) -> Numbere
 
 
 def _kinds(content: bytes, where: str, session: str, number: int) -> dict[int, type[Batch]]:
-    """Return the batch types of a segment by their codes; earlier versions had no identity."""
-    if not content:
-        reason = f"was written by an earlier slipflow, this one reads version {VERSION}"
-        raise InputError(where, f"{reason}: recover it with the software named in session.json")
+    """Return the batch types of a segment by their codes."""
     try:
         about: Any = json.loads(content)
         version, own, kinds = (

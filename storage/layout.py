@@ -21,6 +21,8 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from errno import ELOOP, ENOENT, ENOTDIR
+from fnmatch import fnmatch
 from itertools import takewhile
 from pathlib import Path
 from types import MappingProxyType
@@ -41,7 +43,7 @@ from operators.batch import (
     columns,
 )
 from operators.errors import InputError, ParameterError, os_error_reason
-from storage.files import SCRATCH
+from storage.files import read_error
 
 DATASET: Final = "dataset.json"
 SESSIONS: Final = "sessions"
@@ -154,18 +156,35 @@ def names_without_description(root: Path) -> list[str]:
 def lacks_description(folder: Path) -> bool:
     """Return true if a folder has the files of a session, but no session.json."""
     patterns = (MANIFEST, "journal/*.wal", *(table.pattern for table in TABLES))
-    return not may_exist(folder / SESSION) and any(any(folder.glob(each)) for each in patterns)
+    return not may_exist(folder / SESSION) and any(files_of(folder, each) for each in patterns)
 
 
 def may_exist(path: Path) -> bool:
     """Return true if a file exists, or its existence is unknown: reading it then reports the reason."""
     try:
         path.stat()
-    except PermissionError:
-        return True
-    except OSError:
-        return False
+    except OSError as error:
+        return error.errno not in {ENOENT, ENOTDIR, ELOOP}
     return True
+
+
+def files_of(folder: Path, pattern: str) -> list[Path]:
+    """Return the files that match a pattern such as ``touch/part-*.parquet``, sorted; [] without its folder.
+
+    `Path.glob` ignores some errors, which would make existing files missing ones.
+
+    Raises:
+        InputError: if the folder may not be read.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
+    """
+    base, _, name = pattern.rpartition("/")
+    try:
+        names = [path.name for path in (folder / base).iterdir()]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise read_error(folder / base, error) from error
+    return [folder / base / each for each in sorted(names) if fnmatch(each, name)]
 
 
 def _session_folders(root: Path) -> list[Path]:
@@ -184,10 +203,10 @@ def segments(folder: Path) -> dict[int, Path]:
     """Return the segments of a journal by number, in order; none if there is no journal.
 
     Raises:
-        InputError: if a link leads out of the session.
+        SlipflowError: as `files_of`.
     """
-    found = (path for path in (folder / JOURNAL).glob("*.wal") if _SEGMENT.fullmatch(path.name))
-    return dict(sorted((int(path.stem), inside(folder, path)) for path in found))
+    found = (path for path in files_of(folder, f"{JOURNAL}/*.wal") if _SEGMENT.fullmatch(path.name))
+    return dict(sorted((int(path.stem), path) for path in found))
 
 
 def segment_file(number: int) -> str:
@@ -200,25 +219,27 @@ def segment_file(number: int) -> str:
 
 
 def single_log(folder: Path) -> Path:
-    """Return the path of the journal segment with the rows of single-file tables.
-
-    Raises:
-        InputError: if a link leads out of the session.
-    """
-    return inside(folder, folder / JOURNAL / "single.wal")
+    """Return the path of the journal segment with the rows of single-file tables."""
+    return folder / JOURNAL / "single.wal"
 
 
 def check_links(folder: Path) -> None:
-    """Check that no link in the folder of a session leads out of it; temporary files are never followed.
+    """Check that the folder of a session contains no link, which could lead out of it or to another table.
 
     Raises:
-        InputError: if one does.
+        InputError: if it does, or may not be read.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
-    for base, folders, names in os.walk(folder):
+
+    def fail(error: OSError) -> None:
+        if not isinstance(error, FileNotFoundError):  # a recorder deletes its journal meanwhile
+            raise read_error(error.filename, error) from error
+
+    for base, folders, names in os.walk(folder, onerror=fail):
         for name in (*folders, *names):
             path = Path(base, name)
-            if path.suffix != SCRATCH and os.path.islink(path):  # noqa: PTH114 - false if access is denied
-                inside(folder, path)
+            if os.path.islink(path):  # noqa: PTH114 - false if access is denied
+                raise InputError(str(path), "is a link, a session has none: replace it by the files")
 
 
 def inside(folder: Path, path: Path) -> Path:

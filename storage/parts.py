@@ -11,12 +11,12 @@ from typing import Any, Final, cast
 from operators.errors import EndpointError, InputError
 from storage import files
 from storage.arrow import pa, pq
-from storage.layout import Table, inside
+from storage.layout import Table
 from storage.manifest import Part
 from storage.parquet_pages import declared_sizes
 from storage.schema import flat, schema
 
-UNPACKED_LIMIT: Final = 512 * files.MiB  # bytes of the rows of one file
+UNPACKED_LIMIT: Final = files.LIMIT  # bytes of the rows of one file
 
 
 def write_part(path: Path, table: pa.Table, put: files.Put = files.put) -> str:
@@ -55,9 +55,8 @@ def commit_part(
 
     Raises:
         OSError: if it cannot be written; the file is then missing or complete.
-        InputError: if a link leads out of the session.
     """
-    return manifest_entry(path, table, write_part(inside(folder, folder / path), table, put))
+    return manifest_entry(path, table, write_part(folder / path, table, put))
 
 
 def manifest_entry(path: str, table: pa.Table, sha256: str) -> Part:
@@ -81,9 +80,9 @@ def inspect_part(folder: Path, path: str, table: Table) -> Part:
     """Read a file of a session and return its manifest entry.
 
     Raises:
-        InputError: as `read_part`, or if a link leads out of the session.
+        InputError: as `read_part`.
     """
-    file = inside(folder, folder / path)
+    file = folder / path
     sha256 = hash_part(file)
     return manifest_entry(path, read_part(file, schema(table), sha256), sha256)
 
@@ -131,7 +130,7 @@ def without_copies(folder: Path, paths: Iterable[str], listed: Mapping[str, Part
     for path in paths:
         if path not in listed:
             with suppress(InputError):  # reported when it is read
-                sha256 = hash_part(inside(folder, folder / path))
+                sha256 = hash_part(folder / path)
                 if sha256 in seen:
                     continue
                 seen.add(sha256)

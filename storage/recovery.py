@@ -17,7 +17,19 @@ from storage.arrow import pa
 from storage.buffer import Buffer
 from storage.description import describe_recovery, read_session
 from storage.journal import SINGLE, SegmentReader, delete_journal, missing_segments
-from storage.layout import DAMAGED, JOURNAL, MANIFEST, TABLES, TOUCH, Table, check_links, segments, single_log
+from storage.layout import (
+    DAMAGED,
+    JOURNAL,
+    MANIFEST,
+    TABLES,
+    TOUCH,
+    Table,
+    check_links,
+    files_of,
+    may_exist,
+    segments,
+    single_log,
+)
 from storage.lock import lock
 from storage.manifest import (
     Part,
@@ -68,8 +80,8 @@ def recover(folder: str | Path) -> Recovery:
         folder: Folder of the session.
 
     Raises:
-        InputError: if it is not a session, its journal has another version, or a link leads out of it;
-            nothing is changed then.
+        InputError: if it is not a session, its journal has another version, or it contains a link; nothing
+            is changed then.
         EndpointError: if it is being recorded, cannot be written, or the disk fails.
     """
     folder = Path(folder)
@@ -110,7 +122,7 @@ class Repair:
         adopted: Complete files that are not in the manifest.
 
     Raises:
-        InputError: if the journal has another version, or a link leads out of the session.
+        InputError: if the journal has another version.
     """
 
     def __init__(self, folder: Path, about: Description) -> None:
@@ -126,7 +138,7 @@ class Repair:
         self._unreadable: set[str] = set()  # files of tables
         self._aside: list[Path] = []  # files to be moved to `damaged`
         self._listed = dict[str, Part]()  # of the manifest, by path
-        self._rewrite = not (folder / MANIFEST).exists()
+        self._rewrite = not may_exist(folder / MANIFEST)
         try:
             self._listed |= read_manifest(folder)
         except InputError:
@@ -135,7 +147,7 @@ class Repair:
         self._parts = {table.name: self._find_parts(table) for table in TABLES}
         self._logs, single = segments(folder), single_log(folder)
         self._newest = [next(reversed(self._logs.values()), None), single]
-        self._logs |= {SINGLE: single} if single.exists() else {}
+        self._logs |= {SINGLE: single} if may_exist(single) else {}
         self._rows = Counter[str]()  # that the journal adds, by table
         self._left_out = Counter[str]()  # rows of the journal that do not follow, by table
         self._empty = list[Table]()  # single-file tables without rows whose file is still missing
@@ -177,7 +189,9 @@ class Repair:
     def _find_parts(self, table: Table) -> list[Part]:
         """Return the listed parts of a table and the unlisted complete ones."""
         parts = self._listed_of(table)
-        existing = {path.relative_to(self._folder).as_posix() for path in self._folder.glob(table.pattern)}
+        existing = {
+            path.relative_to(self._folder).as_posix() for path in files_of(self._folder, table.pattern)
+        }
         for path in sorted(existing - {part.path for part in parts}, key=part_number):
             try:
                 part = inspect_part(self._folder, path, table)
@@ -329,32 +343,38 @@ class Repair:
             return False
 
     def _keep_manifest(self) -> None:
-        """Copy a damaged manifest to `damaged` before it is rewritten."""
+        """Move a damaged manifest to `damaged` before it is rewritten."""
         path = self._folder / MANIFEST
-        if self._rewrite and path.exists():
+        if self._rewrite and may_exist(path):
             files.make_folder(self._folder / DAMAGED)
-            files.put(self._folder / DAMAGED / MANIFEST, files.read(path))
+            files.rename(path, self._folder / DAMAGED / MANIFEST)
+            files.sync(self._folder / DAMAGED)
 
     def _clean_up(self) -> list[str]:
         """Delete temporary files and the journal, move files to `damaged`; return lines for `done`."""
         deleted = 0
-        for pattern in ("*", "*/*"):
-            for path in self._folder.glob(pattern + files.SCRATCH):
-                if path.parent.name != JOURNAL:
-                    files.unlink(path)
-                    deleted += 1
+        for path in scratch_files(self._folder):
+            files.unlink(path)
+            deleted += 1
         if self._aside:
             files.make_folder(self._folder / DAMAGED)
         kept = {part.path for part in self._all_parts()}
         for path in self._aside:
             name = path.relative_to(self._folder).as_posix()
-            if path.exists() and name not in kept:
+            if may_exist(path) and name not in kept:
                 files.rename(path, self._folder / DAMAGED / name.replace("/", "-"))
         if self._aside:
             files.sync(self._folder / DAMAGED)
         if (self._folder / JOURNAL).is_dir():
             delete_journal(self._folder)
         return [f"{deleted} incomplete files were deleted"] if deleted else []
+
+
+def scratch_files(folder: Path) -> list[Path]:
+    """Return the temporary files that a killed process has left in a session, except in its journal."""
+    patterns = "*", *(f"{table.name}/*" for table in TABLES if table.parted)
+    found = (path for each in patterns for path in files_of(folder, each + files.SCRATCH))
+    return [path for path in found if not path.is_dir()]
 
 
 def _count(parts: Iterable[Part]) -> int:

@@ -23,6 +23,7 @@ from storage.layout import (
     TABLES,
     Table,
     check_links,
+    files_of,
     inside,
     may_exist,
     session_folder,
@@ -91,7 +92,8 @@ class Session:
         A session whose recorder was killed is recovered first; see `storage.recover`.
 
         Raises:
-            InputError: if there is no session or several, or its description or manifest is damaged.
+            InputError: if there is no session or several, it contains a link, or its description or manifest
+                is damaged.
         """
         folder = Path(path)
         if not may_exist(folder / SESSION):
@@ -215,9 +217,9 @@ class Session:
     def _paths(self, table: Table) -> list[str]:
         """Return the files of a table, including missing ones that are listed."""
         listed = {path for path in self.listed if table.has(path)}
-        if (self.folder / JOURNAL).exists():  # the journal may still have the rows of unlisted files
+        if may_exist(self.folder / JOURNAL):  # the journal may still have the rows of unlisted files
             return sorted(listed, key=_numbered)
-        existing = {path.relative_to(self.folder).as_posix() for path in self.folder.glob(table.pattern)}
+        existing = {path.relative_to(self.folder).as_posix() for path in files_of(self.folder, table.pattern)}
         paths = [table.file(number) for number in range(len(existing))]
         if self.listed:
             paths = sorted(existing | listed, key=_numbered)

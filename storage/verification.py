@@ -28,7 +28,7 @@ from storage.layout import (
 )
 from storage.lock import locked
 from storage.manifest import Part, read_manifest
-from storage.recovery import Repair
+from storage.recovery import Repair, scratch_files
 
 Weight = Literal["note", "repairable", "repaired", "lossy", "lost"]
 Progress = Callable[[int, int, str], object]  # files done, total files, session
@@ -124,13 +124,13 @@ def verify(path: str | Path, progress: Progress = lambda _done, _total, _session
         except InputError as error:
             findings.append(Finding("", "lost", str(error)))
         names = sorted([*session_names(root), *names_without_description(root)])
-        folders = [inside(root, root / SESSIONS / name) for name in names]
+        folders = [root / SESSIONS / name for name in names]
         if findings and not folders:
             reason = f"is not a session (no {SESSION}) and not a dataset (no {DATASET})"
             raise InputError(str(root), reason)
         if not folders:
             findings.append(Finding("", "lossy", "has no session: none was recorded, or they are missing"))
-    checks = [_SessionCheck(folder) for folder in folders]
+    checks = [_SessionCheck(root, folder) for folder in folders]
     done, total = 0, sum(len(check.listed) for check in checks)
     for check in checks:
         for _ in check.run():
@@ -162,15 +162,18 @@ class _SessionCheck:
         listed: Parts in the manifest, by path.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.name = folder, folder.resolve().name
+    def __init__(self, root: Path, folder: Path) -> None:
+        self.folder, self.name = folder, (folder.resolve() if folder == root else folder).name
         self.findings: list[Finding] = []
         self.read: dict[str, int] = {}
-        self.recording = locked(folder)
+        self.recording = False
         self.listed: dict[str, Part] = {}
         self.about: Description = {}  # session.json, if it can be read
+        self._has_links = True
         try:
-            check_links(folder)
+            check_links(inside(root, folder))
+            self._has_links = False
+            self.recording = locked(folder)
             self.listed = read_manifest(folder)
         except InputError as error:
             self._add("lost", str(error))
@@ -186,9 +189,7 @@ class _SessionCheck:
             self._add("lost", str(unreadable))
 
     def _check_all(self) -> Iterator[None]:
-        try:
-            check_links(self.folder)
-        except InputError:  # reported already
+        if self._has_links:  # reported already
             return
         self._check_description()
         for path, part in self.listed.items():
@@ -251,7 +252,7 @@ class _SessionCheck:
             InputError: if it is damaged.
         """
         table = _table(path)
-        rows = parts.read_part(inside(self.folder, self.folder / path), schema.schema(table), part.sha256)
+        rows = parts.read_part(self.folder / path, schema.schema(table), part.sha256)
         if parts.manifest_entry(path, rows, part.sha256) != part:
             raise InputError(str(self.folder / path), "has other rows or times than in the manifest")
         if table is SAMPLES:
@@ -262,13 +263,13 @@ class _SessionCheck:
 
     def _check_rest(self) -> None:
         """Check what a recovery would find: the journal, unlisted files and missing ones."""
-        if (self.folder / DAMAGED).exists():
+        if may_exist(self.folder / DAMAGED):
             self._add("repaired", f"has a folder {DAMAGED!r}, with files that a recovery moved there")
         if self.recording:
             return
-        if (self.folder / JOURNAL).exists():
+        if may_exist(self.folder / JOURNAL):
             self._add("repairable", "has a journal: slipflow recover turns it into parts")
-        if not (self.folder / MANIFEST).exists():
+        if not may_exist(self.folder / MANIFEST):
             self._add("repairable", f"has no {MANIFEST}: slipflow recover rewrites it")
         try:
             repair = Repair(self.folder, self.about or {"session": self.name, "end_ns": 0})
@@ -279,7 +280,7 @@ class _SessionCheck:
             self._add("lossy" if text in repair.cut else "lost", text)
         for text in (*repair.done, *(f"{path} is not in the manifest" for path in repair.adopted)):
             self._add("repairable", f"{text}: slipflow recover repairs this")
-        for path in (*self.folder.glob("*" + files.SCRATCH), *self.folder.glob("*/*" + files.SCRATCH)):
+        for path in scratch_files(self.folder):
             self._add("note", f"{path.name} was left over: slipflow recover deletes it")
 
 

@@ -11,6 +11,7 @@ from storage.layout import (
     TABLE_OF,
     TABLES,
     inside,
+    may_exist,
     names_without_description,
     new_session_folder,
     session_folder,
@@ -91,6 +92,19 @@ def hidden(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_session_that_may_not_be_looked_into_is_not_passed_over(hidden: Path) -> None:
     assert session_names(hidden) == ["one"]
     assert names_without_description(hidden) == []
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ENOMEM])
+def test_a_file_is_missing_only_if_the_system_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    assert not may_exist(tmp_path / "missing")
+
+    def stat(path: Path) -> os.stat_result:
+        raise OSError(number, os.strerror(number), str(path))
+
+    monkeypatch.setattr(Path, "stat", stat)
+    assert may_exist(tmp_path / "missing")
 
 
 def test_sessions_that_may_not_be_looked_for_are_an_error(

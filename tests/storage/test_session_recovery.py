@@ -1,10 +1,14 @@
+import errno
+import os
+from collections.abc import Callable
 from pathlib import Path
 from shutil import copyfile, copytree, rmtree
+from typing import Any
 
 import pytest
 
 from operators.batch import Slips, Touch, Zeroed, concat, ms
-from operators.errors import InputError
+from operators.errors import InputError, SlipflowError
 from storage import Session, recover, verify
 from storage.append_log import AppendLog
 from storage.journal import identity
@@ -37,13 +41,15 @@ def test_a_part_that_was_not_listed_yet_is_listed_and_its_rows_are_there_once(
     assert rows(left, BATCHES) == [25] * 5
 
 
-@pytest.mark.parametrize("damage", ["lost", "flipped"])
+@pytest.mark.parametrize("damage", ["lost", "flipped", "pipe"])
 def test_a_missing_manifest_is_rewritten_from_whole_parts(left: Path, damage: str) -> None:
     path = left / "MANIFEST.json"
     listed = read_manifest(left)
-    if damage == "lost":
+    if damage != "flipped":
         path.unlink()
-    else:
+    if damage == "pipe":
+        os.mkfifo(path)
+    if damage == "flipped":
         text = path.read_text().replace('"rows": 20', '"rows": 21', 1)
         assert text != path.read_text()
         path.write_text(text)
@@ -214,22 +220,29 @@ def test_zeroed_counts_are_said_to_be_zeroed(tmp_path: Path) -> None:
     assert [type(batch) for batch in session.read(Touch, 0)] == [Zeroed]
 
 
-def test_leftovers_go_and_nothing_outside_is_touched(left: Path, tmp_path: Path) -> None:
-    (tmp_path / "mine.tmp").write_text("mine")
+def test_temporary_files_are_deleted_and_folders_kept(left: Path) -> None:
     (left / "touch/part-000009.parquet.tmp").write_text("half")
-    (left / "MANIFEST.json.tmp").symlink_to(tmp_path / "mine.tmp")
+    (left / "MANIFEST.json.tmp").write_text("half")
+    (left / "mine.tmp").mkdir()
     recover(left)
-    assert list(left.rglob("*.tmp")) == []
-    assert (tmp_path / "mine.tmp").read_text() == "mine"
+    assert list(left.rglob("*.tmp")) == [left / "mine.tmp"]
+    assert not recover(left).changed
 
 
 @pytest.mark.parametrize(
     "name",
-    ["damaged", "touch", "journal", "journal/000007.wal", "slips.parquet", "faults.parquet", "MANIFEST.json"],
+    [
+        "damaged",
+        "touch",
+        "journal",
+        "journal/000007.wal",
+        "slips.parquet",
+        "faults.parquet",
+        "MANIFEST.json",
+        "part.tmp",
+    ],
 )
-def test_a_link_out_of_the_session_is_refused_and_nothing_is_changed(
-    left: Path, tmp_path: Path, name: str
-) -> None:
+def test_a_link_is_refused_and_nothing_is_changed(left: Path, tmp_path: Path, name: str) -> None:
     mine = tmp_path / "mine"
     mine.mkdir()
     for each in ("MANIFEST.json", "part-000000.parquet", "000007.wal"):
@@ -239,12 +252,46 @@ def test_a_link_out_of_the_session_is_refused_and_nothing_is_changed(
     (left / "MANIFEST.json.tmp").write_text("half")
     (left / name).symlink_to(mine if "." not in name else mine / Path(name).name)
     for use in (recover, Session.open):
-        with pytest.raises(InputError, match="leads out of"):
+        with pytest.raises(InputError, match="is a link, a session has none"):
             use(left)
     found = verify(left)
-    assert (found.code, "leads out of" in found.findings[-1].text) == (1, True)
+    assert (found.code, "is a link" in found.findings[-1].text) == (1, True)
     assert [path.read_text() for path in mine.iterdir()] == ["mine"] * 3
     assert (left / "MANIFEST.json.tmp").exists()
+
+
+@pytest.mark.parametrize(("link", "target"), [("motion", "touch"), ("slips.parquet", "slips.parquet")])
+def test_a_link_to_another_table_or_a_loop_is_refused(left: Path, link: str, target: str) -> None:
+    rmtree(left / "motion")  # its rows would be committed into the other table
+    before = (left / "touch/part-000000.parquet").read_bytes()
+    (left / link).symlink_to(target)
+    for use in (recover, Session.open):
+        with pytest.raises(InputError, match="is a link, a session has none"):
+            use(left)
+    assert verify(left).code == 1
+    assert (left / "touch/part-000000.parquet").read_bytes() == before
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.ENOMEM, errno.EMFILE])
+@pytest.mark.parametrize("folder", ["journal", "touch", ""])
+def test_a_folder_that_cannot_be_listed_is_an_error_and_nothing_is_changed(
+    left: Path, monkeypatch: pytest.MonkeyPatch, folder: str, number: int
+) -> None:
+    before = {path: path.stat().st_mtime_ns for path in left.rglob("*")}
+    with monkeypatch.context() as patch:
+        for name in ("listdir", "scandir"):
+            real = getattr(os, name)
+
+            def fail(path: str | Path, real: Callable[[str | Path], Any] = real) -> Any:  # noqa: ANN401
+                if Path(path) == left / folder:
+                    raise OSError(number, os.strerror(number), str(path))
+                return real(path)
+
+            patch.setattr(os, name, fail)
+        with pytest.raises(SlipflowError, match=f"cannot be read: {os.strerror(number)}"):
+            recover(left)
+    assert {path: path.stat().st_mtime_ns for path in left.rglob("*")} == before
+    assert rows(left, BATCHES) == [25] * 5
 
 
 def test_a_flipped_bit_in_the_journal_never_gives_a_wrong_row(left: Path, tmp_path: Path) -> None:
