@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from operators.batch import Clocks, Episodes, Faults, Labelled, Motion, Slips, Touch, Truth, s
-from operators.checks import check_at_least
+from operators.checks import check_at_least, check_between
 from operators.errors import EndpointError
 from operators.ports import Run, Sink
 from storage import arrow
@@ -14,6 +14,7 @@ from storage.writer import SessionWriter
 
 Recordable: TypeAlias = Touch | Motion | Labelled | Slips | Faults | Clocks | Episodes | Truth
 
+PART_ROWS_MAX: Final = 1_000_000  # below the limit of readers
 APPEND_INTERVAL: Final = 0.05  # s; a row waits no longer for the journal
 SYNC_INTERVAL: Final = 0.2  # s, from the end of an fsync of the journal to the next
 
@@ -42,7 +43,7 @@ class Dataset(Sink[Recordable]):
         host: Name of the machine in session.json; default: its host name.
 
     Raises:
-        ParameterError: if `part_span` or `part_rows` is below 1.
+        ParameterError: if `part_span` is below 1, or `part_rows` is not from 1 to 1,000,000.
     """
 
     shared = True
@@ -52,7 +53,7 @@ class Dataset(Sink[Recordable]):
         self, path: str | Path, *, part_span: int = 60 * s, part_rows: int = 100_000, host: str | None = None
     ) -> None:
         check_at_least("Dataset", "part_span", part_span, 1)
-        check_at_least("Dataset", "part_rows", part_rows, 1)
+        check_between("Dataset", "part_rows", part_rows, 1, PART_ROWS_MAX)
         self._root = Path(path).resolve()
         self._part_span, self._part_rows, self._host = part_span, part_rows, host
         self._writer: SessionWriter | None = None

@@ -15,7 +15,7 @@ from connectors.fields import Fields
 from connectors.mqtt.broker import Broker, Message
 from connectors.mqtt.gap_replay import GapAnswer, GapRequest
 from connectors.mqtt.position import Position, RigId, load, lock_position, read_heads
-from connectors.mqtt.rig_names import is_replay, is_topic_level, rig_topic
+from connectors.mqtt.rig_names import NAME_MAX, is_replay, is_topic_level, rig_topic
 from operators.back_off import BackOff
 from operators.checks import check_choice
 from operators.errors import EndpointError, InputError, SlipflowError, os_error_reason
@@ -144,13 +144,15 @@ class Consumer(AsyncIterator[Event]):
         """Process a message; return its event if the event is new."""
         _, _, site, rig, *rest = topic.split("/")
         if not (topic.isprintable() and is_topic_level(site) and is_topic_level(rig)):
-            raise InputError(ascii(topic), "site and rig of a topic must be printable text, and not empty")
+            reason = f"site and rig of a topic must be printable text of 1 to {NAME_MAX} characters"
+            raise InputError(f"{topic!a:.200}", reason)
         if is_replay(rig) and not self._with_replays:
             return None
         fields, reply = Fields.parse(payload, topic), ["replay", self._reply_name]
         self._changed = True
         if rest == ["head"]:
-            self._report_lost(self._position.announce((site, rig), read_heads(fields)))
+            lost = self._position.announce((site, rig), read_heads(fields))
+            self._report_lost([*lost, *self._position.give_up()])
         elif rest == reply and "specversion" not in fields.values:
             self._settle((site, rig), GapAnswer.read(fields))
         else:

@@ -32,7 +32,6 @@ from storage.lock import lock
 
 log = logging.getLogger("slipflow")
 
-OLD: Final = "is a file, not an outbox of this version, which is a folder"
 IDENTITY: Final = b"slipflow outbox 1"
 SEGMENT_EVENTS = 1000  # events of a segment; older segments are deleted as a whole
 SEGMENT_SPAN = 86400.0  # s, from the first to the last event of a segment
@@ -222,7 +221,7 @@ class OutboxLog:
 
     def _lock_folder(self) -> None:
         if self.path.is_file():
-            raise InputError(str(self.path), f"{OLD}: name another outbox, or move the file away")
+            raise InputError(str(self.path), "is a file, must be a folder: name another outbox")
         files.make_folder(self.path, parents=True, mode=0o700)
         self._lock = lock(self.path)
         if self._lock is None:

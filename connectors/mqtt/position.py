@@ -1,6 +1,6 @@
 """Position of a consumer: received and missed slip events, in memory or in a file.
 
-Only `lock_position`, `load` and `save` do I/O.
+Only `lock_position` and `load` do I/O.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,6 @@ from connectors.events import Event, encode
 from connectors.fields import Fields
 from connectors.mqtt.gap_replay import GapAnswer
 from connectors.mqtt.range_set import RangeSet
-from connectors.mqtt.rig_names import is_topic_level
 from operators.errors import EndpointError, InputError, os_error_reason
 from operators.ports import Json
 from storage.files import read
@@ -22,7 +21,7 @@ RigId: TypeAlias = tuple[str, str]  # site and rig
 
 FORMAT = 1
 FILE_MAX = 16 * 2**20  # bytes
-RIGS_MAX = 1000  # beyond it, the rig that was added first is dropped
+RIGS_MAX = 1000  # beyond it, the rig that was added first is forgotten
 EPOCHS_MAX = 128  # per rig; beyond it, the first is dropped
 GAPS_MAX = 1000  # per epoch; beyond it, the first gap is given up
 
@@ -66,7 +65,7 @@ class Position:
         """Mark an event as received; return False if it already was."""
         rig, epochs = (event.site, event.rig), self._rigs.get((event.site, event.rig))
         if epochs is None:
-            epochs = self._add(rig)
+            epochs = self._rigs[rig] = {}
             if not self._everything:
                 epochs.setdefault(event.epoch, _Epoch()).seen.add(1, event.seq - 1)
         epoch = self._epoch(epochs, event.epoch)
@@ -82,7 +81,7 @@ class Position:
         known number of an earlier epoch. The gaps of epochs that are no longer kept are closed and reported
         as lost; the epochs stay known, so that an older head does not bring them back.
         """
-        epochs = self._rigs.get(rig) or self._add(rig)
+        epochs = self._rigs.setdefault(rig, {})
         newest = next((name for name in reversed(epochs) if epochs[name].announced), None)
         current, last = list(heads.items())[-1]
         known = epochs[current].head if current in epochs else -1
@@ -130,8 +129,10 @@ class Position:
                     break
 
     def give_up(self) -> list[str]:
-        """Give up the oldest gaps of an epoch that has too many, and report them as lost."""
+        """Forget the first rigs and give up the oldest gaps if there are too many; report both."""
         lost = list[str]()
+        while len(self._rigs) > RIGS_MAX:
+            lost.append(self._forget(f"there are more than {RIGS_MAX} rigs"))
         for rig, epochs in self._rigs.items():
             for name, epoch in epochs.items():
                 while len(epoch.seen) > GAPS_MAX:
@@ -146,9 +147,7 @@ class Position:
         """Return the position as JSON of at most `FILE_MAX` bytes; report the rigs forgotten for it."""
         forgotten = list[str]()
         while len(payload := self.encode()) > FILE_MAX:
-            rig = next(iter(self._rigs))
-            del self._rigs[rig]
-            forgotten.append(f"{'/'.join(rig)}: position forgotten, because the file would be too large")
+            forgotten.append(self._forget("the file would be too large"))
         return payload, forgotten
 
     def encode(self) -> bytes:
@@ -178,14 +177,14 @@ class Position:
         for rig in fields.objects("rigs"):
             epoch = _Epoch(RangeSet(rig.ranges("seen")), rig.integer("head", -1))
             name = rig.text("site"), rig.text("rig")
-            if all(map(is_topic_level, name)):  # earlier versions stored any
-                position._rigs.setdefault(name, {})[rig.text("epoch")] = epoch
+            position._rigs.setdefault(name, {})[rig.text("epoch")] = epoch
         return position
 
-    def _add(self, rig: RigId) -> dict[str, _Epoch]:
-        while len(self._rigs) >= RIGS_MAX:
-            del self._rigs[next(iter(self._rigs))]
-        return self._rigs.setdefault(rig, {})
+    def _forget(self, why: str) -> str:
+        """Forget the rig that was added first, and report it."""
+        rig = next(iter(self._rigs))
+        del self._rigs[rig]
+        return f"{'/'.join(rig)}: position forgotten, because {why}"
 
     def _epoch(self, epochs: dict[str, _Epoch], name: str) -> _Epoch:
         if name not in epochs:

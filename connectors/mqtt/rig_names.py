@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote
 
-from operators.errors import InputError, ParameterError
+from operators.errors import ParameterError
 from operators.ports import Run
 
 SUFFIX: Final = "-replay"  # suffix of the rig name in replays; live rigs may not use it
-_NAME_MAX: Final = 200  # characters; file names are limited to 255 bytes
+NAME_MAX: Final = 64  # characters of a site or a rig, so that all topics below them fit
+_FILE_NAME_MAX: Final = 200  # bytes; the limit of file systems is 255
 
 
 def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -> str:
@@ -24,7 +25,8 @@ def rig_topic(owner: str, site: str, rig: str, *, wildcard: str | None = None) -
     """
     for name, part in ("site", site), ("rig", rig):
         if part != wildcard and not is_topic_level(part):
-            raise ParameterError(owner, name, part, "printable text without '/', '+' and '#'")
+            must_be = f"printable text of at most {NAME_MAX} characters without '/', '+' and '#'"
+            raise ParameterError(owner, name, part, must_be)
     return f"slip/v1/{site}/{rig}"
 
 
@@ -34,7 +36,7 @@ def is_topic_level(name: str) -> bool:
     >>> is_topic_level("ur10"), is_topic_level(""), is_topic_level("a/b")
     (True, False, False)
     """
-    return name != "" and name.isprintable() and not set(name) & set("/+#")
+    return 0 < len(name) <= NAME_MAX and name.isprintable() and not set(name) & set("/+#")
 
 
 def replay_name(rig: str) -> str:
@@ -77,18 +79,11 @@ def outbox_path(site: str, rig: str) -> Path:
 
     >>> outbox_path("a-b", "../c").name
     'a%2Db-..%2Fc.outbox'
-
-    Raises:
-        InputError: if there is a file in the format of earlier versions.
     """
     name = "-".join(quote(part, safe="").replace("-", "%2D") for part in (site, rig))
-    if len(name) > _NAME_MAX:
+    if len(name) > _FILE_NAME_MAX:
         name = sha256(name.encode()).hexdigest()
     state = Path(os.environ.get("XDG_STATE_HOME", ""))
     if not state.is_absolute():
         state = Path.home() / ".local" / "state"
-    path = state / "slipflow" / f"{name}.outbox"
-    if (old := path.with_suffix(".sqlite")).exists():
-        reason = "is an outbox of an earlier version: send its events with that version, then delete the file"
-        raise InputError(str(old), reason)
-    return path
+    return state / "slipflow" / f"{name}.outbox"

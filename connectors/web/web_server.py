@@ -97,7 +97,7 @@ class WebServer:
             EndpointError: if the server cannot listen on its address.
         """
         limit = min(CONNECTIONS_MAX, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // _DESCRIPTORS)
-        self._limit = max(1, limit // 2)  # of connections with access, and of those without
+        self._limit = max(2, limit // 2)  # of connections with access, and of those without
         files = await asyncio.to_thread(_read_files, self._files) if self._files else {}
         self._locked = files.pop(_LOCKED, (b"", ""))[0]
         app = web.Application(middlewares=[self._admit])
@@ -134,12 +134,13 @@ class WebServer:
 
     async def _listen(self) -> asyncio.Server:
         listen = asyncio.get_running_loop().create_server
+        backlog = min(_BACKLOG, self._limit - 1)  # so that those to be closed are from an earlier turn: open
         try:
-            return await listen(self._connection, self._host, self._port, backlog=_BACKLOG)
+            return await listen(self._connection, self._host, self._port, backlog=backlog)
         except OSError as error:
             if not self._any_port or error.errno != errno.EADDRINUSE:
                 raise
-            return await listen(self._connection, self._host, 0, backlog=_BACKLOG)
+            return await listen(self._connection, self._host, 0, backlog=backlog)
 
     def _connection(self) -> web.RequestHandler:
         """Return the protocol of a new connection."""

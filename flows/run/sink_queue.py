@@ -42,6 +42,7 @@ class SinkQueue:
         self._write_start: float | None = None  # loop time, s; None: no write in progress
         self._dropped_before = 0  # rows, before the current failure
         self._task: asyncio.Task[None] | None = None
+        self._cancelling: asyncio.TimerHandle | None = None
 
     @property
     def backlog(self) -> str:
@@ -89,11 +90,11 @@ class SinkQueue:
 
     def abandon(self) -> None:
         """Drop the queued batches and stop retrying; cancel the task if it does not end within `GRACE`."""
+        if self._task and not self._cancelling:  # once: a second time would interrupt its last write
+            self._cancelling = asyncio.get_running_loop().call_later(GRACE, self._task.cancel)
         self._abandoned.set()
         self._drop_waiting()
         self._room.set()
-        if self._task:
-            asyncio.get_running_loop().call_later(GRACE, self._task.cancel)
 
     async def _run(self) -> None:
         try:

@@ -116,9 +116,10 @@ async def test_malformed_messages_are_reported_in_one_line_and_ignored(broker: T
     ]
     for place, payload in bad:
         broker.publish(f"{UR10}/{place}", payload, "-r")
-    broker.publish("slip/v1/lab//head", '{"epoch": "q", "last_seq": 9}', "-r")
-    bad.append(("", "the rig has no name"))
-    async with Consumer(broker.url, report=reports.append) as events:
+    for rig in ("", "n" * (2**16 - len("slip/v1/lab//head") - 1)):  # requests to the latter would be too long
+        broker.publish(f"slip/v1/lab/{rig}/head", '{"epoch": "q", "last_seq": 9}', "-r")
+        bad.append((rig, "no name of a rig"))
+    async with Consumer(broker.url, since="start", report=reports.append) as events:
         await until(lambda: len(inside(events, "_link", "_received")) == len(bad))
         publish(broker, 1)
         assert await take(events, 1) == [1]

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 from aiohttp import ClientResponse, ClientSession, CookieJar
 
+from connectors.web import web_server
 from connectors.web.access import Access
 from connectors.web.web_server import CONNECTIONS_MAX, STATIC, WebServer, page_server
 from operators.errors import EndpointError
-from tests.waiting import PATIENCE
+from tests.waiting import PATIENCE, until
 
 SECRET = "0123456789abcdef"  # noqa: S105 - of tests
 
@@ -236,6 +237,7 @@ def test_a_quarter_of_the_file_descriptors_is_used_at_most(monkeypatch: pytest.M
         return 32, 32
 
     monkeypatch.setattr(resource, "getrlimit", few)
+    monkeypatch.setattr(web_server, "IDLE_TIMEOUT", 1000.0)
 
     async def main() -> None:
         server = WebServer("127.0.0.1", 0, Access(), "numbers")
@@ -247,6 +249,12 @@ def test_a_quarter_of_the_file_descriptors_is_used_at_most(monkeypatch: pytest.M
         assert (await get(sessions[0], f"{server.url}/data"))[1] == "text"  # on a new connection
         for session in sessions:
             await session.close()
+        before = descriptors()
+        address = "127.0.0.1", int(server.url.rpartition(":")[2])
+        silent = await asyncio.gather(*(asyncio.open_connection(*address) for _ in range(12)))  # at once
+        await until(lambda: descriptors() - before == len(silent) + 4)
+        for _, writer in silent:
+            writer.close()
         await server.close()
 
     asyncio.run(main())
