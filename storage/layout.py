@@ -52,6 +52,7 @@ MANIFEST: Final = "MANIFEST.json"
 JOURNAL: Final = "journal"
 DAMAGED: Final = "damaged"
 
+_MISSING: Final = {ENOENT, ENOTDIR, ELOOP}  # errors of a path that has no file
 _SEGMENT: Final = re.compile(r"[0-9]{6,12}\.wal")
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,127}")
 
@@ -164,7 +165,7 @@ def may_exist(path: Path) -> bool:
     try:
         path.stat()
     except OSError as error:
-        return error.errno not in {ENOENT, ENOTDIR, ELOOP}
+        return error.errno not in _MISSING
     return True
 
 
@@ -180,9 +181,9 @@ def files_of(folder: Path, pattern: str) -> list[Path]:
     base, _, name = pattern.rpartition("/")
     try:
         names = [path.name for path in (folder / base).iterdir()]
-    except (FileNotFoundError, NotADirectoryError):
-        return []
     except OSError as error:
+        if error.errno in _MISSING:
+            return []
         raise read_error(folder / base, error) from error
     return [folder / base / each for each in sorted(names) if fnmatch(each, name)]
 

@@ -91,7 +91,8 @@ def recover(folder: str | Path) -> Recovery:
         with _exclusive(folder):
             return Repair(folder, about).finish()
     except OSError as error:
-        raise EndpointError(str(folder), f"cannot be recovered: {os_error_reason(error)}") from error
+        reason = f"cannot be recovered: {os_error_reason(error)}"
+        raise EndpointError(str(error.filename or folder), reason) from error
 
 
 @contextmanager

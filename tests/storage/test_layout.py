@@ -58,6 +58,8 @@ def test_only_folders_with_a_session_json_are_sessions(tmp_path: Path) -> None:
         (tmp_path / "sessions" / name).mkdir(parents=True)
     for name in ("b", "a"):
         (tmp_path / "sessions" / name / "session.json").touch()
+    (tmp_path / "sessions/loop").symlink_to("loop")
+    assert names_without_description(tmp_path) == []
     assert session_names(tmp_path) == ["a", "b"]
 
 
