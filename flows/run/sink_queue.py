@@ -7,7 +7,7 @@ from contextlib import suppress
 from math import inf
 from typing import Any, Final
 
-from flows.run.log_events import reason_of, warn
+from flows.run.log_events import own_cancellation, reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch
 from operators.errors import EndpointError, OutputClosedError
@@ -108,7 +108,8 @@ class SinkQueue:
                 self.status.queued = len(self._waiting)
                 self._room.set()
                 await self._write(batch)
-            await self.sink.close()
+            with own_cancellation():
+                await self.sink.close()
         except asyncio.CancelledError:
             self._drop_waiting()
             self._failed(EndpointError(self.sink.destination, "was abandoned before it had stored its rows"))
@@ -137,7 +138,8 @@ class SinkQueue:
         while True:
             self._write_start = loop.time()
             try:
-                await self.sink.write(batch)
+                with own_cancellation():
+                    await self.sink.write(batch)
             except asyncio.CancelledError:
                 self.status.dropped += len(batch)
                 raise

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from typing import Any, Final, cast
 
 from flows.graph.error_location import location
-from flows.run.log_events import reason_of, warn
+from flows.run.log_events import own_cancellation, reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
@@ -60,15 +60,17 @@ class SourceReader:
             while True:
                 stream = self._source.batches(self._run.clock)
                 try:
-                    async for batch in stream:
-                        if not len(self._checked(batch)):
-                            continue
-                        if self._gap_start:
-                            gap = asdict(self._end_gap())
-                            warn("source_restarted", f"{self.name} works again", source=self.name, gap=gap)
-                            retry.reset()
-                        self._count(batch)
-                        yield batch
+                    with own_cancellation():
+                        async for batch in stream:
+                            if not len(self._checked(batch)):
+                                continue
+                            if self._gap_start:
+                                gap = asdict(self._end_gap())
+                                text = f"{self.name} works again"
+                                warn("source_restarted", text, source=self.name, gap=gap)
+                                retry.reset()
+                            self._count(batch)
+                            yield batch
                 except MISTAKES as error:
                     self.status.error = reason_of(error) + location(self._source, error)
                     raise OperatorError(self._run.flow, self.name, self.status.error) from error

@@ -423,9 +423,11 @@ async def test_a_replay_keeps_no_journal(tmp_path: Path) -> None:
     await dataset.close()
 
 
-@pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}])
-def test_a_part_that_could_hold_nothing_is_refused(tmp_path: Path, parameters: dict[str, Any]) -> None:
-    with pytest.raises(ParameterError, match="must be at least 1"):
+@pytest.mark.parametrize("parameters", [{"part_span": 0}, {"part_rows": 0}, {"part_rows": 10**7}])
+def test_parts_without_rows_or_too_large_to_read_are_refused(
+    tmp_path: Path, parameters: dict[str, Any]
+) -> None:
+    with pytest.raises(ParameterError, match=r"must be (at least 1|from 1 to 1000000)"):
         Dataset(tmp_path, **parameters)
 
 

@@ -432,7 +432,7 @@ async def test_a_path_that_cannot_be_an_outbox_is_one_clear_error(tmp_path: Path
     (tmp_path / "file").write_text("x")
     with pytest.raises(EndpointError, match=r"outbox: cannot be used: Not a directory"):
         await Outbox(tmp_path / "file" / "outbox", keep=1, keep_for=1).open()
-    with pytest.raises(InputError, match=r"not an outbox of this version.*move the file away"):
+    with pytest.raises(InputError, match=r"file: is a file, must be a folder: name another outbox"):
         await Outbox(tmp_path / "file", keep=1, keep_for=1).open()
     (tmp_path / "other").mkdir()
     AppendLog.create(tmp_path / "other" / "1.log", b"precious").close()

@@ -19,6 +19,7 @@ from flows.run.live_runner import LiveRunner
 from flows.run.run_summary import Summary
 from operators import (
     Align,
+    Batch,
     Clock,
     Debounce,
     EndpointError,
@@ -410,6 +411,46 @@ def test_a_mistake_in_a_source_ends_the_run_with_its_line(error: Exception) -> N
     with pytest.raises(OperatorError, match=reason):
         execute(flow)
     assert (len(sink.written), sink.closed) == (1, 1)
+
+
+async def await_a_cancelled_task() -> None:
+    task = asyncio.create_task(asyncio.sleep(1))
+    task.cancel()
+    await task
+
+
+def test_a_source_that_awaits_a_cancelled_task_has_failed_and_is_retried() -> None:
+    class Cancelled(TestSource[Scores]):
+        async def batches(self, clock: Clock) -> AsyncIterator[Scores]:
+            async for batch in super().batches(clock):
+                yield batch
+                await await_a_cancelled_task()
+
+    flow, sink = Flow("f"), TestSink()
+    flow.source(Cancelled(Scores, scores(0, 3))).to(sink)
+    status = execute(flow).sources["scores"]
+    assert times(sink) == [0, 1, 2]
+    assert (status.failures, status.error) == (3, "RuntimeError: a task that it awaited was cancelled")
+
+
+def test_a_sink_that_awaits_a_cancelled_task_is_retried() -> None:
+    class Cancelled(TestSink):
+        failed = False
+
+        async def write(self, batch: Batch) -> None:
+            if not self.failed:
+                self.failed = True
+                await await_a_cancelled_task()
+            await super().write(batch)
+
+        def take(self, batch: Batch) -> bool:
+            return self.failed and super().take(batch)
+
+    flow, sink = Flow("f"), Cancelled()
+    flow.source(TestSource(Scores, scores(0, 10))).to(sink)
+    run = execute(flow)
+    assert times(sink) == list(range(10))
+    assert (run.sinks["cancelled"].failures, run.sinks["cancelled"].dropped) == (1, 0)
 
 
 def test_an_error_of_a_devices_library_is_retried() -> None:
