@@ -221,7 +221,8 @@ def read_json(path: Path, limit: int = 64 * MiB) -> dict[str, Any]:
     """Return the object in a JSON file.
 
     Raises:
-        InputError: if the file cannot be read or is not a JSON object.
+        InputError: if there is no such file, it may not be read, or it is not a JSON object.
+        EndpointError: if the disk fails, or memory or file descriptors are short.
     """
     try:
         content: object = json.loads(read(path, limit), parse_constant=_reject_number)

@@ -252,6 +252,28 @@ def test_a_second_stop_reports_the_exact_number_of_rows_that_a_slow_sink_lost() 
     assert Summary.of(run).lost
 
 
+def test_a_third_stop_does_not_interrupt_the_last_write_of_an_abandoned_sink() -> None:
+    class Finishing(Disk):
+        async def close(self) -> None:
+            try:
+                await super().close()
+            finally:
+                await asyncio.sleep(10)  # a write in progress, which cannot be stopped
+                self.stored += 1
+
+    async def main() -> None:
+        runner, loop = LiveRunner(flow, "test"), asyncio.get_running_loop()
+        for when in (3, 4, 5):
+            loop.call_later(when, runner.stop)
+        status = (await runner.execute()).sinks["finishing"]
+        assert (status.rows, status.dropped) == (slow.stored, runner.run.sources["scores"].rows - slow.stored)
+        assert loop.time() > 15
+
+    flow, slow = Flow("f"), Finishing()
+    flow.source(Endless()).to(slow)
+    run_virtually(main())
+
+
 def test_rows_that_come_after_a_second_stop_are_counted_as_dropped() -> None:
     flow, hung = Flow("f"), TestSink(capacity=1, before_write=for_ever)
     stream = flow.source(Endless())
