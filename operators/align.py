@@ -120,8 +120,8 @@ class Align(Join[Zeroed, Motion, Sample]):
         size = rows.time.size
         velocity, pose, matched = np.empty((size, 6)), np.empty((size, 6)), np.empty(size, np.bool_)
         _match(rows.time, self._stamps, self._values, self._state, oldest, velocity, pose, matched)
-        values = rows.counts, rows.temperature, rows.valid, velocity, pose, matched
-        return Sample(rows.time, *values, finger=rows.finger)
+        touch = rows.time, rows.counts, rows.temperature, rows.valid
+        return Sample(*touch, velocity, pose, matched, finger=rows.finger)
 
 
 @row_loop

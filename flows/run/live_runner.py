@@ -193,21 +193,23 @@ class LiveRunner:
     async def _read(self, node: Node) -> None:
         reader = self._readers[node]
         status = reader.status
-        async with aclosing(reader.batches()) as batches:
-            async for batch in batches:
-                await self._process({(node, batch.finger): batch})
+        async with aclosing(reader.batches()) as stream:
+            async for batch in stream:
+                batches = {(node, batch.finger): batch}
+                waiting = None if self._pending else self._enqueue(self.compiled.push(batches))
+                if waiting != []:  # rare: no await in the usual case, so no other source runs in between
+                    await self._wait_for_room(batches, waiting)
                 if self._ending:
                     return
                 if self.clock.now() - status.newest > LAGGING:
                     await self._wait_for_older_rows(status)
-                if status.rows % YIELD_EVERY < len(batch):
+                if status.rows % YIELD_EVERY < batch.time.size:
                     await asyncio.sleep(0)  # let the sinks run
 
-    async def _process(self, batches: Mapping[Entry, Batch]) -> None:
-        """Push batches through the operators into the queues; wait while a queue is full."""
-        waiting = None if self._pending else self._enqueue(self.compiled.push(batches))
-        if waiting == []:
-            return  # the usual case: no await, so no other source ran in between
+    async def _wait_for_room(
+        self, batches: Mapping[Entry, Batch], waiting: list[tuple[SinkQueue, Batch]] | None
+    ) -> None:
+        """Queue deliveries as queues have room; without any, first push the batches when it is their turn."""
         self._pending += 1
         try:
             async with self._push:

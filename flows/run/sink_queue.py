@@ -168,7 +168,7 @@ class SinkQueue:
             lost = f"; {dropped} rows were dropped" if dropped else ""
             warn("sink_restored", f"{self.name} works again{lost}", sink=self.name, dropped=dropped)
             self.status.error = ""
-        self.status.rows += len(batch)
+        self.status.rows += batch.time.size
 
     def _drop(self, batch: Batch) -> None:
         """Count the rows of a dropped batch; log it once per failure."""

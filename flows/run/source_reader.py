@@ -62,7 +62,7 @@ class SourceReader:
                 try:
                     with own_cancellation():
                         async for batch in stream:
-                            if not len(self._checked(batch)):
+                            if not self._checked(batch).time.size:
                                 continue
                             if self._gap_start:
                                 gap = asdict(self._end_gap())
@@ -114,8 +114,10 @@ class SourceReader:
             reason = f"yielded {type(batch).__name__}, but declares {self._kind.__name__}"
             raise OperatorError(self._run.flow, self.name, reason)
         try:
-            batch.check()
-            return batch if self._source.recording else batch.check_order()  # recordings keep late rows
+            rows = batch.check().time.size
+            return (
+                batch if rows == 1 or self._source.recording else batch.check_order()
+            )  # those keep late rows
         except BatchError as error:
             raise OperatorError(self._run.flow, self.name, f"yielded {error}") from error
 
@@ -125,7 +127,7 @@ class SourceReader:
         in_time.filter(batch)
         status.late += in_time.late - late
         status.newest = max(status.newest, in_time.newest)
-        status.rows += len(batch)
+        status.rows += batch.time.size
         status.up, status.stale, status.error = True, False, ""
 
     def _failed(self, reason: str) -> None:
