@@ -1,4 +1,5 @@
 import asyncio
+import gc
 import logging
 import os
 import re
@@ -59,6 +60,19 @@ def test_all_sinks_of_a_stream_get_its_batches_and_the_status_marks_recording_on
     touch.to(viewer)
     assert [sink.records for sink in execute(flow).sinks.values()] == [True, False]
     assert times(recorder) == times(viewer) == list(range(5))
+
+
+def test_garbage_collections_ignore_older_objects_during_a_run_only() -> None:
+    class Frozen(TestSink):
+        def take(self, batch: Batch) -> bool:
+            counts.append(gc.get_freeze_count())
+            return super().take(batch)
+
+    flow, counts, before = Flow("f"), list[int](), len(gc.get_objects())
+    flow.source(TestSource(Scores, scores(0, 2))).to(Frozen())
+    execute(flow)
+    assert min(counts) > before / 2
+    assert gc.get_freeze_count() == 0
 
 
 def test_a_run_ends_after_its_duration() -> None:
