@@ -40,6 +40,7 @@ class Variant(NamedTuple):
 
 VARIANTS = (
     Variant("slipflow", "slipflow", "slipflow_live"),
+    Variant("slipflow, four sinks", "slipflow", "slipflow_sinks_live"),
     Variant("slipflow, detector tcn", "slipflow", "slipflow_live", "tcn"),
     Variant("plain Python, called inline", "plain", "push_live"),
     Variant("asyncio task + queue each", "plain", "asyncio_live"),

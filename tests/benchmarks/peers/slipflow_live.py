@@ -51,19 +51,31 @@ class Fingertips(Source[Touch]):
             yield Touch(np.array([stamp + self.ahead]), counts, counts, valid, finger=finger)
 
 
-class Told(Sink[Scores]):
-    """Takes the events."""
+class Nothing(Sink[Scores]):
+    """Takes the events, and does nothing."""
 
-    def __init__(self, live: Live, source: Fingertips) -> None:
-        self._live, self._source = live, source
+    def __init__(self, destination: str) -> None:
+        self._destination = destination
 
     @property
     def destination(self) -> str:
         """Memory."""
-        return "told"
+        return self._destination
 
     async def open(self, run: Run) -> None:
         """Nothing is needed."""
+
+    def take(self, batch: Scores) -> bool:
+        """Take."""
+        return True
+
+
+class Told(Nothing):
+    """Writes down when the events come."""
+
+    def __init__(self, live: Live, source: Fingertips) -> None:
+        super().__init__("told")
+        self._live, self._source = live, source
 
     def take(self, batch: Scores) -> bool:
         """Take."""
@@ -71,13 +83,16 @@ class Told(Sink[Scores]):
         return True
 
 
-def run(live: Live, detector: str) -> None:
-    """To the last event."""
+def run(live: Live, detector: str, sinks: int = 1) -> None:
+    """To the last event; the last of the sinks writes down when it comes."""
 
     async def carry() -> None:
         flow, source = Flow("path"), Fingertips(live)
         score = StepEnergy() if detector == "energy" else Score(load_detector(detector))
-        (flow.source(source) | Zero(baseline=BASELINE) | score).to(Told(live, source))
+        events = flow.source(source) | Zero(baseline=BASELINE) | score
+        for sink in range(1, sinks):
+            events.to(Nothing(f"nothing {sink}"))
+        events.to(Told(live, source))
         await LiveRunner(flow, "path").execute()
 
     asyncio.run(carry())
