@@ -110,6 +110,7 @@ def test_an_error_is_explained_unless_it_is_one_of_slipflow(tmp_path: Path) -> N
     assert main.explanation(hiding(KeyboardInterrupt())) == (130, "")
     assert main.explanation(hiding(ValueError())) == (0, "")
     assert main.explanation(RuntimeError("broken")) == (0, "")
+    assert main.explanation(MemoryError()) == (2, "error: there is not enough memory")
     loop = tmp_path / "loop"
     loop.symlink_to(loop)
     with pytest.raises((RuntimeError, OSError)) as caught:
