@@ -101,9 +101,7 @@ def explanation(error: Exception) -> tuple[int, str]:
         return 2, f"error: {error}"
     if isinstance(error, OSError) and (error.filename is not None or error.errno in _OUTPUT_ERRORS):
         return 2, f"error: {error.filename or 'standard output'}: {os_error_reason(error)}"
-    if isinstance(error, MemoryError):
-        return 2, "error: there is not enough memory"
-    return 0, ""
+    return (2, "error: there is not enough memory") if isinstance(error, MemoryError) else (0, "")
 
 
 def _interrupted(error: BaseException | None) -> bool:
