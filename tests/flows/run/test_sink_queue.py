@@ -259,7 +259,7 @@ def test_a_third_stop_does_not_interrupt_the_last_write_of_an_abandoned_sink() -
                 await super().close()
             finally:
                 await asyncio.sleep(10)  # a write in progress, which cannot be stopped
-                self.stored += 1
+                self.stored: int = self.stored + 1
 
     async def main() -> None:
         runner, loop = LiveRunner(flow, "test"), asyncio.get_running_loop()
