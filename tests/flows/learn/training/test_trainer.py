@@ -71,7 +71,7 @@ def test_a_network_can_learn_true_sliding(
     tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "model.safetensors"
-    [model] = train([tiny], out, recipe=SMALL, target="sliding").models
+    [model] = train([tiny], out, recipe=replace(SMALL, steps=6), target="sliding").models
     assert model.card["target"] == "sliding"
     test = [recording for recording in load(tiny) if recording.split == "test"]
     assert model.card["scores"]["test"] == label_scores(load_detector(out), labelled_by("sliding", test))
