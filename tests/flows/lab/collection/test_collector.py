@@ -205,7 +205,8 @@ def test_episodes_has_a_row_for_every_stroke(quick: Made) -> None:
     labelled = concat(Labelled, list(quick.session.read(Labelled, 0)))
     for each in strokes:
         inside = (labelled.time >= each["time"]) & (labelled.time < each["end"])
-        assert (labelled.label[inside] == SLIP).sum() > 30
+        slipping = labelled.time[inside & (labelled.label == SLIP)]
+        assert slipping[-1] - slipping[0] > 0.3 * s  # a busy host reads fewer rows
         assert (labelled.label[inside] == UNKNOWN).sum() == 0
 
 
