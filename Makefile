@@ -51,6 +51,7 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_engine.py
 	.venv/bin/python tests/benchmarks/bench_row_loops.py
 	.venv/bin/python tests/benchmarks/bench_replay.py
+	.venv/bin/python tests/benchmarks/bench_scaling.py
 	.venv/bin/python tests/benchmarks/bench_page.py
 	.venv/bin/python tests/benchmarks/bench_edge.py
 	.venv/bin/python tests/benchmarks/bench_scene.py

@@ -4,7 +4,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, cast
@@ -40,7 +40,7 @@ class Part:
     @cached_property
     def line(self) -> str:
         """Line of the manifest; cached, since a manifest is rewritten with every part."""
-        return json.dumps(asdict(self))
+        return json.dumps(vars(self))  # `asdict` takes five times as long
 
     @property
     def extent(self) -> str:

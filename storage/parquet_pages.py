@@ -73,18 +73,20 @@ class _Reader:
 
     def struct(self) -> Struct:
         """Read the fields of a struct."""
-        fields, number = Struct(), 0
-        while head := self._byte():
+        data, fields, number = self.data, Struct(), 0
+        while head := data[self.at]:
+            self.at += 1
             number = number + (head >> 4) if head >> 4 else self._integer()
             kind = head & 15
             fields[number] = kind == _TRUE if kind in (_TRUE, _FALSE) else self._value(kind)
+        self.at += 1
         return fields
 
     def _value(self, kind: int) -> Any:  # noqa: ANN401 - as the file declares
-        if kind in (_TRUE, _FALSE, _BYTE):
-            return self._byte()
         if kind in _INTEGERS:
             return self._integer()
+        if kind in (_TRUE, _FALSE, _BYTE):
+            return self._byte()
         if kind == _STRUCT:
             return self.struct()
         if kind in (_LIST, _SET):
@@ -106,11 +108,12 @@ class _Reader:
         return number >> 1 ^ -(number & 1)
 
     def _varint(self) -> int:
-        number = 0
+        data, number = self.data, 0
         for shift in range(0, 70, 7):  # 10 bytes have 64 bits
-            byte = self._byte()
+            byte = data[self.at]  # not `_byte`: most of the time was in calls
+            self.at += 1
             number |= (byte & 127) << shift
-            if byte >> 7 == 0:
+            if byte < 128:  # noqa: PLR2004
                 return number
         raise ValueError("an integer in a footer or page header has more than 64 bits")
 

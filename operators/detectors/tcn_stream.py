@@ -152,11 +152,12 @@ def _packed(
     rows, weights = list[list[int]](), [scales, *(np.arcsinh(whole / scale) for scale in scales)]
     size = BAROMETERS
     for layer in layers:
-        spare = [(0, -count % _TOGETHER) for count in layer.kernel.shape[1:]]  # of channels and outputs
-        kernel = np.pad(layer.kernel, [(0, 0), *spare])
-        taps, channels, _ = kernel.shape
+        taps, inputs, outputs = layer.kernel.shape
+        channels, rounded = (count + -count % _TOGETHER for count in (inputs, outputs))
+        kernel, bias = np.zeros((rounded, taps, channels), np.float32), np.zeros(rounded, np.float32)
+        kernel[:outputs, :, :inputs], bias[:outputs] = layer.kernel.transpose(2, 0, 1), layer.bias
         rows.append([taps, channels, layer.dilation, size, sum(map(len, weights)), layer.skip])
-        weights += [kernel.transpose(2, 0, 1).ravel(), np.pad(layer.bias, spare[1])]
+        weights += [kernel.ravel(), bias]
         size += layer.dilation * 2 * taps * channels
     rows.append([1, _TOGETHER, 1, size, 0, 0])
     return np.array(rows, np.int64), np.concatenate(weights), size + 2 * _TOGETHER

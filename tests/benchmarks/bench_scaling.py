@@ -1,0 +1,270 @@
+"""CPU cost of a sample against fingertips, rows per batch, sinks, hours of a recording, and workers.
+
+Run by `make bench`. The flow is touch | Zero | Score(tcn), and Debounce in replays. Fingertips, rows per
+batch and sinks: live runs of samples in memory, from the first batch to the last, medians of the turns; every
+sink takes every score. Hours: replays of one recording in a process of its own, whose peak memory is shown,
+after another replay. Workers: `slipflow run --replay` over eight recordings of one hour, with the start of
+the processes. The recordings are those of the paper plan end to end, in a temporary folder, 4 MB per hour.
+"""
+
+import argparse
+import asyncio
+import gc
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from resource import RUSAGE_SELF, getrusage
+from typing import Final
+from unittest.mock import patch
+
+import numpy as np
+
+from flows.graph import Flow
+from flows.graph.testing import TestSink
+from flows.lab.simulation import simulate
+from flows.report.figures import MAIN, Figure, grid, save, styled
+from flows.report.table import Table
+from flows.run.clocks import EventClock
+from flows.run.live_runner import LiveRunner
+from flows.run.parallel_replay import Replays, recordings
+from operators import Clock, Run, Score, Source, Touch, Zero, s
+from operators.batch import concat
+from storage import Session, load_detector
+from storage.description import describe_dataset, describe_session
+from storage.layout import TOUCH, session_folder
+from storage.manifest import Part, write_manifest
+from storage.parts import manifest_entry, write_part
+from storage.schema import to_arrow
+from tests.benchmarks.bench_replay import BLOCK, RATE, Watch, replay
+from tests.benchmarks.machine import commit, machine
+
+BASELINE: Final = 700  # counts
+SAMPLES: Final = 20_000  # at least, of a live run
+HOURS: Final = (1, 3, 10, 30)
+FLOW = """
+from connectors import Console
+from flows.graph import Flow
+from flows.graph.testing import TestSource
+from operators import Score, Touch, Zero
+from storage import load_debounce, load_detector
+
+def slips() -> Flow:
+    flow = Flow("slips")
+    zeroed = flow.source(TestSource(Touch)) | Zero()
+    (zeroed | Score(load_detector("tcn")) | load_debounce("tcn")).to(Console())
+    return flow
+"""
+
+
+@dataclass(frozen=True)
+class Point:
+    """A row of the table."""
+
+    grows: str
+    value: int
+    cost: float  # CPU us per sample
+    remark: str = ""
+
+
+@dataclass
+class Memory(Source[Touch]):
+    """Batches of some fingertips in turn, without waiting."""
+
+    count: int  # fingertips
+    rows: int  # of a batch
+    touch: Touch
+    cpu: float = field(default=0.0, init=False)  # s, from the first batch to the last
+
+    @property
+    def kind(self) -> type[Touch]:
+        """Touch."""
+        return Touch
+
+    @property
+    def fingers(self) -> tuple[int, ...]:
+        """All."""
+        return tuple(range(self.count))
+
+    async def batches(self, clock: Clock) -> AsyncIterator[Touch]:
+        """Yield the batches; their stamps begin now."""
+        time_ = clock.now() + np.arange(len(self.touch)) * (s // RATE)
+        touch, batches = replace(self.touch, time=time_), list[Touch]()
+        for start in range(0, len(touch), self.rows):
+            piece = touch[start : start + self.rows]
+            batches += [replace(piece, finger=finger) for finger in self.fingers]
+        began = time.process_time()
+        for batch in batches:
+            yield batch
+        self.cpu = time.process_time() - began
+
+
+async def carry_out(flow: Flow) -> Run:
+    """Run a flow live."""
+    return await LiveRunner(flow, "scaling", signals=False).execute()
+
+
+def live(touch: Touch, fingers: int = 1, rows: int = 1, sinks: int = 1) -> float:
+    """Run live and return the CPU us per sample."""
+    size = max(20, SAMPLES // fingers)
+    if rows > 1:
+        size = max(size, 20 * rows)
+    source, flow = Memory(fingers, rows, touch[np.arange(size) % len(touch)]), Flow("scaling")
+    scores = flow.source(source) | Zero(BASELINE) | Score(load_detector("tcn"))
+    for _ in range(sinks):
+        scores.to(TestSink())
+    asyncio.run(carry_out(flow))
+    return source.cpu / size / fingers * 1e6
+
+
+def lives(touch: Touch, turns: int) -> list[Point]:
+    """Measure fingertips, rows per batch and sinks, in turns."""
+    values = {
+        "fingertips": (1, 10, 100, 1000),
+        "rows per batch": (1, 10, 100, 1000),
+        "sinks": (1, 2, 4, 8),
+    }
+    names = dict(zip(values, ("fingers", "rows", "sinks"), strict=True))
+    costs: dict[tuple[str, int], list[float]] = {(of, n): [] for of, many in values.items() for n in many}
+    gc.disable()
+    for turn in range(turns + 1):  # the first one warms up
+        for (of, number), found in costs.items():
+            cost = live(touch, **{names[of]: number})
+            gc.collect()
+            if turn:
+                found.append(cost)
+    gc.enable()
+    return [Point(of, number, statistics.median(found)) for (of, number), found in costs.items()]
+
+
+def tiled(touch: Touch, out: Path, hours: int) -> Path:
+    """Write a session of one fingertip of this length, in parts of a minute."""
+    folder = session_folder(out, f"hours-{hours:03d}")
+    (folder / TOUCH.name).mkdir(parents=True)
+    describe_dataset(out)
+    start = int(touch.time[0])
+    describe_session(folder, Run(folder.name, "tiled", EventClock(start), start, live=False))
+    parts, tiles = list[Part](), len(touch) // BLOCK
+    for number in range(hours * 60):
+        first = number % tiles * BLOCK
+        time_ = start + (number * BLOCK + np.arange(BLOCK)) * (s // RATE)
+        rows = to_arrow(TOUCH, [replace(touch[first : first + BLOCK], time=time_)])
+        parts.append(manifest_entry(TOUCH.file(number), rows, write_part(folder / TOUCH.file(number), rows)))
+    write_manifest(folder, parts)
+    return folder
+
+
+def shorter(folder: Path, hours: int) -> Path:
+    """Write a session of the first hours of another, with the same files."""
+    other = folder.with_name(f"hours-{hours:03d}")
+    (other / TOUCH.name).mkdir(parents=True)
+    session = Session.open(folder)
+    parts = [session.listed[TOUCH.file(number)] for number in range(hours * 60)]
+    for part in parts:
+        os.link(folder / part.path, other / part.path)
+    describe_session(other, Run(other.name, "tiled", EventClock(parts[0].first), parts[0].first, live=False))
+    write_manifest(other, parts)
+    return other
+
+
+def one(first: Path, path: Path) -> None:
+    """Replay a recording in this process after another, and print what it took."""
+    replay([first], TestSink, 1000, Watch())
+    watch = Watch()
+    samples = replay([path], TestSink, 1000, watch)
+    peak = getrusage(RUSAGE_SELF).ru_maxrss / 1024  # MiB
+    print(json.dumps({"cost": sum(watch.seconds.values()) / samples * 1e6, "peak": peak}))
+
+
+def lengths(touch: Touch, first: Path, out: Path) -> list[Point]:
+    """Measure recordings of several lengths."""
+    with patch("os.fsync"):  # what is made only to be read need not be durable
+        longest = tiled(touch, out, max(HOURS))
+        folders = [longest if each == max(HOURS) else shorter(longest, each) for each in HOURS]
+    points = list[Point]()
+    for hours, folder in zip(HOURS, folders, strict=True):
+        command = [sys.executable, __file__, "--one", str(first), str(folder)]
+        done = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        points.append(Point("hours", hours, done["cost"], f"peak memory {done['peak']:.0f} MiB"))
+    return points
+
+
+def workers(hour: Path, out: Path) -> list[Point]:
+    """Measure processes; the printed slips must be the same."""
+    (out / "slips.py").write_text(FLOW)
+    points, walls, printed = list[Point](), list[float](), set[tuple[str, ...]]()
+    for jobs in (1, 2, 4):
+        began, before = time.perf_counter(), _cpu()
+        found = list(Replays(str(out / "slips.py"), {}, [hour] * 8, "again").run(jobs))
+        walls.append(time.perf_counter() - began)
+        cost = (_cpu() - before) / (8 * 3600 * RATE) * 1e6
+        printed.add(tuple(each.printed for each in found))
+        points.append(Point("workers", jobs, cost, f"{walls[0] / walls[-1]:.2f} times as fast as one"))
+    if len(printed) != 1:
+        raise SystemExit("other slips with other processes")
+    return points
+
+
+def _cpu() -> float:
+    """Return the CPU time of this process and of those it started that have ended, s."""
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def table(points: Sequence[Point]) -> Table:
+    """Return the table; each cost is compared with the first of its kind."""
+    first: dict[str, float] = {}
+    rows = [(p.grows, p.value, p.cost, p.cost / first.setdefault(p.grows, p.cost), p.remark) for p in points]
+    head = ["what grows", "number", "CPU us per sample", "relative", "remark"]
+    return Table(head, rows, decimals={"CPU us per sample": 2, "relative": 2})
+
+
+@styled
+def chart(points: Sequence[Point]) -> Figure:
+    """Draw the cost, one panel for each quantity that grows."""
+    kinds = list(dict.fromkeys(point.grows for point in points))
+    figure, panels = grid(1, len(kinds), (11, 2.6))
+    for axes, kind in zip(panels, kinds, strict=True):
+        values = [point.value for point in points if point.grows == kind]
+        costs = [point.cost for point in points if point.grows == kind]
+        axes.plot(values, costs, "o-", color=MAIN)
+        axes.set(xscale="log", xlabel=kind, ylim=(0, 1.25 * max(costs)))
+        axes.set_xticks(values, [str(value) for value in values])
+        axes.minorticks_off()
+        axes.grid(axis="y")
+    panels[0].set_ylabel("CPU us per sample")
+    return figure
+
+
+def main() -> None:
+    """Measure, print the table and draw the figure."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--one", type=Path, nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--turns", type=int, default=3)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--figure", type=Path, default=Path("docs/figures/scaling.svg"))
+    options = parser.parse_args()
+    if options.one:
+        one(*options.one)
+        return
+    print(f"seed {options.seed}, medians of {options.turns} turns, commit {commit()}")
+    print(f"{machine()}, numpy {np.__version__}")
+    print(f"load {os.getloadavg()[0]:.1f} at the beginning", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        paths = recordings([simulate(out / "paper", "paper", options.seed).out])
+        touch = concat(Touch, [batch for path in paths for batch in Session.open(path).read(Touch, 0, BLOCK)])
+        points = [*lives(touch, options.turns), *lengths(touch, paths[0], out / "long")]
+        points += workers(session_folder(out / "long", f"hours-{min(HOURS):03d}"), out)
+    print(table(points).markdown())
+    save(chart(points), options.figure)
+
+
+if __name__ == "__main__":
+    main()
