@@ -59,7 +59,7 @@ class Debounce(Operator[Scores, Slips]):
         count = _debounce(batch.time, batch.probability, threshold, self._limits, self._state, events)
         if not count:
             return Slips.empty()
-        rows, starts, states = events[:, :count]
+        rows, starts, states = events[:, :count].copy()  # not views: sinks may keep the few events
         return Slips(
             batch.time[rows], states.astype(np.int8), starts, batch.probability[rows], finger=batch.finger
         )

@@ -110,7 +110,9 @@ class WatchClock(Operator[Motion, Clocks]):
         stamps, lines = np.empty((2, batch.time.size), np.int64), np.empty((2, batch.time.size))
         state = self._envelope, self._open
         count = _watch(batch.device_time, batch.time, state, self.every, stamps, lines)
-        return self._clocks(stamps[:, :count], lines[:, :count]) if count else Clocks.empty()
+        if not count:
+            return Clocks.empty()
+        return self._clocks(stamps[:, :count].copy(), lines[:, :count].copy())  # sinks may keep them
 
     def flush(self) -> Clocks:
         """Return the report of the remaining rows."""
