@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from operators.errors import BatchError
+from operators.row_loop import row_loop
 
 Times: TypeAlias = NDArray[np.int64]  # ns since 1970-01-01 UTC
 Counts: TypeAlias = NDArray[np.int16]  # ADC counts of a barometer
@@ -109,13 +110,17 @@ class Batch:
             pass
         return self._check_each()
 
+    def is_ordered(self) -> bool:
+        """Return True if time never decreases."""
+        return _is_ordered(self.time)
+
     def check_order(self) -> Self:
         """Return this batch if its time never decreases.
 
         Raises:
             BatchError: if it does.
         """
-        if self.time.size > 1 and not is_ordered(self.time):
+        if self.time.size > 1 and not self.is_ordered():
             row = int(np.argmax(self.time[1:] < self.time[:-1])) + 1
             reason = f"decreases at row {row}, must be in order: sort the rows, or yield them one by one"
             raise BatchError(type(self).__name__, "time", reason)
@@ -165,9 +170,12 @@ class Layout:
         return self._expected
 
 
-def is_ordered(time: Times) -> bool:
-    """Return True if time never decreases."""
-    return not np.count_nonzero(time[1:] < time[:-1])  # faster than `any` for few rows
+@row_loop
+def _is_ordered(time: Times, /) -> bool:
+    ordered = True
+    for row in range(1, len(time)):
+        ordered = ordered and time[row] >= time[row - 1]
+    return bool(ordered)
 
 
 _layouts: Final[dict[type[Any], Layout]] = {}

@@ -12,7 +12,7 @@ from typing import Any, Generic, Self, TypeVar, cast, get_type_hints
 
 import numpy as np
 
-from operators.batch import Batch, is_ordered
+from operators.batch import Batch
 from operators.errors import ParameterError
 
 In = TypeVar("In", bound=Batch, contravariant=True)
@@ -34,7 +34,7 @@ class LateRowFilter:
     def filter(self, batch: SomeBatch) -> SomeBatch:
         """Return the rows that are not late; rows with equal stamps keep their order of arrival."""
         time = batch.time
-        if time.item(0) >= self.newest and (time.size == 1 or is_ordered(time)):
+        if time.item(0) >= self.newest and (time.size == 1 or batch.is_ordered()):
             self.newest = time.item(-1)
             return batch
         limit = np.maximum.accumulate(np.maximum(time, self.newest))  # (n,)

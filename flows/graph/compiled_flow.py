@@ -126,6 +126,7 @@ class CompiledFlow:
         self, flow: Flow, only: Collection[int] | None = None, operators: Collection[Node] | None = None
     ) -> None:
         validate(flow)
+        Batch.zeros(2).check_order()  # loads compiled code, as `prepare` of the operators
         self._flow = flow.name
         fingers = {
             node: [each for each in node.fingers if only is None or each in (*only, EVERY)]
