@@ -38,9 +38,7 @@ class Zero(Operator[Touch, Zeroed]):
 
     baseline: int | tuple[int, ...] | None = None
     scans: int = 100
-    _offset: Counts | None = field(
-        default=None, init=False, repr=False, compare=False
-    )  # (1, cells) or (1, 1)
+    _offset: Counts | None = field(default=None, init=False, repr=False, compare=False)  # (1, cells)
     # (cells,) cells with a baseline; None: all
     _known: Flags | None = field(default=None, init=False, repr=False, compare=False)
     _held: Chain[Touch] = field(default_factory=lambda: Chain(Touch), init=False, repr=False, compare=False)
@@ -67,11 +65,11 @@ class Zero(Operator[Touch, Zeroed]):
         return self._release() if len(self._held) else Zeroed.empty()
 
     def _given(self, cells: int) -> Counts:
-        """Return the given baseline for a fingertip with this number of cells; (1, 1) or (1, cells)."""
+        """Return the given baseline for a fingertip with this number of cells, (1, cells)."""
         offset = np.array(self.baseline, np.int16).reshape(1, -1)
         if offset.size not in {1, cells}:
             raise self._error(f"one count, or {cells}: the fingertip has {cells} cells")
-        return offset
+        return np.repeat(offset, cells // offset.size, axis=1)
 
     def _error(self, expected: str) -> ParameterError:
         return ParameterError("Zero", "baseline", self.baseline, expected)
