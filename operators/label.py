@@ -172,15 +172,5 @@ def _length(x: float, y: float, z: float) -> float:
 
 
 def _labelled(rows: Sample, speed: Reals, label: Codes) -> Labelled:
-    return Labelled(
-        rows.time,
-        rows.counts,
-        rows.temperature,
-        rows.valid,
-        rows.velocity,
-        rows.pose,
-        rows.matched,
-        speed,
-        label,
-        finger=rows.finger,
-    )
+    values = rows.counts, rows.temperature, rows.valid, rows.velocity, rows.pose, rows.matched
+    return Labelled(rows.time, *values, speed, label, finger=rows.finger)

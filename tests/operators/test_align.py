@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from operators import Align, Motion, ParameterError, Sample, Zeroed, concat, ms
+from operators import Align, Motion, ParameterError, Sample, Zeroed, concat, ms, s
 from operators.batch import Reals, Times
 
 How = Literal["nearest", "previous", "linear"]
@@ -211,3 +211,12 @@ def test_nearest_and_linear_must_wait_for_the_rows_they_may_take() -> None:
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:
     with pytest.raises(ParameterError):
         Align(**parameters)
+
+
+def test_the_memory_of_an_align_is_bounded() -> None:
+    align, rows = Align(keep=s), 100
+    for first in range(0, 100_000, rows):
+        time = (first + np.arange(rows)) * 8 * ms
+        align.push(NO_TOUCH, Motion(time, time, np.zeros((rows, 6)), np.zeros((rows, 6))))
+    arrays = [each for each in vars(align).values() if isinstance(each, np.ndarray)]
+    assert 10_000 < sum(each.nbytes for each in arrays) < 200_000
