@@ -218,7 +218,7 @@ async def run(port: int, seconds: float, seed: int, *, apart: bool) -> Seen:
             names["ioctl"] = spent.timed("bus", names["ioctl"])
             for stage in runner.compiled.stages:
                 name = type(stage.operator).__name__
-                vars(stage.operator)["process"] = spent.timed(name, stage.operator.process)
+                vars(stage.operator)["process"] = spent.timed(name, cast("Any", stage.operator).process)
                 stage.resume(stage.operator)  # it looks process up once
         running = asyncio.create_task(runner.execute())
         await asyncio.sleep(WARM)
