@@ -90,7 +90,7 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	} | xargs -P 2 -L 1 slipflow
 	slipflow train $(DATA) --resume --seeds 3 --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
 	slipflow train $(DATA) --resume --seeds 3 --target sliding -o models/tcn_sliding.safetensors
-	slipflow experiment learn -o models/tcn_grasp.safetensors
+	env -u OMP_NUM_THREADS slipflow experiment learn -o models/tcn_grasp.safetensors
 	for name in tcn tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 	$(if $(trace),for name in tcn tcn_sliding; do \
