@@ -162,7 +162,7 @@ def lead_ms(onsets: Sequence[Times], slips: Sequence[Slips]) -> float:
     """
     matched = [match_onsets(own, true.found, before=AHEAD) for own, true in zip(onsets, slips, strict=True)]
     delays = np.concatenate([np.empty(0), *(each.delays for each in matched)])
-    return -float(np.median(delays)) / ms if len(delays) else float("nan")
+    return 0.0 - float(np.median(delays)) / ms if len(delays) else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
