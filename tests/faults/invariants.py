@@ -88,7 +88,7 @@ def _durable(world: World, when: float, ended: float) -> bool:
         for fault in world.schedule.faults
         if fault.kind == "loop stalls" and when - STALL_MAX <= fault.start <= ended
     )
-    return when < ended - POWER_SPAN - stalled and not _disk_fails(world, when, ended)
+    return when + stalled < ended - POWER_SPAN and not _disk_fails(world, when + stalled, ended)
 
 
 def _disk_fails(world: World, first: float, last: float) -> bool:
