@@ -1,5 +1,5 @@
 # Each target sets up what it needs.
-.PHONY: demo test test-slow test-cluster cluster chaos faults scene check docs bench models detector-pages clean
+.PHONY: demo test test-slow test-cluster cluster chaos faults scene scene-fit check docs bench models detector-pages clean
 
 demo:  ## the main job with nothing attached: a simulated rig, slip events, a labelled dataset
 	@deploy/prepare demo
@@ -31,6 +31,10 @@ faults:  ## simulate the whole system under drawn faults until stopped; prints s
 scene:  ## measure how real the simulated scene is, for docs/explanations/scene.md; judge=FILE trace=FILE: real data
 	@deploy/prepare test
 	.venv/bin/python -m tests.scene $(if $(judge),--judge $(judge)) $(if $(trace),--trace $(trace))
+
+scene-fit:  ## fit the constants of the scene to real figures, half an hour on two cores; judge=FILE trace=FILE
+	@deploy/prepare test
+	.venv/bin/python -m tests.scene.scene_fit --judge $(judge) --trace $(trace)
 
 check:  ## format, lint, types, import contracts
 	@deploy/prepare test

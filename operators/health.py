@@ -33,7 +33,7 @@ class Health(Operator[Touch, Faults]):
 
     - dead: no answer for `dead_after`.
     - stuck: valid counts unchanged for `stuck_after`. Noise changes the counts of a working cell within a few
-      readings. A cell at the end of its range can be saturated and stuck.
+      readings. A cell that reaches the end of its range is saturated; if it begins there, it is also stuck.
     - saturated: raw counts at `floor` or below, or at `ceiling` or above, for `saturated_after`. Overload
       wraps from 0 to 1023, so both ends indicate it. The cell is not broken, but its range ends: events have
       the quality `limited` rather than `degraded`. Not detected in zeroed counts.
@@ -152,10 +152,12 @@ def _examine(  # noqa: PLR0917 - compiled functions take no keywords
                 state[_SUMS + 2, cell] += count * count
                 state[_SOUND + _DEAD, cell] = age
             dead = _lasts(state, _DEAD, cell, age, after)
-            if dead or state[_LAST, cell] != before:
-                state[_SOUND + _STUCK, cell] = age
-            if dead or limits[0] < state[_LAST, cell] < limits[1]:
+            within = limits[0] < state[_LAST, cell] < limits[1]
+            if dead or within:
                 state[_SOUND + _SATURATED, cell] = age
+            overloaded = not within and state[_SOUND + _SATURATED, cell] > 0  # not so from the beginning
+            if dead or overloaded or state[_LAST, cell] != before:
+                state[_SOUND + _STUCK, cell] = age
             stuck = _lasts(state, _STUCK, cell, age, after)
             saturated = _lasts(state, _SATURATED, cell, age, after)
             now = dead, stuck, saturated, drifting

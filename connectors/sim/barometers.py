@@ -7,11 +7,11 @@ Stress at depth z under a point load on an elastic half-space, rho from the load
 
 Both as compression (Pa), r^2 = rho^2 + z^2, integrated over each node's rectangle by the midpoint rule, so
 that the node grid may be coarser than the depth. The response to shear is multiplied by `shear_gain`, fitted
-to account for stiff cells in a thin sheet of rubber, which the half-space neglects. A cell has a gain G
-(counts/Pa), of which a fraction c creeps with time constant T. Counts fall as stress rises (MPL115A2
-datasheet), with 10 bits::
+to account for stiff cells in a thin sheet of rubber, which the half-space neglects. Under a held load the
+rubber relaxes with the logarithm of time: three exponentials, whose time constants are a decade apart, take a
+fraction R of the response each. Counts fall as stress rises (MPL115A2 datasheet), with 10 bits::
 
-    late' = (sigma - late) / T          counts = rest - G ((1 - c) sigma + c late) + noise
+    late_j' = (sigma - late_j) / T_j     counts = rest - G (sigma - R sum late_j) + noise     G in counts/Pa
 """
 
 import math
@@ -27,6 +27,7 @@ from operators.batch import BAROMETERS, Counts, Flags, Reals
 
 CEILING: Final = 1023  # counts, of 10 bits
 FINE: Final = 8  # integration points per side of a node's rectangle
+DECADES: Final = np.array([0.3, 3.0, 30.0])  # s, time constants of the relaxation
 
 
 def grid(parameters: Parameters, fine: int = 1) -> tuple[Reals, Reals]:
@@ -63,19 +64,22 @@ def influence(parameters: Parameters) -> Reals:
 
 
 @compiled
-def respond(tractions: Reals, matrix: Reals, response: tuple[float, float, float], late: Reals) -> Reals:
+def respond(
+    tractions: Reals, matrix: Reals, response: tuple[float, float], passed: Reals, late: Reals
+) -> Reals:
     """Return counts relative to rest, before noise and rounding.
 
     Args:
         tractions: (k, 3, n) Pa.
         matrix: (6, 3, n) from `influence`.
-        response: Gain G (counts/Pa), fraction c, and relaxation of the lagging stress per sample.
-        late: (6,) lagging stress (Pa); changed in place.
+        response: Gain G (counts/Pa) and fraction R.
+        passed: (3,) share of each exponential that passes from sample to sample.
+        late: (3, 6) lagging stress (Pa); changed in place.
 
     Returns:
         (k, 6) counts.
     """
-    gain, fraction, relaxation = response
+    gain, fraction = response
     counts = np.zeros((tractions.shape[0], matrix.shape[0]))
     for row in range(tractions.shape[0]):
         for cell in range(matrix.shape[0]):
@@ -83,8 +87,11 @@ def respond(tractions: Reals, matrix: Reals, response: tuple[float, float, float
             for part in range(3):
                 for node in range(matrix.shape[2]):
                     stress += matrix[cell, part, node] * tractions[row, part, node]
-            late[cell] += relaxation * (stress - late[cell])
-            counts[row, cell] = -gain * ((1.0 - fraction) * stress + fraction * late[cell])
+            lost = 0.0
+            for decade in range(passed.size):
+                late[decade, cell] += passed[decade] * (stress - late[decade, cell])
+                lost += late[decade, cell]
+            counts[row, cell] = -gain * (stress - fraction * lost)
     return counts
 
 
@@ -92,7 +99,7 @@ ROOM_TEMPERATURE = 498  # counts at 25 degC; datasheet
 
 
 class Barometers:
-    """Barometers of one fingertip with creep and faults.
+    """Barometers of one fingertip with relaxation and faults.
 
     Args:
         parameters: Parameters of the fingertip.
@@ -113,7 +120,7 @@ class Barometers:
         p = self._p = parameters
         self._faults, self._noise, self._temperature_noise = faults, noise, temperature_noise
         self._influence = influence(p)
-        self._late = np.zeros(BAROMETERS)
+        self._late = np.zeros((len(DECADES), BAROMETERS))
         self._rest = offsets.integers(p.rest_lowest, p.rest_highest, BAROMETERS, endpoint=True).astype(float)
         self._temperature = ROOM_TEMPERATURE + offsets.integers(-8, 8, BAROMETERS)
         self._first: Reals | None = None  # (6,) first reading, repeated by stuck cells
@@ -124,22 +131,21 @@ class Barometers:
         Args:
             t: Instants.
             tractions: (k, 3, n) Pa: pressure, shear along x, shear along y of each node.
-            aged: Time between instants, in creep time constants.
+            aged: Time between instants (s).
 
         Returns:
             Raw ADC counts of pressure (k, 6), of temperature (k, 6), and validity (k, 6).
         """
-        counts = self._counts(t, tractions, aged)
+        counts = self._counts(t, tractions, 1 - np.exp(-aged / DECADES))
         valid = np.ones((len(t), BAROMETERS), np.bool_)
         valid[:, self._faults.dead] = False
         temperature = self._temperature + 0.3 * self._temperature_noise.standard_normal(valid.shape)
         return counts, np.rint(temperature).astype(np.int16), valid
 
-    def _counts(self, t: Reals, tractions: Reals, aged: float) -> Counts:
+    def _counts(self, t: Reals, tractions: Reals, passed: Reals) -> Counts:
         """Return raw ADC counts (k, 6) at instants (k,) (s)."""
         p, faults = self._p, self._faults
-        relaxation = 1 - math.exp(-aged)
-        counts = respond(tractions, self._influence, (p.sensitivity, p.creep, relaxation), self._late)
+        counts = respond(tractions, self._influence, (p.sensitivity, p.relaxation), passed, self._late)
         if faults.gain:
             counts *= faults.gain
         counts += self._rest

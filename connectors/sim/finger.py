@@ -102,7 +102,7 @@ class Finger:
         There are fewer if the plan ends or samples are lost; None after the plan's end.
         """
         t = self._sampler.instants(samples)  # (k,) s
-        touch, truth = self._read(t, 1 / (self._scene.touch.rate * self._p.creep_time))
+        touch, truth = self._read(t, 1 / self._scene.touch.rate)
         if not len(touch):
             return None
         time, arrive = self._sampler.stamp(len(touch))
@@ -118,7 +118,7 @@ class Finger:
         Args:
             instant: At least `Parameters.step` after the previous one.
         """
-        aged = (instant - self._sensed) / self._p.creep_time
+        aged = instant - self._sensed
         self._sensed = instant
         return self._read(np.array([instant]), aged)
 
@@ -127,7 +127,7 @@ class Finger:
 
         Args:
             t: Instants; those after the end of the plan are omitted.
-            aged: Time between instants, in creep time constants.
+            aged: Time between instants (s).
         """
         until = np.rint(t / self._p.step).astype(np.int64) - self._ticks
         drive = self._drive(int(until[-1]))

@@ -20,7 +20,7 @@ from connectors.sim.finger import contact_model, pad, vibration_velocity
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import NOISE, Faults, Scene, Vibration
+from connectors.sim.scene import Faults, Scene, Vibration
 from operators.batch import Reals, Touch, s
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
@@ -119,7 +119,7 @@ class Grasp:
 
     Args:
         held: The object.
-        parameters: Parameters of the fingertip and the material (default `Parameters(noise=NOISE)`).
+        parameters: Parameters of the fingertip and the material (default `Parameters()`).
         seed: Random seed of the cells' rest levels and of all noise.
         force: Normal force with which the hand closes (N).
         closing: Instant of closing (s since the run began, default 1), after the baseline.
@@ -162,7 +162,7 @@ class Grasp:
             must_be = f"on the {held.name}: less than {held.width / 2:g} and {held.reach:g} m from its centre"
             raise ParameterError("Grasp", "grip", grip, must_be)
         held = replace(held, friction=held.friction * friction, mass=held.mass * mass)
-        scene = surface(held, parameters or Parameters(noise=NOISE))
+        scene = surface(held, parameters or Parameters())
         p = scene.parameters
         self._step, self._rate = p.step, rate
         self._grip, self._pad = grip_model(held, scene, grip, passive), pad(scene)
@@ -174,7 +174,6 @@ class Grasp:
         self._start = float(self._body.pose[1])
         randoms = np.random.default_rng([seed, 2, 0]).spawn(4)  # as for a `Finger`
         self._cells = Barometers(p, faults or Faults(), randoms[0], randoms[2], randoms[3])
-        self._creep_time = p.creep_time
         self._ticks = 0
         self._sensed = 0.0  # s, instant of the latest sample
         self._pending: list[tuple[float, float, float]] = []  # start (s), force (N), rate (N/s)
@@ -215,7 +214,7 @@ class Grasp:
             raise ParameterError("Grasp.sense", "instant", instant, f"not before {self._sensed} s")
         tractions, speed = body.simulate(self._grip, self._pad, self._tip, self._body, self._drive(steps))
         self._ticks += steps
-        t, aged = np.array([instant]), (instant - self._sensed) / self._creep_time
+        t, aged = np.array([instant]), instant - self._sensed
         self._sensed = instant
         touch = Touch(np.array([round(instant * s)]), *self._cells.read(t, tractions[None], aged), finger=0)
         return touch, self._state(instant, speed, tractions)

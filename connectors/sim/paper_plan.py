@@ -1,8 +1,9 @@
 """Recording plan of the paper ("Under Pressure", 2021) as simulated scenes, and a wider variation of it.
 
 Each recording drags one fingertip over one surface at one speed, twice in each of eight directions, or
-rotates it in both directions. Between strokes the grip changes, or the finger is tapped or lifted; the arm
-always vibrates. The defaults give 45 minutes, 54 % of them static. Split by recording, never by window.
+rotates it in both directions, with pauses; the arm always vibrates. The defaults give 45 minutes, 54 % of
+them static. In the wider variation the grip also changes between strokes, or the finger is tapped or lifted.
+Split by recording, never by window.
 """
 
 import math
@@ -27,20 +28,24 @@ class PaperStrokes:
     force: float = 2.0  # N, normal force
     regrip: float = 0.3  # standard deviation of the logarithm of a changed force
     tap: float = 3.0  # N, largest peak of a tap
+    pause: float = 0.576  # s, mean standstill before a stroke
     rounds: int = 2  # of eight strokes each
+    disturbed: bool = False  # True: force changes, taps and lifts between strokes
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield air, approach, and strokes with disturbances between them."""
+        """Yield air, approach, and strokes with or without disturbances between them."""
         yield Move("hold", 1.2, force=0.0)
         yield Move("hold", float(random.uniform(0.6, 1.0)), force=self.force)
         for _ in range(self.rounds):
             for direction in random.permutation(8):
-                pause, length = float(random.uniform(0.2, 0.3)), float(random.uniform(0.5, 0.7))
+                pause = self.pause * float(random.uniform(0.75, 1.25))
+                length = float(random.uniform(0.5, 0.7))
                 if self.speed is None:
                     yield Move("rotation", pause + length, pause, speed=1.0 if direction % 2 else -1.0)
                 else:
                     yield Move("translation", pause + length, pause, 45.0 * int(direction), self.speed)
-                yield from self._disturb(random)
+                if self.disturbed:
+                    yield from self._disturb(random)
 
     def _disturb(self, random: np.random.Generator) -> Iterator[Move]:
         """Yield at most one disturbance without slip: a changed force, a tap, or a lift."""
@@ -79,8 +84,10 @@ class PaperPlan:
     rounds: int = 2  # of eight strokes per recording
     force: float = 1.5  # N, normal force; fit
     vibration: float = 1.5e-4  # m, mean amplitude of the arm's vibration; fit
+    pause: float = 0.576  # s, mean standstill before a stroke; paper: 54 % of 45 minutes are static
+    tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope of the pad on the plane along x and y; fit
     pivot: float = 0.0065  # m, from the pad's centre to the axis of rotations; fit
-    latency: float = 0.07  # s, mean delay of the arm's velocity after the barometers; fit
+    latency: float = 0.07  # s, delay of the arm's velocity after the barometers; fit
     acceleration: float = 0.63  # m/s2 at the ends of a stroke; fit
     parameters: Parameters = field(default_factory=Parameters)
     vary: Variation = _unvaried  # applied to the scene of each recording
@@ -95,15 +102,16 @@ class PaperPlan:
         pivot_angle, heading = random.uniform(0.0, 360.0, 2)
         amplitude = self.vibration * random.uniform(0.3, 1.7)
         scene = Scene(
-            PaperStrokes(speed, self.force, rounds=self.rounds),
+            PaperStrokes(speed, self.force, pause=self.pause, rounds=self.rounds),
             surface,
             offset=(
                 self.pivot * math.cos(math.radians(pivot_angle)),
                 self.pivot * math.sin(math.radians(pivot_angle)),
             ),
+            tilt=self.tilt if surface == "plane" else (0.0, 0.0),
             acceleration=self.acceleration,
             vibration=Vibration(float(amplitude), float(random.choice([6.5, 12.0])), float(heading)),
-            motion=Timing(125.0, latency=float(self.latency * random.uniform(0.4, 1.6))),
+            motion=Timing(125.0, latency=self.latency),
             parameters=self.parameters,
         )
         return self.vary(scene, random)
@@ -122,7 +130,8 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
     al., 2017).
     """
     plan = cast("PaperStrokes", scene.plan)
-    plan = replace(plan, force=plan.force * _factor(random, 0.6))
+    pause = plan.pause * float(random.uniform(0.4, 1.0))
+    plan = replace(plan, force=plan.force * _factor(random, 0.6), pause=pause, disturbed=True)
     if plan.speed is not None and random.random() < 0.4:  # noqa: PLR2004 - the others keep the speed of the plan
         plan = replace(plan, speed=float(np.exp(random.uniform(math.log(SLOWEST), math.log(FASTEST)))))
     tilt, apex = TILT_SPREAD * random.standard_normal(2), APEX_SPREAD * random.standard_normal(2)
@@ -130,7 +139,7 @@ def varied(scene: Scene, random: np.random.Generator) -> Scene:
     return replace(
         scene,
         plan=plan,
-        tilt=(float(tilt[0]), float(tilt[1])),
+        tilt=(scene.tilt[0] + float(tilt[0]), scene.tilt[1] + float(tilt[1])),
         apex=(float(apex[0]), float(apex[1])),
         vibration=replace(
             vibration,

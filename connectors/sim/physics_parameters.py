@@ -1,8 +1,8 @@
 """Physical constants of the simulated fingertip and of the touched surface.
 
 Sources: *geometry* of the device; *paper*, "Under Pressure" (2021); *convergence*, a finer value changes
-nothing; *fit*, all together by CMA-ES, such that the paper's TCN, trained on real recordings, detects slip in
-the simulated signal, and such that level, spread, steps and slip-to-static ratio match the published values.
+nothing; *fit*, all together by `tests.scene.scene_fit`: the paper's TCN, trained on real recordings, detects
+slip in the simulated signal, and statistics, relaxation and spectrum match real ones.
 Fitted values are effective: they describe the whole finger, not a sample of rubber.
 """
 
@@ -35,7 +35,7 @@ class Parameters:
     kinetic_friction: float = 0.97  # fit
     stribeck_speed: float = 0.245  # m/s; fit
     texture: float = 0.7  # depth of the friction's modulation along the path; fit
-    texture_lengths: tuple[float, float] = (0.011, 0.0043)  # m; fit of a prototype
+    texture_lengths: tuple[float, float] = (0.011, 0.0043)  # m; fit
 
     # finger that carries the pad
     mass: float = 0.167  # kg; fit
@@ -51,10 +51,9 @@ class Parameters:
     pitch_y: float = 0.009  # m between rows; fit
     depth: float = 0.0039  # m of rubber over the cells; fit
     shear_gain: float = 4.5  # factor of the half-space's response to shear; fit
-    sensitivity: float = 0.012  # counts/Pa; fit, below the datasheet's 0.016 (1023 counts over 65 kPa)
-    creep: float = 0.5  # fraction of the response that creeps; fit
-    creep_time: float = 0.8  # s; fit of a prototype
-    noise: float = 0.0  # counts, standard deviation; real cells have 0.43 to 0.7, without effect on results
+    sensitivity: float = 0.0075  # counts/Pa; fit, below the datasheet's 0.016 (1023 counts over 65 kPa)
+    relaxation: float = 0.06517  # fraction of the response that is lost per decade of time; fit
+    noise: float = 0.6  # counts, standard deviation; paper: 0.43 to 0.7 of unloaded cells
     rest_lowest: int = 420  # counts of an unloaded cell; paper: cells reach 0 at 420 to 502 counts below rest
     rest_highest: int = 502  # counts
 

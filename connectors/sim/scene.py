@@ -17,7 +17,6 @@ from operators.errors import ParameterError
 
 Curvature: TypeAlias = Literal["plane", "sphere", "cylinder_x", "cylinder_y"]
 RADIUS: Final = 0.06  # m, default for curved surfaces
-NOISE: Final = 0.6  # counts, standard deviation; unloaded cells of real fingertips have 0.43 to 0.7
 
 MotionKind: TypeAlias = Literal["translation", "rotation", "hold", "tap", "lift"]
 
@@ -81,10 +80,10 @@ class Strokes:
     """
 
     def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Yield air, then rounds of approach and eight strokes; normal forces have a median of 2 N."""
+        """Yield air, then rounds of approach and eight strokes; normal forces have a median of 1.5 N."""
         yield Move("hold", 1.2, force=0.0)
         while True:
-            force = 2.0 * float(np.exp(0.6 * random.standard_normal()))  # paper: 0.5 to 8 N
+            force = 1.5 * float(np.exp(0.3 * random.standard_normal()))
             yield Move("hold", float(random.uniform(0.8, 1.5)), force=force)
             speed, length = float(random.choice((0.05, 0.075, 0.1))), float(random.uniform(0.5, 0.7))
             for direction in random.permutation(8):
@@ -170,8 +169,8 @@ class Scene:
 
 
 def commanded_scene(curvature: Curvature = "plane", radius: float = RADIUS) -> Scene:
-    """Return a scene without moves, for a commanded arm; its cells have the noise of real ones."""
-    return Scene(Moves(()), curvature, radius, parameters=Parameters(noise=NOISE))
+    """Return a scene without moves, for a commanded arm that vibrates."""
+    return Scene(Moves(()), curvature, radius, vibration=Vibration())
 
 
 def surface_drop(curvatures: tuple[float, float], x: float, y: float) -> float:

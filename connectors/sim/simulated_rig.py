@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from connectors.sim.scene import Move, Scene, Timing
+from connectors.sim.scene import Move, Scene, Timing, Vibration
 from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Episodes, Motion, Touch, Truth, s
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
@@ -26,7 +26,7 @@ class SimulatedRig:
     run. With the same seed, runs are identical except for the start of their timestamps.
 
     Args:
-        scene: Scene to simulate (default `Scene()`: presses and strokes without end).
+        scene: Scene to simulate (default: presses and strokes without end, by an arm that vibrates).
         seed: Random seed; the same seed gives identical output.
         pace: Simulated seconds per second of the clock (default 1).
         fingers: Fingertips that share one motion, each with its own noise and cells.
@@ -46,7 +46,7 @@ class SimulatedRig:
         check_at_least("SimulatedRig", "seed", seed, 0)
         if not fingers:
             raise ParameterError("SimulatedRig", "fingers", fingers, "at least one fingertip")
-        self.scene = scene if scene is not None else Scene()
+        self.scene = scene if scene is not None else Scene(vibration=Vibration())
         self.seed, self.pace, self.fingers = seed, pace, fingers
         self.touch = SimulatedTouch(self, Touch, fingers)
         self.motion = SimulatedMotion(self, Motion, (EVERY,))

@@ -61,6 +61,13 @@ def test_a_cell_is_stuck_once_its_count_has_not_changed_for_two_seconds_until_it
     assert _changes(counts, valid) == [(3.0, 5, FaultKind.STUCK, True), (4.0, 5, FaultKind.STUCK, False)]
 
 
+def test_a_cell_at_the_end_of_its_range_is_stuck_only_if_it_begins_there() -> None:
+    counts, valid = _touch(6)
+    counts[100:400, 0], counts[:, 1] = 0, 0
+    found = [(cell, kind) for _, cell, kind, begins in _changes(counts, valid) if begins]
+    assert found == [(1, FaultKind.SATURATED), (0, FaultKind.SATURATED), (1, FaultKind.STUCK)]
+
+
 def test_a_dead_cell_is_not_stuck_until_it_answers_without_change() -> None:
     counts, valid = _touch(6)
     counts[100:, 1] = 610

@@ -1,13 +1,12 @@
 """Ablation of the scene: the change of each measure when a term of the physics or the plan is removed."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from connectors.sim.paper_plan import PaperPlan
-from connectors.sim.scene import Move, Plan, Scene
 from flows.learn.labelled_recordings import simulated_recordings
 from operators.batch import Reals
 from operators.detectors import Detector
@@ -19,30 +18,6 @@ DISTANCE: Final = "distance"
 DETECTORS: Final = ("PSD, points", "logistic regression, points")
 
 
-@dataclass(frozen=True, slots=True)
-class Calm:
-    """A plan in which the arm stands still between strokes: no force changes, taps or lifts."""
-
-    plan: Plan
-
-    def moves(self, random: np.random.Generator) -> Iterator[Move]:
-        """Return the moves of the plan; those between strokes become holds."""
-        stroked = False
-        for move in self.plan.moves(random):
-            stroked |= move.motion in ("translation", "rotation")
-            still = stroked and move.motion in ("hold", "tap", "lift")
-            yield replace(move, motion="hold", force=None, tap=0.0) if still else move
-
-
-@dataclass(frozen=True, slots=True)
-class CalmCollection(PaperPlan):
-    """A collection without force changes, taps and lifts."""
-
-    def scenes(self, seed: int) -> Iterator[Scene]:
-        """Return the scenes, each with a calm plan."""
-        return (replace(scene, plan=Calm(scene.plan)) for scene in PaperPlan.scenes(self, seed))
-
-
 Change = Callable[[PaperPlan], PaperPlan]
 
 
@@ -51,7 +26,7 @@ def _physics(**values: float) -> Change:
     return lambda plan: replace(plan, parameters=replace(plan.parameters, **changes))
 
 
-def _plan(**values: float) -> Change:
+def _plan(**values: float | tuple[float, float]) -> Change:
     changes: dict[str, Any] = values
     return lambda plan: replace(plan, **changes)
 
@@ -66,23 +41,20 @@ def _no_stribeck(plan: PaperPlan) -> PaperPlan:
     )
 
 
-def _calm(plan: PaperPlan) -> PaperPlan:
-    return CalmCollection(**{name: getattr(plan, name) for name in PaperPlan.__dataclass_fields__})
-
-
 # removed in each variant
 TERMS: Final[Mapping[str, Change]] = {
     "response to shear": _physics(shear_gain=0.0),
     "tilt by drag": _physics(lever=0.0),
     "texture": _physics(texture=0.0),
-    "creep": _physics(creep=0.0),
+    "relaxation": _physics(relaxation=0.0),
     "Stribeck friction": _no_stribeck,
     "resonance of the finger (damping 1)": _physics(damping=1.0),
     "floor of the barometers": _no_floor,
     "latency of the velocity": _plan(latency=0.0),
     "arm vibration": _plan(vibration=0.0),
     "pivot off the pad's centre": _plan(pivot=0.0),
-    "force changes, taps and lifts": _calm,
+    "tilted pad on the plane": _plan(tilt=(0.0, 0.0)),
+    "noise": _physics(noise=0.0),
 }
 # instead of 8 x 6 nodes and 1 ms
 GRIDS: Final[Mapping[str, Change]] = {

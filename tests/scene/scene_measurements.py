@@ -47,7 +47,9 @@ class Size:
         check_choice("scene", "plan", plan, PLANS)
         if plan == "paper":
             return cls()
-        return cls(PLANS[plan], PLANS[plan], seeds=2, terms=("texture", "creep", "6 x 4 nodes"), timed=2.0)
+        return cls(
+            PLANS[plan], PLANS[plan], seeds=2, terms=("texture", "relaxation", "6 x 4 nodes"), timed=2.0
+        )
 
 
 class Measurements:

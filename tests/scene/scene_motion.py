@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionGroup, MotionKind
-from flows.learn.evaluation.published import SPEEDS
+from flows.learn.evaluation.published import SPEEDS, SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.sample_metrics import Confusion
 from operators.batch import Reals
 
@@ -84,3 +84,27 @@ EFFECTS: Final = (
         -10.2,
     ),
 )
+
+
+def groups() -> list[tuple[str, MotionGroup, float]]:
+    """Return the groups of windows that the paper has figures for: name, cells, F1 (%)."""
+
+    def on(surface: str) -> MotionGroup:
+        return lambda cell: cell.surface == surface
+
+    def moved(kind: str, pace: float | None) -> MotionGroup:
+        return lambda cell: (cell.kind, cell.speed) == (kind, pace)
+
+    surfaces = [(spaced(s), on(s), f1) for s, f1 in zip(SURFACES, TABLE_3_ANY, strict=True)]
+    motions = [(motion_name(*motion), moved(*motion), f1[-1]) for motion, f1 in TABLE_3.items()]
+    return [("all", lambda _: True, TABLE_1["TCN"][-1]), *surfaces, *motions]
+
+
+def spaced(name: str) -> str:
+    """Return a name with spaces."""
+    return name.replace("_", " ")
+
+
+def motion_name(kind: str, pace: float | None) -> str:
+    """Return kind and speed of a motion as text."""
+    return f"{kind}, 1 rad/s" if pace is None else f"{kind}, {100 * pace:g} cm/s"

@@ -183,7 +183,7 @@ def _static_std(used: Used) -> Reals:
 
 def _ratio(used: Used, length: int) -> Reals:
     """Return the ratio of windows that end in slip to the others, over the loaded barometers; (1,)."""
-    windows, slip, _ = _cut(used, length, 5)
+    windows, slip, _ = _cut(used, length, 10)
     loaded = np.abs(windows.mean(axis=1)) > _LOADED  # (k, 6)
     frequency = np.fft.rfftfreq(length, 1 / RATE)
     size = np.abs(np.fft.rfft(windows, axis=1)[:, frequency >= FREQUENCIES[1]]).mean(axis=1)  # (k, 6)
@@ -196,7 +196,7 @@ def _ratio(used: Used, length: int) -> Reals:
 def _spectrum(used: Used, *, slip: bool) -> Reals:
     """Return the mean amplitude (counts) at `FREQUENCIES`: loaded barometers, 0.4-s windows of one label."""
     length = 40
-    windows, _, share = _cut(used, length, 5)
+    windows, _, share = _cut(used, length, 10)
     chosen = windows[share == float(slip)]  # (k, 40, 6)
     loaded = np.abs(chosen.mean(axis=1)) > _LOADED  # (k, 6)
     if not loaded.any():

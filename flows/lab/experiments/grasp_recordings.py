@@ -17,7 +17,7 @@ from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
 from connectors.sim.paper_plan import PaperPlan, varied
 from connectors.sim.physics_parameters import Parameters
-from connectors.sim.scene import NOISE, Curvature, Scene, Vibration
+from connectors.sim.scene import Curvature, Scene, Vibration
 from connectors.sim.truth import SLIDING
 from flows.learn.evaluation.event_metrics import filled
 from flows.learn.labelled_recordings import WARM_UP, LabelledRecording
@@ -126,7 +126,7 @@ def draw_object(random: np.random.Generator) -> Object:
 
 def _draw_fingertip(random: np.random.Generator) -> Parameters:
     """Draw the fitted fingertip, or one of the wide plan."""
-    plain = next(PaperPlan(parameters=Parameters(noise=NOISE)).scenes(int(random.integers(2**31))))
+    plain = next(PaperPlan().scenes(int(random.integers(2**31))))
     scene: Scene = varied(plain, random) if random.random() < 0.6 else plain  # noqa: PLR2004 - a share
     return scene.parameters
 

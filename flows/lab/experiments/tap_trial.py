@@ -19,7 +19,7 @@ from operators.detectors import Detector
 from operators.grip import GripController, StepGrip
 
 LIFT: Final = Lift(2.0)  # until 3.1 s
-BLOW: Final = 4.5  # s; by then the creep that follows the lift has settled
+BLOW: Final = 4.5  # s; by then the signal that follows the lift has settled
 END: Final = 6.0  # s
 FIRM: Final = (1.3, 1.8)  # range of the grip force, relative to the least that holds; assumed
 SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is aimed at

@@ -131,7 +131,7 @@ def _stream(stream: str) -> dict[str, StressField]:
 
 FIELDS: Final[Mapping[str, StressField]] = MappingProxyType(
     {
-        "noise": StressField(_value("parameters", "noise"), (0, 3.5, 7, 14, 28), "noise", "counts"),
+        "noise": StressField(_value("parameters", "noise"), (0.6, 3.5, 7, 14, 28), "noise", "counts"),
         "gain": StressField(_every_cell("gain"), (1, 1.5, 2.5, 0.5, 0.25, 0.1), "gain"),
         "offset": StressField(_every_cell("offset"), (0, 200, 400, -200, -400), "offset", "counts"),
         "drift": StressField(_every_cell("drift"), (0, 2, 6, 20, -2, -6, -20), "drift", "counts/s"),

@@ -43,7 +43,11 @@ def test_rotations_turn_both_ways() -> None:
 
 
 def test_a_lifted_finger_comes_down_again() -> None:
-    followed = [(a.motion, b.force) for n in range(20) for a, b in pairwise(moves(Scene(PaperStrokes()), n))]
+    followed = [
+        (a.motion, b.force)
+        for n in range(20)
+        for a, b in pairwise(moves(Scene(PaperStrokes(disturbed=True)), n))
+    ]
     after = [force for motion, force in followed if motion == "lift"]
     assert len(after) > 3
     assert all(force is not None and force > 0 for force in after)

@@ -69,7 +69,7 @@ def test_with_more_than_three_dead_cells_there_is_no_score(found: Stress) -> Non
 
 
 def test_health_reports_dead_stuck_and_floored_cells_but_not_noise(found: Stress) -> None:
-    nominal = found.outcome("noise", 0).degraded
+    nominal = found.outcome("noise", 0.6).degraded
     assert nominal < 50
     assert found.outcome("dead", 1).degraded == 100
     assert found.outcome("floored", 1).degraded == 100

@@ -1,0 +1,148 @@
+"""Fit the scene's constants to real and published figures: `make scene-fit`, or `--help`.
+
+All constants are fitted together by response surfaces (Box and Wilson, 1951). Each round simulates a plan at
+the points of an orthogonal design around the present constants, all with the same seed, fits a plane to each
+target, and takes a damped Gauss-Newton step. Each point informs all slopes, so chaotic noise averages out.
+The constants in the code are the start. The result is printed, to be copied there as it is.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Final
+
+import numpy as np
+from scipy.linalg import hadamard
+
+from connectors.sim.paper_plan import PaperPlan
+from flows.report.table import Table
+from operators.batch import Reals
+from operators.detectors import Detector
+from storage import load_detector
+from tests.scene.scene_measurements import read_trace
+from tests.scene.scene_targets import CROSS_CHECK, PLAN, Target, figures, targets
+
+STEP: Final = 0.1  # relative change of a constant in a design
+SLOPE: Final = 0.02  # rad, change of a tilt
+STICTION: Final = 2.2  # largest ratio of static to kinetic friction; above it, slipping objects hardly stop
+RESONANCE: Final = 20.0  # Hz, least resonance of the finger; below it, a shaking hand loses held objects
+SEED: Final = 1000  # of the first round; each later round takes the next one
+RUNS: Final = 32  # of a design, more than there are constants
+# of `PaperPlan` or, if it has no such name, of `Parameters`; a number is an index into a tuple
+CONSTANTS: Final = (
+    "normal_stiffness", "shear_stiffness", "static_friction", "kinetic_friction", "stribeck_speed", "texture",
+    "texture_lengths.0", "texture_lengths.1", "mass", "stiffness", "damping", "tilt_stiffness",
+    "lever", "pitch_x", "pitch_y", "depth", "shear_gain", "sensitivity", "relaxation",
+    "force", "vibration", "pivot", "latency", "acceleration", "tilt.0", "tilt.1",
+)  # fmt: skip
+
+Simulate = Callable[[Iterable[tuple[PaperPlan, int]]], list[Reals]]
+
+
+def constants(plan: PaperPlan) -> dict[str, float]:
+    """Return the fitted constants of a plan."""
+    found: dict[str, float] = {}
+    for name in CONSTANTS:
+        field, _, index = name.partition(".")
+        value: Any = getattr(plan if hasattr(plan, field) else plan.parameters, field)
+        found[name] = float(value[int(index)] if index else value)
+    return found
+
+
+def changed(plan: PaperPlan, steps: Reals) -> PaperPlan:
+    """Return a plan whose constants are changed by steps (constants,): `STEP`, or `SLOPE` of a tilt."""
+    collection: dict[str, Any] = {}
+    physics: dict[str, Any] = {}
+    for (name, value), step in zip(constants(plan).items(), steps.tolist(), strict=True):
+        field, _, index = name.partition(".")
+        new = value + SLOPE * step if field == "tilt" else value * float(np.exp(STEP * step))
+        owner = collection if hasattr(plan, field) else physics
+        owner[field] = (*owner.get(field, ()), new) if index else new
+    physics["texture"] = min(physics["texture"], 0.9)  # friction never vanishes
+    physics["static_friction"] = min(physics["static_friction"], STICTION * physics["kinetic_friction"])
+    physics["mass"] = min(physics["mass"], physics["stiffness"] / (2 * np.pi * RESONANCE) ** 2)
+    return replace(plan, parameters=replace(plan.parameters, **physics), **collection)
+
+
+def fit(
+    plan: PaperPlan, wanted: Sequence[Target], simulate: Simulate, rounds: int, log: Callable[[str], None]
+) -> PaperPlan:
+    """Fit the constants of a plan; the result is the mean of the last third of the rounds."""
+    real, weight = np.array([each.real for each in wanted]), np.array([each.weight for each in wanted])
+    at, path, start = np.zeros(len(CONSTANTS)), list[Reals](), perf_counter()
+    slopes = np.zeros((len(at), len(wanted)))
+    for number in range(rounds):
+        random = np.random.default_rng([SEED, number])
+        signs = hadamard(RUNS)[:, 1 + random.permutation(RUNS - 1)[: len(at)]].astype(np.float64)
+        signs *= random.choice([-1.0, 1.0], len(at))
+        found = np.array(simulate([(changed(plan, at + row), SEED + number) for row in signs]))
+        misfits = (found - real) * weight  # (runs, targets)
+        mean = misfits.mean(axis=0)  # (targets,)
+        slope = signs.T @ (misfits - mean) / RUNS  # (constants, targets)
+        slopes = slope if number == 0 else 0.6 * slopes + 0.4 * slope
+        noise = np.square(misfits - mean - signs @ slope).sum() / RUNS  # not explained by the planes
+        step = -np.linalg.solve(slopes @ slopes.T + noise / 2 * np.eye(len(at)), slopes @ mean)
+        at = at + np.clip(step, -1.0, 1.0)
+        path.append(at)
+        log(
+            f"round {number + 1} of {rounds}: sum of squared misfits {np.square(mean).sum():.1f}, "
+            f"{perf_counter() - start:.0f} s; {_shown(changed(plan, at))}"
+        )
+    return changed(plan, np.mean(path[-max(1, rounds // 3) :], axis=0))
+
+
+def _shown(plan: PaperPlan) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in constants(plan).items())
+
+
+_NETWORK: Final = list[Detector]()  # of a worker process
+
+
+def _load(judge: Path) -> None:
+    _NETWORK.append(load_detector(judge))
+
+
+def _figures(task: tuple[PaperPlan, int]) -> Reals:
+    return figures(*task, _NETWORK[0])
+
+
+def main() -> None:
+    """Fit the constants; print them and how well each target is met."""
+    options = argparse.ArgumentParser(prog="python -m tests.scene.scene_fit", description=__doc__)
+    options.add_argument("--judge", type=Path, required=True, help="weights of the paper's TCN")
+    options.add_argument("--trace", type=Path, required=True, help="labelled real trace, CSV")
+    options.add_argument("--rounds", type=int, default=8, help="rounds of the fit (default 8)")
+    options.add_argument("--jobs", type=int, default=2, help="processes (default 2)")
+    given = options.parse_args()
+    wanted = targets(read_trace(given.trace))
+    with get_context("spawn").Pool(given.jobs, _load, (given.judge,)) as pool:
+        simulate = partial(pool.map, _figures, chunksize=1)
+        after = fit(PLAN, wanted, simulate, given.rounds, partial(print, file=sys.stderr, flush=True))
+        own = range(SEED, SEED + len(CROSS_CHECK))
+        columns = [
+            np.mean(simulate([(plan, seed) for seed in seeds]), axis=0)
+            for plan, seeds in ((PLAN, own), (after, own), (after, CROSS_CHECK))
+        ]
+    rows = [
+        [each.text, each.weight, each.real, *map(float, values)]
+        for each, *values in zip(wanted, *columns, strict=True)
+    ]
+    head = ["target", "weight", "real", "before", "after", "other seeds"]
+    print(
+        Table(
+            head,
+            rows,
+            "Figures of the plan, on the seeds of the fit and on others",
+            dict.fromkeys(head, None),
+        ).markdown()
+    )
+    print(f"\nConstants: {_shown(after)}")
+
+
+if __name__ == "__main__":
+    main()
