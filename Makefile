@@ -94,9 +94,10 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	} | xargs -P 2 -L 1 slipflow
 	slipflow train $(DATA) --resume --seeds 3 --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
 	slipflow train $(DATA) --resume --seeds 3 --target sliding -o models/tcn_sliding.safetensors
-	env -u OMP_NUM_THREADS slipflow experiment learn -o models/tcn_grasp.safetensors
-	for name in tcn tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp; do \
+	env -u OMP_NUM_THREADS slipflow experiment learn -o models
+	for name in tcn tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp paper_grasp; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
+	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
 	$(if $(trace),for name in tcn tcn_sliding; do \
 	    .venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/$$name-seed?.safetensors || exit 1; done)
 

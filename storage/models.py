@@ -138,6 +138,11 @@ def shipped_names() -> list[str]:
     return [*filter(found.__contains__, TRAINED), *sorted(found - TRAINED.keys())]
 
 
+def shipped_path(name: str) -> Path:
+    """Return the path at which a model of that name ships with the package, even if it only has a card."""
+    return _SHIPPED / f"{name}.safetensors"
+
+
 def load_card(path: Path) -> dict[str, Any]:
     """Return the content of a model's card, a .json of the same name; empty if there is none.
 

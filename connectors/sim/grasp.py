@@ -33,7 +33,12 @@ TEXTURE_LIMIT: Final = 0.95  # below 1, so that friction never vanishes
 
 
 def least_force(
-    held: Object, parameters: Parameters | None = None, *, friction: float = 1.0, mass: float = 1.0
+    held: Object,
+    parameters: Parameters | None = None,
+    *,
+    friction: float = 1.0,
+    mass: float = 1.0,
+    passive: float = PASSIVE_FRICTION,
 ) -> float:
     """Return the minimum normal force (N) that holds an object: m g / (mu_pad + mu_passive).
 
@@ -42,12 +47,13 @@ def least_force(
         parameters: Parameters of the fingertip and the material (default `Parameters()`).
         friction: Factor of all friction coefficients (default 1).
         mass: Factor of the mass (default 1).
+        passive: Friction of the passive fingers for an object whose `friction` is 1 (default 0.6).
 
     >>> from connectors.sim.objects import named
     >>> round(least_force(named("box")), 2)
     1.87
     """
-    mu = (parameters or Parameters()).static_friction + PASSIVE_FRICTION
+    mu = (parameters or Parameters()).static_friction + passive
     return held.mass * mass * GRAVITY / (held.friction * friction * mu)
 
 

@@ -10,12 +10,13 @@ import typer
 from flows.cli.commands import command_group, register
 from flows.cli.options import AsJson, Jobs
 from flows.cli.report_output import ReportFolder, prepare_report, write_report
-from flows.cli.terminal import check_output_file, note, progress_bar
+from flows.cli.terminal import note, progress_bar
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from flows.lab.experiments.study import Method, Trials
+    from flows.lab.experiments.rivals import Method
+    from flows.lab.experiments.study import Experiment, Trials
 
 app = command_group("Run the paper's robot experiments in simulation, closed loop.")
 
@@ -35,7 +36,10 @@ Objects = Annotated[
 Detectors = Annotated[
     list[str] | None,
     typer.Option(
-        "--method", metavar="NAME", help="Detector, by name or model file; repeatable (default: several)."
+        "--method",
+        metavar="NAME",
+        help="Detector: threshold, psd or paper, which are tuned on grasps, another name or a model file;"
+        " repeatable (default: tcn_grasp and these three).",
     ),
 ]
 Rules = Annotated[
@@ -43,8 +47,13 @@ Rules = Annotated[
     typer.Option(
         "--rule",
         metavar="NAME",
-        help="Grip force rule: ours, steps (the paper's) or none; repeatable (default: several).",
+        help="Grip force rule: ours, steps (the paper's) or none; repeatable"
+        " (default: steps for threshold, psd and paper, otherwise ours).",
     ),
+]
+Stress = Annotated[
+    bool,
+    typer.Option("--stress", help="Vary friction, mass, latency, sample rate, stiffness and the pad."),
 ]
 _OUTPUT = ("jobs", "out", "as_json")  # parameters that do not change the results
 
@@ -56,28 +65,32 @@ def tap(
     method: Detectors = None,
     objects: Objects = None,
     seed: Seed = 900_000,
+    stress: Stress = False,
     jobs: Jobs = None,
     out: ReportFolder = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Hit held objects with a mallet and count the registered slips.
+    """Hit firmly held objects with a mallet and count the registered slips.
 
-    Prints success next to the paper's, failed trials by ending, and false slips. Writes tap.html, .md, .json
-    and .svg.
+    Prints success next to the paper's, false slips and failed trials by ending. Writes tap.html, .md, .json
+    and .svg. --stress prints where each method breaks and writes tap-stress.html, .md, .json and .svg.
 
     Examples:
-      slipflow experiment tap --method tcn --object ball --trials 5
+      slipflow experiment tap --object ball --trials 5
+      slipflow experiment tap --stress --method psd --trials 5
     """
-    from flows.lab.experiments.study import DEFAULT, Method, run_study
-    from flows.lab.experiments.study_report import tap_report
     from flows.lab.experiments.tap_trial import tap as run_tap
 
-    usual = [Method(name) for name in (DEFAULT, "tcn", "paper_tcn", "frequency_cnn", "psd")]
-    methods, trials = methods_of(usual, method, None), trials_of(count, seed, objects)
-    prepare_report(out)
-    with progress_bar("tap") as update:
-        study = run_study(run_tap, methods, trials, jobs=jobs, progress=update)
-    write_report(tap_report(study, command_line(context)), out, "tap", as_json=as_json)
+    _run(
+        context,
+        run_tap,
+        methods_of(method, None),
+        trials_of(count, seed, objects),
+        stress,
+        jobs,
+        out,
+        as_json,
+    )
 
 
 def lift(
@@ -88,88 +101,114 @@ def lift(
     rule: Rules = None,
     objects: Objects = None,
     seed: Seed = 900_000,
-    stress: Annotated[
-        bool,
-        typer.Option("--stress", help="Vary delay, sample rate, friction, mass, grip, speed and gripper."),
-    ] = False,
+    stress: Stress = False,
     jobs: Jobs = None,
     out: ReportFolder = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
     """Lift weakly gripped objects and count those that are held.
 
-    Prints success next to the paper's, failed trials by ending, slides and holding forces. Writes lift.html,
-    .md, .json and .svg. --stress prints success under each condition, and the delay at which each object is
-    no longer held. It writes lift-stress.html, .md, .json and .svg.
+    Prints success next to the paper's, false slips, failed trials by ending, slides and holding forces.
+    Writes lift.html, .md, .json and .svg. --stress prints where each method breaks and writes
+    lift-stress.html, .md, .json and .svg.
 
     Examples:
       slipflow experiment lift --object ball --trials 5
       slipflow experiment lift --method tcn --rule steps
-      slipflow experiment lift --stress --method psd --trials 10
+      slipflow experiment lift --stress --trials 5
     """
-    from flows.lab.experiments.lift_stress import CONDITIONS, METHODS, stress_report
     from flows.lab.experiments.lift_trial import lift as run_lift
-    from flows.lab.experiments.study import DEFAULT, NONE, OURS, STEPS, Method, run_study
-    from flows.lab.experiments.study_report import lift_report
 
-    usual = [Method(DEFAULT, each) for each in (OURS, STEPS, NONE)]
-    usual += [Method("tcn"), *(Method(name, STEPS) for name in ("tcn", "paper_tcn", "frequency_cnn", "psd"))]
-    trials, tried, report = trials_of(count, seed, objects), None, lift_report
-    if stress:
-        tried, report, usual = CONDITIONS, stress_report, list(METHODS)
-        method = method or ([each.detector for each in METHODS] if rule else None)
-    methods = methods_of(usual, method, rule)
+    _run(
+        context,
+        run_lift,
+        methods_of(method, rule),
+        trials_of(count, seed, objects),
+        stress,
+        jobs,
+        out,
+        as_json,
+    )
+
+
+def _run(  # noqa: PLR0917 - the options of both commands
+    context: typer.Context,
+    experiment: "Experiment",
+    methods: "Sequence[Method]",
+    trials: "Trials",
+    stress: bool,  # noqa: FBT001
+    jobs: int | None,
+    out: Path,
+    as_json: bool,  # noqa: FBT001
+) -> None:
+    """Run an experiment and write its report."""
+    from flows.lab.experiments.break_report import break_report, conditions_of
+    from flows.lab.experiments.study import run_study
+    from flows.lab.experiments.study_report import experiment_report
+
+    name = str(context.info_name)
     prepare_report(out)
-    with progress_bar("lift") as update:
-        study = run_study(run_lift, methods, trials, tried, jobs=jobs, progress=update)
-    found = report(study, command_line(context))
-    write_report(found, out, found.sections[0].name, as_json=as_json)
+    conditions, report = (conditions_of(name), break_report) if stress else (None, experiment_report)
+    with progress_bar(name) as update:
+        study = run_study(experiment, methods, trials, conditions, jobs=jobs, progress=update)
+    write_report(
+        report(study, command_line(context)), out, f"{name}-stress" if stress else name, as_json=as_json
+    )
 
 
 def learn(
     *,
     out: Annotated[
-        Path,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="FILE",
-            help="Model file, .safetensors; its card has the same name with .json.",
-        ),
-    ] = Path("tcn_grasp.safetensors"),
+        Path, typer.Option("--out", "-o", metavar="DIR", help="Folder of the models and their cards.")
+    ] = Path("models"),
     grasps: Annotated[int, typer.Option(min=20, help="Number of simulated grasps to train on.")] = 4000,
-    steps: Annotated[int, typer.Option(min=1, help="Number of training steps.")] = 2600,
+    steps: Annotated[int, typer.Option(min=1, help="Number of training steps of our network.")] = 2600,
+    epochs: Annotated[int, typer.Option(min=1, help="Number of epochs of the paper's network.")] = 5,
     seed: Annotated[int, typer.Option(min=0, help="Random seed of the recordings.")] = 7000,
+    jobs: Jobs = None,
     as_json: AsJson = False,
 ) -> None:
-    """Train the grasp detector, tcn_grasp.
+    """Train the grasp detector, tcn_grasp, and its rival, the paper's network; tune all thresholds.
 
-    Trains on simulated grasps and strokes, labelled by true sliding. The six objects of the experiments
-    are not among them. Needs the train extra.
+    Trains on simulated grasps and strokes, labelled by true sliding. Neither the six objects of the
+    experiments nor their fingertip are among them, nor among the objects that tune the thresholds. Needs the
+    train extra.
 
     Examples:
-      slipflow experiment learn -o mine.safetensors
+      slipflow experiment learn -o models
     """
     from dataclasses import replace
 
-    from flows.lab.experiments.grasp_training import RECIPE
+    from flows.lab.experiments.grasp_training import Course
     from flows.lab.experiments.grasp_training import learn as train
     from flows.learn.training.learning_curve import Check
+    from flows.report.report_page import make_output_folder
 
-    check_output_file(out)
-    with progress_bar("training tcn_grasp") as update:
+    make_output_folder(out)
+    usual = Course()
+    course = replace(
+        usual,
+        seed=seed,
+        grasps=grasps,
+        recipe=replace(usual.recipe, steps=steps),
+        paper=replace(usual.paper, epochs=epochs),
+    )
+    with progress_bar("training") as update:
 
         def progress(done: int, total: int, check: Check | None) -> None:
             update(done, total)
             if check:
                 note(f"{check.done}: {check.accuracy:.2f} % on validation, {check.seconds:.0f} s")
 
-        model = train(
-            out, seed=seed, grasps=grasps, recipe=replace(RECIPE, steps=steps), log=note, progress=progress
+        models = train(out, course, jobs=jobs, log=note, progress=progress)
+    if as_json:
+        typer.echo(json.dumps({name: {"path": str(each.path), **each.card} for name, each in models.items()}))
+        return
+    for model in models.values():
+        scores = ", ".join(
+            f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items()
         )
-    scores = ", ".join(f"{each['balanced']:.2f} % on {kind}" for kind, each in model.card["scores"].items())
-    summary = {"path": str(model.path), **model.card}
-    typer.echo(json.dumps(summary) if as_json else f"{model.path}: balanced accuracy {scores}")
+        typer.echo(f"{model.path}: balanced accuracy {scores}")
 
 
 def command_line(context: typer.Context) -> str:
@@ -197,21 +236,17 @@ def trials_of(count: int, seed: int, objects: list[str] | None) -> "Trials":
     return Trials(count, seed, tuple(objects or OBJECTS))
 
 
-def methods_of(
-    usual: "Sequence[Method]", detectors: list[str] | None, rules: list[str] | None
-) -> "list[Method]":
-    """Return each named detector with each rule; without names, the usual methods that have these rules.
+def methods_of(detectors: list[str] | None, rules: list[str] | None) -> "list[Method]":
+    """Return each detector with each rule; by default the usual detectors, each with its usual rule.
 
     Raises:
         ParameterError: on an unknown rule.
     """
-    from flows.lab.experiments.study import OURS, Method
+    from flows.lab.experiments.rivals import METHODS, Method
 
-    if detectors:
-        return [Method(detector, rule) for detector in detectors for rule in rules or [OURS]]
-    for rule in rules or []:
-        Method("", rule)
-    return [method for method in usual if not rules or method.rule in rules]
+    usual = {method.detector: method for method in METHODS}
+    named = [usual.get(name, Method(name)) for name in detectors or usual]
+    return [Method(method.detector, rule) for method in named for rule in rules or [method.rule]]
 
 
 for each in (tap, lift, learn):

@@ -1,15 +1,18 @@
-"""The paper's object lift: an object is gripped too weakly and lifted; more force must catch it."""
+"""The paper's object lift: an object is gripped too weakly and lifted; more force must catch it.
+
+The same grasp is also lifted firmly. A slip registered there, or before anything slides, fails the trial.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
 from connectors.sim.grasp_actions import Lift
-from connectors.sim.objects import Object
 from connectors.sim.truth import SLIDING
-from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial, run_trial
+from flows.lab.experiments.trial import HELD, Trace, Trial, run_trial
 from operators.batch import Reals, s
 from operators.detectors import Detector
 from operators.grip import GripController
@@ -22,94 +25,91 @@ RESTS: Final = 0.0005  # m; a held object slides at most this far in the last ha
 LATE: Final = 0.5  # s from the first sliding; a slip registered later counts as missed
 EARLY: Final = 0.02  # s; a slip may be registered this long before the sliding it belongs to
 
-LiftEnding: TypeAlias = Literal["held", "missed", "too late", "dropped after catch", "given up", "not lifted"]
+LiftEnding: TypeAlias = Literal[
+    "held", "false slip", "missed", "too late", "dropped after catch", "given up", "not lifted"
+]
 
 
 @dataclass(frozen=True, slots=True)
 class LiftOutcome:
     """The outcome of one lift.
 
-    Endings other than ``held``: ``missed``, no slip registered within half a second of sliding; ``dropped
-    after catch``, gripped firmly enough at some time; ``given up``, released by the controller; ``not
-    lifted``, hangs too low, still slides or stands on the table; else ``too late``.
+    Endings other than ``held``: ``false slip``, registered in the firm lift or before anything slid;
+    ``missed``, no slip registered within half a second of sliding; ``dropped after catch``, gripped firmly
+    enough at some time; ``given up``, released by the controller; ``not lifted``, hangs too low, still slides
+    or stands on the table; else ``too late``.
     """
 
     ending: LiftEnding
+    false_firm: bool  # a slip was registered in the firm lift
     slide: float  # mm
-    delay: float  # ms from the first sliding to the first registered slip; NaN: none
-    ratio: float  # mean force of the last second over the least that holds; NaN: not held
+    lead: float  # ms from the first registered slip to the first sliding; NaN: none
+    force: float  # mean of the last second over the least that holds; NaN: not held
     peak: float  # highest force over the least that holds
-    false: int  # slips registered before anything slid
-    firm: float = math.nan  # s from the start of the lift until the grip is firm enough; NaN: never
-    lost: bool = False  # fell out of the gripper
 
     @property
     def success(self) -> bool:
-        """True if the object was lifted and held."""
+        """True if the object was lifted and held, without a false slip."""
         return self.ending == "held"
 
 
-def lift(
-    held: Object, seed: int, detector: Detector, rule: GripController, conditions: Conditions
-) -> tuple[Trace, LiftOutcome]:
-    """Run one lift trial; `rule` begins with the weak force of the trial.
+def lift(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, LiftOutcome]]:
+    """Run one lift trial.
 
-    A delayed gripper closes later, so `rule` also waits longer: scores before contact must not count.
+    A delayed gripper closes later, so a rule also waits longer: scores before contact must not count.
     """
-    trial = Trial.draw(held, seed, conditions)
-    settle = rule.settle + round(conditions.gripper.delay * s)
-    rule = replace(rule, force=weak_force(trial), settle=settle)
-    trace = run_trial(trial.grasp(lift_motion(conditions)), detector, rule, conditions, END)
-    return trace, judge_lift(trace, rule, trial.least_force)
+    firm, found = trial.hold((), HELD), list[tuple[Trace, LiftOutcome]]()
+    delay = round(trial.conditions.gripper.delay * s)
+    for detector, usual in methods:
+        rule = replace(usual, force=weak_force(trial), settle=usual.settle + delay)
+        false_firm = firm.scored(detector).false_slip(rule)
+        trace = run_trial(trial.grasp(LIFT), detector, rule, trial.conditions, END)
+        found.append((trace, judge_lift(trace, rule, trial.least_force, false_firm=false_firm)))
+    return found
 
 
 def weak_force(trial: Trial) -> float:
     """Return the force (N) with which a lift begins."""
-    share = float(np.random.default_rng([trial.seed, 8]).uniform(*WEAK))
-    return trial.expected_force * share * trial.conditions.grip
+    return trial.expected_force * float(np.random.default_rng([trial.seed, 8]).uniform(*WEAK))
 
 
-def lift_motion(conditions: Conditions) -> Lift:
-    """Return the arm's motion."""
-    pace = conditions.pace
-    return replace(LIFT, speed=pace * LIFT.speed, acceleration=pace * LIFT.acceleration)
-
-
-def judge_lift(trace: Trace, rule: GripController, least: float) -> LiftOutcome:
+def judge_lift(trace: Trace, rule: GripController, least: float, *, false_firm: bool = False) -> LiftOutcome:
     """Return the outcome of a lift; `least` is the least force that holds the object (N)."""
     lifting = trace.between(LIFT.instant, END + 1)
     slides = trace.t[lifting][trace.speed[lifting] > SLIDING]
     began = float(slides[0]) if len(slides) else math.inf
     onsets = trace.onsets(rule)
-    onsets = onsets[onsets > BASELINE + rule.settle / s]
     answers = onsets[onsets >= began - EARLY]
     delay = float(answers[0]) - began if len(answers) else math.nan
     slide: Reals = 1000 * (trace.slide[lifting] - trace.slide[lifting][0])  # (m,) mm
     ending = _lift_ending(trace, rule, least, delay)
+    if false_firm or len(answers) < len(onsets):
+        ending = "false slip"
     force = trace.force[trace.between(END - 1, END + 1)]
-    firm = trace.t[lifting][trace.force[lifting] >= least]
     return LiftOutcome(
         ending=ending,
+        false_firm=false_firm,
         slide=float(slide.max()),
-        delay=1000 * delay,
-        ratio=float(force.mean()) / least if ending == "held" else math.nan,
+        lead=-1000 * delay,
+        force=float(force.mean()) / least if _held(trace) else math.nan,
         peak=float(trace.force.max()) / least,
-        false=int((onsets < began - EARLY).sum()),
-        firm=float(firm[0]) - LIFT.instant if len(firm) else math.nan,
-        lost=bool(trace.dropped[-1]),
     )
 
 
 def _lift_ending(trace: Trace, rule: GripController, least: float, delay: float) -> LiftEnding:
-    last = trace.between(END - 0.5, END + 1)
-    dropped = bool(trace.dropped[-1])
-    low = float(trace.gripper_height[-1] - trace.height[-1])
-    if not dropped and not trace.on_table[-1] and low < ROOM and np.ptp(trace.slide[last]) < RESTS:
+    if _held(trace):
         return "held"
     if trace.commanded[-1] <= rule.min_force:
         return "given up"
     if math.isnan(delay) or delay > LATE:
         return "missed"
-    if not dropped:
+    if not trace.dropped[-1]:
         return "not lifted"
     return "dropped after catch" if trace.force[~trace.dropped].max() >= least else "too late"
+
+
+def _held(trace: Trace) -> bool:
+    """Return whether the object hangs in the gripper at the end, and no longer slides."""
+    low = float(trace.gripper_height[-1] - trace.height[-1])
+    lifted = not trace.dropped[-1] and not trace.on_table[-1] and low < ROOM
+    return lifted and bool(np.ptp(trace.slide[trace.between(END - 0.5, END + 1)]) < RESTS)

@@ -2,60 +2,31 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from connectors.sim.objects import OBJECTS, Object, named
+from connectors.sim.objects import OBJECTS, named
 from flows.lab.experiments.lift_trial import LiftOutcome
+from flows.lab.experiments.rivals import Method
 from flows.lab.experiments.tap_trial import TapOutcome
-from flows.lab.experiments.trial import Conditions, Trace
-from flows.lift import grip_controller
+from flows.lab.experiments.trial import Conditions, Trace, Trial
 from flows.run.processes import process_map
-from operators import GripController, StepGrip
+from operators import GripController
 from operators.checks import check_at_least, check_choice
 from operators.detectors import Detector
-from storage import load_detector
 
 if TYPE_CHECKING:
     import polars as pl
 
 SEED: Final = 900_000  # far from the seeds of training data
-OURS, STEPS, NONE = "ours", "steps", "none"  # rules
-RULES: Final = (OURS, STEPS, NONE)
-DEFAULT: Final = "tcn_grasp"  # detector
 NOMINAL: Final = "nominal"  # condition
 
-Experiment: TypeAlias = Callable[
-    [Object, int, Detector, GripController, Conditions], tuple[Trace, TapOutcome | LiftOutcome]
-]
-Progress: TypeAlias = Callable[[int, int, str], object]  # trials done, trials in all, label of the newest
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A detector and a rule for the grip force.
-
-    Raises:
-        ParameterError: if there is no such rule.
-    """
-
-    detector: str  # a name or a model file
-    rule: str = OURS
-
-    def __post_init__(self) -> None:
-        check_choice("Method", "rule", self.rule, RULES)
-
-    def __str__(self) -> str:
-        return f"{self.detector}, {self.rule}"
-
-    def controller(self) -> GripController:
-        """Return the controller, with the threshold from the detector's model card."""
-        ours = grip_controller(self.detector, 0.5)
-        if self.rule == STEPS:
-            return StepGrip(threshold=ours.threshold)
-        return replace(ours, gain=0.0, margin=0.0) if self.rule == NONE else ours
+Outcome: TypeAlias = TapOutcome | LiftOutcome
+Setup: TypeAlias = tuple[Detector, GripController]
+Experiment: TypeAlias = Callable[[Trial, Sequence[Setup]], Sequence[tuple[Trace, Outcome]]]
+Progress: TypeAlias = Callable[[int, int, str], object]  # outcomes so far, all outcomes, newest condition
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +55,7 @@ class Study:
     """A finished study.
 
     Attributes:
-        experiment: Function that runs a trial; `tap` or `lift`.
+        experiment: Function that runs a trial of all methods; `tap` or `lift`.
         methods: Detectors and rules; reports are above all about the first one.
         trials: Trials of each method under each condition.
         outcomes: Row per trial: condition, method, object, seed, success and the fields of the outcome;
@@ -95,6 +66,11 @@ class Study:
     methods: Sequence[Method]
     trials: Trials
     outcomes: "pl.DataFrame"
+
+    @property
+    def name(self) -> str:
+        """Name of the experiment, ``tap`` or ``lift``."""
+        return self.experiment.__name__
 
     def of(self, method: Method) -> "pl.DataFrame":
         """Return the outcomes of a method."""
@@ -113,12 +89,12 @@ def run_study(
     """Run an experiment under several conditions, always with the same trials.
 
     Args:
-        experiment: Runs one trial; `tap` or `lift`.
+        experiment: Runs one trial of all methods; `tap` or `lift`.
         methods: Detectors and rules.
         trials: Trials to run under each condition with each method.
         conditions: Conditions by name; None: nominal conditions.
         jobs: Number of processes; None: one per core.
-        progress: Called with the number of trials done, their total and a label.
+        progress: Called with the number of outcomes, their total and the condition of the newest.
 
     Raises:
         InputError: if there is no such detector.
@@ -131,25 +107,27 @@ def run_study(
     sizes = {"methods": len(methods), "conditions": len(tried), "jobs": 1 if jobs is None else jobs}
     for name, value in sizes.items():
         check_at_least("experiment", name, value, 1)
-    setups = {method: (load_detector(method.detector), method.controller()) for method in methods}
+    setups = [method.load() for method in methods]
     seeds = range(trials.seed, trials.seed + trials.count)
-    units = list(product(tried, methods, trials.objects, seeds))
-    rows = list[dict[str, Any]]()
-    progress(0, len(units), "")
+    units = list(product(tried, trials.objects, seeds))
+    rows, total = list[dict[str, Any]](), len(units) * len(methods)
+    progress(0, total, "")
     with closing(process_map(partial(_run, experiment, setups, tried), units, jobs)) as found:
-        for (condition, method, name, seed), outcome in zip(units, found, strict=True):
-            key = {"condition": condition, "method": str(method), "object": name, "seed": seed}
-            rows.append({**key, "success": outcome.success, **asdict(outcome)})
-            progress(len(rows), len(units), f"{condition}: {method}")
-    outcomes = pl.DataFrame(rows, infer_schema_length=None).fill_nan(None)
-    return Study(experiment, methods, trials, outcomes)
+        for (condition, name, seed), outcomes in zip(units, found, strict=True):
+            for method, outcome in zip(methods, outcomes, strict=True):
+                key = {"condition": condition, "method": str(method), "object": name, "seed": seed}
+                rows.append({**key, "success": outcome.success, **asdict(outcome)})
+            progress(len(rows), total, condition)
+    frame = pl.DataFrame(rows, infer_schema_length=None).fill_nan(None)
+    return Study(experiment, methods, trials, frame)
 
 
 def _run(
     experiment: Experiment,
-    setups: Mapping[Method, tuple[Detector, GripController]],
+    setups: Sequence[Setup],
     conditions: Mapping[str, Conditions],
-    unit: tuple[str, Method, str, int],
-) -> TapOutcome | LiftOutcome:
-    condition, method, name, seed = unit
-    return experiment(named(name), seed, *setups[method], conditions[condition])[1]
+    unit: tuple[str, str, int],
+) -> list[Outcome]:
+    condition, name, seed = unit
+    trial = Trial.draw(named(name), seed, conditions[condition])
+    return [outcome for _, outcome in experiment(trial, setups)]

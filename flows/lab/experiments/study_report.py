@@ -1,15 +1,15 @@
-"""Reports of the tap and lift experiments: success next to the paper's, failures, costs and false slips."""
+"""Reports of the tap and lift experiments: success next to the paper's, false slips and costs."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, Final
 
-import numpy as np
 import polars as pl
 
 from connectors.sim.objects import named
 from connectors.sim.truth import SLIDING
 from flows.lab.experiments import lift_trial, tap_trial
+from flows.lab.experiments.rivals import RIVALS
 from flows.lab.experiments.study import Study
 from flows.lab.experiments.tap_trial import TapOutcome
 from flows.lab.experiments.trial import BASELINE, Conditions, Trace, Trial
@@ -17,53 +17,95 @@ from flows.learn.onsets import runs
 from flows.report.figures import CELLS, FAINT, INK, MAIN, SECOND, SHADE, Axes, Figure, grid, styled
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, show
-from storage import load_detector
 
 # success of 20 trials with real objects (%), "Under Pressure" (2021)
-PAPER_TAP: Final = {
-    "ball": 90,
-    "box": 85,
-    "cardboard_can": 90,
-    "football_sleeve": 90,
-    "foam_sleeve": 80,
-    "metal_can": 90,
+PAPER: Final[Mapping[str, Mapping[str, int]]] = {
+    "tap": {
+        "ball": 90,
+        "box": 85,
+        "cardboard_can": 90,
+        "football_sleeve": 90,
+        "foam_sleeve": 80,
+        "metal_can": 90,
+    },
+    "lift": {
+        "ball": 35,
+        "box": 100,
+        "cardboard_can": 85,
+        "football_sleeve": 85,
+        "foam_sleeve": 35,
+        "metal_can": 95,
+    },
 }
-PAPER_LIFT: Final = {
-    "ball": 35,
-    "box": 100,
-    "cardboard_can": 85,
-    "football_sleeve": 85,
-    "foam_sleeve": 35,
-    "metal_can": 95,
-}
-QUIET: Final = 2.1  # s of each soft tap trial in which nothing is done to the object
+TITLES: Final = {"tap": "Mallet tap", "lift": "Object lift"}
+VERBS: Final = {"tap": "registers both blows, and nothing else,", "lift": "holds, without a false slip,"}
 EXAMPLE: Final = "ball"  # object of the figure: one of the two hardest in the paper's lift
 SUCCESS: Final = (100 * pl.col("success").mean()).alias("success")  # %
+FALSE_FIRM: Final = (100 * pl.col("false_firm").mean()).alias("false_slip_firm")  # %
+_COSTS: Final = {  # medians, by experiment
+    "tap": {"lead ms": "lead", "slide mm": "slide"},
+    "lift": {"force": "force", "peak": "peak", "lead ms": "lead", "slide mm": "slide"},
+}
+_TEXTS: Final = {
+    "tap": "Firm lift: a slip registered from the closing of the gripper to the first blow. Soft blow: one "
+    "registered at a blow that moves nothing. Medians over trials: lead, from the registered slip to the "
+    "onset of sliding, negative if the slip is registered later; slide at the blows that move the object.",
+    "lift": "Firm lift: a slip registered while the same grasp is lifted with a firm grip. Medians over "
+    "trials: force of the last second and highest force, relative to the least that holds (force: trials "
+    "that hold); lead, from the registered slip to the onset of sliding, negative if the slip is registered "
+    "later; slide from the start of the lift.",
+}
 
 
-def tap_report(study: Study, command: str) -> Report:
-    """Report the tap experiment that `command` ran."""
-    finding = _finding(study, "registers the blow, and static after it,", PAPER_TAP)
-    sections = [_successes("tap", study, finding, PAPER_TAP), _failures(study), _false_slips(study)]
-    return _report("Mallet tap", study, sections, command)
+def experiment_report(study: Study, command: str) -> Report:
+    """Report the tap or lift experiment that `command` ran."""
+    first = study.of(study.methods[0])
+    sections = [_methods(study), _objects(study), _failures(study)]
+    text = (
+        f"{study.trials}, the same for all methods, from seed {study.trials.seed}, in the simulated scene; "
+        "the paper used real objects. docs/explanations/experiments.md defines success and lists the "
+        "assumptions."
+    )
+    facts = {
+        **study_facts(study, first),
+        "objects": dict(zip(study.trials.objects, _by_object(first), strict=True)),
+        "failures": dict(Counter(first.filter(~pl.col("success"))["ending"])),
+        "rivals": {
+            method.detector: _rates(study.of(method)) for method in study.methods if method.detector in RIVALS
+        },
+    }
+    return Report(f"{TITLES[study.name]}: {sections[0].finding}", text, sections, command, facts)
 
 
-def lift_report(study: Study, command: str) -> Report:
-    """Report the lift experiment that `command` ran."""
-    finding = _finding(study, "holds", PAPER_LIFT)
-    sections = [_successes("lift", study, finding, PAPER_LIFT), _failures(study), _costs(study)]
-    return _report("Object lift", study, sections, command)
-
-
-def study_facts(experiment: str, study: Study, outcomes: pl.DataFrame) -> dict[str, Any]:
+def study_facts(study: Study, outcomes: pl.DataFrame) -> dict[str, Any]:
     """Return the facts in the JSON of a report; `outcomes` are those of the first method."""
     return {
-        "experiment": experiment,
+        "experiment": study.name,
         "trials": study.trials.count,
         "seed": study.trials.seed,
         "method": str(study.methods[0]),
-        "mean_success": outcomes.select(SUCCESS).item(),
+        **_rates(outcomes),
     }
+
+
+def _rates(outcomes: pl.DataFrame) -> dict[str, float]:
+    """Return success and false slips in firm lifts, %."""
+    found = outcomes.select(SUCCESS.alias("mean_success"), FALSE_FIRM).row(0, named=True)
+    return {name: float(value) for name, value in found.items()}
+
+
+def interval(hits: int, count: int) -> str:
+    """Return Wilson's 95 % confidence interval of a rate, %.
+
+    >>> interval(114, 120), interval(0, 0)
+    ('89-98', '-')
+    """
+    from scipy.stats import binomtest  # noqa: PLC0415 - takes 0.6 s to import
+
+    if not count:
+        return "-"
+    found = binomtest(hits, count).proportion_ci(method="wilson")
+    return f"{100 * found.low:.0f}-{100 * found.high:.0f}"
 
 
 def title(name: str) -> str:
@@ -71,19 +113,55 @@ def title(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _report(experiment: str, study: Study, sections: Sequence[Section], command: str) -> Report:
-    outcomes = study.of(study.methods[0])
-    text = (
-        f"{study.trials}, the same for all methods, from seed {study.trials.seed}, in the simulated scene; "
-        "the paper used real objects. docs/explanations/experiments.md defines success and lists the "
-        "assumptions."
+def _methods(study: Study) -> Section:
+    """Return the section that compares the methods, with the figure of a trial."""
+    first, costs = study.methods[0], _COSTS[study.name]
+    rows = [[str(method), *_cells(study.of(method), costs)] for method in study.methods]
+    rates = ["success %", "95 % CI", "firm lift %", "95 % CI "]
+    if study.name == "tap":
+        rates += ["soft blow %", "95 % CI  "]
+    table = Table(["method", *rates, *costs], rows, decimals={"force": 2, "peak": 2})
+    found = study.of(first)
+    theirs = [PAPER[study.name][name] for name in study.trials.objects]
+    finding = (
+        f"{first} {VERBS[study.name]} in {found['success'].sum()} of {len(found)} trials "
+        f"({show(found.select(SUCCESS).item())} %); "
+        f"the paper in {show(sum(theirs) / len(theirs))} % of its own"
     )
-    facts = {
-        **study_facts(sections[0].name, study, outcomes),
-        "objects": dict(zip(study.trials.objects, _by_object(outcomes), strict=True)),
-        "failures": dict(Counter(outcomes.filter(~pl.col("success"))["ending"])),
-    }
-    return Report(f"{experiment}: {sections[0].finding}", text, sections, command, facts)
+    text = f"{_TEXTS[study.name]} Intervals are Wilson's."
+    return Section(study.name, finding, text, [table], lambda: trial_figure(study))
+
+
+def _cells(outcomes: pl.DataFrame, costs: Mapping[str, str]) -> list[Value]:
+    """Return the rates with their intervals, and the medians of the costs."""
+    rates = [(int(outcomes[each].sum()), len(outcomes)) for each in ("success", "false_firm")]
+    if "soft" in outcomes.columns:
+        rates.append((int(outcomes["false_soft"].sum()), int(outcomes["soft"].sum())))
+    cells: list[Value] = []
+    for hits, count in rates:
+        cells += [100 * hits / count if count else None, interval(hits, count)]
+    medians = outcomes.select(pl.col(each).median() for each in costs.values()).row(0)
+    return [*cells, *medians]
+
+
+def _objects(study: Study) -> Section:
+    """Return the section about each object."""
+    successes = {str(method): _by_object(study.of(method)) for method in study.methods}
+    successes["paper, real objects"] = [float(PAPER[study.name][each]) for each in study.trials.objects]
+    objects = [title(each) for each in study.trials.objects]
+    rows: list[list[Value]] = [[method, *each, sum(each) / len(each)] for method, each in successes.items()]
+    table = Table(["success, %", *objects, "mean"], rows, decimals=dict.fromkeys(objects, 0))
+    first, costs = study.methods[0], _COSTS[study.name]
+    each_object = study.of(first).group_by("object", maintain_order=True)
+    medians = each_object.agg(**{name: pl.col(each).median() for name, each in costs.items()})
+    details: list[list[Value]] = [[title(str(name)), *values] for name, *values in medians.iter_rows()]
+    least = min(zip(successes[str(first)], objects, strict=True))
+    return Section(
+        "objects",
+        f"{first} is worst with the {least[1]}, {show(least[0])} %",
+        "Success by object, and medians of the first method.",
+        [table, Table(["object", *costs], details, str(first), {"force": 2, "peak": 2})],
+    )
 
 
 def _by_object(outcomes: pl.DataFrame) -> list[float]:
@@ -91,36 +169,16 @@ def _by_object(outcomes: pl.DataFrame) -> list[float]:
     return outcomes.group_by("object", maintain_order=True).agg(SUCCESS)["success"].to_list()
 
 
-def _finding(study: Study, verb: str, paper: Mapping[str, int]) -> str:
-    first = study.methods[0]
-    outcomes = study.of(first)
-    held, success = outcomes["success"].sum(), outcomes.select(SUCCESS).item()
-    theirs = float(np.mean([paper[name] for name in study.trials.objects]))
-    return (
-        f"{first} {verb} in {held} of {len(outcomes)} trials "
-        f"({show(success)} %); the paper in {show(theirs)} % of its own"
-    )
-
-
-def _successes(name: str, study: Study, finding: str, paper: Mapping[str, int]) -> Section:
-    """Return the section about success by object next to the paper's, with the figure of a trial."""
-    successes = {str(method): _by_object(study.of(method)) for method in study.methods}
-    successes["paper, real objects"] = [float(paper[each]) for each in study.trials.objects]
-    rows: list[list[Value]] = [[method, *each, float(np.mean(each))] for method, each in successes.items()]
-    objects = [title(each) for each in study.trials.objects]
-    table = Table(["success, %", *objects, "mean"], rows, decimals=dict.fromkeys(objects, 0))
-    return Section(name, finding, f"{study.trials}.", [table], lambda: trial_figure(study))
-
-
 def _failures(study: Study) -> Section:
     """Return the section about failed trials, by ending."""
-    failed = study.outcomes.filter(~pl.col("success"))
     rows: list[list[Value]] = []
-    for (method, name), part in failed.group_by("method", "object", maintain_order=True):
-        endings = ", ".join(f"{count} {ending}" for ending, count in Counter(part["ending"]).items())
-        rows.append([str(method), title(str(name)), endings])
+    for method in study.methods:
+        failed = study.of(method).filter(~pl.col("success"))
+        for (name,), part in failed.group_by("object", maintain_order=True):
+            endings = [f"{count} {ending}" for ending, count in Counter(part["ending"]).most_common()]
+            rows.append([str(method), title(str(name)), ", ".join(endings)])
     first = study.methods[0]
-    failures = Counter(failed.filter(method=str(first))["ending"])
+    failures = Counter(study.of(first).filter(~pl.col("success"))["ending"])
     finding = f"{first} fails in {failures.total()} of {len(study.of(first))} trials"
     if failures:
         finding += f", mostly: {failures.most_common(1)[0][0]}"
@@ -128,74 +186,14 @@ def _failures(study: Study) -> Section:
     return Section("failures", finding, "Failed trials by ending.", tables)
 
 
-def _costs(study: Study) -> Section:
-    """Return the section about slides and holding forces."""
-    columns = {
-        "slide mm": pl.col("slide").median(),
-        "p90 mm": pl.col("slide").quantile(0.9, "linear"),
-        "delay ms": pl.col("delay").median(),
-        "force": pl.col("ratio").median(),
-        "peak": pl.col("peak").median(),
-        "false slips": pl.col("false").mean(),
-    }
-    first = study.methods[0]
-    found = study.of(first).select(**columns).row(0, named=True)
-    held = "nothing" if found["force"] is None else f"with {show(found['force'], 2)} times the least force"
-    return Section(
-        "costs",
-        f"{first} lets objects slide by {show(found['slide mm'])} mm and holds {held}",
-        "Medians. Slide: from the start of the lift, all trials. Delay: from the first sliding to the "
-        "registered slip. Force: mean of the last second over the least that holds, trials that hold; peak: "
-        "highest of the trial. False slips: registered before anything slid, per trial.",
-        [_object_table(study, columns, {"force": 2, "peak": 2})],
-    )
-
-
-def _false_slips(study: Study) -> Section:
-    """Return the section about slips registered where nothing slips."""
-    columns = {
-        "slide mm": pl.col("slide").median(),
-        "delay ms": pl.col("delay").median(),
-        "blows drawn": pl.col("drawn").sum(),
-        "lift %": 100 * (pl.col("false_lift") > 0).mean(),
-        "soft blow %": 100 * (pl.col("false_tap") > 0).mean(),
-        "hold, per min": pl.col("false_hold").mean() * 60 / QUIET,
-    }
-    first = study.methods[0]
-    found = study.of(first).select(**columns).row(0, named=True)
-    lifted, hit = show(found["lift %"]), show(found["soft blow %"])
-    return Section(
-        "false-slips",
-        f"{first} registers a false slip at {lifted} % of firm lifts and {hit} % of soft blows",
-        "The same grasp, lifted with that firm grip and hit too softly to slide: shares of trials in which "
-        "a slip is registered. Slide and delay are medians for the blow that moves the object; a blow that "
-        f"moved it by less than {tap_trial.LEAST_SLIDE:g} mm or more than {tap_trial.MOST_SLIDE:g} mm was "
-        "drawn again.",
-        [_object_table(study, columns)],
-    )
-
-
-def _object_table(
-    study: Study, columns: Mapping[str, pl.Expr], decimals: Mapping[str, int | None] | None = None
-) -> Table:
-    """Return a table with a row for each method and object, and one for all objects of a method."""
-    rows: list[list[Value]] = []
-    for method in study.methods:
-        one = study.of(method)
-        both = pl.concat([one, one.with_columns(object=pl.lit("all"))])
-        found = both.group_by("object", maintain_order=True).agg(**columns)
-        rows += [[str(method), title(name), *values] for name, *values in found.iter_rows()]
-    return Table(["method", "object", *columns], rows, decimals=decimals or {})
-
-
 @styled
 def trial_figure(study: Study) -> Figure:
     """Draw the first trial of the first method with the ball, or else the first object."""
-    trials, method, conditions = study.trials, study.methods[0], Conditions()
+    trials, method = study.trials, study.methods[0]
     held = named(EXAMPLE if EXAMPLE in trials.objects else trials.objects[0])
-    rule, detector = method.controller(), load_detector(method.detector)
-    trace, outcome = study.experiment(held, trials.seed, detector, rule, conditions)
-    least = Trial.draw(held, trials.seed, conditions).least_force
+    trial, setup = Trial.draw(held, trials.seed, Conditions()), method.load()
+    [(trace, outcome)] = study.experiment(trial, [setup])
+    least = trial.least_force
     figure, axes = grid(5, 1, (9, 8), sharex=True)
     force, counts, probability, slide, height = axes
     t = trace.t
@@ -209,7 +207,7 @@ def trial_figure(study: Study) -> Figure:
         counts.plot(t, trace.counts[:, cell], color=color, linewidth=0.8)
     counts.set(ylabel="counts", title="Barometers")
     probability.plot(t, trace.probability, color=INK)
-    probability.axhline(rule.threshold, color=FAINT, linestyle="--", linewidth=0.9)
+    probability.axhline(setup[1].threshold, color=FAINT, linestyle="--", linewidth=0.9)
     probability.set(ylabel="", ylim=(0, 1), title="Probability of slip (shaded: the object slides)")
     slide.plot(t, 1000 * trace.slide, color=MAIN)
     slide.set(ylabel="mm", title="Slide along the pad")
@@ -217,11 +215,11 @@ def trial_figure(study: Study) -> Figure:
     height.plot(t, 1000 * trace.height, color=MAIN, label="object")
     height.set(ylabel="mm", title="Height", xlabel="s", xlim=(BASELINE, t[-1]))
     height.legend(loc="upper left")
-    tapped = isinstance(outcome, TapOutcome)
-    event, color = (tap_trial.BLOW, SECOND) if tapped else (lift_trial.LIFT.instant, FAINT)
+    events = tap_trial.BLOWS if isinstance(outcome, TapOutcome) else (lift_trial.LIFT.instant,)
     for axis in axes:
         _shade(axis, trace)
-        axis.axvline(event, color=color, linewidth=0.8)
+        for event in events:
+            axis.axvline(event, color=FAINT, linewidth=0.8)
     return figure
 
 

@@ -1,42 +1,47 @@
-"""The paper's mallet tap: an object is held with constant force and hit; the detector must register the slip.
+"""The paper's mallet tap: an object is gripped firmly, lifted, and hit on top and on the side.
 
-The same grasp is also hit too softly to move the object; a slip registered there is false.
+Both blows are drawn once, whatever they do. Each blow that moves the object must be registered as slip, and
+static after it. A softer blow, the lift and the hold move nothing: a slip registered there fails the trial.
 """
 
 import math
-from dataclasses import dataclass, replace
-from typing import Final, Literal, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
 from connectors.sim.body import GRAVITY
-from connectors.sim.grasp_actions import Lift, Tap
-from connectors.sim.objects import Object
+from connectors.sim.grasp import PASSIVE_FRICTION, grip_model, surface
+from connectors.sim.grasp_actions import Tap
 from connectors.sim.truth import SLIDING
-from flows.lab.experiments.trial import Conditions, NullDetector, Trace, Trial, run_trial
-from operators.batch import s
+from flows.lab.experiments.trial import HELD, MOVED, STILL, Trace, Trial
 from operators.detectors import Detector
-from operators.grip import GripController, StepGrip
+from operators.grip import GripController
 
-LIFT: Final = Lift(2.0)  # until 3.1 s
-BLOW: Final = 4.5  # s; by then the signal that follows the lift has settled
-END: Final = 6.0  # s
-FIRM: Final = (1.3, 1.8)  # range of the grip force, relative to the least that holds; assumed
-SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is aimed at
-LEAST_SLIDE: Final = 0.5  # mm; a blow that moves the object less is drawn again
-MOST_SLIDE: Final = 10.0  # mm; a blow that moves the object more is drawn again
-DRAWS: Final = 20  # blows drawn at most
+BLOWS: Final = (HELD, 5.0, 6.0)  # s: a soft blow, then one on top and one on the side in either order
+END: Final = 7.0  # s
+SLIDES: Final = (1.0, 4.0)  # mm, log-uniform range of the slide that a blow is aimed at; assumed
 PROMPT: Final = 0.2  # s from the blow; the slip must be registered within this time
 RINGING: Final = 0.3  # s after the object stops; slip may still be registered then
-QUIET: Final = 1.0  # s before the blow; no slip may be registered then
-SOFT: Final = 0.15  # momentum of the soft blow, relative to that of the blow
-_NO_STEP: Final = 1e-12  # N, force step of a constant grip
-_HALF: Final = 0.5
+SECONDS: Final = 0.01  # s, duration of a blow
+KINETIC: Final = 0.9  # friction of the first millimetres of a slide, relative to static friction; assumed
+SOFT: Final = 0.15  # momentum of the soft blow, relative to a drawn one
+FINGERS: Final = 3  # springs that hold the object
+
+TapEnding: TypeAlias = Literal[
+    "registered", "false slip", "false at soft blow", "missed", "too late", "not back to static", "dropped"
+]
+
 
 Side: TypeAlias = Literal["top", "side"]
-TapEnding: TypeAlias = Literal[
-    "registered", "missed", "too late", "false before", "not back to static", "dropped"
-]
+
+
+class _Blow(NamedTuple):
+    ending: TapEnding
+    slide: float  # mm
+    lead: float  # ms from the registered slip to the onset of sliding; NaN: not registered
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,100 +49,93 @@ class TapOutcome:
     """The outcome of one tap trial."""
 
     ending: TapEnding
-    side: Side
-    slide: float  # mm
-    delay: float  # ms from the blow to the registered slip; NaN: none
-    drawn: int  # blows drawn until one moved the object
-    false_lift: int  # slips registered during the lift before the soft blow
-    false_tap: int  # slips registered at the soft blow
-    false_hold: int  # slips registered in the rest of the soft trial
+    false_firm: bool  # a slip was registered between the closing of the gripper and the first blow
+    slide: float  # mm, mean over the blows that moved the object; NaN: none
+    lead: float  # ms from the registered slip to the onset of sliding, mean over these blows; NaN: none
+    moved: int  # blows that moved the object
+    soft: int  # blows that moved nothing
+    false_soft: int  # blows that moved nothing, but at which a slip was registered
 
     @property
     def success(self) -> bool:
-        """True if the slip was registered in time, and static afterwards."""
+        """True if each slip was registered in time, with static after it, and no false slip."""
         return self.ending == "registered"
 
 
-def tap(
-    held: Object, seed: int, detector: Detector, rule: GripController, conditions: Conditions
-) -> tuple[Trace, TapOutcome]:
-    """Run one tap trial, on top for odd seeds, else on the side; `rule` only sets how slips register."""
-    trial = Trial.draw(held, seed, conditions)
-    random = np.random.default_rng([seed, 9])
-    force = trial.least_force * float(random.uniform(*FIRM))
-    constant = StepGrip(
-        force=force,
-        max_force=max(force, rule.max_force),
-        threshold=rule.threshold,
-        consecutive=rule.consecutive,
-        step=_NO_STEP,
-    )
-    side: Side = "top" if seed % 2 else "side"
-    blow, drawn = _draw_blow(trial, side, constant, random)
-    soft = replace(blow, momentum=SOFT * blow.momentum)
-    trace, soft_trace = (
-        run_trial(trial.grasp(LIFT, [each]), detector, constant, conditions, END) for each in (blow, soft)
-    )
-    return trace, judge_tap(trace, soft_trace, rule, side, drawn)
+def tap(trial: Trial, methods: Sequence[tuple[Detector, GripController]]) -> list[tuple[Trace, TapOutcome]]:
+    """Run one tap trial; the grip force is constant, so a rule only sets how slips register."""
+    trace = tap_trace(trial)
+    traces = [(trace.scored(detector), rule) for detector, rule in methods]
+    return [(scored, judge_tap(scored, rule)) for scored, rule in traces]
 
 
-def _draw_blow(
-    trial: Trial, side: Side, rule: GripController, random: np.random.Generator
-) -> tuple[Tap, int]:
-    """Draw blows until one moves the object, but not too far; return it and the number drawn."""
-    mass, excess = trial.held.mass * trial.mass, rule.force / trial.least_force - (side == "top")
-    heading = -1 if side == "side" and random.random() < _HALF else 1
+def tap_trace(trial: Trial) -> Trace:
+    """Simulate a tap trial without a detector."""
+    return trial.hold(_draw_blows(trial), END)
+
+
+def _draw_blows(trial: Trial) -> list[Tap]:
+    """Draw a soft blow, and one on top and one on the side in either order."""
+    random = np.random.default_rng([trial.seed, 9])
+    top = _momentum(trial, trial.firm - 1, random)
+    side = _momentum(trial, math.sqrt(trial.firm**2 - 1), random) * float(random.choice([-1, 1]))
+    blows: list[tuple[float, Side]] = [(top, "top"), (side, "side")]
+    random.shuffle(blows)
+    blows.insert(0, (SOFT * blows[0][0], blows[0][1]))
+    return [Tap(instant, *blow, SECONDS) for instant, blow in zip(BLOWS, blows, strict=True)]
+
+
+def _momentum(trial: Trial, excess: float, random: np.random.Generator) -> float:
+    """Draw a momentum (N s) that deflects fingers and rubber until they slip, and then slides the object.
+
+    Args:
+        trial: The trial.
+        excess: Friction left to resist the blow, relative to the weight.
+        random: Random generator of the slide.
+    """
+    mass = trial.held.mass * trial.mass
+    weight = mass * GRAVITY  # N
     low, high = SLIDES
-    length = low * (high / low) ** float(random.uniform()) / 1000  # m
-    momentum, drawn = mass * math.sqrt(2 * GRAVITY * excess * length), 0  # N s, for constant friction
-    while True:
-        drawn += 1
-        blow = Tap(BLOW, heading * momentum, side)
-        grasp = trial.grasp(LIFT, [blow])
-        slide = _slide(run_trial(grasp, NullDetector(), rule, trial.conditions, BLOW + 1))
-        if LEAST_SLIDE <= slide <= MOST_SLIDE or drawn == DRAWS:
-            return blow, drawn
-        momentum *= float(random.uniform(1.1, 1.5) if slide < LEAST_SLIDE else random.uniform(0.6, 0.9))
+    slide = low * (high / low) ** float(random.uniform()) / 1000  # m
+    grip = grip_model(trial.held, surface(trial.held, trial.fingertip), trial.position, PASSIVE_FRICTION)
+    deflected = (weight * excess) ** 2 / (2 * FINGERS * grip.spring)  # J
+    return math.sqrt(2 * mass * (weight * (KINETIC * trial.firm - 1) * slide + deflected))
 
 
-def judge_tap(trace: Trace, soft: Trace, rule: GripController, side: Side, drawn: int) -> TapOutcome:
-    """Return the outcome of a blow and of the soft blow under the same conditions."""
-    after = trace.onsets(rule)
-    after = after[after >= BLOW]
-    false = soft.onsets(rule)
-    false = false[false > 1 + rule.settle / s]
-    lifting = false < LIFT.end + RINGING
-    hit = (false >= BLOW) & (false < BLOW + PROMPT + RINGING)
+def judge_tap(trace: Trace, rule: GripController) -> TapOutcome:
+    """Return the outcome of a tap trial."""
+    blows = [_judge_blow(trace, rule, start, end) for start, end in pairwise((*BLOWS, END))]
+    moved = [blow for blow in blows if blow.slide >= MOVED]
+    soft = [blow for blow in blows if blow.slide < STILL]
+    false_firm = trace.false_slip(rule)
+    failures: list[TapEnding] = [blow.ending for blow in blows if blow.ending != "registered"]
+    ending: TapEnding = failures[0] if failures else "registered"
+    if false_firm:
+        ending = "false slip"
+    leads = [blow.lead for blow in moved if not math.isnan(blow.lead)]
     return TapOutcome(
-        ending=_tap_ending(trace, rule),
-        side=side,
-        slide=_slide(trace),
-        delay=1000 * (float(after[0]) - BLOW) if len(after) else math.nan,
-        drawn=drawn,
-        false_lift=int(lifting.sum()),
-        false_tap=int(hit.sum()) if _slide(soft) < LEAST_SLIDE / 10 else 0,
-        false_hold=int((~lifting & ~hit).sum()),
+        ending="dropped" if trace.dropped[-1] else ending,
+        false_firm=false_firm,
+        slide=float(np.mean([blow.slide for blow in moved])) if moved else math.nan,
+        lead=float(np.mean(leads)) if leads else math.nan,
+        moved=len(moved),
+        soft=len(soft),
+        false_soft=sum(blow.ending == "false at soft blow" for blow in soft),
     )
 
 
-def _tap_ending(trace: Trace, rule: GripController) -> TapEnding:
-    onsets, rest = trace.onsets(rule), trace.between(BLOW, END + 1)
-    sliding = trace.t[rest][trace.speed[rest] > SLIDING]
-    after = onsets[onsets >= BLOW]
-    if trace.dropped[-1]:
-        return "dropped"
-    if ((onsets >= BLOW - QUIET) & (onsets < BLOW)).any():
-        return "false before"
-    if not len(after) or not len(sliding):
-        return "missed"
-    if float(after[0]) - BLOW > PROMPT:
-        return "too late"
-    if trace.registered(rule)[trace.between(float(sliding[-1]) + RINGING, END + 1)].any():
-        return "not back to static"
-    return "registered"
-
-
-def _slide(trace: Trace) -> float:
-    """Return the distance (mm) that the blow moved the object along the pad."""
-    before, after = trace.between(BLOW - 0.05, BLOW), trace.between(BLOW, END + 1)
-    return 1000 * float(trace.slide[after].max() - trace.slide[before][-1])
+def _judge_blow(trace: Trace, rule: GripController, start: float, end: float) -> _Blow:
+    """Judge the time from a blow until the next one (s); a slide between soft and moved may be either."""
+    onsets, rows = trace.onsets(rule), trace.between(start, end)
+    onsets = onsets[(onsets >= start) & (onsets < end)]
+    sliding = trace.t[rows][trace.speed[rows] > SLIDING]
+    slide = trace.travel(rows)
+    if slide < STILL or not len(sliding):
+        return _Blow("false at soft blow" if len(onsets) else "registered", slide, math.nan)
+    lead = 1000 * float(sliding[0] - onsets[0]) if len(onsets) else math.nan
+    rest = trace.between(float(sliding[-1]) + RINGING, end)
+    if slide >= MOVED and not len(onsets):
+        return _Blow("missed", slide, lead)
+    if slide >= MOVED and onsets[0] > start + PROMPT:
+        return _Blow("too late", slide, lead)
+    return _Blow("not back to static" if trace.registered(rule)[rest].any() else "registered", slide, lead)

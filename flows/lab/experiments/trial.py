@@ -9,16 +9,18 @@ import numpy as np
 from connectors.sim.grasp import Grasp, GraspState, least_force
 from connectors.sim.grasp_actions import Lift, Tap
 from connectors.sim.objects import Object
-from connectors.sim.scene import Faults, Vibration
+from connectors.sim.physics_parameters import Parameters
+from connectors.sim.scene import Vibration
 from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.experiments.gripper_model import Actuator, GripperModel
 from flows.lift import declare_grip
-from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, s
+from operators import Score
+from operators.batch import BAROMETERS, Commands, Counts, Flags, Reals, Scores, Touch, Zeroed, s
 from operators.checks import check_above
 from operators.detectors import Detector
-from operators.grip import GripController
+from operators.grip import GripController, StepGrip
 
 BASELINE: Final = 1.0  # s with an open gripper before it closes
 SPREAD: Final = 0.1  # mass and friction vary by +-10 % from trial to trial; assumed
@@ -26,56 +28,69 @@ OFFSET: Final = (0.004, 0.006)  # m, largest offset of the grip from the object'
 VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's recordings; amplitude assumed
 
 
+FIRM: Final = (1.3, 1.8)  # range of the force of a firm grip, relative to the least that holds; assumed
+FIRM_LIFT: Final = Lift(2.0)  # of a firm grip, until 3.1 s
+HELD: Final = 4.0  # s; a firm grip has been lifted and held undisturbed
+STILL: Final = 0.1  # mm; a shorter slide, such as of the edge of the pad when the load rises, is not slip
+MOVED: Final = 0.5  # mm; a longer slide is a slip, one between the two may be either
+FINGERTIP: Final = Parameters()  # of the experiments; no training grasp has it
+SCANS: Final = 100  # samples of the open gripper at least: a detector's first window
+_NO_STEP: Final = 1e-12  # N, force step of a constant grip
+
+
 @dataclass(frozen=True, slots=True)
 class Conditions:
     """Settings shared by all trials of an experiment; factors are relative to nominal.
 
     Raises:
-        ParameterError: on a rate, factor or number of samples that is not above 0.
+        ParameterError: on a rate or factor that is not above 0.
     """
 
     gripper: GripperModel = field(default_factory=GripperModel)
     rate: float = 100.0  # Hz, of the samples
-    repeat: int = 1  # samples per reading; the reading is repeated until the next one
     friction: float = 1.0  # factor
     mass: float = 1.0  # factor
-    dead_cells: tuple[int, ...] = ()
-    grip: float = 1.0  # factor of the initial force of a lift
-    pace: float = 1.0  # factor of the speed and acceleration of a lift
+    stiffness: float = 1.0  # factor of the normal contact stiffness
+    tilt: float = 1.0  # factor of the tilt stiffness of the pad
 
     def __post_init__(self) -> None:
-        for name in ("rate", "repeat", "friction", "mass", "grip", "pace"):
+        for name in ("rate", "friction", "mass", "stiffness", "tilt"):
             check_above("Conditions", name, getattr(self, name), 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The random draw of one trial: friction, mass, grip position and vibration."""
+    """The random draw of one trial: friction, mass, grip position, firm force and vibration."""
 
     held: Object
+    fingertip: Parameters
     seed: int
     friction: float  # factor
     mass: float  # factor
     position: tuple[float, float]  # m, of the grip relative to the object's centre
+    firm: float  # force of a firm grip, relative to the least that holds
     vibration: Vibration
     conditions: Conditions
 
     @classmethod
-    def draw(cls, held: Object, seed: int, conditions: Conditions) -> Self:
+    def draw(cls, held: Object, seed: int, conditions: Conditions, fingertip: Parameters = FINGERTIP) -> Self:
         """Draw the trial of a seed; it is the same for every detector and rule."""
         random = np.random.default_rng([seed, 7])
         friction, mass = (
             factor * float(random.uniform(1 - SPREAD, 1 + SPREAD))
             for factor in (conditions.friction, conditions.mass)
         )
-        x, y = (random.uniform(-1, 1, 2) * OFFSET).tolist()
+        x, y = (random.uniform(-1, 1, 2) * np.minimum(OFFSET, (held.width / 4, held.reach / 2))).tolist()
         vibration = Vibration(VIBRATION, float(random.choice([6.5, 12.0])), float(random.uniform(0, 360)))
-        return cls(held, seed, friction, mass, (x, y), vibration, conditions)
+        held = replace(held, stiffness=held.stiffness * conditions.stiffness)
+        fingertip = replace(fingertip, tilt_stiffness=fingertip.tilt_stiffness * conditions.tilt)
+        firm = float(random.uniform(*FIRM))
+        return cls(held, fingertip, seed, friction, mass, (x, y), firm, vibration, conditions)
 
     @property
     def least_force(self) -> float:
         """Least force that holds the object (N)."""
-        return least_force(self.held, friction=self.friction, mass=self.mass)
+        return least_force(self.held, self.fingertip, friction=self.friction, mass=self.mass)
 
     @property
     def expected_force(self) -> float:
@@ -86,7 +101,8 @@ class Trial:
         """Return the simulated grasp: an open gripper around the object, which is then lifted and tapped."""
         return Grasp(
             self.held,
-            seed=self.seed,
+            self.fingertip,
+            self.seed,
             force=0.0,
             closing=0.0,
             lift=lift,
@@ -95,8 +111,13 @@ class Trial:
             mass=self.mass,
             grip=self.position,
             vibration=self.vibration,
-            faults=Faults(dead=self.conditions.dead_cells),
         )
+
+    def hold(self, taps: Sequence[Tap], seconds: float) -> "Trace":
+        """Simulate a firm lift with constant force, without a detector: `Trace.scored` adds its scores."""
+        force = self.firm * self.least_force
+        constant = StepGrip(force=force, max_force=max(force, StepGrip.max_force), step=_NO_STEP)
+        return run_trial(self.grasp(FIRM_LIFT, taps), NullDetector(), constant, self.conditions, seconds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,9 +144,21 @@ class Trace:
         first, last = np.searchsorted(self.t, [start, end]).tolist()
         return slice(first, last)
 
+    def scored(self, detector: Detector) -> Self:
+        """Return the trace with the scores of a detector, as a live flow computes them."""
+        time, valid = np.rint(self.t * s).astype(np.int64), np.ones(self.counts.shape, np.bool_)
+        zeroed = Zeroed(time, self.counts, np.zeros_like(self.counts), valid)
+        scores = Score(detector).push(zeroed)
+        probability = np.concatenate((np.full(len(self) - len(scores), np.nan), scores.probability))
+        return replace(self, probability=probability)
+
     def registered(self, rule: GripController) -> Flags:
-        """Return the mask (n,) of registered slip: the last `rule.consecutive` scores reach the threshold."""
-        slip = (self.probability >= rule.threshold).astype(np.intp)
+        """Return the mask (n,) of registered slip: the last `rule.consecutive` scores reach the threshold.
+
+        Scores before the gripper has closed do not count.
+        """
+        settled = self.t > BASELINE + rule.settle / s
+        slip = ((self.probability >= rule.threshold) & settled).astype(np.intp)
         count = np.convolve(slip, np.ones(rule.consecutive, np.intp))[: len(slip)]
         registered: Flags = count >= rule.consecutive
         return registered
@@ -134,6 +167,15 @@ class Trace:
         """Return the times (s) at which a slip becomes registered; (k,)."""
         now = self.registered(rule)
         return self.t[now & ~np.concatenate(([False], now[:-1]))]
+
+    def false_slip(self, rule: GripController) -> bool:
+        """Return whether a slip is registered in a firm lift, up to `HELD`, without one."""
+        rows = self.between(0, HELD)
+        return bool(self.registered(rule)[rows].any()) and self.travel(rows) < MOVED
+
+    def travel(self, rows: slice) -> float:
+        """Return how far the pad slid on the object in some samples (mm), there and back."""
+        return 1000 * float(self.speed[rows] @ np.diff(self.t, prepend=0.0)[rows])
 
 
 class NullDetector:
@@ -162,7 +204,7 @@ def run_trial(
     """
     flow, scored, commanded = Flow("trial"), TestSink(), TestSink()
     waiting = round(conditions.rate * BASELINE)
-    scans = max(waiting, detector.length)
+    scans = max(waiting, SCANS, detector.length)
     scores, commands = declare_grip(flow, TestSource(Touch, fingers=(0,)), detector, rule, scans)
     scores.to(scored)
     commands.to(commanded)
@@ -175,12 +217,8 @@ def run_trial(
     truth: list[GraspState] = []
     counts = np.zeros((n, BAROMETERS), np.int16)
     probability, commanded_force = np.full(n, np.nan), np.zeros(n)
-    reading = Touch.empty()
     for k, instant in enumerate(instants.tolist()):
         touch, held = grasp.sense(instant)
-        if k < scans or (k - scans) % conditions.repeat == 0:
-            reading = touch
-        touch = replace(reading, time=touch.time)
         truth.append(held)
         counts[k] = touch.counts[0]
         for _, batch in compiled.push({entry: touch}):

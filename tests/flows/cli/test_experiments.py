@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from typer.testing import CliRunner
 
 from flows.cli.experiments import app
 from flows.lab.experiments import lift_trial
-from flows.lab.experiments.lift_stress import CONDITIONS
+from flows.lab.experiments.break_report import AXES
 from flows.lab.experiments.lift_trial import LiftOutcome
 from flows.learn import train_extra
 from flows.report import figures
@@ -44,10 +45,10 @@ def lifted(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path]:
 @pytest.fixture
 def no_simulation(monkeypatch: pytest.MonkeyPatch) -> None:
     """Lose the object in each trial, without a simulation and without figures."""
-    lost = LiftOutcome("missed", 30.0, math.nan, math.nan, 0.5, 1, math.nan, lost=True)
+    lost = LiftOutcome("missed", True, 30.0, math.nan, math.nan, 0.5)  # noqa: FBT003
 
-    def lift(*_: Any) -> tuple[None, LiftOutcome]:  # noqa: ANN401
-        return None, lost
+    def lift(_: Any, setups: list[Any]) -> list[tuple[None, LiftOutcome]]:  # noqa: ANN401
+        return [(None, lost)] * len(setups)
 
     monkeypatch.setattr(lift_trial, "lift", lift)
     monkeypatch.setattr(figures, "find_spec", _nothing)
@@ -57,7 +58,7 @@ def test_a_lift_is_printed_as_tables_and_written_as_a_report(lifted: tuple[str, 
     text, folder = lifted
     assert "| psd, none " in text
     assert "| psd, steps " in text
-    assert "| paper, real objects |   35 | 35.0 |" in text
+    assert re.search(r"\| paper, real objects \| +35 \| +35\.0 \|", text)
     assert {path.suffix for path in folder.iterdir()} >= {".html", ".md", ".json"}
     if importlib.util.find_spec("matplotlib"):
         assert "least that holds" in (folder / "lift.svg").read_text()
@@ -68,11 +69,10 @@ def test_a_lift_is_printed_as_tables_and_written_as_a_report(lifted: tuple[str, 
 def test_unknown_values_are_null_in_json_and_a_dash_in_tables(lifted: tuple[str, Path]) -> None:
     _, folder = lifted
     found = json.loads((folder / "lift.json").read_text(), parse_constant=_no_constant)
-    assert found["sections"]["costs"]["tables"][0]["rows"][0]["force"] is None
+    assert found["sections"]["lift"]["tables"][0]["rows"][0]["force"] is None
     page = (folder / "lift.md").read_text()
     assert "nan" not in page
-    assert "psd, none holds in 0 of 1 trials (0.0 %)" in page
-    assert "mm and holds nothing" in page
+    assert "psd, none holds, without a false slip, in 0 of 1 trials (0.0 %)" in page
 
 
 def test_a_tap_is_printed_as_json(tmp_path: Path) -> None:
@@ -80,6 +80,7 @@ def test_a_tap_is_printed_as_json(tmp_path: Path) -> None:
     assert found == json.loads((tmp_path / "tap.json").read_text())
     assert (found["experiment"], found["trials"], list(found["objects"])) == ("tap", 1, ["ball"])
     assert found["mean_success"] in (0, 100)
+    assert found["rivals"]["psd"] == {name: found[name] for name in ("mean_success", "false_slip_firm")}
     assert "failures" in found
 
 
@@ -93,21 +94,19 @@ def test_the_log_states_what_figures_need(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("no_simulation")
 def test_a_stress_test_is_printed_and_written(tmp_path: Path) -> None:
     text = _output(tmp_path, "lift", *ONE, "--rule", "none", "--stress")
-    assert "psd, none: 1 trial of each object, too few to find which object breaks first" in text
-    assert all(f"| {name} " in text for name in CONDITIONS)
+    assert "Friction: psd, none breaks at x0.5, x0.75, x1, x1.5, x2" in text
+    assert all(f"| {name} " in text for name in AXES)
     assert {path.name for path in tmp_path.iterdir()} >= {"lift-stress.html", "lift-stress.json"}
     page = (tmp_path / "lift-stress.md").read_text()
     assert "lift --trials 1 --method psd --rule none --object ball --stress" in page
 
 
 @pytest.mark.usefixtures("no_simulation")
-def test_a_stress_test_follows_the_rule_without_a_method(tmp_path: Path) -> None:
-    text = _output(
-        tmp_path, "lift", "--object", "ball", "--trials", "1", "--jobs", "1", "--rule", "none", "--stress"
-    )
-    assert "tcn_grasp, none: 1 trial" in text
-    assert "tcn, none: 1 trial" in text
-    assert "steps" not in text
+def test_without_a_method_ours_and_its_rivals_run_each_with_its_rule(tmp_path: Path) -> None:
+    found = json.loads(_output(tmp_path, "lift", *ONE[2:], "--json").splitlines()[-1])
+    methods = [row["method"] for row in found["sections"]["lift"]["tables"][0]["rows"]]
+    assert methods == ["tcn_grasp, ours", "threshold, steps", "psd, steps", "paper, steps"]
+    assert found["rivals"].keys() == {"threshold", "psd", "paper"}
 
 
 def test_learning_without_the_train_extra_fails_at_once(
@@ -118,7 +117,7 @@ def test_learning_without_the_train_extra_fails_at_once(
 
     monkeypatch.setattr(train_extra, "find_spec", _nothing)
     monkeypatch.setattr("flows.lab.experiments.grasp_training.grasp_recordings", simulated)
-    result = CliRunner().invoke(app, ["learn", "-o", str(tmp_path / "model.safetensors")])
+    result = CliRunner().invoke(app, ["learn", "-o", str(tmp_path)])
     assert isinstance(result.exception, InputError)
     assert (
         "learn: needs scikit-learn, torch, onnx, onnxruntime: in the clone, pip install -e '.[train]'"

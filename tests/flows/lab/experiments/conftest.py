@@ -9,23 +9,23 @@ import polars as pl
 import pytest
 
 from flows.lab.experiments.lift_trial import LiftOutcome, lift
-from flows.lab.experiments.study import Experiment, Method, Study, Trials
+from flows.lab.experiments.rivals import Method
+from flows.lab.experiments.study import Experiment, Outcome, Study, Trials
 from flows.lab.experiments.tap_trial import TapOutcome, tap
 from flows.lab.experiments.trial import Trace
 from operators.batch import Reals
 
-_T = np.arange(600) / 100  # s
+_T = np.arange(700) / 100  # s
 _NAN = float("nan")
 
-Outcome = TapOutcome | LiftOutcome
 MakeStudy = Callable[..., Study]
 
 
 @pytest.fixture
 def make_trace() -> Callable[..., Trace]:
-    """A trace of 6 s in which nothing happens except in the given columns."""
-    zero, never = np.zeros(600), np.zeros(600, np.bool_)
-    counts = np.zeros((600, 6), np.int16)
+    """A trace of 7 s in which nothing happens except in the given columns."""
+    zero, never = np.zeros(700), np.zeros(700, np.bool_)
+    counts = np.zeros((700, 6), np.int16)
     calm = Trace(_T, counts, zero, zero + 1, zero + 1, zero, zero, zero, zero, never, never)
 
     def trace(**columns: Any) -> Trace:  # noqa: ANN401 - columns of several types
@@ -39,7 +39,7 @@ def during() -> Callable[..., Reals]:
     """A column that is `value` within spans (s), else 0."""
 
     def column(*spans: tuple[float, float], value: float = 1.0) -> Reals:
-        inside = np.zeros(600, np.bool_)
+        inside = np.zeros(700, np.bool_)
         for start, end in spans:
             inside |= (start - 1e-9 <= _T) & (end - 1e-9 > _T)
         return np.where(inside, value, 0.0)
@@ -82,8 +82,8 @@ def _outcomes(good: Outcome, bad: Outcome) -> dict[tuple[str, Method, str], Sequ
 def lifts(make_study: MakeStudy) -> Study:
     """A study of the lift."""
     held, lost = (
-        LiftOutcome("held", 3.0, 20.0, 1.5, 1.75, 0, 0.15, lost=False),
-        LiftOutcome("missed", 30.0, _NAN, _NAN, 0.5, 1, _NAN, lost=True),
+        LiftOutcome("held", False, 3.0, -20.0, 1.5, 1.75),  # noqa: FBT003
+        LiftOutcome("missed", True, 30.0, _NAN, _NAN, 0.5),  # noqa: FBT003
     )
     return make_study(lift, _outcomes(held, lost))
 
@@ -91,5 +91,6 @@ def lifts(make_study: MakeStudy) -> Study:
 @pytest.fixture
 def taps(make_study: MakeStudy) -> Study:
     """A study of the tap."""
-    good = TapOutcome("registered", "top", 2.0, 30.0, 1, 0, 0, 0)
-    return make_study(tap, _outcomes(good, TapOutcome("too late", "side", 4.0, 300.0, 3, 1, 1, 0)))
+    good = TapOutcome("registered", False, 2.0, -30.0, 2, 1, 0)  # noqa: FBT003
+    bad = TapOutcome("too late", True, 4.0, -300.0, 2, 1, 1)  # noqa: FBT003
+    return make_study(tap, _outcomes(good, bad))

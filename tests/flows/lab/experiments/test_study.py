@@ -3,10 +3,10 @@ from typing import Any
 import pytest
 
 from flows.lab.experiments.lift_trial import lift
-from flows.lab.experiments.study import RULES, SEED, Method, Study, Trials, run_study
+from flows.lab.experiments.rivals import Method
+from flows.lab.experiments.study import SEED, Study, Trials, run_study
 from flows.lab.experiments.tap_trial import tap
-from operators import Grip, InputError, ParameterError, StepGrip
-from storage import load_debounce
+from operators import ParameterError
 
 NONE, STEPS = Method("psd", "none"), Method("psd", "steps")
 
@@ -33,25 +33,14 @@ def test_processes_and_the_number_of_trials_change_no_trial(study: Study) -> Non
         progress=lambda done, total, label: seen.append((done, total, label)),
     )
     assert again.outcomes.equals(study.of(NONE).filter(seed=SEED))
-    assert seen == [(0, 2, ""), (1, 2, "nominal: psd, none"), (2, 2, "nominal: psd, none")]
+    assert seen == [(0, 2, ""), (1, 2, "nominal"), (2, 2, "nominal")]
 
 
 def test_without_control_no_object_is_held(study: Study) -> None:
     outcomes = study.of(NONE)
     assert not outcomes["success"].any()
     assert (outcomes["peak"] < 1).all()
-    assert outcomes["ratio"].is_null().all()
-
-
-def test_a_rule_takes_the_threshold_of_the_model_card() -> None:
-    card = load_debounce("tcn")
-    assert card
-    rules = {rule: Method("tcn", rule).controller() for rule in RULES}
-    assert {rule.threshold for rule in rules.values()} == {card.threshold}
-    assert isinstance(rules["steps"], StepGrip)
-    none = rules["none"]
-    assert isinstance(none, Grip)
-    assert none.gain == 0
+    assert outcomes["force"].is_null().all()
 
 
 @pytest.mark.parametrize("values", [{"methods": []}, {"conditions": {}}, {"jobs": 0}])
@@ -61,12 +50,8 @@ def test_an_empty_study_is_refused(values: dict[str, Any]) -> None:
         run_study(tap, **given)
 
 
-def test_an_unknown_object_rule_or_detector_is_named() -> None:
+def test_an_unknown_object_is_named() -> None:
     with pytest.raises(ParameterError, match="object is 'nope', must be one of box, ball"):
         Trials(1, objects=("nope",))
     with pytest.raises(ParameterError, match="count is 0, must be at least 1"):
         Trials(0)
-    with pytest.raises(ParameterError, match="rule is 'best', must be one of ours, steps, none"):
-        Method("tcn", "best")
-    with pytest.raises(InputError, match="is not a detector"):
-        run_study(lift, [Method("tcm")], Trials(1), jobs=1)

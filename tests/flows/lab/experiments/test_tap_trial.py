@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from connectors.sim.objects import OBJECTS, named
-from flows.lab.experiments.tap_trial import BLOW, LEAST_SLIDE, MOST_SLIDE, TapOutcome, judge_tap, tap
-from flows.lab.experiments.trial import Conditions, NullDetector, Trace
+from flows.lab.experiments.tap_trial import BLOWS, END, TapOutcome, judge_tap, tap, tap_trace
+from flows.lab.experiments.trial import MOVED, STILL, Conditions, NullDetector, Trace, Trial
 from operators import Grip
 from operators.batch import Reals
 
@@ -15,21 +15,28 @@ MakeTrace: TypeAlias = Callable[..., Trace]
 During: TypeAlias = Callable[..., Reals]
 
 RULE = Grip(settle=0)
+SOFT, FIRST, SECOND = BLOWS
 
 
-def _judge(make_trace: MakeTrace, trace: Trace, soft: Trace | None = None) -> TapOutcome:
-    return judge_tap(trace, soft or make_trace(), RULE, "top", 1)
+@pytest.fixture
+def hit(make_trace: MakeTrace, during: During) -> Callable[..., Trace]:
+    """A trace with two slides of 2 mm and slip decisions in the given spans (s)."""
+    sliding = [(FIRST, FIRST + 0.05), (SECOND, SECOND + 0.05)]
+
+    def trace(*slip: tuple[float, float], slides: list[tuple[float, float]] = sliding) -> Trace:
+        return make_trace(speed=during(*slides, value=0.04), probability=during(*slip))
+
+    return trace
 
 
-def _blow(make_trace: MakeTrace, during: During, *slip: tuple[float, float]) -> Trace:
-    sliding = during((BLOW, BLOW + 0.05), value=0.04)
-    return make_trace(speed=sliding, slide=np.cumsum(sliding) / 100, probability=during(*slip))
+GOOD = ((FIRST + 0.02, FIRST + 0.2), (SECOND + 0.02, SECOND + 0.2))
 
 
-def test_a_blow_whose_slip_ends_with_the_sliding_is_registered(make_trace: MakeTrace, during: During) -> None:
-    outcome = _judge(make_trace, _blow(make_trace, during, (BLOW + 0.02, BLOW + 0.2)))
+def test_two_registered_blows_and_nothing_else_are_a_success(hit: Callable[..., Trace]) -> None:
+    outcome = judge_tap(hit(*GOOD), RULE)
+    assert outcome == TapOutcome("registered", False, outcome.slide, outcome.lead, 2, 1, 0)  # noqa: FBT003
     assert outcome.success
-    assert outcome.delay == pytest.approx(30)
+    assert outcome.lead == pytest.approx(-30)
     assert outcome.slide == pytest.approx(2.0)
 
 
@@ -37,32 +44,56 @@ def test_a_blow_whose_slip_ends_with_the_sliding_is_registered(make_trace: MakeT
     ("slip", "ending"),
     [
         ((), "missed"),
-        (((BLOW + 0.25, BLOW + 0.3),), "too late"),
-        (((BLOW - 0.5, BLOW - 0.4), (BLOW, BLOW + 0.1)), "false before"),
-        (((BLOW, BLOW + 0.6),), "not back to static"),
-        (((BLOW, BLOW + 0.1), (BLOW + 1, BLOW + 1.1)), "not back to static"),
+        (GOOD[:1], "missed"),
+        ((GOOD[0], (SECOND + 0.25, SECOND + 0.3)), "too late"),
+        (((2.0, 2.1), *GOOD), "false slip"),
+        (((SOFT, SOFT + 0.1), *GOOD), "false at soft blow"),
+        (((FIRST, FIRST + 0.6), GOOD[1]), "not back to static"),
+        ((*GOOD, (SECOND + 0.8, SECOND + 0.9)), "not back to static"),
     ],
 )
 def test_each_failure_has_its_ending(
-    make_trace: MakeTrace, during: During, slip: tuple[tuple[float, float], ...], ending: str
+    hit: Callable[..., Trace], slip: tuple[tuple[float, float], ...], ending: str
 ) -> None:
-    assert _judge(make_trace, _blow(make_trace, during, *slip)).ending == ending
+    assert judge_tap(hit(*slip), RULE).ending == ending
 
 
-def test_an_object_knocked_out_of_the_gripper_is_dropped(make_trace: MakeTrace, during: During) -> None:
-    trace = replace(_blow(make_trace, during, (BLOW, BLOW + 0.1)), dropped=during((5.0, 7.0)) > 0)
-    assert _judge(make_trace, trace).ending == "dropped"
+def test_a_blow_that_moves_nothing_must_not_be_registered(hit: Callable[..., Trace]) -> None:
+    one = [(FIRST, FIRST + 0.05)]
+    assert judge_tap(hit(GOOD[0], slides=one), RULE).success
+    outcome = judge_tap(hit(*GOOD, slides=one), RULE)
+    assert (outcome.ending, outcome.soft, outcome.false_soft) == ("false at soft blow", 2, 1)
 
 
-def test_false_slips_are_counted_by_phase(make_trace: MakeTrace, during: During) -> None:
-    soft = make_trace(probability=during((2.1, 2.2), (4.0, 4.1), (BLOW, BLOW + 0.1)))
-    outcome = _judge(make_trace, make_trace(), soft)
-    assert (outcome.false_lift, outcome.false_hold, outcome.false_tap) == (1, 1, 1)
+def test_a_slide_between_still_and_moved_may_be_registered_or_not(hit: Callable[..., Trace]) -> None:
+    little = [(FIRST, FIRST + 0.05), (SECOND, SECOND + 0.01)]  # 2 and 0.4 mm
+    assert judge_tap(hit(*GOOD, slides=little), RULE).success
+    assert judge_tap(hit(GOOD[0], slides=little), RULE).success
+
+
+def test_an_object_knocked_out_of_the_gripper_is_dropped(hit: Callable[..., Trace], during: During) -> None:
+    trace = replace(hit(*GOOD), dropped=during((5.5, END)) > 0)
+    assert judge_tap(trace, RULE).ending == "dropped"
 
 
 @pytest.mark.parametrize(("seed", "name"), list(enumerate(OBJECTS)))
-def test_the_blow_moves_every_object_but_not_far(name: str, seed: int) -> None:
-    _, outcome = tap(named(name), seed, NullDetector(), Grip(), Conditions())
+def test_a_firm_lift_and_a_soft_blow_move_nothing_and_other_blows_do_but_drop_nothing(
+    name: str, seed: int
+) -> None:
+    trace = tap_trace(Trial.draw(named(name), seed, Conditions()))
+    soft, *moved = (
+        trace.travel(trace.between(*span)) for span in ((SOFT, FIRST), (FIRST, SECOND), (SECOND, END))
+    )
+    assert trace.travel(trace.between(1.5, SOFT)) < MOVED / 2
+    assert soft < 2 * STILL
+    assert max(moved) > STILL
+    assert not trace.dropped[-1]
+
+
+def test_methods_share_one_simulation_and_draws_depend_on_the_seed_only() -> None:
+    trial = Trial.draw(named("ball"), 3, Conditions())
+    (first, outcome), (second, _) = tap(trial, [(NullDetector(), Grip()), (NullDetector(), RULE)])
+    assert first.counts is second.counts
+    assert (first.counts == tap_trace(trial).counts).all()
     assert outcome.ending == "missed"
-    assert LEAST_SLIDE <= outcome.slide <= MOST_SLIDE
-    assert outcome.side == ("top" if seed % 2 else "side")
+    assert np.isnan(outcome.lead)

@@ -6,14 +6,25 @@ import pytest
 
 from connectors.sim.grasp import least_force
 from connectors.sim.objects import named
-from flows.lab.experiments.trial import SPREAD, Conditions, Trace, Trial
-from operators import Grip, ParameterError
+from flows.lab.experiments.trial import (
+    FINGERTIP,
+    FIRM,
+    FIRM_LIFT,
+    HELD,
+    SPREAD,
+    Conditions,
+    Trace,
+    Trial,
+    run_trial,
+)
+from operators import Grip, ParameterError, StepGrip
 from operators.batch import Reals
+from operators.detectors import Psd
 
 BALL = named("ball")
 
 
-@pytest.mark.parametrize("name", ["rate", "repeat", "friction", "mass", "grip", "pace"])
+@pytest.mark.parametrize("name", ["rate", "friction", "mass", "stiffness", "tilt"])
 def test_a_condition_that_is_not_positive_is_refused(name: str) -> None:
     with pytest.raises(ParameterError, match=name):
         Conditions(**cast("Any", {name: 0}))
@@ -43,12 +54,41 @@ def test_the_expected_force_assumes_nominal_friction_and_mass() -> None:
     )
 
 
+def test_conditions_change_the_object_and_the_pad_but_not_the_rest() -> None:
+    nominal, changed = (Trial.draw(BALL, 3, each) for each in (Conditions(), Conditions(stiffness=2, tilt=3)))
+    assert changed.held.stiffness == 2 * BALL.stiffness
+    assert changed.fingertip.tilt_stiffness == 3 * FINGERTIP.tilt_stiffness
+    assert (changed.position, changed.firm, changed.mass) == (nominal.position, nominal.firm, nominal.mass)
+    assert FIRM[0] <= nominal.firm <= FIRM[1]
+
+
+@pytest.mark.parametrize("rate", [25.0, 100.0])
+def test_scores_added_to_a_trace_are_those_of_the_closed_loop(rate: float) -> None:
+    trial = Trial.draw(BALL, 2, Conditions(rate=rate))
+    added = trial.hold((), 3.0).scored(Psd())
+    constant = StepGrip(force=trial.firm * trial.least_force, step=1e-12)
+    live = run_trial(trial.grasp(FIRM_LIFT), Psd(), constant, trial.conditions, 3.0)
+    known = ~np.isnan(live.probability)
+    assert known.any()
+    assert (added.probability[known] == live.probability[known]).all()
+
+
+def test_a_slip_registered_in_a_firm_lift_is_false_unless_the_object_slid(
+    make_trace: Callable[..., Trace], during: Callable[..., Reals]
+) -> None:
+    rule, seen = Grip(settle=0), during((2.0, 2.1))
+    assert make_trace(probability=seen).false_slip(rule)
+    assert not make_trace(probability=seen, speed=during((2.0, 2.1), value=0.02)).false_slip(rule)
+    assert not make_trace(probability=during((0.5, 0.6), (HELD, HELD + 0.1))).false_slip(rule)
+
+
 def test_a_slip_is_registered_after_enough_consecutive_scores(make_trace: Callable[..., Trace]) -> None:
-    probability = np.zeros(600)
-    probability[:8] = [0.9, 0.9, 0.9, 0.1, 0.9, np.nan, 0.9, 0.9]
+    probability = np.zeros(700)
+    probability[200:208] = [0.9, 0.9, 0.9, 0.1, 0.9, np.nan, 0.9, 0.9]
     trace = make_trace(probability=probability)
-    assert np.flatnonzero(trace.registered(Grip(threshold=0.5, consecutive=2))).tolist() == [1, 2, 7]
-    assert np.flatnonzero(trace.registered(Grip(threshold=0.5, consecutive=1))).tolist() == [0, 1, 2, 4, 6, 7]
+    assert np.flatnonzero(trace.registered(Grip(threshold=0.5, consecutive=2))).tolist() == [201, 202, 207]
+    one = trace.registered(Grip(threshold=0.5, consecutive=1))
+    assert np.flatnonzero(one).tolist() == [200, 201, 202, 204, 206, 207]
 
 
 def test_each_slip_has_one_onset(make_trace: Callable[..., Trace], during: Callable[..., Reals]) -> None:

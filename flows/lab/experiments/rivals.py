@@ -1,0 +1,94 @@
+"""The methods that an experiment compares: our grasp detector and its rivals, each with a tuned threshold."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from operators import Debounce, Grip, GripController, StepGrip
+from operators.batch import Counts, Reals
+from operators.checks import check_choice
+from operators.detectors import Detector, Psd
+from storage import load_debounce, load_detector
+from storage.models import shipped_path
+
+OURS, STEPS, NONE = "ours", "steps", "none"  # rules
+RULES: Final = (OURS, STEPS, NONE)
+DEFAULT: Final = "tcn_grasp"  # detector
+RIVALS: Final = ("threshold", "psd", "paper")
+CARDS: Final = {  # file of each method whose threshold was tuned on validation grasps
+    DEFAULT: DEFAULT,
+    "threshold": "threshold_grasp",
+    "psd": "psd_grasp",
+    "paper": "paper_grasp",
+}
+
+
+@dataclass(frozen=True)
+class StepThreshold:
+    """A detector without learning: any cell has moved by more than `threshold` counts in 30 ms."""
+
+    threshold: float = 8.0  # counts, at probability 0.5
+    length: int = 4  # samples
+    name = "threshold"
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        """Return step / (step + threshold) of each window (n, 4, 6), its largest step of a cell; (n,)."""
+        step = np.abs(windows[:, -1].astype(np.float64) - windows[:, 0]).max(axis=1)  # (n,) counts
+        probability: Reals = step / (step + self.threshold)
+        return probability
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A detector and a rule for the grip force.
+
+    Raises:
+        ParameterError: if there is no such rule.
+    """
+
+    detector: str  # a rival, a detector's name or a model file
+    rule: str = OURS
+
+    def __post_init__(self) -> None:
+        check_choice("Method", "rule", self.rule, RULES)
+
+    def __str__(self) -> str:
+        return f"{self.detector}, {self.rule}"
+
+    def load(self) -> tuple[Detector, GripController]:
+        """Return the detector and the controller, with the threshold of the detector's card.
+
+        Raises:
+            InputError: if there is no such detector.
+        """
+        card = CARDS.get(self.detector)
+        found = load_debounce(self.detector if card is None else shipped_path(card)) or Debounce()
+        return load_rival(self.detector), _controller(self.rule, found.threshold)
+
+
+METHODS: Final = (Method(DEFAULT), *(Method(name, STEPS) for name in RIVALS))  # rivals: the paper's rule
+
+
+def load_rival(name: str) -> Detector:
+    """Return the detector of a method.
+
+    Raises:
+        InputError: if there is no such detector.
+    """
+    match name:
+        case "threshold":
+            return StepThreshold()
+        case "psd":
+            return Psd()
+        case "paper":
+            return load_detector(shipped_path(CARDS[name]))
+        case _:
+            return load_detector(name)
+
+
+def _controller(rule: str, threshold: float) -> GripController:
+    if rule == STEPS:
+        return StepGrip(threshold=threshold)
+    ours = Grip(threshold=threshold)
+    return replace(ours, gain=0.0, margin=0.0) if rule == NONE else ours

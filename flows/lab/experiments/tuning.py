@@ -1,0 +1,69 @@
+"""Decision thresholds, tuned on tap trials with objects and fingertips drawn for validation."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from flows.lab.experiments.grasp_recordings import draw_fingertip, draw_object
+from flows.lab.experiments.tap_trial import judge_tap, tap_trace
+from flows.lab.experiments.trial import FIRM, Conditions, Trace, Trial
+from flows.run.processes import process_map
+from operators import StepGrip
+from operators.detectors import Detector
+
+THRESHOLDS: Final = 1 / (1 + np.exp(-np.arange(-4, 8.01, 0.25)))  # tried
+
+
+@dataclass(frozen=True, slots=True)
+class Tuned:
+    """A threshold and what it reaches on the validation trials."""
+
+    threshold: float  # of the probability
+    success: float  # %
+    false_slip_firm: float  # %
+
+
+def validation_trial(seed: int) -> Trial:
+    """Draw a trial with an object and a fingertip of its own, from the ranges of the training grasps.
+
+    Objects that the gripper cannot hold firmly are left out.
+    """
+    random, conditions = np.random.default_rng([seed, 13]), Conditions()
+    while True:
+        trial = Trial.draw(draw_object(random), seed, conditions, draw_fingertip(random))
+        if trial.least_force * FIRM[1] <= conditions.gripper.span:
+            return trial
+
+
+def tune(
+    detectors: Mapping[str, Detector], count: int, seed: int, jobs: int | None = None
+) -> dict[str, Tuned]:
+    """Tune the threshold of each detector on the same tap trials.
+
+    Args:
+        detectors: Detectors by name.
+        count: Number of trials, each with another object and fingertip.
+        seed: Random seed of the first trial.
+        jobs: Number of processes; None: one per core.
+    """
+    with closing(process_map(_trace, range(seed, seed + count), jobs)) as found:
+        traces = list(found)
+    return {name: best_threshold(detector, traces) for name, detector in detectors.items()}
+
+
+def best_threshold(detector: Detector, traces: Sequence[Trace]) -> Tuned:
+    """Return the threshold of highest success in tap trials, the middle one of equally good ones."""
+    scored = [trace.scored(detector) for trace in traces]
+    outcomes = [[judge_tap(each, StepGrip(threshold=t)) for each in scored] for t in THRESHOLDS.tolist()]
+    success = np.array([[outcome.success for outcome in row] for row in outcomes]).mean(axis=1)
+    best = np.flatnonzero(success == success.max())
+    chosen = int(best[len(best) // 2])
+    false = float(np.mean([outcome.false_firm for outcome in outcomes[chosen]]))
+    return Tuned(float(THRESHOLDS[chosen]), 100 * float(success[chosen]), 100 * false)
+
+
+def _trace(seed: int) -> Trace:
+    return tap_trace(validation_trial(seed))

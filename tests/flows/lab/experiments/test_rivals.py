@@ -1,0 +1,48 @@
+import numpy as np
+import pytest
+
+from flows.lab.experiments.rivals import CARDS, DEFAULT, METHODS, RIVALS, RULES, Method, StepThreshold
+from operators import Grip, InputError, ParameterError, StepGrip
+from storage import load_debounce
+from storage.models import load_card, shipped_path
+
+
+def test_a_step_above_the_threshold_within_30_ms_is_slip() -> None:
+    window = np.zeros((3, 4, 6), np.int16)
+    window[1, 3, 2], window[2, 3, 5], window[2, 1, 5] = -8, 9, 40
+    assert StepThreshold().score(window).round(2).tolist() == [0, 0.5, 0.53]
+
+
+def test_each_usual_method_has_a_threshold_tuned_on_validation_trials() -> None:
+    assert [method.detector for method in METHODS] == [DEFAULT, *RIVALS]
+    for method in METHODS:
+        card = load_card(shipped_path(CARDS[method.detector]))
+        _, controller = method.load()
+        assert controller.threshold == card["debounce"]["threshold"]
+        assert controller.threshold == card["tuning"]["threshold"]
+        assert card["tuning"]["trials"] >= 50
+
+
+def test_the_rivals_follow_the_rule_of_the_paper() -> None:
+    for method in METHODS[1:]:
+        _, controller = method.load()
+        assert isinstance(controller, StepGrip)
+        assert controller.consecutive == 2
+
+
+def test_a_rule_takes_the_threshold_of_the_model_card() -> None:
+    card = load_debounce("tcn")
+    assert card
+    rules = {rule: Method("tcn", rule).load()[1] for rule in RULES}
+    assert {rule.threshold for rule in rules.values()} == {card.threshold}
+    assert isinstance(rules["steps"], StepGrip)
+    none = rules["none"]
+    assert isinstance(none, Grip)
+    assert none.gain == 0
+
+
+def test_an_unknown_rule_or_detector_is_named() -> None:
+    with pytest.raises(ParameterError, match="rule is 'best', must be one of ours, steps, none"):
+        Method("tcn", "best")
+    with pytest.raises(InputError, match="is not a detector"):
+        Method("tcm").load()
