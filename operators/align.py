@@ -60,7 +60,6 @@ class Align(Join[Zeroed, Motion, Sample]):
     _values: Reals = field(init=False, repr=False, compare=False)  # (n, 12) velocity and pose
     # start and stop of the motion kept in these arrays; `within`, longest distance from the newest, `how`
     _state: Times = field(init=False, repr=False, compare=False)
-    _room: int = field(default=0, init=False, repr=False, compare=False)  # rows free in these arrays
     _newest: int = field(default=-END, init=False, repr=False)  # ns, newest motion
     _touched: int = field(default=-END, init=False, repr=False)  # ns, newest touch
     _held: Chain[Zeroed] = field(default_factory=lambda: Chain(Zeroed), init=False, repr=False, compare=False)
@@ -92,10 +91,9 @@ class Align(Join[Zeroed, Motion, Sample]):
 
     def _store(self, motion: Motion) -> None:
         size = motion.time.size
-        if size > self._room:
+        if self._state.item(1) + size > self._stamps.size:
             start, stop = self._state[:2].tolist()
             self._resize(max(_ROWS, 2 * (stop - start) + size))
-        self._room -= size
         values = motion.velocity, motion.pose
         self._newest = _keep(motion.time, *values, self._stamps, self._values, self._state, self._newest)
 
@@ -104,7 +102,7 @@ class Align(Join[Zeroed, Motion, Sample]):
         start, stop = self._state[:2].tolist()
         stamps, values = np.empty(size, np.int64), np.empty((size, 12))
         stamps[: stop - start], values[: stop - start] = self._stamps[start:stop], self._values[start:stop]
-        self._stamps, self._values, self._room = stamps, values, size - (stop - start)
+        self._stamps, self._values = stamps, values
         self._state[:2] = 0, stop - start
 
     def __getstate__(self) -> dict[str, Any]:

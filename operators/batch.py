@@ -5,6 +5,7 @@ The same code processes batches of one row, in a live run, and of a million rows
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from itertools import chain
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform
@@ -154,8 +155,8 @@ class Layout:
 
     def __init__(self, kind: type[Batch]) -> None:
         expected = columns(kind)
-        # type and shape of each column
-        self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in ("dtype", "shape")))
+        traits = "__class__", "dtype", "shape"  # of each column
+        self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in traits))
         self._columns, self._rows, self._expected = tuple(expected.values()), -1, tuple[object, ...]()
         getter = attrgetter(*expected)
         self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
@@ -165,8 +166,8 @@ class Layout:
     def of(self, rows: int) -> tuple[object, ...]:
         """Return the expected traits of a batch; those of the newest number of rows are kept."""
         if rows != self._rows:
-            pairs = ((each.dtype, (rows, *each.shape)) for each in self._columns)
-            self._rows, self._expected = rows, tuple(trait for pair in pairs for trait in pair)
+            traits = ((np.ndarray, each.dtype, (rows, *each.shape)) for each in self._columns)
+            self._rows, self._expected = rows, tuple(chain.from_iterable(traits))
         return self._expected
 
 

@@ -1,8 +1,7 @@
 """Sizes that a Parquet file declares in its footer and page headers, read before anything is unpacked.
 
 Arrow unpacks a page to the size in its header, up to 2 GiB, and pyarrow aborts the process if it is asked for
-the metadata of an inconsistent column. Both are Thrift structs in the compact
-protocol.
+the metadata of an inconsistent column. Both are Thrift structs in the compact protocol.
 
 References:
     parquet-format/src/main/thrift/parquet.thrift and doc/specs/thrift-compact-protocol.md of Apache Thrift.
@@ -18,11 +17,7 @@ MAGIC: Final = b"PAR1"
 ROW_GROUPS, COLUMNS, GROUP_ROWS, META_DATA = 4, 1, 3, 3  # of FileMetaData, RowGroup, RowGroup, ColumnChunk
 CHUNK_VALUES, CHUNK_SIZE, DATA_OFFSET, DICTIONARY_OFFSET = 5, 7, 9, 11  # of ColumnMetaData
 UNPACKED_SIZE, PACKED_SIZE = 2, 3  # of PageHeader
-PAGE_KINDS: Final = (
-    5,
-    7,
-    8,
-)  # headers of data pages, dictionaries and data pages of version 2, in PageHeader
+PAGE_KINDS: Final = 5, 7, 8  # of PageHeader: data page, dictionary, data page of version 2
 VALUES: Final = 1  # of each of them
 
 
@@ -42,7 +37,7 @@ def declared_sizes(data: bytes) -> tuple[int, int, int]:
         pages = list(chain.from_iterable(_pages(data, chunk) for chunk in chunks))
         values = sum(page[kind][VALUES] for page in pages for kind in PAGE_KINDS if kind in page)
         return rows, sum(page[UNPACKED_SIZE] for page in pages), values
-    except (IndexError, KeyError, TypeError, RecursionError) as error:
+    except (AttributeError, IndexError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("malformed footer or page header") from error
 
 

@@ -160,10 +160,8 @@ def _check_size(path: Path, data: bytes, expected: pa.Schema) -> None:
         ValueError: if the file is malformed.
     """
     rows, unpacked, values = declared_sizes(data)
-    if (
-        max(unpacked, values, rows * sum(_row_size(field.type) for field in _fields(expected)))
-        > UNPACKED_LIMIT
-    ):
+    row = sum(_row_size(field.type) for field in _fields(expected))
+    if max(unpacked, values, rows * row) > UNPACKED_LIMIT:
         reason = f"unpacks to more than {UNPACKED_LIMIT // files.MiB} MiB, the limit for such a file"
         raise InputError(str(path), reason)
 

@@ -13,7 +13,7 @@ from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, Part, consumers
 from flows.run.clocks import EventClock
-from flows.run.log_events import reason_of, warn
+from flows.run.log_events import own_cancellation, reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus
@@ -179,7 +179,8 @@ async def close_sinks(sinks: Iterable[Sink[Any]], *, failed: bool = False) -> No
     errors = list[Exception]()
     for sink in sinks:
         try:
-            await sink.close()
+            with own_cancellation():
+                await sink.close()
         except Exception as error:  # noqa: BLE001 - the other sinks must be closed too
             errors.append(error)
             if failed or len(errors) > 1:

@@ -59,9 +59,8 @@ def _products(a: Floats, b: Floats, c: Floats, d: Floats, run: Floats) -> tuple[
 @compile_function(fastmath=_VECTORIZED)
 def _asinh(count: np.float32, weights: Floats, scale: int) -> float:
     """Return asinh(count / scale), which takes ten times as long if it is not in the table."""
-    whole = int(count)
-    if whole == count and abs(whole) <= _TABLE:
-        return float(weights[2 + scale * _ENTRIES + _TABLE + whole])
+    if abs(count) <= _TABLE and count == int(count):  # in this order: int of NaN or infinity is undefined
+        return float(weights[2 + scale * _ENTRIES + _TABLE + int(count)])
     return math.asinh(count / weights[scale])
 
 

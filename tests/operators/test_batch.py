@@ -1,3 +1,4 @@
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,15 @@ def _columns(kind: type[Batch], rows: int) -> list[Any]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("wrong", ["type", "shape", "length"])
+@pytest.mark.parametrize("wrong", ["type", "shape", "length", "no array"])
 def test_a_column_of_another_type_shape_or_length_is_named(kind: type[Batch], wrong: str) -> None:
     for place, name in enumerate(columns(kind)):
         values = _columns(kind, 3)
         if wrong == "type":
             values[place] = values[place].astype(np.complex64)
+        elif wrong == "no array":  # as a column of a table of another library
+            column = values[place]
+            values[place] = SimpleNamespace(dtype=column.dtype, shape=column.shape, size=column.size)
         else:
             values[place] = values[place][..., None] if wrong == "shape" else values[place][:2]
         with pytest.raises(BatchError, match=rf"^{kind.__name__}\.({name if place else '.*'}): "):

@@ -33,12 +33,15 @@ def struct(fields: dict[int, Any]) -> bytes:
     return data + b"\0"
 
 
+def footed(footer: bytes) -> bytes:
+    return footer + len(footer).to_bytes(4, "little") + b"PAR1"
+
+
 def file(page: dict[int, Any], *, rows: int = 1, size: int | None = None) -> bytes:
     """Encode a file of one page without data."""
     packed = struct(page)
     column = {5: 1, 7: len(packed) if size is None else size, 9: 4}
-    footer = struct({3: rows, 4: [{1: [{3: column}], 3: rows}]})
-    return b"PAR1" + packed + footer + len(footer).to_bytes(4, "little") + b"PAR1"
+    return b"PAR1" + packed + footed(struct({3: rows, 4: [{1: [{3: column}], 3: rows}]}))
 
 
 @settings(deadline=None, max_examples=25)
@@ -92,10 +95,23 @@ def test_a_page_that_unpacks_to_two_gigabytes_counts_with_all_of_them() -> None:
         file({1: 0, 3: 0}),
         file({1: 0, 2: 5, 3: 2**40}),
         file({1: 0, 2: 5, 3: 0}, size=3),
-        b"PAR1" + b"\x1c" * 5000 + (5000).to_bytes(4, "little") + b"PAR1",
-        b"PAR1" + b"\x16" + b"\xff" * 50 + (51).to_bytes(4, "little") + b"PAR1",
+        b"PAR1" + footed(b"\x1c" * 5000),
+        b"PAR1" + footed(b"\x16" + b"\xff" * 50),
+        footed(b"\x49\x1c\x19\x1c\x38\x0c" + bytes(range(1, 13)) + b"\x00\x26\x02\x00\x00"),
     ],
-    ids=["empty", "short", "zeros", "length", "negative", "missing", "beyond", "ends", "deep", "long"],
+    ids=[
+        "empty",
+        "short",
+        "zeros",
+        "length",
+        "negative",
+        "missing",
+        "beyond",
+        "ends",
+        "deep",
+        "long",
+        "text",
+    ],
 )
 def test_malformed_files_are_reported(data: bytes) -> None:
     with pytest.raises(ValueError, match=r"Parquet footer|malformed|negative|do not end|64 bits"):

@@ -164,6 +164,14 @@ def test_counts_may_be_reals_read_only_or_strided() -> None:
         np.testing.assert_array_equal(tcn.stream(2).push(same), expected)
 
 
+def test_counts_that_are_no_10_bit_integers_are_judged_as_in_windows() -> None:
+    tcn, counts = Tcn(_weights()), _counts(60).astype(np.float64)
+    counts[10:18, 0, 2] = 2046, -2046, 2047, 1023.5, 0.25, 1e9, -(2.0**63), 1e30
+    windows = _windows(counts[:, 0], tcn.length)
+    streamed = tcn.stream().push(counts)[tcn.length - 1 :, 0]
+    np.testing.assert_allclose(streamed, tcn.score(windows), atol=1e-5)
+
+
 def test_a_count_that_is_nan_is_not_judged_and_is_forgotten_after_a_window() -> None:
     tcn, counts = Tcn(_weights()), _counts(60).astype(np.float64)
     counts[20, 0, 3] = np.nan
