@@ -179,44 +179,31 @@ class Performance:
     onset_ms: float  # median delay
     lead_ms: float  # median lead of the onsets over the arm-speed label, whatever the target
 
-    @classmethod
-    def of(
-        cls,
-        recordings: Sequence[LabelledRecording],
-        probabilities: Sequence[Reals],
-        debounce: Debounce,
-        target: Target = "arm-speed",
-    ) -> Self:
-        """Compare the probabilities (n,) of each recording with a target.
-
-        Args:
-            recordings: Recordings; the target "sliding" needs simulated ones.
-            probabilities: Probability of slip, (n,) for each recording.
-            debounce: Debounce of the slip events.
-            target: What the label says.
-        """
-        counts, labelled = np.zeros((2, 2)), labelled_by(target, recordings)
-        for recording, probability in zip(labelled, probabilities, strict=True):
-            known = np.isfinite(probability) & (recording.label != UNKNOWN)  # (n,)
-            counts += Confusion.of(probability[known] >= DECISION, recording.slip[known]).counts
-        raised = [onsets(probability, debounce) for probability in probabilities]
-        samples = Confusion(counts)
-        events = EventMetrics.of_onsets(raised, [Slips.labelled(each) for each in labelled])
-        lead = lead_ms(raised, [Slips.labelled(each) for each in recordings])
-        return cls(
-            samples.accuracy,
-            samples.balanced,
-            events.false_alarms_per_min,
-            events.missed,
-            events.onset_ms,
-            lead,
-        )
-
 
 def performances(
     recordings: Sequence[LabelledRecording], probabilities: Sequence[Reals], debounce: Debounce
 ) -> dict[Target, Performance]:
     """Compare the probabilities (n,) of each recording with each target that is known."""
+    raised = [onsets(probability, debounce) for probability in probabilities]
+    lead = lead_ms(raised, [Slips.labelled(each) for each in recordings])
     return {
-        target: Performance.of(recordings, probabilities, debounce, target) for target in targets(recordings)
+        target: _performance(labelled_by(target, recordings), probabilities, raised, lead)
+        for target in targets(recordings)
     }
+
+
+def _performance(
+    recordings: Sequence[LabelledRecording],
+    probabilities: Sequence[Reals],
+    raised: Sequence[Times],
+    lead: float,
+) -> Performance:
+    """Compare the probabilities (n,) and onsets (k,) of each recording with its label."""
+    counts = np.zeros((2, 2))
+    for recording, probability in zip(recordings, probabilities, strict=True):
+        known = np.isfinite(probability) & (recording.label != UNKNOWN)  # (n,)
+        counts += Confusion.of(probability[known] >= DECISION, recording.slip[known]).counts
+    samples = Confusion(counts)
+    events = EventMetrics.of_onsets(raised, [Slips.labelled(each) for each in recordings])
+    alarms = events.false_alarms_per_min
+    return Performance(samples.accuracy, samples.balanced, alarms, events.missed, events.onset_ms, lead)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from connectors.sim.paper_plan import PaperPlan
-from flows.learn.evaluation.event_metrics import Performance
+from flows.learn.evaluation.event_metrics import performances
 from flows.learn.evaluation.target_table import TITLES
 from flows.learn.labelled_recordings import LabelledRecording, simulated_recordings
 from flows.learn.scoring import probabilities
@@ -94,7 +94,7 @@ def test_a_stress_of_the_motion_stream_moves_the_label_and_not_the_truth(found: 
 def test_the_numbers_are_those_of_the_stressed_recordings(found: Stress) -> None:
     recordings = simulated_recordings(TINY, SEED, lambda scene: stressed(scene, "friction", 0.3))
     answers = [probabilities(Psd(), recording) for recording in recordings]
-    expected = Performance.of(recordings, answers, Debounce(), "arm-speed")
+    expected = performances(recordings, answers, Debounce())["arm-speed"]
     assert found.at("psd", "friction", 0.3) == expected
 
 
