@@ -4,7 +4,7 @@ from typing import Any, Final, Generic
 
 import numpy as np
 
-from operators.batch import EVERY, AnyBatch, Times, layout
+from operators.batch import AnyBatch, Times, layout
 
 _ROWS: Final = 1024  # smallest size of a block
 
@@ -50,9 +50,10 @@ class Tail(Generic[AnyBatch]):
 
     def append(self, batch: AnyBatch) -> None:
         """Append copies of rows; columns that the type lacks are dropped."""
-        size = batch.time.size
-        self.reserve(size, batch.finger)
-        stop = self.stop + size
+        stop = self.stop + batch.time.size
+        if stop > self._size or batch.finger != self._finger:
+            self._move(batch)
+            stop = self.stop + batch.time.size
         for column, values in zip(self._take(self.block), self._take(batch), strict=True):
             column[self.stop : stop] = values
         self.stop = stop
@@ -61,18 +62,16 @@ class Tail(Generic[AnyBatch]):
         """Drop the oldest `count` rows."""
         self.start += count
 
-    def reserve(self, rows: int, finger: int = EVERY) -> None:
-        """Make room for rows in the block from `stop` on."""
-        if self.stop + rows <= self._size and self._finger == finger:
-            return
-        kept = len(self)
-        size = max(_ROWS, 2 * kept + rows)
-        columns = self._take(self.block)
-        arrays: list[Any] = [np.empty((size, *old.shape[1:]), old.dtype) for old in columns]
-        for array, column in zip(arrays, columns, strict=True):
-            array[:kept] = column[self.start : self.stop]
-        self.__setstate__(type(self.block)(*arrays, finger=finger))
-        self.stop = kept
+    def _move(self, batch: AnyBatch) -> None:
+        """Move the rows in use to a new block with room for a batch, which determines the shape of a row."""
+        kept, count = self._take(self.rows), len(self)
+        size = max(_ROWS, 2 * count + batch.time.size)
+        arrays: list[Any] = [np.empty((size, *new.shape[1:]), new.dtype) for new in self._take(batch)]
+        if count:
+            for array, column in zip(arrays, kept, strict=True):
+                array[:count] = column
+        self.__setstate__(type(self.block)(*arrays, finger=batch.finger))
+        self.stop = count
 
     def __getstate__(self) -> AnyBatch:
         return self.rows

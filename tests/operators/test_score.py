@@ -77,7 +77,8 @@ def test_the_number_of_cells_comes_from_the_batch() -> None:
     cells = np.full((3, 9), 200, np.int16)
     touch = Zeroed(np.arange(3), cells, cells, np.ones_like(cells, np.bool_))
     touch.valid[0] = touch.valid[1, :4] = touch.valid[2, :5] = False
-    assert np.isnan(Score(_Runner(length=1)).push(touch).probability).tolist() == [True, False, True]
+    for detector in (_Runner(length=1), _Keeper(length=1)):
+        assert np.isnan(Score(detector).push(touch).probability).tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("hop", [1, 3, 11])

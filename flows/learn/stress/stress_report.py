@@ -26,8 +26,7 @@ def stress_report(of: Stress, command: str) -> Report:
         f"in a panel marks nominal. The {of.recordings} recordings of each condition are simulated with "
         f"seed {of.seed}; those of a field differ only by the stress. For slip speed all strokes are "
         "translations at 50 mm/s, slowed down; otherwise the plan is a small version of the paper's. The "
-        "debounce is that of "
-        "the model card, or was tuned on nominal recordings of another seed."
+        "debounce is that of the model card, or was tuned on nominal recordings of another seed."
         + "".join(f" Missing: {name}, {why}." for name, why in of.missing.items())
     )
     debounce = {
