@@ -74,8 +74,9 @@ def fit(
 ) -> PaperPlan:
     """Fit the constants of a plan; the result is the mean of the last third of the rounds."""
     real, weight = np.array([each.real for each in wanted]), np.array([each.weight for each in wanted])
-    at, path, start = np.zeros(len(CONSTANTS)), list[Reals](), perf_counter()
-    slopes = np.zeros((len(at), len(wanted)))
+    at: Reals = np.zeros(len(CONSTANTS))
+    path, start = list[Reals](), perf_counter()
+    slopes: Reals = np.zeros((len(at), len(wanted)))
     for number in range(rounds):
         random = np.random.default_rng([SEED, number])
         signs = hadamard(RUNS)[:, 1 + random.permutation(RUNS - 1)[: len(at)]].astype(np.float64)
@@ -86,8 +87,9 @@ def fit(
         slope = signs.T @ (misfits - mean) / RUNS  # (constants, targets)
         slopes = slope if number == 0 else 0.6 * slopes + 0.4 * slope
         noise = np.square(misfits - mean - signs @ slope).sum() / RUNS  # not explained by the planes
-        step = -np.linalg.solve(slopes @ slopes.T + noise / 2 * np.eye(len(at)), slopes @ mean)
-        at = at + np.clip(step, -1.0, 1.0)
+        normal: Reals = slopes @ slopes.T + noise / 2 * np.eye(len(at))
+        step: Reals = np.linalg.solve(normal, slopes @ mean)
+        at = at - np.clip(step, -1.0, 1.0)
         path.append(at)
         log(
             f"round {number + 1} of {rounds}: sum of squared misfits {np.square(mean).sum():.1f}, "
