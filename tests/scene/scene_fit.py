@@ -14,7 +14,7 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from scipy.linalg import hadamard
@@ -88,7 +88,7 @@ def fit(
         slopes = slope if number == 0 else 0.6 * slopes + 0.4 * slope
         noise = np.square(misfits - mean - signs @ slope).sum() / RUNS  # not explained by the planes
         normal: Reals = slopes @ slopes.T + noise / 2 * np.eye(len(at))
-        step: Reals = np.linalg.solve(normal, slopes @ mean)
+        step = cast("Reals", np.linalg.solve(normal, slopes @ mean))
         at = at - np.clip(step, -1.0, 1.0)
         path.append(at)
         log(
