@@ -70,7 +70,7 @@ def tap(
     out: ReportFolder = Path("experiment"),
     as_json: AsJson = False,
 ) -> None:
-    """Hit firmly held objects with a mallet and count the registered slips.
+    """Hit held objects with a mallet and count registered slips.
 
     Prints success next to the paper's, false slips and failed trials by ending. Writes tap.html, .md, .json
     and .svg. --stress prints where each method breaks and writes tap-stress.html, .md, .json and .svg.
@@ -168,7 +168,7 @@ def learn(
     jobs: Jobs = None,
     as_json: AsJson = False,
 ) -> None:
-    """Train the grasp detector, tcn_grasp, and its rival, the paper's network; tune all thresholds.
+    """Train tcn_grasp and the paper's network; tune thresholds.
 
     Trains on simulated grasps and strokes, labelled by true sliding. Neither the six objects of the
     experiments nor their fingertip are among them, nor among the objects that tune the thresholds. Needs the

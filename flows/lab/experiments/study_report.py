@@ -98,7 +98,7 @@ def interval(hits: int, count: int) -> str:
     """Return Wilson's 95 % confidence interval of a rate, %.
 
     >>> interval(114, 120), interval(0, 0)
-    ('89-98', '-')
+    ('90-98', '-')
     """
     from scipy.stats import binomtest  # noqa: PLC0415 - takes 0.6 s to import
 

@@ -128,7 +128,8 @@ def made(
             asyncio.get_running_loop().call_later(pressed * 0.8, act, lab)
 
     async def main() -> Made:
-        async with virtual_lab(commanded_scene(surface), host=HOST) as lab:
+        still = replace(commanded_scene(surface), vibration=None)  # so that an arm at rest has no speed
+        async with virtual_lab(still, host=HOST) as lab:
             lab.wait_for_commands()
             limits = Limits(margin=0.05, sensor_timeout=1.0, watchdog=0.1)  # for a busy host
             surfaces = (Surface(surface, pose=place),)
