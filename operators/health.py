@@ -76,9 +76,7 @@ class Health(Operator[Touch, Faults]):
     _state: Times = field(init=False, repr=False, compare=False)  # (10, cells), see `_examine`
     _active: Flags = field(init=False, repr=False, compare=False)  # (cells, 4) by kind
     _first: Reals = field(init=False, repr=False, compare=False)  # (cells,) mean of the first quiet second
-    _clock: Times = field(
-        init=False, repr=False, compare=False
-    )  # ns: newest row, age without pauses, first row
+    _clock: Times = field(init=False, repr=False, compare=False)  # ns: newest row, age, first row
     _limits: Times = field(init=False, repr=False, compare=False)  # ns
 
     def __post_init__(self) -> None:
@@ -95,14 +93,10 @@ class Health(Operator[Touch, Faults]):
         """Return the faults that started or ended."""
         if not self._clock.size:
             self._set_up(np.array([batch.time[0], 0, batch.time[0]]), batch.counts.shape[1])
-        floor, ceiling = (
-            (-inf, inf) if isinstance(batch, Zeroed) else (float(self.floor), float(self.ceiling))
-        )
+        scale = (-inf, inf) if isinstance(batch, Zeroed) else (float(self.floor), float(self.ceiling))
+        limits = (*scale, float(self.drift))
+        memory = self._state, self._active, self._first, self._clock
         changes = np.zeros((*batch.counts.shape, len(FaultKind)), np.int8)
-        memory, limits = (
-            (self._state, self._active, self._first, self._clock),
-            (floor, ceiling, float(self.drift)),
-        )
         if not _examine(batch.time, batch.counts, batch.valid, memory, self._limits, limits, changes):
             return Faults.empty()
         row, cell, kind = np.nonzero(changes)

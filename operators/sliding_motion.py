@@ -34,8 +34,8 @@ class SlidingMotion(Operator[Truth, Motion]):
     array([0.  , 0.05, 0.05, 0.04])
     """
 
-    speed: float = 0.003
-    stick: int = 150 * ms
+    speed: float = 0.003  # as in the paper's labels
+    stick: int = 150 * ms  # stick-slip has pauses of 50 to 100 ms
     _held: Truth = field(default_factory=Truth.empty, init=False, repr=False, compare=False)  # since a slide
     _slid: int = field(default=-END // 2, init=False, repr=False)  # ns, latest row of a slide
     _fastest: float = field(default=0.0, init=False, repr=False)  # m/s, in that row

@@ -225,8 +225,7 @@ class SegmentReader(LogReader):
     def __init__(self, path: Path, session: str, number: int) -> None:
         super().__init__(path)
         try:
-            whole = self.damage is None
-            self._kinds = _kinds(self.identity, str(path), session, number) if whole else {}
+            self._kinds = {} if self.damage else _kinds(self.identity, str(path), session, number)
         except BaseException:
             self.close()
             raise
@@ -248,14 +247,10 @@ def delete_journal(folder: Path) -> None:
     Raises:
         OSError: some of it is left.
     """
-    journal = folder / JOURNAL
-    for path in [
-        *segments(folder).values(),
-        single_log(folder),
-        *files_of(folder, f"{JOURNAL}/*{files.SCRATCH}"),
-    ]:
+    unfinished = files_of(folder, f"{JOURNAL}/*{files.SCRATCH}")
+    for path in [*segments(folder).values(), single_log(folder), *unfinished]:
         files.unlink(path)
-    files.remove_folder(journal)
+    files.remove_folder(folder / JOURNAL)
     files.sync(folder)
 
 

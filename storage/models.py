@@ -125,7 +125,7 @@ def identify_detector(name: str | Path) -> dict[str, str]:
 
 def shipped(name: str) -> Path | None:
     """Return the file of a detector that ships with the package, None if there is none of that name."""
-    return _SHIPPED / f"{name}.safetensors" if name in shipped_names() else None
+    return shipped_path(name) if name in shipped_names() else None
 
 
 def shipped_names() -> list[str]:

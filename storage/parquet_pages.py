@@ -1,7 +1,7 @@
 """Sizes that a Parquet file declares in its footer and page headers, read before anything is unpacked.
 
 Arrow unpacks a page to the size in its header, up to 2 GiB, and pyarrow aborts the process if it is asked for
-the metadata of an inconsistent column. Both are Thrift structs in the compact protocol.
+the metadata of an inconsistent column. Footer and page headers are Thrift structs in the compact protocol.
 
 References:
     parquet-format/src/main/thrift/parquet.thrift and doc/specs/thrift-compact-protocol.md of Apache Thrift.
@@ -32,11 +32,14 @@ def declared_sizes(data: bytes) -> tuple[int, int, int]:
             raise ValueError("the file does not end with a Parquet footer")
         begin = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
         groups = _Reader(data, begin).struct()[ROW_GROUPS]
-        rows = sum(group[GROUP_ROWS] for group in groups)
+        rows = [group[GROUP_ROWS] for group in groups]
         chunks = [chunk[META_DATA] for group in groups for chunk in group[COLUMNS]]
         pages = list(chain.from_iterable(_pages(data, chunk) for chunk in chunks))
-        values = sum(page[kind][VALUES] for page in pages for kind in PAGE_KINDS if kind in page)
-        return rows, sum(page[UNPACKED_SIZE] for page in pages), values
+        values = [page[kind][VALUES] for page in pages for kind in PAGE_KINDS if kind in page]
+        sizes = [page[UNPACKED_SIZE] for page in pages]
+        if min(chain(rows, sizes, values), default=0) < 0:
+            raise ValueError("a footer or page header has a negative size")
+        return sum(rows), sum(sizes), sum(values)
     except (AttributeError, IndexError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("malformed footer or page header") from error
 
@@ -49,7 +52,7 @@ def _pages(data: bytes, chunk: Struct) -> list[Struct]:
     reader, end, pages = _Reader(data, begin), begin + chunk[CHUNK_SIZE], list[Struct]()
     while reader.at < end:
         page = reader.struct()
-        if page[PACKED_SIZE] < 0 or page[UNPACKED_SIZE] < 0:
+        if page[PACKED_SIZE] < 0:
             raise ValueError("a page has a negative size")
         reader.at += page[PACKED_SIZE]
         pages.append(page)

@@ -4,10 +4,11 @@ from typing import Final
 
 import numpy as np
 
-from operators.batch import Truth, ms
+from operators.batch import Truth
+from operators.sliding_motion import SlidingMotion
 
-SLIDING: Final = 0.003  # m/s; a lower speed counts as rest, as in the paper's labels
-STICK: Final = 150 * ms  # ns; stick-slip has pauses of 50 to 100 ms
+SLIDING: Final = SlidingMotion.speed
+STICK: Final = SlidingMotion.stick
 
 
 def true_slips(truth: Truth) -> list[tuple[int, int]]:

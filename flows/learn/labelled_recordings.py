@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from connectors.sim.paper_plan import PaperPlan
 from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import episode
-from connectors.sim.truth import SLIDING, STICK
+from connectors.sim.truth import SLIDING
 from flows.learn.splits import SPLITS, TURNS
 from operators import Align, Health, Label, SlidingMotion, Zero, ms
 from operators.batch import (
@@ -207,7 +207,7 @@ def _labelled(zeroed: Zeroed, motion: Motion) -> Labelled:
 
 def _sliding(zeroed: Zeroed, truth: Truth) -> Codes:
     """Return the label of each sample by the true sliding at its time; (n,)."""
-    sliding = SlidingMotion(SLIDING, STICK)
+    sliding = SlidingMotion()
     return _labelled(zeroed, concat(Motion, [sliding.push(truth), sliding.flush()])).label
 
 

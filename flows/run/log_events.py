@@ -1,9 +1,6 @@
 """Failures of sources and sinks, and log events of a run, each with a line of text and structured data."""
 
-import asyncio
 import logging
-from collections.abc import Generator
-from contextlib import contextmanager
 from typing import Any
 
 from operators.errors import SlipflowError, os_error_reason
@@ -36,19 +33,3 @@ def reason_of(error: Exception) -> str:
 def warn(name: str, text: str, **about: Json) -> None:
     """Log an event of a run with a line of text."""
     log.warning("%s", text, extra=event(name, **about))
-
-
-@contextmanager
-def own_cancellation() -> Generator[None]:
-    """Pass on the cancellation of this task only; that of a task that the code awaits is a failure.
-
-    Raises:
-        RuntimeError: if the code raises CancelledError although this task was not cancelled.
-    """
-    try:
-        yield
-    except asyncio.CancelledError as error:
-        task = asyncio.current_task()
-        if task is None or task.cancelling():
-            raise
-        raise RuntimeError("a task that it awaited was cancelled") from error

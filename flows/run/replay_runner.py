@@ -12,8 +12,9 @@ from flows.graph import Flow
 from flows.graph.compiled_flow import CompiledFlow, Delivery, Entry
 from flows.graph.drawing import streams
 from flows.graph.node import Node, Part, consumers
+from flows.run.cancellation import own_cancellation
 from flows.run.clocks import EventClock
-from flows.run.log_events import own_cancellation, reason_of, warn
+from flows.run.log_events import reason_of, warn
 from operators.batch import ANNOTATIONS, Batch, Motion, Touch
 from operators.errors import InputError
 from operators.ports import Recording, Run, Sink, SinkStatus, Source, SourceStatus

@@ -7,7 +7,8 @@ from contextlib import suppress
 from math import inf
 from typing import Any, Final
 
-from flows.run.log_events import own_cancellation, reason_of, warn
+from flows.run.cancellation import own_cancellation
+from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch
 from operators.errors import EndpointError, OutputClosedError

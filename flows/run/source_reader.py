@@ -7,7 +7,8 @@ from dataclasses import asdict
 from typing import Any, Final, cast
 
 from flows.graph.error_location import location
-from flows.run.log_events import own_cancellation, reason_of, warn
+from flows.run.cancellation import own_cancellation
+from flows.run.log_events import reason_of, warn
 from operators.back_off import BackOff
 from operators.batch import Batch, s
 from operators.errors import BatchError, EndpointError, OperatorError, SlipflowError
@@ -114,10 +115,8 @@ class SourceReader:
             reason = f"yielded {type(batch).__name__}, but declares {self._kind.__name__}"
             raise OperatorError(self._run.flow, self.name, reason)
         try:
-            rows = batch.check().time.size
-            return (
-                batch if rows == 1 or self._source.recording else batch.check_order()
-            )  # those keep late rows
+            batch.check()
+            return batch if self._source.recording else batch.check_order()  # recordings keep late rows
         except BatchError as error:
             raise OperatorError(self._run.flow, self.name, f"yielded {error}") from error
 

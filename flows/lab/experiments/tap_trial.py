@@ -34,7 +34,6 @@ TapEnding: TypeAlias = Literal[
     "registered", "false slip", "false at soft blow", "missed", "too late", "not back to static", "dropped"
 ]
 
-
 Side: TypeAlias = Literal["top", "side"]
 
 
