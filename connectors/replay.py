@@ -7,7 +7,8 @@ from typing import Generic, TypeVar
 
 from operators.batch import ANNOTATIONS, Batch
 from operators.errors import InputError
-from operators.ports import Clock, Description, Recording, Source
+from operators.fingertip import Fingertip
+from operators.ports import Clock, Description, Recording, Source, TouchRecording
 
 Given = TypeVar("Given", bound=Batch)
 
@@ -57,6 +58,12 @@ class Replay(Source[Given], Generic[Given]):
     def fingers(self) -> tuple[int, ...]:
         """Fingertips of the batches."""
         return self._fingers
+
+    @property
+    def fingertip(self) -> Fingertip | None:
+        """Fingertip of the recorded touch, if the recording states it."""
+        recording = self._recording
+        return recording.fingertip(self._kind) if isinstance(recording, TouchRecording) else None
 
     @property
     def recording(self) -> str:

@@ -5,7 +5,6 @@ The same code processes batches of one row, in a live run, and of a million rows
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from itertools import chain
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Final, Self, TypeAlias, TypeVar, dataclass_transform
@@ -22,7 +21,8 @@ Flags: TypeAlias = NDArray[np.bool_]
 Codes: TypeAlias = NDArray[np.int8]
 Reals: TypeAlias = NDArray[np.float64]
 
-BAROMETERS: Final = 6  # cells of a fingertip: 5 4 3 above 0 1 2; x right, y up
+BAROMETERS: Final = 6  # cells of a TakkTile fingertip
+CELLS: Final = -2  # size of a column: the number of cells, the same in all columns of a batch
 EVERY: Final = -1  # finger of a batch that belongs to all fingertips, such as the arm's motion
 SLIP: Final = 1
 STATIC: Final = 0
@@ -36,12 +36,16 @@ s: Final = 1_000_000_000  # ns
 
 @dataclass(frozen=True)
 class Column:
-    """Element type, shape of one row (-1: any length) and unit of one field of a batch."""
+    """Element type, shape of one row (-1: any length; `CELLS`: one value per cell) and unit of one field."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
     unit: str
     names: tuple[str, ...] = ()  # names of the codes 0, 1, ..., which files store; empty: not coded
+
+    def sizes(self, cells: int) -> tuple[int, ...]:
+        """Return the shape of one row of a fingertip with this number of cells; any length is 0."""
+        return tuple(cells if size == CELLS else max(size, 0) for size in self.shape)
 
 
 def column(
@@ -74,6 +78,12 @@ class Batch:
     def __len__(self) -> int:
         return len(self.time)
 
+    @property
+    def cells(self) -> int:
+        """Number of cells of the fingertip; 0 if the type has no column per cell."""
+        name = layout(type(self)).cell_column
+        return int(getattr(self, name).shape[-1]) if name else 0
+
     def __getitem__(self, rows: slice | Flags | NDArray[np.intp]) -> Self:
         """Return rows by slice (as views), or by flags or indices (as copies)."""
         kind = type(self)
@@ -92,9 +102,9 @@ class Batch:
         return empty
 
     @classmethod
-    def zeros(cls, rows: int = 1) -> Self:
+    def zeros(cls, rows: int = 1, cells: int = BAROMETERS) -> Self:
         """Return a batch of zeros."""
-        shapes = [(c.dtype, (rows, *(max(size, 0) for size in c.shape))) for c in columns(cls).values()]
+        shapes = [(c.dtype, (rows, *c.sizes(cells))) for c in columns(cls).values()]
         return cls(*(np.zeros(shape, dtype) for dtype, shape in shapes))
 
     def check(self) -> Self:
@@ -105,11 +115,13 @@ class Batch:
         """
         expected = layout(type(self))
         try:
-            if expected.traits(self) == expected.of(self.time.size):
-                return self
+            traits = expected.traits(self)
         except AttributeError:  # a column is not an array
-            pass
-        return self._check_each()
+            return self._check_each()
+        if traits != expected.valid:
+            self._check_each()
+            expected.valid = traits
+        return self
 
     def is_ordered(self) -> bool:
         """Return True if time never decreases."""
@@ -129,7 +141,7 @@ class Batch:
 
     def _check_each(self) -> Self:
         """Check the columns one by one; the error names the invalid one."""
-        kind, length = type(self).__name__, next(iter(np.shape(self.time)), 0)
+        kind, length, cells = type(self).__name__, next(iter(np.shape(self.time)), 0), CELLS
         for name, expected in columns(type(self)).items():
             value: NDArray[Any] = getattr(self, name)
             is_array: bool = isinstance(getattr(self, name), np.ndarray)
@@ -137,13 +149,14 @@ class Batch:
                 found = value.dtype if is_array else type(value).__name__
                 raise BatchError(kind, name, f"is {found}, must be an array of {expected.dtype}")
             shape = value.shape
-            if (
-                len(shape) != 1 + len(expected.shape)
-                or shape[0] != length
-                or any(want not in (-1, have) for want, have in zip(expected.shape, shape[1:], strict=True))
+            wanted = (length, *(cells if size == CELLS else size for size in expected.shape))
+            if len(shape) != len(wanted) or any(
+                want >= 0 and want != have for want, have in zip(wanted, shape, strict=True)
             ):
-                want = ", ".join(str(size) if size >= 0 else "any" for size in (length, *expected.shape))
+                want = ", ".join(str(size) if size >= 0 else "any" for size in wanted)
                 raise BatchError(kind, name, f"has shape {shape}, must be ({want})")
+            if CELLS in expected.shape:
+                cells = shape[-1]
         return self
 
 
@@ -157,18 +170,12 @@ class Layout:
         expected = columns(kind)
         traits = "__class__", "dtype", "shape"  # of each column
         self.traits = attrgetter(*(f"{name}.{trait}" for name in expected for trait in traits))
-        self._columns, self._rows, self._expected = tuple(expected.values()), -1, tuple[object, ...]()
+        self.valid: object = None  # traits of the newest valid batch
+        self.cell_column = next((name for name, each in expected.items() if CELLS in each.shape), None)
         getter = attrgetter(*expected)
         self.take: Callable[[Batch], tuple[NDArray[Any], ...]] = (
             getter if len(expected) > 1 else lambda batch: (batch.time,)
         )
-
-    def of(self, rows: int) -> tuple[object, ...]:
-        """Return the expected traits of a batch; those of the newest number of rows are kept."""
-        if rows != self._rows:
-            traits = ((np.ndarray, each.dtype, (rows, *each.shape)) for each in self._columns)
-            self._rows, self._expected = rows, tuple(chain.from_iterable(traits))
-        return self._expected
 
 
 @row_loop
@@ -223,17 +230,17 @@ def concat(kind: type[AnyBatch], batches: Iterable[AnyBatch]) -> AnyBatch:
 
 @batch_type
 class Touch(Batch):
-    """Raw readings of one fingertip's barometers; counts fall as pressure rises."""
+    """Raw readings of one fingertip's cells; `Fingertip` states their layout, rate, unit and range."""
 
-    counts: Counts = field(metadata=column(np.int16, BAROMETERS, unit="count"))  # (n, 6) raw ADC, 0..1023
-    temperature: Counts = field(metadata=column(np.int16, BAROMETERS, unit="count"))  # (n, 6) raw ADC
-    # (n, 6) False: the cell did not answer, or the value is implausible
-    valid: Flags = field(metadata=column(np.bool_, BAROMETERS))
+    counts: Counts = field(metadata=column(np.int16, CELLS, unit="count"))  # (n, cells)
+    temperature: Counts = field(metadata=column(np.int16, CELLS, unit="count"))  # (n, cells) raw ADC
+    # (n, cells) False: the cell did not answer, or the value is implausible
+    valid: Flags = field(metadata=column(np.bool_, CELLS))
 
 
 @batch_type
 class Zeroed(Touch):
-    """Touch with counts relative to the unloaded fingertip; negative means more pressure."""
+    """Touch with counts relative to the unloaded fingertip; of a TakkTile, negative means more pressure."""
 
 
 @batch_type
@@ -266,8 +273,8 @@ class Labelled(Sample):
 class Windows(Batch):
     """Window of samples that ends at each time, newest last; read-only views of one buffer."""
 
-    counts: Counts = field(metadata=column(np.int16, -1, BAROMETERS, unit="count"))  # (n, length, 6)
-    valid: Flags = field(metadata=column(np.bool_, -1, BAROMETERS))  # (n, length, 6)
+    counts: Counts = field(metadata=column(np.int16, -1, CELLS, unit="count"))  # (n, length, cells)
+    valid: Flags = field(metadata=column(np.bool_, -1, CELLS))  # (n, length, cells)
 
 
 @batch_type
@@ -288,9 +295,9 @@ class Slips(Batch):
 
 @batch_type
 class Faults(Batch):
-    """Starts and ends of faults of single barometers."""
+    """Starts and ends of faults of single cells."""
 
-    barometer: Codes = field(metadata=column(np.int8))  # (n,) 0..5
+    barometer: Codes = field(metadata=column(np.int8))  # (n,) number of the cell
     kind: Codes = field(metadata=column(np.int8))  # (n,) `FaultKind`
     active: Flags = field(metadata=column(np.bool_))  # (n,) True: start, False: end
 

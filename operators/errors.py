@@ -68,6 +68,19 @@ class FlowError(SlipflowError):
         self.flow, self.edge, self.reason = flow, edge, reason
 
 
+class FingertipError(SlipflowError):
+    """Data of a fingertip that a detector was not made for; `fix` names the operators that convert it.
+
+    >>> raise FingertipError("tcn", "100 Hz", "1000 Hz", "insert Resample(rate=100)")
+    Traceback (most recent call last):
+    operators.errors.FingertipError: tcn needs 100 Hz; the data has 1000 Hz: insert Resample(rate=100)
+    """
+
+    def __init__(self, owner: str, needs: str, has: str, fix: str) -> None:
+        super().__init__(f"{owner} needs {needs}; the data has {has}: {fix}")
+        self.owner, self.needs, self.has, self.fix = owner, needs, has, fix
+
+
 class OperatorError(SlipflowError):
     """Failure of an operator, or a breach of its contract, while the flow runs."""
 

@@ -12,8 +12,9 @@ from typing import Any, Generic, Self, TypeVar, cast, get_type_hints
 
 import numpy as np
 
-from operators.batch import Batch
+from operators.batch import BAROMETERS, Batch
 from operators.errors import ParameterError
+from operators.fingertip import Fingertip
 
 In = TypeVar("In", bound=Batch, contravariant=True)
 Left = TypeVar("Left", bound=Batch, contravariant=True)
@@ -60,8 +61,23 @@ class Step(ABC):
         kind = type(self)
         if kind.__module__.startswith("operators."):
             copy: Any = self.reset_copy()
-            copy.push(*(batch_type.zeros() for batch_type in input_types(kind)))
+            copy.push(*(batch_type.zeros(cells=self._example_cells) for batch_type in input_types(kind)))
             copy.flush()
+
+    def output_fingertip(self, given: Fingertip) -> Fingertip:
+        """Return the fingertip of the output for input of the fingertip `given`, by default the same.
+
+        Operators that require certain cells, a rate or a unit check it here, before a flow runs.
+
+        Raises:
+            FingertipError: if the input does not fit.
+        """
+        return given
+
+    @property
+    def _example_cells(self) -> int:
+        """Number of cells of the rows that `prepare` processes."""
+        return BAROMETERS
 
     @property
     @abstractmethod

@@ -6,9 +6,10 @@ Connectors and storage implement them.
 from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Generic, Protocol, TypeAlias, TypeVar
+from typing import Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from operators.batch import EVERY, Batch, s
+from operators.fingertip import Fingertip
 
 Given = TypeVar("Given", bound=Batch, covariant=True)
 Taken = TypeVar("Taken", bound=Batch, contravariant=True)
@@ -90,6 +91,9 @@ class Run:
     sink_types: dict[str, tuple[type[Batch], ...]] = field(  # by destination: types that it can receive
         default_factory=dict[str, tuple[type[Batch], ...]]
     )
+    fingertips: dict[str, dict[type[Batch], Fingertip]] = field(  # by destination and type, if known
+        default_factory=dict[str, dict[type[Batch], Fingertip]]
+    )
     clock_steps: list[ClockStep] = field(default_factory=list[ClockStep])
 
     def latency(self, time: int) -> int | None:
@@ -115,6 +119,11 @@ class Source(ABC, Generic[Given]):
         """Fingertips that the batches belong to."""
         return (EVERY,)
 
+    @property
+    def fingertip(self) -> Fingertip | None:
+        """Cells, layout, rate, unit and range of its fingertips; None: unknown, or not a touch stream."""
+        return None
+
     async def prepare(self) -> None:
         """Do slow set-up, such as compilation, before the run's time starts; do not block the event loop."""
         return
@@ -136,7 +145,7 @@ class Source(ABC, Generic[Given]):
         return None
 
     def describe(self) -> Description:
-        """Return the metadata to record with the stream: sensor, rate, bus, seed."""
+        """Return the metadata to record with the stream: sensor, bus, seed."""
         return {}
 
 
@@ -213,4 +222,13 @@ class Recording(Protocol):
 
     def describe(self) -> Description:
         """Return the metadata of the recording."""
+        ...
+
+
+@runtime_checkable
+class TouchRecording(Recording, Protocol):
+    """Recording that knows its fingertips."""
+
+    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
+        """Return the fingertip of the touch stream `kind`; None: unknown, or no such stream."""
         ...

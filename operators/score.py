@@ -8,7 +8,8 @@ import numpy as np
 
 from operators.batch import Counts, Reals, Scores, Zeroed
 from operators.checks import check_at_least
-from operators.detectors.detector import Detector, Stream, Streaming
+from operators.detectors.detector import Detector, ForFingertip, Stream, Streaming
+from operators.fingertip import Fingertip
 from operators.forward_fill import forward_fill
 from operators.operator import Operator
 from operators.window import Window
@@ -55,6 +56,16 @@ class Score(Operator[Zeroed, Scores]):
         stream = _stream(self.detector)
         windowed = _Windowed(self.detector, Window(self.detector.length, self.hop))
         return windowed if stream is None else _Streamed(stream)
+
+    def output_fingertip(self, given: Fingertip) -> Fingertip:
+        """Check that the detector was made for this fingertip, if it says so.
+
+        Raises:
+            FingertipError: if it was made for another number of cells, rate or unit.
+        """
+        if isinstance(self.detector, ForFingertip):
+            self.detector.check_fingertip(given)
+        return given
 
     def prepare(self) -> None:
         """Create the detector's stream."""

@@ -49,6 +49,10 @@ class Zero(Operator[Touch, Zeroed]):
         if given is not None and not (given and all(0 <= cell <= _FULL for cell in given)):
             raise self._error(f"one count, or one of each cell, from 0 to {_FULL}")
 
+    @property
+    def _example_cells(self) -> int:
+        return len(self.baseline) if isinstance(self.baseline, tuple) else super()._example_cells
+
     def process(self, batch: Touch) -> Zeroed:
         """Return the batch with the baseline subtracted, or delay it."""
         if isinstance(batch, Zeroed):

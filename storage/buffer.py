@@ -13,6 +13,7 @@ class Buffer:
 
     Attributes:
         kind: Type of all batches of this session.
+        cells: Number of cells of their fingertip; 0 if they have no column per cell.
         start: Number of the first row within the table.
         rows: Number of rows.
         first: Earliest event time, ns.
@@ -27,8 +28,8 @@ class Buffer:
     [(0, 0, 2), (2, 1, 1)]
     """
 
-    def __init__(self, kind: type[Batch], start: int = 0) -> None:
-        self.kind, self.start = kind, start
+    def __init__(self, kind: type[Batch], start: int = 0, cells: int = 0) -> None:
+        self.kind, self.start, self.cells = kind, start, cells
         self.rows = self.first = self.last = 0
         self._columns = {name: bytearray() for name in columns(kind)}
         self._fingers = bytearray()
@@ -57,7 +58,7 @@ class Buffer:
         """Return the rows in order of arrival, consecutive rows of a fingertip as one batch."""
         fingers = np.frombuffer(bytes(self._fingers), np.int16)  # (n,)
         values = [
-            np.frombuffer(bytes(self._columns[name]), each.dtype).reshape(self.rows, *each.shape)
+            np.frombuffer(bytes(self._columns[name]), each.dtype).reshape(self.rows, *each.sizes(self.cells))
             for name, each in columns(self.kind).items()
         ]
         changes = np.flatnonzero(np.diff(fingers)) + 1

@@ -9,12 +9,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, cast
 
-from operators.batch import s
+from operators.batch import Batch, s
 from operators.errors import InputError
+from operators.fingertip import Fingertip
 from operators.ports import Description, Run
 from operators.software import software_version
 from storage import files
-from storage.layout import DATASET, SESSION, SESSIONS, TABLES, Table, inside
+from storage.layout import DATASET, SESSION, SESSIONS, TABLE_OF, TABLES, Table, inside
 from storage.lock import lock
 
 VERSION: Final = 2  # of the dataset format
@@ -58,6 +59,7 @@ def describe_session(
     *,
     host: str | None = None,
     tables: Iterable[Table] = (),
+    fingertips: Mapping[type[Batch], Fingertip] | None = None,
     zeroed: bool = False,
     ended: bool = False,
     put: files.Put = files.put,
@@ -69,6 +71,7 @@ def describe_session(
         run: The run.
         host: Name of the machine; default: its host name.
         tables: Tables that may get rows.
+        fingertips: Fingertips of the touch that it may get, by type.
         zeroed: True if touch was recorded zeroed.
         ended: True at the end of the run; the session is complete then if the run has no error.
         put: Function that writes the file.
@@ -88,6 +91,11 @@ def describe_session(
         "declaration": list(run.declaration),
         "tables": [table.name for table in tables],
         "sources": {name: dict(each) for name, each in run.describe.items()},
+        "fingertips": {
+            table.name: fingertip.describe()
+            for kind, fingertip in (fingertips or {}).items()
+            if (table := TABLE_OF.get(kind))
+        },
         "split": _split(run.describe.values()),
         "units": {
             table.name: {name: column.unit for name, column in table.columns.items() if column.unit}

@@ -31,7 +31,7 @@ from storage import append_log, files
 from storage.append_log import AppendLog, LogReader
 from storage.layout import JOURNAL, TABLE_OF, Table, files_of, may_exist, segment_file, segments, single_log
 
-VERSION: Final = 4  # of identity and records; other versions refuse the segment
+VERSION: Final = 5  # of identity and records; other versions refuse the segment
 SINGLE: Final = -1  # number of the segment with the rows of single-file tables
 APPEND_AT: Final = 5  # waiting rows of a table from which they should be appended at once
 MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
@@ -39,10 +39,6 @@ MAX_WAITING: Final = 10  # rows of a table that may wait; a kill loses them
 _HEAD: Final = Struct("<BhIQ")
 _KINDS: Final = tuple(TABLE_OF)  # the code of a record is the index of its batch type
 _CODES: Final = {kind: code for code, kind in enumerate(_KINDS)}
-_ROW_SIZES: Final = {  # bytes
-    kind: sum(each.dtype.itemsize * math.prod(each.shape) for each in columns(kind).values())
-    for kind in _KINDS
-}
 _MOVE: Final = "; move it away to recover the rest"
 
 
@@ -295,7 +291,7 @@ def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
     runs, newest = list[_Run](), dict[type[Batch], _Run]()
     for first, batch in rows:
         kind, count = type(batch), len(batch.time)
-        most = (append_log.LIMIT - _HEAD.size) // _ROW_SIZES[kind]
+        most = (append_log.LIMIT - _HEAD.size) // _row_size(kind, batch.cells)
         run = newest.get(kind)
         if run and run.end == first and run.finger == batch.finger and run.end - run.first + count <= most:
             run.batches.append(batch)
@@ -311,15 +307,38 @@ def encode(rows: Iterable[NumberedRows]) -> list[bytes]:
 def _decode(record: bytes, kinds: dict[int, type[Batch]], where: str) -> NumberedRows:
     code, finger, count, first = _HEAD.unpack_from(record) if len(record) >= _HEAD.size else (-1, 0, 0, 0)
     kind = kinds.get(code)
-    if kind is None or len(record) != _HEAD.size + count * _ROW_SIZES[kind]:
+    cells = None if kind is None else _cells(kind, count, len(record) - _HEAD.size)
+    if kind is None or cells is None:
         raise InputError(where, f"has an invalid record{_MOVE}")
     values, offset = list[NDArray[Any]](), _HEAD.size
     for column in columns(kind).values():
-        size = math.prod(column.shape)
-        column_values = np.frombuffer(record, column.dtype, count * size, offset)
-        values.append(column_values.reshape(count, *column.shape))
+        shape = count, *column.sizes(cells)
+        column_values = np.frombuffer(record, column.dtype, math.prod(shape), offset)
+        values.append(column_values.reshape(shape))
         offset += column_values.nbytes
     return NumberedRows(first, kind(*values, finger=finger))
+
+
+def _row_size(kind: type[Batch], cells: int) -> int:
+    """Return the size of a row in bytes."""
+    fixed, per_cell = _ROW_SIZES[kind]
+    return fixed + cells * per_cell
+
+
+def _sizes(kind: type[Batch]) -> tuple[int, int]:
+    """Return the size of a row without its cells, and of each cell, in bytes."""
+    without, one = (
+        sum(each.dtype.itemsize * math.prod(each.sizes(cells)) for each in columns(kind).values())
+        for cells in (0, 1)
+    )
+    return without, one - without
+
+
+def _cells(kind: type[Batch], count: int, size: int) -> int | None:
+    """Return the number of cells of a record of `count` rows in `size` bytes; None if there is none."""
+    fixed, per_cell = _ROW_SIZES[kind]
+    cells, rest = divmod(size - count * fixed, count * per_cell) if count * per_cell else (0, 0)
+    return cells if cells >= 0 and not rest and size == count * _row_size(kind, cells) else None
 
 
 def _kinds(content: bytes, where: str, session: str, number: int) -> dict[int, type[Batch]]:
@@ -357,3 +376,6 @@ def _layout(kind: type[Batch]) -> list[list[Any]]:
     """Return the name, element type with byte order, shape and code names of each column."""
     found = columns(kind).items()
     return [[name, each.dtype.str, [*each.shape], [*each.names]] for name, each in found]
+
+
+_ROW_SIZES: Final = {kind: _sizes(kind) for kind in _KINDS}

@@ -274,12 +274,12 @@ class Repair:
         """Commit the rows of the journal, with no more than a part of each multi-part table in memory."""
         buffers = {table.name: Buffer(table.kind) for table in self._empty}
         for table, rows in self._journal_rows({}):
-            buffer = buffers.setdefault(table.name, Buffer(type(rows)))
+            buffer = buffers.setdefault(table.name, Buffer(type(rows), cells=rows.cells))
             for start in range(0, len(rows), PART_ROWS):
                 some = rows[start : start + PART_ROWS]
                 if table.parted and buffer.rows + len(some) > PART_ROWS:
                     self._commit(table, buffer)
-                    buffer = buffers[table.name] = Buffer(type(rows))
+                    buffer = buffers[table.name] = Buffer(type(rows), cells=rows.cells)
                 buffer.add(some)
         for table in TABLES:
             if table.name in buffers:
@@ -301,7 +301,7 @@ class Repair:
 
     def _commit(self, table: Table, buffer: Buffer) -> None:
         """Write rows as the next part of a multi-part table, or append them to a single file."""
-        rows = to_arrow(table, buffer.batches() or [buffer.kind.empty()])
+        rows = to_arrow(table, buffer.batches() or [buffer.kind.zeros(0, buffer.cells)])
         parts = self._parts[table.name]
         if table.parted:
             files.make_folder(self._folder / table.name)

@@ -13,22 +13,34 @@ from typing import Any, Final, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import EVERY, Batch, Column, columns
+from operators.batch import BAROMETERS, CELLS, EVERY, Batch, Column, columns
 from operators.errors import BatchError
 from storage.arrow import pa
-from storage.layout import TABLE_OF, Table
+from storage.layout import TABLE_OF, TABLES, Table
 
 _KINDS: Final = {kind.__name__: kind for kind in TABLE_OF}
+_PER_CELL: Final = {name for table in TABLES for name, each in table.columns.items() if CELLS in each.shape}
 
 
-def schema(table: Table, kind: type[Batch] | None = None) -> pa.Schema:
+def schema(table: Table, kind: type[Batch] | None = None, cells: int = BAROMETERS) -> pa.Schema:
     """Return the Arrow schema of a table; its metadata "batch" has the type of its batches.
 
     >>> from storage.layout import TOUCH
     >>> schema(TOUCH).field("counts").type
     FixedSizeListType(fixed_size_list<item: int16>[6])
     """
-    return _schema(table, (kind or table.kind).__name__)
+    return _schema(table, (kind or table.kind).__name__, cells)
+
+
+def with_cells(expected: pa.Schema, found: pa.Schema) -> pa.Schema:
+    """Return a schema with as many cells as the first column per cell of a file has."""
+    for field in _as_list(found):
+        if field.name in _PER_CELL and pa.types.is_fixed_size_list(field.type):
+            cells = int(field.type.list_size)
+            return pa.schema(
+                [_resized(each, cells) for each in _as_list(expected)], cast("Any", expected.metadata)
+            )
+    return expected
 
 
 @cache
@@ -40,13 +52,13 @@ def finger_schema(table: Table) -> pa.Schema:
     (['finger'], ['time'])
     """
     name = "finger" if table.finger else "time"
-    return pa.schema([field for field in _fields(table) if field.name == name])
+    return pa.schema([field for field in _fields(table, 0) if field.name == name])
 
 
 @cache
 def time_schema(table: Table) -> pa.Schema:
     """Return the schema of the columns that `times` needs."""
-    return pa.schema([field for field in _fields(table) if field.name in {"time", "finger"}])
+    return pa.schema([field for field in _fields(table, 0) if field.name in {"time", "finger"}])
 
 
 def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
@@ -56,7 +68,7 @@ def to_arrow(table: Table, batches: Sequence[Batch]) -> pa.Table:
     }
     fingers = np.array([batch.finger for batch in batches], np.int16)
     values["finger"] = np.repeat(fingers, [len(batch) for batch in batches])
-    target, kept = schema(table, type(batches[0])), table.columns
+    target, kept = schema(table, type(batches[0]), batches[0].cells), table.columns
     arrays = [_array(values[name], kept[name].names if name in kept else ()) for name in target.names]
     return pa.Table.from_arrays(arrays, schema=target)
 
@@ -91,17 +103,18 @@ def from_arrow(table: Table, kind: type[Batch], rows: pa.Table) -> dict[int, Bat
         BatchError: if a name has no code.
     """
     values: dict[str, NDArray[Any]] = {}
+    cells = next((_width(rows, name) for name in table.columns if name in _PER_CELL), 0)
     for name, each in columns(kind).items():
         if name in table.columns:
             if each.names:
                 values[name] = _codes(kind, name, each.names, rows)
             else:
-                values[name] = _values(rows, name).reshape(-1, *each.shape)
+                values[name] = _values(rows, name).reshape(len(rows), *each.sizes(cells))
         elif name == "matched":
             values[name] = np.logical_not(np.isnan(values["velocity"]).all(axis=1))
         else:
             unknown = np.nan if each.dtype.kind == "f" else -1
-            values[name] = np.full((len(rows), *each.shape), unknown, each.dtype)
+            values[name] = np.full((len(rows), *each.sizes(cells)), unknown, each.dtype)
     found = fingers(table, rows)
     if len(found) <= 1:
         return {each: kind(*values.values(), finger=each) for each in found}
@@ -122,23 +135,36 @@ def flat(column: pa.ChunkedArray[Any]) -> pa.Array[Any]:
 
 
 @cache
-def _schema(table: Table, batch: str) -> pa.Schema:
-    return pa.schema(_fields(table), {"batch": batch})
+def _schema(table: Table, batch: str, cells: int) -> pa.Schema:
+    return pa.schema(_fields(table, cells), {"batch": batch})
 
 
-def _fields(table: Table) -> list[pa.Field[Any]]:
-    fields = [_field(name, each) for name, each in table.columns.items()]
+def _fields(table: Table, cells: int) -> list[pa.Field[Any]]:
+    fields = [_field(name, each, cells) for name, each in table.columns.items()]
     if table.finger:
         fields.insert(1, pa.field("finger", pa.int16(), nullable=False))
     return fields
 
 
-def _field(name: str, column: Column) -> pa.Field[Any]:
+def _field(name: str, column: Column, cells: int) -> pa.Field[Any]:
     element: pa.DataType = pa.from_numpy_dtype(column.dtype)
     if column.names:
         element = pa.dictionary(cast("Any", element), pa.string())
-    kind = pa.list_(element, *column.shape) if column.shape else element
+    kind = pa.list_(element, *column.sizes(cells)) if column.shape else element
     return pa.field(name, kind, nullable=False, metadata={"unit": column.unit} if column.unit else None)
+
+
+def _resized(field: pa.Field[Any], cells: int) -> pa.Field[Any]:
+    """Return a field; if it has one value per cell, with another number of cells."""
+    return field.with_type(pa.list_(field.type.value_type, cells)) if field.name in _PER_CELL else field
+
+
+def _width(rows: pa.Table, name: str) -> int:
+    return int(cast("Any", rows.schema.field(name).type).list_size)
+
+
+def _as_list(schema: pa.Schema) -> list[pa.Field[Any]]:
+    return list(schema)
 
 
 def _array(values: NDArray[Any], names: Sequence[str]) -> pa.Array[Any]:

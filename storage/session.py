@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self, TypeAlias, cast
 from weakref import WeakValueDictionary
 
-from operators.batch import Batch
+from operators.batch import Batch, Touch
 from operators.checks import check_at_least
 from operators.errors import EndpointError, InputError
+from operators.fingertip import Fingertip, measured
 from operators.ports import Description, SomeBatch
 from storage import schema
 from storage.arrow import pa
@@ -118,6 +119,25 @@ class Session:
         table = TABLE_OF.get(kind)
         paths = self._paths(table) if table else []
         return {path: self.listed[path].sha256 if path in self.listed else None for path in paths}
+
+    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
+        """Return the fingertip of the rows of `kind`; measured, if session.json does not state it.
+
+        Returns:
+            None if there are no rows of `kind`, or their type has no cells.
+
+        Raises:
+            InputError: as `read`, or if session.json has an invalid entry.
+        """
+        table, stated = TABLE_OF.get(kind), self.about.get("fingertips", {})
+        if table is None or not issubclass(table.kind, Touch):
+            return None
+        if isinstance(stated, dict) and (content := stated.get(table.name)):
+            return Fingertip.read(content, str(self.folder / SESSION))
+        for finger in self.fingers(kind):
+            for batch in self.read(cast("type[Touch]", kind), finger):
+                return measured(batch)
+        return None
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """Return the fingertips that have rows of `kind`.

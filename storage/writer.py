@@ -51,6 +51,7 @@ class SessionWriter:
         self._root, self._run, self._part_span, self._part_rows = root, run, part_span, part_rows
         self._host = host
         kinds = run.sink_types.get(str(root), ())
+        self._fingertips = run.fingertips.get(str(root), {})
         self._tables = [table for table in TABLES if table in map(TABLE_OF.get, kinds)]  # may get rows
         self._buffers: dict[str, Buffer] = {
             table.name: Buffer(table.kind) for table in self._tables if not table.parted
@@ -78,7 +79,7 @@ class SessionWriter:
             held = None
             try:
                 held = lock(self.folder)
-                describe_session(self.folder, run, host=host, tables=self._tables, put=self._put)
+                self._describe()
                 write_manifest(self.folder, self._parts, self._put)
                 if run.live:
                     self._journal = Journal(self.folder, run.session)
@@ -125,7 +126,7 @@ class SessionWriter:
         """Return true if a commit is needed before `batch` is added.
 
         Raises:
-            ParameterError: if no table has its type.
+            ParameterError: if no table has its type, or its table has rows with another number of cells.
             BatchError: if it is invalid.
         """
         kind, table = type(batch), TABLE_OF.get(type(batch))
@@ -139,6 +140,9 @@ class SessionWriter:
             reason = f"{buffer.kind.__name__}: a session has either raw or zeroed counts"
             raise ParameterError("Dataset", "batch", kind.__name__, reason)
         rows = len(batch.check())
+        if rows and buffer is not None and buffer.cells != batch.cells:
+            must_be = f"{buffer.cells}, as in the rows before: record other fingertips in another session"
+            raise ParameterError("Dataset", f"number of cells of a {kind.__name__}", batch.cells, must_be)
         if self._failed or (self._journal and self._journal.suspect):
             return True
         if not rows or not table.parted or buffer is None or not buffer.rows:
@@ -195,7 +199,7 @@ class SessionWriter:
             if buffer is not None and (buffer.rows or (final and self._needs_empty_file(name)))
         }
         for name, buffer in self._committing.items():
-            self._buffers[name] = Buffer(buffer.kind, buffer.end)
+            self._buffers[name] = Buffer(buffer.kind, buffer.end, buffer.cells)
         if self._journal:
             self._restart = self._journal.suspect and not final
             self._journal.begin_commit()
@@ -232,12 +236,22 @@ class SessionWriter:
             if not self._run.live:
                 self._sync_replay()
             zeroed = touch is not None and touch.kind is Zeroed
-            describe_session(
-                self.folder, self._run, host=self._host, tables=self._tables, zeroed=zeroed, ended=True
-            )
+            self._describe(zeroed=zeroed, ended=True)
             if self._journal:
                 self._journal.remove()
         self._release()
+
+    def _describe(self, *, zeroed: bool = False, ended: bool = False) -> None:
+        describe_session(
+            self.folder,
+            self._run,
+            host=self._host,
+            tables=self._tables,
+            fingertips=self._fingertips,
+            zeroed=zeroed,
+            ended=ended,
+            put=files.put if ended else self._put,
+        )
 
     def _sync_replay(self) -> None:
         """Make the files of a replay durable; write them again after a failure: fsync could falsely succeed.
@@ -261,7 +275,7 @@ class SessionWriter:
     def _buffer(self, batch: Batch) -> Buffer:
         table = TABLE_OF[type(batch)].name
         if (found := self._buffers.get(table)) is None:
-            found = self._buffers[table] = Buffer(type(batch))
+            found = self._buffers[table] = Buffer(type(batch), cells=batch.cells)
         return found
 
     def _needs_empty_file(self, table: str) -> bool:
@@ -284,7 +298,7 @@ class SessionWriter:
         self._committing, self._restart = None, False
 
     def _commit_rows(self, table: Table, buffer: Buffer) -> None:
-        rows = to_arrow(table, buffer.batches() or [buffer.kind.empty()])
+        rows = to_arrow(table, buffer.batches() or [buffer.kind.zeros(0, buffer.cells)])
         parts, some = list[Part](), max(len(rows), 1)
         size = self._part_rows if table.parted else some
         if table.parted:

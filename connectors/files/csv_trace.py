@@ -10,6 +10,7 @@ from connectors.files.csv_columns import COUNTS, LABEL, SPEED, TIME, VELOCITY, C
 from operators.batch import EVERY, SLIP, UNKNOWN, Batch, Codes, Flags, Motion, Reals, Touch, Zeroed, s
 from operators.checks import check_between
 from operators.errors import InputError, ParameterError
+from operators.fingertip import Fingertip, measured
 from operators.ports import Description, Json
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
@@ -131,6 +132,10 @@ class CsvTrace:
             expected = f"detectors expect {DETECTOR_RATE:g} Hz"
             lines.append(f"the rate is {rate:.4g} Hz, {expected}: is the time in another unit?")
         return tuple(lines)
+
+    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
+        """Return the fingertip: cells and rate of the file."""
+        return measured(self.touch) if issubclass(kind, Touch) else None
 
     def fingers(self, kind: type[Batch]) -> tuple[int, ...]:
         """Return the fingers with a stream of a type; EVERY for the arm's motion."""

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 from connectors.sim.grasp_actions import Lift
 from connectors.sim.objects import Object
 from operators.batch import Commands, Touch, s
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Run, Sink, Source
 
 if TYPE_CHECKING:
@@ -63,10 +64,14 @@ class SimulatedGrasp(Source[Touch]):
             touch, _ = grasp.sense(number * PERIOD / s)
             yield replace(touch, time=touch.time + origin)
 
+    @property
+    def fingertip(self) -> Fingertip:
+        """A TakkTile."""
+        return replace(TAKKTILE, rate=s / PERIOD)
+
     def describe(self) -> Description:
         """Return sensor, object and seed."""
-        sensor = "TakkTile 2x3, simulated"
-        return {"sensor": sensor, "rate_hz": s / PERIOD, "object": self.held.name, "seed": self.seed}
+        return {"sensor": "TakkTile 2x3, simulated", "object": self.held.name, "seed": self.seed}
 
     def command(self, commands: Commands) -> None:
         """Apply commands from their own times on; without a run they have no effect."""

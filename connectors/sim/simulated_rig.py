@@ -13,6 +13,7 @@ from connectors.sim.scene import Move, Scene, Timing, Vibration
 from operators.batch import EVERY, MOTIONS, SURFACES, AnyBatch, Episodes, Motion, Touch, Truth, s
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Source
 
 
@@ -126,10 +127,14 @@ class SimulatedTouch(_RigStream[Touch]):
         finally:
             rig.truth.end()
 
+    @property
+    def fingertip(self) -> Fingertip:
+        """A TakkTile at the rate of the scene."""
+        return replace(TAKKTILE, rate=self._rig.scene.touch.rate)
+
     def describe(self) -> Description:
-        """Return the rig and the rate of this stream."""
-        timing = self._rig.scene.touch
-        return {"sensor": "TakkTile 2x3, simulated", "rate_hz": timing.rate, **self._rig.describe()}
+        """Return the rig."""
+        return {"sensor": "TakkTile 2x3, simulated", **self._rig.describe()}
 
 
 class SimulatedMotion(_RigStream[Motion]):

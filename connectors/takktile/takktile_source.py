@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncGenerator, AsyncIterator
 from contextlib import aclosing
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, cast
 
@@ -15,6 +16,7 @@ from connectors.takktile.takktile_protocol import ROWS, Coefficients, compensate
 from operators.batch import BAROMETERS, Reals, Touch, Zeroed, ms, s
 from operators.checks import check_above, check_choice
 from operators.errors import EndpointError, ParameterError
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.ports import Clock, Description, Json, Source
 
 RETRY: Final = 0.25  # s, between attempts to find a lost sensor
@@ -148,6 +150,11 @@ class TakkTile(Source[Touch]):
         pressure = compensate(touch.counts, touch.temperature, self.coefficients[touch.finger])
         return np.where(touch.valid, pressure, np.nan)
 
+    @property
+    def fingertip(self) -> Fingertip:
+        """A TakkTile at the rate of this source."""
+        return replace(TAKKTILE, rate=self.rate)
+
     def describe(self) -> Description:
         """Return sensor, bus and schedule; ``coefficients`` and ``scans`` are updated live.
 
@@ -161,7 +168,6 @@ class TakkTile(Source[Touch]):
             **_adapter(self.path),
             "rows": list(schedule.rows),
             "fingers": list(self._fingers),
-            "rate_hz": self.rate,
             "conversion_ms": schedule.conversion / ms,
             "coefficients": cast("dict[str, Json]", {str(f): each for f, each in self.coefficients.items()}),
             "scans": cast("dict[str, Json]", schedule.counted),

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias, cast
 
 from flows.graph.error_location import location
+from flows.graph.fingertip_check import sink_fingertips
 from flows.graph.flow import Flow
 from flows.graph.node import Node
 from flows.graph.validation import validate
@@ -117,6 +118,7 @@ class CompiledFlow:
         entries: Source nodes with their fingertips.
         stages: Operators and joins, one per fingertip, in the order of declaration.
         sink_types: Batch types that each sink can receive, by its destination.
+        fingertips: Fingertips of the touch streams of each sink, by its destination and their type.
 
     Raises:
         FlowError: if the flow is wired wrongly.
@@ -146,6 +148,7 @@ class CompiledFlow:
             entry: _Entrance(index, entry[0] in read, self._downstream(index))
             for index, entry in enumerate(self.entries)
         }
+        self.fingertips = sink_fingertips(flow.nodes)
         self.sink_types = {
             node.part.destination: tuple(cast("type[Batch]", parent.gives) for parent in node.inputs)
             for node in flow.nodes

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias, cast, get_args, get_type_hints
 from operators.batch import EVERY, Batch
 from operators.errors import ParameterError
 from operators.operator import Join, Operator, input_types, output_type
-from operators.ports import Sink, Source
+from operators.ports import Description, Sink, Source
 
 Part: TypeAlias = Source[Any] | Operator[Any, Any] | Join[Any, Any, Any] | Sink[Any]
 
@@ -46,6 +46,14 @@ class Node:
         if isinstance(self.part, Source):
             return cast("type[Batch]", self.part.kind)
         return None if isinstance(self.part, Sink) else output_type(type(self.part))
+
+    def describe(self) -> Description:
+        """Return the description of a source, with its fingertip if that is known; of other parts, {}."""
+        if not isinstance(self.part, Source):
+            return {}
+        fingertip = self.part.fingertip
+        about = self.part.describe()
+        return about if fingertip is None else {**about, "fingertip": fingertip.describe()}
 
     @property
     def fingers(self) -> tuple[int, ...]:

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from flows.graph.fingertip_check import trace_fingertips
 from flows.graph.flow import Flow
 from flows.graph.node import Node, consumers
 from operators.batch import Batch
@@ -38,7 +39,12 @@ def problems(flow: Flow) -> list[FlowError]:
         *_shared_parts(flow),
         *_shared_state(flow),
     ]
-    return structure or [*_wrong_types(flow), *_shared_destinations(flow), *_duplicate_streams(flow)]
+    return structure or [
+        *_wrong_types(flow),
+        *_shared_destinations(flow),
+        *_duplicate_streams(flow),
+        *trace_fingertips(flow.name, flow.nodes)[1],
+    ]
 
 
 def _edge(parent: Node, node: Node) -> str:

@@ -211,6 +211,7 @@ async def _run(root: Path, delay: int, planned: PlannedRecording) -> None:
     runner = ReplayRunner(flow, finished, planned.session, rows=max(map(len, streams)))
     about = {
         **rig.touch.describe(),
+        "fingertip": rig.touch.fingertip.describe(),
         "plan": planned.plan,
         "plan_seed": planned.plan_seed,
         "split": planned.split,

@@ -69,8 +69,9 @@ class LiveRunner:
             self.clock.now(),
             recording=replayed_recording(sources.values()),
             declaration=tuple(streams(flow.nodes)),
-            describe={node.name: source.describe() for node, source in sources.items()},
+            describe={node.name: node.describe() for node in sources},
             sink_types=self.compiled.sink_types,
+            fingertips=self.compiled.fingertips,
         )
         self._sources, self._stop = sources, asyncio.Event()
         self._readers = {node: SourceReader(node.name, source, self.run) for node, source in sources.items()}

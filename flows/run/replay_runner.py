@@ -109,9 +109,10 @@ class ReplayRunner:
             recording=replayed_recording(cast("Source[Any]", node.part) for node in self._flow.sources()),
             declaration=tuple(streams(flow.nodes)),
             sink_types=self.compiled.sink_types,
+            fingertips=self.compiled.fingertips,
         )
         for node in self._flow.sources():
-            self.run.describe[node.name] = cast("Source[Any]", node.part).describe()
+            self.run.describe[node.name] = node.describe()
             self.run.sources[node.name] = SourceStatus()
         for node in self._flow.sinks():
             self.run.sinks[node.name] = SinkStatus(records=cast("Sink[Any]", node.part).records)

@@ -3,6 +3,7 @@
 from typing import Protocol, runtime_checkable
 
 from operators.batch import Counts, Reals
+from operators.fingertip import Fingertip
 
 
 class Detector(Protocol):
@@ -22,10 +23,23 @@ class Detector(Protocol):
         """Return the probability that the newest sample of each window is slip.
 
         Args:
-            windows: (n, length, 6) zeroed counts, newest last; read-only
+            windows: (n, length, cells) zeroed counts, newest last; read-only
 
         Returns:
             (n,) 0 to 1
+        """
+        ...
+
+
+@runtime_checkable
+class ForFingertip(Detector, Protocol):
+    """Detector that was made for a certain fingertip."""
+
+    def check_fingertip(self, given: Fingertip) -> None:
+        """Check that the detector was made for this fingertip.
+
+        Raises:
+            FingertipError: if it was not; it names the operators that convert the data.
         """
         ...
 
@@ -37,7 +51,7 @@ class Stream(Protocol):
         """Process the next samples in order.
 
         Args:
-            counts: (n, fingers, 6) zeroed counts
+            counts: (n, fingers, cells) zeroed counts
 
         Returns:
             (n, fingers) probability of slip at each sample. After `length` samples it agrees with `score` of

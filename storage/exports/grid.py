@@ -28,8 +28,8 @@ class Frames:
     """Consecutive frames at a fixed rate."""
 
     time: Times  # (n,) ns, recorded time of the first fingertip's samples
-    counts: Counts  # (n, fingers * 6) zeroed; a cell without a reading keeps its last value
-    valid: Flags  # (n, fingers * 6) False: no reading
+    counts: Counts  # (n, fingers * cells) zeroed; a cell without a reading keeps its last value
+    valid: Flags  # (n, fingers * cells) False: no reading
     label: Codes  # (n, fingers) 1 slip, 0 static, -1 unknown
     velocity: Singles  # (n, 6) m/s, rad/s, of the TCP; NaN if not requested
     pose: Singles  # (n, 6) m, rad; NaN if not requested
@@ -53,6 +53,7 @@ class Contents:
     """Data of a session that frames can have."""
 
     fingers: tuple[int, ...]
+    cells: int  # of each fingertip
     velocity: bool
     pose: bool
 
@@ -75,11 +76,11 @@ def find_contents(session: Session) -> Contents:
     if not fingers:
         reason = "has no samples, which frames are made of: record with `slipflow run record`"
         raise InputError(str(session.folder), reason)
-    samples = session.read(Labelled, fingers[0])
+    samples = [*session.read(Labelled, fingers[0])]
     velocity = any(bool(np.isfinite(batch.velocity).all(axis=1).any()) for batch in samples)
     motion = chain.from_iterable(session.read(Motion, finger) for finger in session.fingers(Motion))
     pose = any(bool(np.isfinite(batch.pose).all(axis=1).any()) for batch in motion)
-    return Contents(fingers, velocity, pose)
+    return Contents(fingers, samples[0].cells, velocity, pose)
 
 
 def to_frames(session: Session, rate: int, wanted: Contents) -> GridSession:
@@ -114,8 +115,8 @@ class _Samples:
     """Samples of one fingertip in time order."""
 
     time: Times  # (n,)
-    counts: Counts  # (n, 6)
-    valid: Flags  # (n, 6)
+    counts: Counts  # (n, cells)
+    valid: Flags  # (n, cells)
     label: Codes  # (n,)
     velocity: Singles  # (n, 6)
 

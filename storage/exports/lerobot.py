@@ -156,10 +156,14 @@ def _common_contents(sessions: Sequence[Session]) -> Contents:
         raise ParameterError("LeRobot export", "sessions", [], "at least one")
     found = [find_contents(session) for session in sessions]
     for session, each in zip(sessions, found, strict=True):
-        if each.fingers != found[0].fingers:
-            reason = f"has fingertips {each.fingers}, but {sessions[0].name} has {found[0].fingers}"
+        if (each.fingers, each.cells) != (found[0].fingers, found[0].cells):
+            own, other = (f"fingertips {one.fingers} of {one.cells} cells" for one in (each, found[0]))
+            reason = f"has {own}, but {sessions[0].name} has {other}"
             raise InputError(str(session.folder), f"{reason}: export them separately")
-    return Contents(found[0].fingers, all(each.velocity for each in found), all(each.pose for each in found))
+    velocity, pose = (
+        all(known) for known in zip(*((each.velocity, each.pose) for each in found), strict=True)
+    )
+    return Contents(found[0].fingers, found[0].cells, velocity, pose)
 
 
 def _ordered(sessions: Sequence[Session]) -> list[tuple[str, Session]]:

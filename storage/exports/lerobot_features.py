@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import BAROMETERS, MOTIONS, Episodes
+from operators.batch import MOTIONS, Episodes
 from storage.exports.grid import Contents, Frames
 
 STATE: Final = "observation.state"  # zeroed counts of all fingertips
@@ -29,10 +29,12 @@ _OTHER_TASK: Final = "detect slip"
 def features(contents: Contents) -> dict[str, dict[str, Any]]:
     """Return element type, shape and element names of each feature.
 
-    >>> features(Contents((0,), velocity=True, pose=False))["action"]
+    >>> features(Contents((0,), 6, velocity=True, pose=False))["action"]
     {'dtype': 'float32', 'shape': [6], 'names': ['vx', 'vy', 'vz', 'wx', 'wy', 'wz']}
     """
-    cells = [f"finger{finger}.barometer{cell}" for finger in contents.fingers for cell in range(BAROMETERS)]
+    cells = [
+        f"finger{finger}.barometer{cell}" for finger in contents.fingers for cell in range(contents.cells)
+    ]
     found = {STATE: _feature("float32", cells)}
     if contents.pose:
         found[POSE] = _feature("float32", ["x", "y", "z", "rx", "ry", "rz"])
@@ -61,7 +63,7 @@ def values(
         tasks: (n,) task numbers of the frames.
     """
     number = np.arange(len(frames))
-    found: dict[str, NDArray[Any]] = {STATE: frames.counts.astype(np.float32)}  # (n, fingers * 6)
+    found: dict[str, NDArray[Any]] = {STATE: frames.counts.astype(np.float32)}  # (n, fingers * cells)
     if contents.pose:
         found[POSE] = frames.pose
     if contents.velocity:

@@ -99,7 +99,7 @@ def _rows(session: Session, channels: _Channels, table: Table, finger: int) -> I
 
 
 def _channel(channels: _Channels, table: Table, batch: Batch) -> int:
-    schema = mcap_messages.schema(table, type(batch))
+    schema = mcap_messages.schema(table, type(batch), batch.cells)
     return channels.number(mcap_messages.topic(table, batch.finger), schema)
 
 

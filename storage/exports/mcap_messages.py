@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from operators.batch import EVERY, Batch, Column, s
+from operators.batch import BAROMETERS, EVERY, Batch, Column, s
 from operators.errors import InputError
 from storage.layout import CLOCKS, EPISODES, FAULTS, MOTION, SAMPLES, SLIPS, TOUCH, TRUTH, Table
 
@@ -46,7 +46,7 @@ def topic(table: Table, finger: int) -> str:
     return TOPICS[table.name].format(finger=finger)
 
 
-def schema(table: Table, kind: type[Batch]) -> dict[str, Any]:
+def schema(table: Table, kind: type[Batch], cells: int = BAROMETERS) -> dict[str, Any]:
     """Return the JSON schema of a table's messages; descriptions state the units.
 
     >>> schema(TOUCH, TOUCH.kind)["properties"]["counts"]["description"]
@@ -57,7 +57,7 @@ def schema(table: Table, kind: type[Batch]) -> dict[str, Any]:
         properties["finger"] = {"type": "integer", "description": "fingertip"}
     for name, column in table.columns.items():
         if name != "time":
-            properties[name] = _property(name, column)
+            properties[name] = _property(name, column, column.sizes(cells))
     return _object(kind.__name__, (kind.__doc__ or "").partition("\n")[0], properties)
 
 
@@ -94,7 +94,7 @@ def _check_time(table: str, time: int) -> int:
     return time
 
 
-def _property(name: str, column: Column) -> dict[str, Any]:
+def _property(name: str, column: Column, sizes: tuple[int, ...]) -> dict[str, Any]:
     if _is_span(column):
         title = "duration" if name == "offset" else "time"
         return {**_STAMP, "title": title, "description": column.unit}
@@ -104,8 +104,8 @@ def _property(name: str, column: Column) -> dict[str, Any]:
     unknown = "; null or omitted: unknown" if column.dtype.kind == "f" else ""
     description = f"{column.unit}{unknown}".removeprefix("; ")
     value: dict[str, Any] = {"type": types[column.dtype.kind]}
-    if column.shape:
-        value = {"type": "array", "items": value, "minItems": column.shape[0], "maxItems": column.shape[0]}
+    if sizes:
+        value = {"type": "array", "items": value, "minItems": sizes[0], "maxItems": sizes[0]}
     return {**value, "description": description} if description else value
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from operators.batch import BAROMETERS, SLIP, AnyBatch, Batch, Faults, Labelled, Motion, Slips, Touch, Zeroed
+from operators.batch import SLIP, AnyBatch, Batch, Faults, Labelled, Motion, Slips, Touch, Zeroed
 from operators.detectors import Detector
 from operators.errors import EndpointError, InputError
 from operators.health import FaultKind
@@ -23,8 +23,6 @@ from storage.session import Session
 
 TIMELINE: Final = "time"  # event time, since 1970 UTC
 
-_CELLS: Final = tuple(f"barometer {cell}" for cell in range(BAROMETERS))
-
 
 def export(
     session: Session,
@@ -34,7 +32,7 @@ def export(
 ) -> Mapping[str, int]:
     """Write a session; return the number of rows of each entity.
 
-    - ``/touch/FINGER``: six series of counts, raw or zeroed as recorded; gaps where a cell has no reading
+    - ``/touch/FINGER``: counts of each cell, raw or zeroed as recorded; gaps where it has no reading
     - ``/probability/FINGER``: slip probability by `detector`; raw touch is zeroed first
     - ``/motion/speed``: speed of the tool centre point, m/s; ``/samples/FINGER/speed``: in the contact plane
     - ``/slip/FINGER``: onsets and ends as lines of text; ``/faults``: faults of barometers
@@ -98,8 +96,10 @@ class _Recording:
     def _touch(self, session: Session, finger: int, detector: Detector | None) -> Iterator[tuple[str, int]]:
         zero, score = Zero(), None if detector is None else Score(detector)
         for batch in session.read(Touch, finger):
-            counts = np.where(batch.valid, batch.counts, np.nan)  # (n, 6)
-            yield self._scalars(f"/touch/{finger}", batch, counts, _CELLS)
+            counts = np.where(batch.valid, batch.counts, np.nan)  # (n, cells)
+            yield self._scalars(
+                f"/touch/{finger}", batch, counts, tuple(f"barometer {cell}" for cell in range(batch.cells))
+            )
             if score is None:
                 continue
             scores = score.push(batch if isinstance(batch, Zeroed) else zero.push(batch))

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import (
+    BAROMETERS,
     EVERY,
     MOTIONS,
     AnyBatch,
@@ -51,13 +52,19 @@ def new_run(
 
 
 def new_batch(
-    kind: type[AnyBatch], rows: int = 5, *, start: int = 0, finger: int = 0, seed: int = 0
+    kind: type[AnyBatch],
+    rows: int = 5,
+    *,
+    start: int = 0,
+    finger: int = 0,
+    seed: int = 0,
+    cells: int = BAROMETERS,
 ) -> AnyBatch:
     """NumberedRows 10 ms apart whose other columns are random bits: every NaN and every extreme occurs."""
     random = np.random.default_rng(seed)
     values: list[Any] = [start + np.arange(rows) * 10 * ms]
     for column in list(columns(kind).values())[1:]:
-        shape = (rows, *column.shape)
+        shape = (rows, *column.sizes(cells))
         if column.dtype == np.bool_:
             values.append(random.random(shape) < 0.5)
         elif column.names:

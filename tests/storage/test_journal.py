@@ -103,7 +103,7 @@ def test_a_record_is_as_the_format_says() -> None:
     assert record == head + b"".join(bits(batch))
     about = json.loads(journal.identity("one", 3))
     assert {key: about[key] for key in ("version", "session", "segment")} == {
-        "version": 4, "session": "one", "segment": 3,
+        "version": 5, "session": "one", "segment": 3,
     }  # fmt: skip
     assert about["kinds"][3] == {
         "batch": "Slips",
@@ -217,7 +217,7 @@ def test_after_a_restart_only_the_given_rows_are_journalled(written: Journal, tm
 
 
 CHANGES: list[tuple[dict[str, Any], str]] = [
-    ({"version": 3}, "has version 3, this slipflow reads version 4: recover it with the software named in"),
+    ({"version": 3}, "has version 3, this slipflow reads version 5: recover it with the software named in"),
     ({"session": "two"}, "is segment 3 of session 'two'; move it back there"),
     ({"segment": 4}, "is segment 4 of session 'one'"),
     ({"kinds": [{"batch": "Touch", "columns": []}]}, "has Touch rows with unknown columns"),

@@ -14,6 +14,7 @@ from flows.run.cluster.worker import checked_type, event_nodes, result_nodes, wi
 from flows.run.replay_runner import in_slices, replayed
 from operators.batch import EVERY, Batch, Times, batch_type, column
 from operators.errors import FlowError, InputError
+from operators.fingertip import Fingertip
 from operators.ports import Description, SomeBatch
 from storage import Dataset, Session
 from storage.layout import TABLE_OF, inside
@@ -188,6 +189,9 @@ class _RowTimesRecording:
             batch = part.get(finger)
             for start in range(0, 0 if batch is None else len(batch), rows):
                 yield cast("SomeBatch", cast("_RowTimes", batch)[start : start + rows])
+
+    def fingertip(self, kind: type[Batch]) -> Fingertip | None:
+        return self.session.fingertip(kind)
 
     def describe(self) -> Description:
         return self.session.about

@@ -238,7 +238,7 @@ async def test_the_description_is_live_and_plain_data(rig: Rig) -> None:
     before = json.loads(json.dumps(dict(described)))
     assert before["coefficients"] == {"0": [None] * 6, "4": [None] * 6}
     assert before["scans"] == {"made": 0, "silent": 0, "late": 0, "missed": 0}
-    assert (before["bus"], before["rows"], before["rate_hz"], before["conversion_ms"]) == (
+    assert (before["bus"], before["rows"], source.fingertip.rate, before["conversion_ms"]) == (
         PATH,
         [0, 5],
         400.0,

@@ -13,7 +13,7 @@ from operators.errors import InputError
 from storage.exports.grid import Contents, find_contents, to_frames
 from tests.storage.made import new_batch, new_samples, record
 
-MOVED = Contents((0,), velocity=True, pose=False)
+MOVED = Contents((0,), 6, velocity=True, pose=False)
 
 
 def poses(time: list[int]) -> Motion:
@@ -69,7 +69,7 @@ def test_a_frame_needs_every_fingertip(tmp_path: Path) -> None:
     missing = new_samples(np.delete(time, 5) + 4 * ms, finger=2)
     session = record(tmp_path, [new_samples(time), missing])
     contents = find_contents(session)
-    assert contents == Contents((0, 2), velocity=True, pose=False)
+    assert contents == Contents((0, 2), 6, velocity=True, pose=False)
     one, other = to_frames(session, 100, contents).stretches
     assert one.time.tolist() == time[:5].tolist()
     assert other.time.tolist() == time[6:].tolist()
@@ -81,16 +81,16 @@ def test_a_frame_needs_the_requested_motion_data(tmp_path: Path) -> None:
     samples = new_samples(np.arange(6) * 10 * ms)
     samples.velocity[2, 4] = np.nan
     session = record(tmp_path, [samples, poses([0, 8 * ms, 40 * ms])])
-    assert find_contents(session) == Contents((0,), velocity=True, pose=True)
+    assert find_contents(session) == Contents((0,), 6, velocity=True, pose=True)
     assert [len(each) for each in to_frames(session, 100, MOVED).stretches] == [2, 3]
-    (still,) = to_frames(session, 100, Contents((0,), velocity=False, pose=True)).stretches
+    (still,) = to_frames(session, 100, Contents((0,), 6, velocity=False, pose=True)).stretches
     assert still.pose[:, 0].tolist() == [0, 1, 1, 2, 2, 2]  # of the nearest row; at a tie, the later
     assert np.isnan(still.velocity[2]).any()
 
 
 def test_a_distant_pose_is_unknown(tmp_path: Path) -> None:
     session = record(tmp_path, [new_samples(np.arange(9) * 10 * ms), poses([20 * ms])])
-    (found,) = to_frames(session, 100, Contents((0,), velocity=True, pose=True)).stretches
+    (found,) = to_frames(session, 100, Contents((0,), 6, velocity=True, pose=True)).stretches
     assert found.time.tolist() == [0, 10 * ms, 20 * ms, 30 * ms, 40 * ms]
 
 

@@ -22,7 +22,7 @@ def some(count: int, fingers: int = 1) -> Frames:
 @pytest.mark.parametrize("pose", [False, True])
 @pytest.mark.parametrize("fingers", [(0,), (0, 2)])
 def test_values_match_the_declared_features(*, velocity: bool, pose: bool, fingers: tuple[int, ...]) -> None:
-    contents, frames = Contents(fingers, velocity=velocity, pose=pose), some(5, len(fingers))
+    contents, frames = Contents(fingers, 6, velocity=velocity, pose=pose), some(5, len(fingers))
     declared = features(contents)
     found = values(frames, contents, 50, episode=3, index=100, tasks=np.zeros(5, np.int64))
     assert list(found) == list(declared)
@@ -37,7 +37,7 @@ def test_values_match_the_declared_features(*, velocity: bool, pose: bool, finge
 
 
 def test_elements_are_named_by_fingertip_and_barometer() -> None:
-    names: Any = features(Contents((0, 2), velocity=True, pose=False))["observation.state"]["names"]
+    names: Any = features(Contents((0, 2), 6, velocity=True, pose=False))["observation.state"]["names"]
     assert names[:2] == ["finger0.barometer0", "finger0.barometer1"]
     assert names[-1] == "finger2.barometer5"
 

@@ -1,0 +1,176 @@
+"""Description of a fingertip: what detectors, sessions and pages must know about its counts."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import ceil, isclose, sqrt
+from typing import Any, Final, Self, cast
+
+import numpy as np
+
+from operators.batch import Touch, s
+from operators.checks import check_above, check_between
+from operators.errors import FingertipError, InputError, ParameterError
+
+CELL_LIMIT: Final = 128  # cells of a fingertip
+NO_CELL: Final = -1  # empty place of a layout
+RATE_TOLERANCE: Final = 0.1  # relative
+
+_FIELDS: Final = {"layout", "rate_hz", "unit", "resolution", "range"}
+
+
+@dataclass(frozen=True)
+class Fingertip:
+    """Cells, layout, rate, unit and range of a fingertip's counts.
+
+    Counts are whole numbers of 16 bits. A sensor in another unit has a `resolution`: with ``kPa`` and 0.01,
+    1234 counts are 12.34 kPa.
+
+    Args:
+        layout: Rows of cell numbers, the top row first; -1 is a place without a cell. Each cell from 0 on
+            occurs once.
+        rate: Samples per second, Hz.
+        unit: Unit of a reading; ``count`` for a converter without calibration.
+        resolution: Units per count.
+        range: Raw counts at the lowest and the highest pressure; None: unknown. Counts of a TakkTile fall
+            as the pressure rises.
+
+    Raises:
+        ParameterError: if a value is invalid.
+
+    >>> TAKKTILE.cells, TAKKTILE.rate, TAKKTILE.falls
+    (6, 100.0, True)
+    """
+
+    layout: tuple[tuple[int, ...], ...]
+    rate: float
+    unit: str = "count"
+    resolution: float = 1.0
+    range: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        cells = sorted(cell for row in self.layout for cell in row if cell != NO_CELL)
+        if not 0 < len(cells) <= CELL_LIMIT or cells != [*range(len(cells))]:
+            must_be = f"rows that name each cell from 0 on once, at most {CELL_LIMIT}"
+            raise ParameterError("Fingertip", "layout", self.layout, must_be)
+        check_above("Fingertip", "rate", self.rate, 0, "Hz")
+        check_above("Fingertip", "resolution", self.resolution, 0)
+        if not self.unit:
+            raise ParameterError("Fingertip", "unit", self.unit, "a unit, such as count or kPa")
+        if self.range is not None and self.range[0] == self.range[1]:
+            raise ParameterError("Fingertip", "range", self.range, "two different counts")
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return sum(cell != NO_CELL for row in self.layout for cell in row)
+
+    @property
+    def falls(self) -> bool | None:
+        """True if counts fall as the pressure rises; None: unknown."""
+        return None if self.range is None else self.range[0] > self.range[1]
+
+    def describe(self) -> dict[str, Any]:
+        """Return the description as JSON data, for session.json and model cards."""
+        return {
+            "cells": self.cells,
+            "layout": [list(row) for row in self.layout],
+            "rate_hz": self.rate,
+            "unit": self.unit,
+            "resolution": self.resolution,
+            "range": None if self.range is None else list(self.range),
+        }
+
+    @classmethod
+    def read(cls, content: object, where: str) -> Self:
+        """Return the fingertip that `describe` described.
+
+        Args:
+            content: JSON data.
+            where: Name of the file, for errors.
+
+        Raises:
+            InputError: if it is invalid.
+
+        >>> Fingertip.read(TAKKTILE.describe(), "session.json") == TAKKTILE
+        True
+        """
+        about: Mapping[str, Any] = cast("Any", content) if isinstance(content, dict) else {}
+        if missing := _FIELDS - about.keys():
+            raise InputError(where, f'has an invalid "fingertip": it has no {", ".join(sorted(missing))}')
+        try:
+            layout = tuple(tuple(int(cell) for cell in row) for row in about["layout"])
+            ends = about["range"]
+            limits = None if ends is None else (int(ends[0]), int(ends[1]))
+            rate, resolution = float(about["rate_hz"]), float(about["resolution"])
+            return cls(layout, rate, str(about["unit"]), resolution, limits)
+        except (TypeError, ValueError, LookupError, ParameterError) as error:
+            raise InputError(where, f'has an invalid "fingertip": {error}') from error
+
+    def check_fits(self, owner: str, given: "Fingertip", *, any_cells: bool = False) -> None:
+        """Check that data of the fingertip `given` fits what `owner` was made for: this fingertip.
+
+        Args:
+            owner: Name of the detector or operator, for the error.
+            given: Fingertip of the data.
+            any_cells: Accept any number of cells.
+
+        Raises:
+            FingertipError: if cells, rate or unit differ; it names the operators that convert them.
+        """
+        needs, has, fix = list[str](), list[str](), list[str]()
+        cells = given.cells != self.cells and not any_cells
+        if cells:
+            needs.append(f"{self.cells} cells")
+            has.append(f"{given.cells} cells")
+        unit, other = _scale(self), _scale(given)
+        turned = None not in {self.falls, given.falls} and self.falls is not given.falls
+        scaled = unit != other or turned
+        if scaled:
+            needs.append(unit + (", falling as pressure rises" if turned and self.falls else ""))
+            has.append(other + (", falling as pressure rises" if turned and given.falls else ""))
+        if cells or scaled:
+            groups = f"groups=({self.cells} groups of cells)" if cells else "groups=(each cell alone)"
+            gain = "gain=(counts per count)" if unit != other else "gain=-1" if turned else ""
+            fix.append(f"Pool({', '.join(filter(None, (groups, gain)))})")
+        if not isclose(given.rate, self.rate, rel_tol=RATE_TOLERANCE):
+            needs.append(f"{self.rate:g} Hz")
+            has.append(f"{given.rate:g} Hz")
+            fix.append(f"Resample(rate={self.rate:g})")
+        if fix:
+            raise FingertipError(owner, ", ".join(needs), ", ".join(has), f"insert {' and '.join(fix)}")
+
+
+def grid(cells: int, columns: int | None = None) -> tuple[tuple[int, ...], ...]:
+    """Return a layout of rows, numbered from the top left.
+
+    Args:
+        cells: Number of cells.
+        columns: Cells per row; None: about as many as rows.
+
+    Raises:
+        ParameterError: if there are too few or too many cells.
+
+    >>> grid(5)
+    ((0, 1, 2), (3, 4, -1))
+    """
+    check_between("grid", "cells", cells, 1, CELL_LIMIT)
+    wide = ceil(sqrt(cells)) if columns is None else columns
+    check_between("grid", "columns", wide, 1, cells)
+    rows = range(0, cells, wide)
+    return tuple(tuple(i if i < cells else NO_CELL for i in range(row, row + wide)) for row in rows)
+
+
+def measured(batch: Touch) -> Fingertip:
+    """Return what rows of a touch stream say about their fingertip: cells, and the median rate."""
+    interval = float(np.median(np.diff(batch.time))) if len(batch) > 1 else 0.0
+    takktile = batch.cells == TAKKTILE.cells
+    layout = TAKKTILE.layout if takktile else grid(batch.cells)
+    return Fingertip(layout, s / interval if interval > 0 else TAKKTILE.rate)
+
+
+def _scale(fingertip: Fingertip) -> str:
+    resolution, unit = fingertip.resolution, fingertip.unit
+    return unit if isclose(resolution, 1) else f"steps of {resolution:g} {unit}"
+
+
+TAKKTILE: Final = Fingertip(((5, 4, 3), (0, 1, 2)), 100.0, range=(1023, 0))  # x right, y up

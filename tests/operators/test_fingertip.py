@@ -1,0 +1,79 @@
+import json
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from operators import Touch, ms
+from operators.errors import FingertipError, InputError, ParameterError
+from operators.fingertip import TAKKTILE, Fingertip, grid, measured
+
+PAD = Fingertip(grid(16), 1000.0, "kPa", 0.01, (0, 4000))
+
+
+@pytest.mark.parametrize("fingertip", [TAKKTILE, PAD, replace(PAD, range=None)])
+def test_a_description_in_json_is_read_back(fingertip: Fingertip) -> None:
+    assert Fingertip.read(json.loads(json.dumps(fingertip.describe())), "card") == fingertip
+
+
+@pytest.mark.parametrize("wrong", [None, {}, {"layout": 3}, {"layout": [[0, 0]]}, {"rate_hz": "fast"}])
+def test_an_invalid_description_names_the_file(wrong: dict[str, object] | None) -> None:
+    content = wrong if not wrong else {**TAKKTILE.describe(), **wrong}
+    with pytest.raises(InputError, match=r'^session\.json: has an invalid "fingertip"'):
+        Fingertip.read(content, "session.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"layout": ((0, 2),)}, "layout"),
+        ({"layout": ()}, "layout"),
+        ({"layout": (tuple(range(129)),)}, "layout"),
+        ({"rate": 0.0}, "rate"),
+        ({"resolution": -1.0}, "resolution"),
+        ({"unit": ""}, "unit"),
+        ({"range": (5, 5)}, "range"),
+    ],
+)
+def test_an_impossible_fingertip_is_refused(change: dict[str, object], name: str) -> None:
+    with pytest.raises(ParameterError, match=f"Fingertip: {name} is"):
+        replace(TAKKTILE, **cast("Any", change))
+
+
+@pytest.mark.parametrize(
+    ("given", "needs", "fix"),
+    [
+        (replace(TAKKTILE, rate=200.0), "100 Hz", "insert Resample(rate=100)"),
+        (replace(TAKKTILE, layout=grid(16)), "6 cells", "insert Pool(groups=(6 groups of cells))"),
+        (
+            replace(TAKKTILE, unit="kPa"),
+            "count",
+            "insert Pool(groups=(each cell alone), gain=(counts per count))",
+        ),
+        (
+            replace(TAKKTILE, range=(0, 1023)),
+            "count, falling as pressure rises",
+            "insert Pool(groups=(each cell alone), gain=-1)",
+        ),
+        (
+            PAD,
+            "6 cells, count, falling as pressure rises, 100 Hz",
+            "insert Pool(groups=(6 groups of cells), gain=(counts per count)) and Resample(rate=100)",
+        ),
+    ],
+)
+def test_a_mismatch_names_the_operators_that_convert_it(given: Fingertip, needs: str, fix: str) -> None:
+    with pytest.raises(FingertipError) as caught:
+        TAKKTILE.check_fits("tcn", given)
+    assert (caught.value.owner, caught.value.needs, caught.value.fix) == ("tcn", needs, fix)
+
+
+def test_a_rate_within_a_tenth_and_an_unknown_range_fit() -> None:
+    TAKKTILE.check_fits("tcn", replace(TAKKTILE, rate=95.0, range=None))
+
+
+def test_cells_and_rate_are_measured_if_nothing_states_them() -> None:
+    rows = replace(Touch.zeros(5, 16), time=np.arange(5) * ms)
+    assert (measured(rows).cells, measured(rows).rate) == (16, 1000.0)
+    assert measured(Touch.zeros(1)).layout == TAKKTILE.layout
