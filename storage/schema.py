@@ -160,7 +160,7 @@ def _resized(field: pa.Field[Any], cells: int) -> pa.Field[Any]:
 
 
 def _width(rows: pa.Table, name: str) -> int:
-    return int(cast("Any", rows.schema.field(name).type).list_size)
+    return int(cast("Any", rows).schema.field(name).type.list_size)
 
 
 def _as_list(schema: pa.Schema) -> list[pa.Field[Any]]:
