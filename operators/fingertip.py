@@ -69,6 +69,26 @@ class Fingertip:
         """True if counts fall as the pressure rises; None: unknown."""
         return None if self.range is None else self.range[0] > self.range[1]
 
+    def mirrored(self, *, upside_down: bool = False) -> tuple[int, ...]:
+        """Return the cell at the mirror image of each cell, left to right or upside down.
+
+        Returns:
+            (cells,) every cell itself, if the layout is not symmetric.
+
+        >>> TAKKTILE.mirrored(), TAKKTILE.mirrored(upside_down=True)
+        ((2, 1, 0, 5, 4, 3), (5, 4, 3, 2, 1, 0))
+        """
+        image = self.layout[::-1] if upside_down else tuple(row[::-1] for row in self.layout)
+        if any(len(row) != len(other) for row, other in zip(self.layout, image, strict=True)):
+            return tuple(range(self.cells))
+        pairs = {
+            cell: other
+            for row, other_row in zip(self.layout, image, strict=True)
+            for cell, other in zip(row, other_row, strict=True)
+        }
+        cells = tuple(pairs[cell] for cell in range(self.cells))
+        return tuple(range(self.cells)) if NO_CELL in cells else cells
+
     def describe(self) -> dict[str, Any]:
         """Return the description as JSON data, for session.json and model cards."""
         return {

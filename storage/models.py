@@ -14,7 +14,9 @@ from safetensors import numpy as safetensors
 
 from operators.debounce import Debounce
 from operators.detectors import DETECTORS, TRAINED, Detector
+from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
+from operators.fingertip import Fingertip
 from storage import files
 
 _SHIPPED: Final = Path(__file__).parent / "trained"
@@ -83,6 +85,8 @@ def save_card(path: Path, card: Mapping[str, Any]) -> None:
 def load_detector(name: str | Path) -> Detector:
     """Return a detector by its name, such as tcn or psd, or by its file of weights.
 
+    A card without a fingertip is for a TakkTile at 100 Hz.
+
     Raises:
         InputError: if there is no such detector, or the file has no weights or does not match its card.
     """
@@ -91,7 +95,8 @@ def load_detector(name: str | Path) -> Detector:
     path = shipped(str(name)) or Path(name)
     if path.suffix in _READERS:
         weights, about = load_weights(path)
-        expected = load_card(path).get("sha256")
+        card = load_card(path)
+        expected = card.get("sha256")
         if expected is not None and expected != hashlib.sha256(files.read(path, LIMIT)).hexdigest():
             reason = f"is damaged, or not the model of {path.with_suffix('.json').name}: copy both together"
             raise InputError(str(path), reason)
@@ -99,9 +104,12 @@ def load_detector(name: str | Path) -> Detector:
         if kind not in TRAINED:
             raise InputError(str(name), f"is for detector {kind!r}; known: {', '.join(sorted(TRAINED))}")
         try:
-            return TRAINED[kind](weights)
+            detector = TRAINED[kind](weights)
         except InputError as error:
             raise InputError(str(name), error.reason) from error
+        if isinstance(detector, ForOneFingertip) and "fingertip" in card:
+            detector.fingertip = Fingertip.read(card["fingertip"], str(path.with_suffix(".json")))
+        return detector
     known = ", ".join(sorted([*DETECTORS, *shipped_names()]))
     raise InputError(
         str(name), f"is not a detector: give {known} or a {' or '.join(_READERS)} file of weights"

@@ -34,6 +34,7 @@ from operators.batch import (
     concat,
 )
 from operators.errors import InputError
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.forward_fill import forward_fill
 from storage import Session
 from storage.layout import session_folder, session_names
@@ -48,19 +49,20 @@ _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledRecording:
-    """Samples of one fingertip at 100 Hz with their labels."""
+    """Samples of one fingertip at a constant rate, with their labels."""
 
-    counts: Counts  # (n, 6) zeroed; invalid cells hold their last valid value, as in `Score`
+    counts: Counts  # (n, cells) zeroed; invalid cells hold their last valid value, as in `Score`
     label: Codes  # (n,) by arm speed, as in the paper: 1 slip, 0 static, -1 unknown
     surface: str  # plane, sphere, cylinder_x or cylinder_y; material of a CSV trace
     speed: float | None = None  # m/s of the translations; None: rotations
     oblique: Flags | None = None  # (n,) True if the latest stroke is oblique to the fingertip's axes
-    valid: Flags | None = None  # (n, 6) False where a cell has no reading; None: all valid
+    valid: Flags | None = None  # (n, cells) False where a cell has no reading; None: all valid
     force: Reals | None = None  # (n,) N, true normal force in simulation
     sliding: Codes | None = None  # (n,) the same by true sliding of the contact in simulation
     zeroing: int = 0  # samples at the start that determine the baseline
     name: str = ""
     split: str = ""  # train, validation or test
+    fingertip: Fingertip = TAKKTILE
     degraded: Flags | None = None  # (n,) True while `Health` reports a fault; None: not computed
 
     def __len__(self) -> int:
@@ -168,6 +170,18 @@ def labelled_by(
     return found
 
 
+def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
+    """Return the fingertip of recordings that are to be used together.
+
+    Raises:
+        FingertipError: if cells, rate or unit differ; it names the operators that convert them.
+    """
+    first, *rest = recordings
+    for recording in rest:
+        first.fingertip.check_fits(f"{recording.name}: a data set with {first.name}", recording.fingertip)
+    return first.fingertip
+
+
 def _of_session(session: Session, finger: int) -> LabelledRecording:
     labelled = concat(Labelled, list(session.read(Labelled, finger)))
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
@@ -178,6 +192,7 @@ def _of_session(session: Session, finger: int) -> LabelledRecording:
         sliding=_sliding(labelled, truth) if len(truth) else None,
         name=session.name,
         split=str(session.about.get("split") or ""),
+        fingertip=session.fingertip(Labelled) or TAKKTILE,
     )
 
 

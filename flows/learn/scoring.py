@@ -16,18 +16,23 @@ def probabilities(detector: Detector, recording: LabelledRecording) -> Reals:
 
     Returns:
         (n,) NaN before sample `WARM_UP` or the first full window, and where `Score` returns NaN.
+
+    Raises:
+        FingertipError: if the detector was made for another fingertip.
     """
+    score = Score(detector)
+    score.output_fingertip(recording.fingertip)
     found = np.full(len(recording), np.nan)
     if not len(recording):
         return found
-    scores = Score(detector).push(_zeroed(recording))
+    scores = score.push(_zeroed(recording))
     found[len(found) - len(scores) :] = scores.probability
     found[:WARM_UP] = np.nan
     return found
 
 
 def windows(recording: LabelledRecording, length: int, hop: int) -> Counts:
-    """Return the windows (k, length, 6) that end at the evaluated samples of a recording."""
+    """Return the windows (k, length, cells) that end at the evaluated samples of a recording."""
     view = sliding_window_view(recording.counts, length, axis=0)  # (n - length + 1, 6, length)
     picked: Counts = view[recording.evaluated(hop) + 1 - length].transpose(0, 2, 1)
     return picked

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Reals
-from operators.detectors.weights import Floats, Weights, check_weights
+from operators.detectors.weights import Floats, ForOneFingertip, Weights, check_weights
 from operators.errors import InputError
 
 BINS: Final = 51  # bins of a spectrum, 0 to 50 Hz
@@ -20,7 +20,7 @@ _SPECTRUM: Final = np.fft.rfft(np.eye(_LENGTH))  # (100, 51)
 PARTS: Final = np.concatenate((_SPECTRUM.real, _SPECTRUM.imag), axis=1)  # (100, 102) parts of the DFT
 
 
-class FrequencyCnn:
+class FrequencyCnn(ForOneFingertip):
     """Detect slip in the spectra of the barometers over 1 s, arranged as an image of the fingertip.
 
     The pixels of the (2, 3) image are the cells 5 4 3 above 0 1 2. The 51 channels are |DFT| of the

@@ -6,7 +6,7 @@ from typing import Final, Self
 import numpy as np
 
 from operators.batch import BAROMETERS, Counts, Reals
-from operators.detectors.weights import Floats, Weights, check_weights
+from operators.detectors.weights import Floats, ForOneFingertip, Weights, check_weights
 
 _LENGTH: Final = 100  # samples
 _BLOCKS: Final = 4
@@ -18,7 +18,7 @@ _SCALE: Final = np.float32(1.0507009873554805)  # of SELU
 _ALPHA: Final = np.float32(1.0507009873554805 * 1.6732632423543772)  # of SELU, scaled
 
 
-class PaperTcn:
+class PaperTcn(ForOneFingertip):
     """Detect slip with the temporal convolutional network of the paper.
 
     Four residual blocks of two causal convolutions, dilated 1, 2, 4 and 8, and two dense layers, each

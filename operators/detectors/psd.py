@@ -9,6 +9,7 @@ import numpy as np
 from operators.batch import SLIP, STATIC, Codes, Counts, Reals
 from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
+from operators.fingertip import TAKKTILE, Fingertip
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,21 @@ class Psd:
         check_above("Psd", "threshold", self.threshold, 0)
         _transform(self.length, self.cutoff / self.rate)  # compute it before the first score
 
+    def check_fingertip(self, given: Fingertip) -> None:
+        """Check that data has the rate of this detector, in counts; any number of cells.
+
+        Raises:
+            FingertipError: if it has not; it names the operators that convert it.
+        """
+        replace(TAKKTILE, rate=self.rate, range=None).check_fits(self.name, given, any_cells=True)
+
     def score(self, windows: Counts | Reals) -> Reals:
-        """Return the probability of slip of each window (n, length, 6); (n,)."""
+        """Return the probability of slip of each window (n, length, cells); (n,)."""
         power = self.power(windows)
         return power / (power + self.threshold)
 
     def power(self, windows: Counts | Reals) -> Reals:
-        """Return the power above the cutoff of each window (n, length, 6); (n,) counts^2."""
+        """Return the power above the cutoff of each window (n, length, cells); (n,) counts^2."""
         spectrum = _transform(self.length, self.cutoff / self.rate) @ windows.astype(np.float64, order="C")
         power: Reals = np.square(spectrum).reshape(len(windows), -1).sum(axis=1)
         return power
@@ -82,7 +91,7 @@ class Psd:
 
 @cache
 def _transform(length: int, cutoff: float) -> Reals:
-    """Return the matrix from a window (length, 6) to scaled real and imaginary parts of its bins (2 bins, 6).
+    """Return the matrix (2 bins, length) from a window to scaled real and imaginary parts of its bins.
 
     It removes the mean, applies the weights and transforms. At these lengths it is faster than an FFT, and
     the rounding of a window does not depend on other windows.

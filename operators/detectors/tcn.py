@@ -7,30 +7,32 @@ from numpy.typing import NDArray
 
 from operators.batch import BAROMETERS, Counts, Reals
 from operators.detectors.causal_layer import CausalLayer
-from operators.detectors.weights import Floats, Weights, check_weights
+from operators.detectors.weights import Floats, ForOneFingertip, Weights, check_weights
 from operators.errors import InputError
 
 if TYPE_CHECKING:
     from operators.detectors.tcn_stream import TcnStream
 
-FEATURES: Final = 2 * BAROMETERS  # of one sample: position and step of each barometer
 _MAX_DILATION: Final = 1000  # samples, largest plausible dilation
 
 
-class Tcn:
+class Tcn(ForOneFingertip):
     """Detect slip with a causal convolutional network that can process samples one by one.
 
     Residual blocks of two causal convolutions are followed by three dense layers, the last with a sigmoid.
-    The features of a sample are asinh(x / position_scale) of its six counts and asinh((x - previous x) /
-    step_scale) of their steps. A ReLU follows each convolution and each dense layer but the last. The second
-    convolution of a block then adds the block's input, if it has the same number of channels. There is no
-    padding, so the receptive field is the window, and `score`, `stream` and a convolution over a whole
-    recording compute the same function. `stream` is by far the fastest.
+    The features of a sample are asinh(x / position_scale) of the counts of each cell and
+    asinh((x - previous x) / step_scale) of their steps. A ReLU follows each convolution and each dense layer
+    but the last. The second convolution of a block then adds the block's input, if it has the same number of
+    channels. There is no padding, so the receptive field is the window, and `score`, `stream` and a
+    convolution over a whole recording compute the same function. `stream` is by far the fastest.
 
     Args:
         weights: ``conv{i}/kernel`` (taps, in, filters) and ``conv{i}/bias``, two per block; ``dense0/...``,
             ``dense1/...``, ``out/...``, kernels (in, out); ``dilations`` (blocks,), ``position_scale`` and
             ``step_scale`` (1,) in counts. Batch norm is folded in. `shapes` lists them.
+
+    Attributes:
+        cells: Number of cells.
 
     Raises:
         InputError: if an array is missing, has a wrong shape, is not finite, or is out of range.
@@ -41,6 +43,7 @@ class Tcn:
     def __init__(self, weights: Weights) -> None:
         _check(weights)
         self.layers = _layers(weights)
+        self.cells = self.layers[0].kernel.shape[1] // 2
         self.position_scale = np.float32(weights["position_scale"][0])
         self.step_scale = np.float32(weights["step_scale"][0])
         self._taps = list[NDArray[np.intp]]()  # per layer, (steps, taps): inputs of each step
@@ -53,7 +56,7 @@ class Tcn:
         self.length = 2 - int(steps[0])  # the oldest step needs the sample before it
 
     def score(self, windows: Counts | Reals) -> Reals:
-        """Return the probability of slip of each window (n, length, 6) of zeroed counts; (n,)."""
+        """Return the probability of slip of each window (n, length, cells) of zeroed counts; (n,)."""
         counts = windows.astype(np.float32, order="C")
         newest = self._steps + self.length - 1
         inputs = [self._features(counts[:, newest], counts[:, newest - 1])]  # per layer (n, steps, in)
@@ -77,7 +80,7 @@ class Tcn:
 
     def _features(self, counts: Floats, before: Floats) -> Floats:
         parts = np.arcsinh(counts / self.position_scale), np.arcsinh((counts - before) / self.step_scale)
-        return np.concatenate(parts, axis=2)  # (n, steps, 12)
+        return np.concatenate(parts, axis=2)  # (n, steps, 2 cells)
 
 
 class GraspTcn(Tcn):
@@ -101,11 +104,13 @@ def _layers(weights: Weights) -> list[CausalLayer]:
     return [*layers, *(CausalLayer(array(f"{name}/kernel")[None], array(f"{name}/bias")) for name in dense)]
 
 
-def shapes(taps: int, filters: int, units: int, blocks: int) -> dict[str, tuple[int, ...]]:
+def shapes(
+    taps: int, filters: int, units: int, blocks: int, cells: int = BAROMETERS
+) -> dict[str, tuple[int, ...]]:
     """Return the shape of each array of weights."""
     result: dict[str, tuple[int, ...]] = {"position_scale": (1,), "step_scale": (1,), "dilations": (blocks,)}
     for conv in range(2 * blocks):
-        result[f"conv{conv}/kernel"] = (taps, filters if conv else FEATURES, filters)
+        result[f"conv{conv}/kernel"] = (taps, filters if conv else 2 * cells, filters)
         result[f"conv{conv}/bias"] = (filters,)
     for name, kernel in {"dense0": (filters, units), "dense1": (units, units), "out": (units, 1)}.items():
         result[f"{name}/kernel"], result[f"{name}/bias"] = kernel, kernel[1:]
@@ -114,16 +119,20 @@ def shapes(taps: int, filters: int, units: int, blocks: int) -> dict[str, tuple[
 
 def _check(weights: Weights) -> None:
     sizes = list[int]()
-    for name, expected in (("conv0/kernel", "(taps, 12, filters)"), ("dense0/kernel", "(filters, units)")):
+    for name, expected in (
+        ("conv0/kernel", "(taps, 2 cells, filters)"),
+        ("dense0/kernel", "(filters, units)"),
+    ):
         shape = weights[name].shape if name in weights else None
         if shape is None:
             raise _error(f"{name} is missing")
-        if len(shape) != len(expected.split()) or 0 in shape:
+        if len(shape) != len(expected.split(", ")) or 0 in shape:
             raise _error(f"{name} has shape {shape}, must be {expected}")
         sizes += shape[0], shape[-1]
     taps, filters, _, units = sizes
+    cells = max(weights["conv0/kernel"].shape[1] // 2, 1)
     blocks = weights["dilations"].size if "dilations" in weights else 0
-    check_weights("Tcn", weights, shapes(taps, filters, units, blocks))
+    check_weights("Tcn", weights, shapes(taps, filters, units, blocks, cells))
     dilations = weights["dilations"]
     if (
         not blocks

@@ -18,7 +18,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numba import from_dtype, types
 
-from operators.batch import BAROMETERS, Counts, Reals, Times
+from operators.batch import Counts, Reals, Times
 from operators.checks import check_at_least
 from operators.compilation import compile_function
 from operators.detectors.causal_layer import CausalLayer
@@ -68,7 +68,7 @@ def _asinh(count: np.float32, weights: Floats, scale: int) -> float:
 def _enter(  # noqa: PLR0917 - a compiled function takes no keywords
     counts: Counts | Reals, time: int, memory: Floats, new: int, again: int, weights: Floats
 ) -> None:
-    """Store a fingertip's counts (6,), and position and step of each in both slots."""
+    """Store a fingertip's counts (cells,), and position and step of each in both slots."""
     cells = len(counts)
     for cell in range(cells):
         count = np.float32(counts[cell])
@@ -84,7 +84,7 @@ def advance(  # noqa: PLR0917 - a compiled function takes no keywords
     """Process the next samples.
 
     Args:
-        counts: (n, fingers, 6)
+        counts: (n, fingers, cells)
         probability: (n, fingers), output
         memory: (fingers, size) previous counts, then the rings of each layer; changed in place
         seen: Number of samples before.
@@ -149,7 +149,7 @@ def _packed(
     whole = np.arange(-_TABLE, _TABLE + 1, dtype=np.float32)
     scales = np.array([position_scale, step_scale])
     rows, weights = list[list[int]](), [scales, *(np.arcsinh(whole / scale) for scale in scales)]
-    size = BAROMETERS
+    size = layers[0].kernel.shape[1] // 2  # cells
     for layer in layers:
         taps, inputs, outputs = layer.kernel.shape
         channels, rounded = (count + -count % _TOGETHER for count in (inputs, outputs))
@@ -196,11 +196,12 @@ class TcnStream:
 
     def __setstate__(self, state: _State) -> None:
         self._network, self._memory, self._seen = state  # `_seen`: samples
+        layers = self._network[0]
         self._layers, self._weights, _ = _packed(*self._network)
-        self._shape = len(self._memory), BAROMETERS  # of a sample's counts
+        self._shape = len(self._memory), layers[0].kernel.shape[1] // 2  # of a sample's counts
 
     def push(self, counts: Counts | Reals) -> Reals:
-        """Return the probability of slip of the next samples (n, fingers, 6) of zeroed counts; (n, fingers).
+        """Return the probability of slip (n, fingers) of the next zeroed counts (n, fingers, cells).
 
         Raises:
             ParameterError: if the counts have a wrong shape.

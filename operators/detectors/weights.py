@@ -7,10 +7,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.errors import InputError
+from operators.fingertip import TAKKTILE, Fingertip
 
 Floats: TypeAlias = NDArray[np.float32]
 Weights: TypeAlias = Mapping[str, NDArray[Any]]
 Shapes: TypeAlias = Mapping[str, tuple[int, ...]]
+
+
+class ForOneFingertip:
+    """Base of detectors whose weights were trained on data of one fingertip.
+
+    Attributes:
+        fingertip: Cells, rate and unit of that data.
+    """
+
+    name: str
+    fingertip: Fingertip = TAKKTILE
+
+    def check_fingertip(self, given: Fingertip) -> None:
+        """Check that data of the fingertip `given` is like that in training.
+
+        Raises:
+            FingertipError: if it is not; it names the operators that convert it.
+        """
+        self.fingertip.check_fits(self.name, given)
 
 
 def check_weights(owner: str, weights: Weights, shapes: Shapes) -> None:

@@ -25,12 +25,13 @@ from flows.learn.labelled_recordings import (
     WARM_UP,
     LabelledRecording,
     Target,
+    common_fingertip,
     load,
 )
 from flows.learn.scoring import probabilities
 from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread
-from operators import Debounce
+from operators import Debounce, Score
 from operators.batch import SLIP, STATIC, UNKNOWN, Reals
 from operators.errors import InputError
 
@@ -97,12 +98,16 @@ def evaluate(
 
     Raises:
         InputError: if the train extra is missing, or the dataset, split, a method or a model does not exist.
+        FingertipError: if a detector was made for another fingertip; it names the operators that convert it.
     """
     require_train_extra("evaluate")
     trained = trained_methods(models, names)
     log(f"reading {dataset.name}")
     everything = load(dataset)
     recordings = _of_split(dataset, everything, split)
+    fingertip = common_fingertip(everything)
+    for method in trained:
+        Score(method.detector).output_fingertip(fingertip)
     parts = {name: [each for each in everything if each.split == name] for name in ("train", "validation")}
     with one_thread():
         chosen, missing = with_baselines(trained, parts["train"], names, log)

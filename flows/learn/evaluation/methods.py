@@ -83,14 +83,14 @@ def with_baselines(
     return found, missing
 
 
-def _psd(seen: Counts, slip: Flags) -> Detector:
-    return Psd(seen.shape[1]).fitted(seen, np.where(slip, SLIP, STATIC).astype(np.int8))
+def _psd(seen: Counts, slip: Flags, rate: float) -> Detector:
+    return Psd(seen.shape[1], rate=rate).fitted(seen, np.where(slip, SLIP, STATIC).astype(np.int8))
 
 
-# by name: length of a window, and function that fits a detector to windows and labels
-_BASELINES: Final[Mapping[str, tuple[int, Callable[[Counts, Flags], Detector]]]] = {
-    "gradient_boosting": (GradientBoosting.length, GradientBoosting.fitted),
-    "logistic": (Logistic.length, Logistic.fitted),
+# by name: length of a window, and function that fits a detector to windows and labels at a rate (Hz)
+_BASELINES: Final[Mapping[str, tuple[int, Callable[[Counts, Flags, float], Detector]]]] = {
+    "gradient_boosting": (GradientBoosting.length, lambda seen, slip, _: GradientBoosting.fitted(seen, slip)),
+    "logistic": (Logistic.length, lambda seen, slip, _: Logistic.fitted(seen, slip)),
     "psd": (25, _psd),
     "psd_1s": (100, _psd),  # the paper's window
 }
@@ -99,14 +99,15 @@ _BASELINES: Final[Mapping[str, tuple[int, Callable[[Counts, Flags], Detector]]]]
 def _fitted(
     name: str,
     length: int,
-    fit: Callable[[Counts, Flags], Detector],
+    fit: Callable[[Counts, Flags, float], Detector],
     training: Sequence[LabelledRecording],
 ) -> Method:
     slip = labels(training, _HOP) if training else np.empty(0, np.bool_)
     if slip.all() or not slip.any():
         raise InputError(name, "there is no training split with slip and static to fit it to")
     seen = np.concatenate([windows(recording, length, _HOP) for recording in training])
-    return Method(name, fit(seen, slip), f"fitted to {len(slip)} windows")
+    detector = fit(seen, slip, training[0].fingertip.rate)
+    return Method(name, detector, f"fitted to {len(slip)} windows")
 
 
 def _shipped(name: str) -> Method:

@@ -69,13 +69,14 @@ class _DenseTask(TrainingTask):
         self._weight = torch.as_tensor(weight).to(self._device, torch.float32)  # (n,) 0: no label
         self._slip = torch.as_tensor(label == SLIP).to(self._device, torch.float32)  # (n,)
         self._first = torch.as_tensor(self._crops.first).to(self._device)
-        self._unseen = [  # (1, 6, n) each
+        self._unseen = [  # (1, cells, n) each
             torch.as_tensor(recording.counts).to(self._device, torch.float32).T[None]
             for recording in validation
         ]
         self._unseen_label = np.concatenate([recording.label[WARM_UP:] for recording in validation])
         set_seed(recipe.seed)
-        self.network = DenseTcn(recipe).to(self._device)
+        self._fingertip = train[0].fingertip
+        self.network = DenseTcn(recipe, self._crops.counts.shape[1]).to(self._device)
         self.optimiser = torch.optim.AdamW(self.network.parameters(), recipe.rate, weight_decay=recipe.decay)
 
     def loss(self, step: int) -> Tensor:
@@ -90,7 +91,7 @@ class _DenseTask(TrainingTask):
         chosen = torch.randint(len(self._first), (recipe.batch,), generator=generator, device=self._device)
         rows = self._crops.rows(self._first[chosen])  # (b, crop)
         counts = self._crops.counts[rows].to(torch.float32).transpose(1, 2)
-        logit = self.network(augmented(counts, recipe.augmentation, generator))[:, WARM_UP:]
+        logit = self.network(augmented(counts, recipe.augmentation, generator, self._fingertip))[:, WARM_UP:]
         evaluated = rows[:, WARM_UP:]
         weight, slip = self._weight[evaluated], self._slip[evaluated]
         each = functional.binary_cross_entropy_with_logits(logit, slip, reduction="none")

@@ -6,7 +6,6 @@ from typing import Any, Final
 from warnings import catch_warnings, simplefilter
 
 from flows.learn.train_extra import require_train_extra
-from operators.batch import BAROMETERS
 from operators.detectors.tcn import Tcn
 from storage.files import put
 
@@ -19,7 +18,7 @@ def _asinh(graph: Any, x: Any) -> Any:  # noqa: ANN401 - nodes of torch's graph
 
 
 def export_onnx(tcn: Tcn, path: Path) -> None:
-    """Write a TCN as ONNX: input ``counts`` (n, length, 6) float32, zeroed; output ``probability`` (n,).
+    """Write a TCN as ONNX: input ``counts`` (n, length, cells) float32, zeroed; output ``probability`` (n,).
 
     Raises:
         InputError: if the train extra is missing.
@@ -46,7 +45,7 @@ def export_onnx(tcn: Tcn, path: Path) -> None:
         simplefilter("ignore", DeprecationWarning)  # the newer exporter needs onnxscript
         exporter.export(
             Windowed().eval(),
-            (torch.zeros(2, tcn.length, BAROMETERS),),
+            (torch.zeros(2, tcn.length, tcn.cells),),
             model,
             input_names=["counts"],
             output_names=["probability"],

@@ -25,11 +25,11 @@ class DenseTcn(Network):
     Batch norm is folded into the exported weights.
     """
 
-    def __init__(self, recipe: Recipe) -> None:
+    def __init__(self, recipe: Recipe, cells: int = BAROMETERS) -> None:
         super().__init__()
         self.recipe = recipe
         convs: list[_Layer] = []
-        width = 2 * BAROMETERS
+        width = 2 * cells
         for dilation in recipe.dilations:
             for _ in range(2):
                 convs.append(_Layer(width, recipe.filters, recipe.taps, dilation))
@@ -53,7 +53,8 @@ class DenseTcn(Network):
                 crop=tcn.length + 1,
                 position_scale=float(tcn.position_scale),
                 step_scale=float(tcn.step_scale),
-            )
+            ),
+            tcn.cells,
         )
         targets = [*(layer.conv for layer in (*network._convs, *network._dense)), network.out]
         for target, layer in zip(targets, tcn.layers, strict=True):
@@ -66,17 +67,17 @@ class DenseTcn(Network):
         return network.eval()
 
     def forward(self, counts: Tensor) -> Tensor:
-        """Return the logit of slip (b, n) of counts (b, 6, n); the first ones depend on the padding."""
+        """Return the logit of slip (b, n) of counts (b, cells, n); the first ones depend on the padding."""
         before = torch.cat([counts[..., :1], counts[..., :-1]], 2)
         return self._logits(self._features(counts, before), padded=True)
 
     def newest(self, windows: Tensor) -> Tensor:
-        """Return the probability of slip (b,) at the newest sample of windows (b, length, 6) of counts.
+        """Return the probability of slip (b,) at the newest sample of windows (b, length, cells) of counts.
 
         Convolutions without padding compute only the steps that the newest sample depends on.
         """
         counts = windows.transpose(1, 2)
-        features = self._features(counts[..., 1:], counts[..., :-1])  # (b, 12, length - 1)
+        features = self._features(counts[..., 1:], counts[..., :-1])  # (b, 2 cells, length - 1)
         return torch.sigmoid(self._logits(features, padded=False)[:, -1])
 
     def _features(self, counts: Tensor, before: Tensor) -> Tensor:
@@ -84,7 +85,7 @@ class DenseTcn(Network):
         return torch.cat([positions, torch.asinh((counts - before) / self.recipe.step_scale)], 1)
 
     def _logits(self, x: Tensor, *, padded: bool) -> Tensor:
-        """Return the logits (b, n) of features (b, 12, n); fewer without padding."""
+        """Return the logits (b, n) of features (b, 2 cells, n); fewer without padding."""
         for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
             y = second(first(x, padded=padded), padded=padded)
             y = functional.dropout1d(y, self.recipe.dropout, self.training)

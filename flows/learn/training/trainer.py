@@ -15,6 +15,7 @@ from flows.learn.labelled_recordings import (
     LabelledRecording,
     Target,
     by_split,
+    common_fingertip,
     labelled_by,
     load,
 )
@@ -22,10 +23,12 @@ from flows.learn.train_extra import require_train_extra
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
 from flows.learn.training.recipe import PAPER_NETWORKS, PaperRecipe, Recipe
-from flows.learn.training.trained_model import Model, label_scores, provenance, unchanged, write_model
+from flows.learn.training.trained_model import Arrays, Model, label_scores, provenance, unchanged, write_model
 from operators.checks import check_at_least, check_between, check_choice
 from operators.detectors import TRAINED, Detector
+from operators.detectors.weights import ForOneFingertip
 from operators.errors import InputError, ParameterError
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.software import software_version
 from storage import load_weights
 
@@ -96,6 +99,7 @@ def train(
     Raises:
         InputError: if the train extra is missing, a dataset cannot be read, or it lacks the target.
         ParameterError: if a parameter is out of range, or the datasets lack a split.
+        FingertipError: if the recordings have different fingertips, or `method` is for another one.
         OSError: if the model cannot be written.
     """
     recipe = recipe or Recipe()
@@ -109,8 +113,12 @@ def train(
             needed = f"five recordings or more, or some with a {split} split"
             raise ParameterError("train", "datasets", names, needed)
     shifted = parts if lag is None else {split: relabelled(found, lag) for split, found in parts.items()}
+    fingertip = common_fingertip(chain.from_iterable(parts.values()))
+    if method != OURS:
+        TAKKTILE.check_fits(method, fingertip)
     about: dict[str, Any] = {
         "detector": method,
+        "fingertip": fingertip.describe(),
         "target": target,
         "software": f"slipflow {software_version()}",
         "data": [provenance(dataset, found) for dataset, found in recordings.items()],
@@ -124,7 +132,7 @@ def train(
         model = unchanged(path, settings) if resume else None
         if model is None:
             trained = _train(method, shifted, own, progress)
-            results = _results(TRAINED[method](trained.arrays), parts)
+            results = _results(_detector(method, trained.arrays, fingertip), parts)
             card = {**settings, **results, "curve": [asdict(check) for check in trained.curve]}
             model = write_model(path, trained.arrays, card, trained.curve)
         models.append(model)
@@ -163,6 +171,14 @@ def _train(
     if isinstance(recipe, Recipe):
         return train_dense(train, validation, recipe, step)
     return train_windowed(method, train, validation, recipe, step)
+
+
+def _detector(method: str, arrays: Arrays, fingertip: Fingertip) -> Detector:
+    """Return a trained detector, for the fingertip of its data."""
+    detector = TRAINED[method](arrays)
+    assert isinstance(detector, ForOneFingertip), "all trained detectors are"
+    detector.fingertip = fingertip
+    return detector
 
 
 def _results(detector: Detector, parts: Mapping[str, Sequence[LabelledRecording]]) -> dict[str, Any]:

@@ -23,12 +23,13 @@ class Crops:
 
     def __init__(self, recordings: Sequence[LabelledRecording], length: int, device: torch.device) -> None:
         usable = [recording for recording in recordings if len(recording) >= length]
-        counts = np.concatenate([np.empty((0, 6), np.int16), *(recording.counts for recording in usable)])
+        cells = usable[0].counts.shape[1] if usable else 0
+        counts = np.concatenate([np.empty((0, cells), np.int16), *(recording.counts for recording in usable)])
         begins = np.cumsum([0, *(len(recording) for recording in usable)]).tolist()
         first: list[NDArray[np.int64]] = [
             np.arange(begin, end - length + 1) for begin, end in pairwise(begins)
         ]
-        self.counts = torch.as_tensor(counts).to(device)  # (n, 6) int16
+        self.counts = torch.as_tensor(counts).to(device)  # (n, cells) int16
         self.label: Codes = np.concatenate([np.empty(0, np.int8), *(each.label for each in usable)])  # (n,)
         self.first = np.concatenate([np.empty(0, np.int64), *first])  # (m,) first row of each crop
         self._offsets = torch.arange(length, device=device)

@@ -1,0 +1,62 @@
+from dataclasses import replace
+
+import pytest
+
+from flows.graph import Flow
+from flows.graph.compiled_flow import CompiledFlow
+from flows.graph.testing import TestSink, TestSource
+from flows.graph.validation import problems
+from operators import Score, Touch, Zero, Zeroed
+from operators.detectors import Psd
+from operators.errors import FingertipError, FlowError
+from operators.fingertip import TAKKTILE, Fingertip, grid
+from storage import load_detector
+
+
+class Fast(TestSource[Touch]):
+    """Touch of a given fingertip."""
+
+    def __init__(self, fingertip: Fingertip) -> None:
+        super().__init__(Touch)
+        self._fingertip = fingertip
+
+    @property
+    def fingertip(self) -> Fingertip:
+        return self._fingertip
+
+
+def flow(fingertip: Fingertip, score: Score) -> Flow:
+    made = Flow("live")
+    (made.source(Fast(fingertip)) | Zero() | score).to(TestSink())
+    return made
+
+
+@pytest.mark.parametrize(
+    ("given", "fix"),
+    [
+        (replace(TAKKTILE, rate=200.0), r"insert Resample\(rate=100\)"),
+        (replace(TAKKTILE, layout=grid(16)), r"insert Pool\(groups=\(6 groups of cells\)\)"),
+    ],
+)
+def test_a_detector_for_another_fingertip_is_an_error_that_names_edge_and_operator(
+    given: Fingertip, fix: str
+) -> None:
+    made = flow(given, Score(load_detector("tcn")))
+    [problem] = problems(made)
+    assert isinstance(problem.__cause__, FingertipError)
+    with pytest.raises(FlowError, match=rf"^flow 'live': Zero -> Score: tcn needs .*: {fix}"):
+        CompiledFlow(made)
+
+
+def test_a_detector_that_fits_or_does_not_say_is_accepted() -> None:
+    assert problems(flow(TAKKTILE, Score(load_detector("tcn")))) == []
+    assert problems(flow(replace(TAKKTILE, layout=grid(16)), Score(Psd()))) == []
+    assert len(problems(flow(replace(TAKKTILE, rate=50.0), Score(Psd())))) == 1
+
+
+def test_a_sink_learns_the_fingertips_of_its_streams() -> None:
+    made, sink = Flow("record"), TestSink("data")
+    touch = made.source(Fast(TAKKTILE))
+    touch.to(sink)
+    (touch | Zero()).to(sink)
+    assert CompiledFlow(made).fingertips == {"data": {Touch: TAKKTILE, Zeroed: TAKKTILE}}

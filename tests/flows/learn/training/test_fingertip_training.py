@@ -1,0 +1,93 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flows.learn.evaluation import evaluation_study
+from flows.learn.evaluation.evaluation_study import evaluate
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.scoring import probabilities
+from flows.learn.training import trainer
+from flows.learn.training.onnx_export import export_onnx
+from flows.learn.training.recipe import Recipe
+from operators import Score, Zeroed, ms
+from operators.detectors import Psd, Tcn
+from operators.errors import FingertipError
+from operators.fingertip import TAKKTILE, Fingertip, grid
+from storage import load_detector
+
+PAD = Fingertip(grid(16), 1000.0, "kPa", 0.01, (0, 4000))
+SMALL = Recipe(filters=4, units=4, steps=6, batch=8, checks=1)
+
+
+def recordings(fingertip: Fingertip) -> list[LabelledRecording]:
+    """Recordings of a fingertip in which slip shakes every cell."""
+    found = list[LabelledRecording]()
+    for seed, split in enumerate(("train", "train", "validation", "test")):
+        rng = np.random.default_rng(seed)
+        label = np.repeat(np.arange(14) % 2, 50).astype(np.int8)
+        spread = np.where(label == 1, 40.0, 1.0)[:, None]
+        counts = rng.normal(0, spread, (700, fingertip.cells)).round().astype(np.int16)
+        found.append(LabelledRecording(counts, label, "plane", name=split, split=split, fingertip=fingertip))
+    return found
+
+
+@pytest.fixture
+def trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(trainer, "load", lambda _path: recordings(PAD))
+    out = tmp_path / "pad.safetensors"
+    trainer.train([tmp_path], out, recipe=SMALL)
+    return out
+
+
+def test_a_model_of_16_cells_states_its_fingertip_and_streams_as_it_scores_windows(trained: Path) -> None:
+    detector = load_detector(trained)
+    assert isinstance(detector, Tcn)
+    assert (detector.fingertip, detector.cells) == (PAD, 16)
+    counts = recordings(PAD)[3].counts
+    time = np.arange(len(counts)) * ms
+    scores = Score(detector).push(Zeroed(time, counts, 0 * counts, np.ones(counts.shape, np.bool_)))
+    windows = np.lib.stride_tricks.sliding_window_view(counts, detector.length, 0).transpose(0, 2, 1)
+    assert scores.probability == pytest.approx(detector.score(windows), abs=1e-5)
+    with pytest.raises(FingertipError, match=r"tcn needs 16 cells, .*; the data has 6 cells"):
+        probabilities(detector, recordings(TAKKTILE)[3])
+
+
+def test_a_model_of_16_cells_is_exported_as_onnx(trained: Path, tmp_path: Path) -> None:
+    runtime = pytest.importorskip("onnxruntime")
+    detector = load_detector(trained)
+    assert isinstance(detector, Tcn)
+    export_onnx(detector, tmp_path / "pad.onnx")
+    windows = recordings(PAD)[0].counts[: 3 * detector.length].reshape(3, detector.length, 16)
+    session = runtime.InferenceSession(str(tmp_path / "pad.onnx"))
+    [probability] = session.run(None, {"counts": windows.astype(np.float32)})
+    assert probability == pytest.approx(detector.score(windows), abs=1e-4)
+
+
+def test_recordings_of_different_rates_are_not_trained_on_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, *rest = recordings(TAKKTILE)
+    mixed = [one, *(replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in rest)]
+    monkeypatch.setattr(trainer, "load", lambda _path: mixed)
+    with pytest.raises(
+        FingertipError, match=r"data set with train needs 100 Hz; the data has 200 Hz: insert Res"
+    ):
+        trainer.train([tmp_path], tmp_path / "model.safetensors", recipe=SMALL)
+
+
+def test_a_network_of_the_paper_is_for_six_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainer, "load", lambda _path: recordings(PAD))
+    with pytest.raises(FingertipError, match=r"paper_tcn needs 6 cells"):
+        trainer.train([tmp_path], tmp_path / "model.safetensors", method="paper_tcn")
+
+
+def test_a_detector_is_not_evaluated_on_another_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evaluation_study, "load", lambda _path: recordings(replace(TAKKTILE, rate=200.0)))
+    with pytest.raises(
+        FingertipError, match=r"tcn needs 100 Hz; the data has 200 Hz: insert Resample\(rate=100"
+    ):
+        evaluate(tmp_path, names=["tcn"])
+    with pytest.raises(FingertipError, match="psd needs 100 Hz"):
+        probabilities(Psd(), recordings(replace(TAKKTILE, rate=50.0))[0])
