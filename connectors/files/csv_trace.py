@@ -15,8 +15,8 @@ from operators.ports import Description, Json
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
-DETECTOR_RATE: Final = 100.0  # Hz
-RATE_TOLERANCE: Final = 0.1  # relative
+SLOWEST: Final = 5.0  # Hz; a rate outside these limits is implausible
+FASTEST: Final = 5000.0  # Hz
 MAX_SPEED: Final = 1.0  # m/s; a higher speed in contact is implausible
 
 _INT16: Final = np.iinfo(np.int16)
@@ -128,9 +128,8 @@ class CsvTrace:
             lines.append(
                 f"the arm moves at up to {fastest:.3g} m/s: is its speed in another unit, such as mm/s?"
             )
-        if rate is not None and abs(rate / DETECTOR_RATE - 1) > RATE_TOLERANCE:
-            expected = f"detectors expect {DETECTOR_RATE:g} Hz"
-            lines.append(f"the rate is {rate:.4g} Hz, {expected}: is the time in another unit?")
+        if rate is not None and not SLOWEST <= rate <= FASTEST:
+            lines.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
         return tuple(lines)
 
     def fingertip(self, kind: type[Batch]) -> Fingertip | None:

@@ -10,13 +10,13 @@ import numpy as np
 
 from connectors import CsvTrace, Replay
 from connectors.files.csv_columns import LABEL, ColumnMap
-from connectors.files.csv_trace import RATE_TOLERANCE
 from flows.graph import Flow
 from flows.graph.drawing import describe
 from flows.run.replay_runner import ReplayRunner
 from operators import Align, Label, Operator, Zero, Zeroed, ms
 from operators.batch import SLIP, STATIC, UNKNOWN, Labelled, Motion, Touch, s
 from operators.errors import InputError
+from operators.fingertip import RATE_TOLERANCE
 from operators.ports import Run
 from storage import Dataset
 

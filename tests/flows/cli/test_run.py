@@ -39,12 +39,13 @@ def test_a_trace_replayed_through_the_live_flow_gives_slip_events(tmp_path: Path
     assert summary["sinks"]["console"]["rows"] > 0
 
 
-def test_a_trace_with_an_unlikely_rate_is_replayed_with_a_warning(tmp_path: Path) -> None:
+def test_a_trace_of_another_rate_is_refused_with_the_operator_that_converts_it(tmp_path: Path) -> None:
     fast = tmp_path / "fast.csv"
-    fast.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 1000},1,2,3,4,5,6\n" for k in range(200)))
+    fast.write_text("t,p0,p1,p2,p3,p4,p5\n" + "".join(f"{k / 100_000},1,2,3,4,5,6\n" for k in range(200)))
     done = slipflow("run", "live", "--set", "detector=psd", "--replay", str(fast))
-    assert done.returncode == 0, done.stderr
-    assert "fast.csv: the rate is 1000 Hz, detectors expect 100 Hz" in done.stderr
+    assert done.returncode == 2
+    assert "fast.csv: the rate is 1e+05 Hz: is the time in another unit?" in done.stderr
+    assert "psd needs 100 Hz; the data has 100000 Hz: insert Resample(rate=100)" in done.stderr
 
 
 def test_a_paced_replay_prints_the_same_events_as_a_full_speed_one(tmp_path: Path) -> None:

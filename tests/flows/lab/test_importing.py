@@ -174,7 +174,6 @@ def test_the_interpretation_is_reported_before_anything_is_written(tmp_path: Pat
         "  label    contact",
         "  the arm moves in 10 of 11 rows, above 0.003 m/s, at up to 0.1 m/s",
         "  labels of the file: 5 slip, 6 static",
-        "  warning: the rate is 50 Hz, detectors expect 100 Hz: is the time in another unit?",
         f"session trace of {tmp_path / 'out'}, finger 0",
     ]
     assert not (tmp_path / "out").exists()

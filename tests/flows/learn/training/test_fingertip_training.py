@@ -1,5 +1,7 @@
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,9 +35,14 @@ def recordings(fingertip: Fingertip) -> list[LabelledRecording]:
     return found
 
 
+def loading(fingertip: Fingertip) -> Callable[[Path], list[LabelledRecording]]:
+    """Return a function that loads recordings of a fingertip from any path."""
+    return lambda _: recordings(fingertip)
+
+
 @pytest.fixture
 def trained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(trainer, "load", lambda _path: recordings(PAD))
+    monkeypatch.setattr(trainer, "load", loading(PAD))
     out = tmp_path / "pad.safetensors"
     trainer.train([tmp_path], out, recipe=SMALL)
     return out
@@ -55,7 +62,7 @@ def test_a_model_of_16_cells_states_its_fingertip_and_streams_as_it_scores_windo
 
 
 def test_a_model_of_16_cells_is_exported_as_onnx(trained: Path, tmp_path: Path) -> None:
-    runtime = pytest.importorskip("onnxruntime")
+    runtime: Any = pytest.importorskip("onnxruntime")
     detector = load_detector(trained)
     assert isinstance(detector, Tcn)
     export_onnx(detector, tmp_path / "pad.onnx")
@@ -70,7 +77,11 @@ def test_recordings_of_different_rates_are_not_trained_on_together(
 ) -> None:
     one, *rest = recordings(TAKKTILE)
     mixed = [one, *(replace(each, fingertip=replace(TAKKTILE, rate=200.0)) for each in rest)]
-    monkeypatch.setattr(trainer, "load", lambda _path: mixed)
+
+    def load(_: Path) -> list[LabelledRecording]:
+        return mixed
+
+    monkeypatch.setattr(trainer, "load", load)
     with pytest.raises(
         FingertipError, match=r"data set with train needs 100 Hz; the data has 200 Hz: insert Res"
     ):
@@ -78,13 +89,13 @@ def test_recordings_of_different_rates_are_not_trained_on_together(
 
 
 def test_a_network_of_the_paper_is_for_six_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trainer, "load", lambda _path: recordings(PAD))
+    monkeypatch.setattr(trainer, "load", loading(PAD))
     with pytest.raises(FingertipError, match=r"paper_tcn needs 6 cells"):
         trainer.train([tmp_path], tmp_path / "model.safetensors", method="paper_tcn")
 
 
 def test_a_detector_is_not_evaluated_on_another_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evaluation_study, "load", lambda _path: recordings(replace(TAKKTILE, rate=200.0)))
+    monkeypatch.setattr(evaluation_study, "load", loading(replace(TAKKTILE, rate=200.0)))
     with pytest.raises(
         FingertipError, match=r"tcn needs 100 Hz; the data has 200 Hz: insert Resample\(rate=100"
     ):
