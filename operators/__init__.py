@@ -31,6 +31,7 @@ from operators.device_clock import DeviceClock, WatchClock
 from operators.errors import (
     BatchError,
     EndpointError,
+    FingertipError,
     FlowError,
     InputError,
     OperatorError,
@@ -39,11 +40,13 @@ from operators.errors import (
     SlipflowError,
     os_error_reason,
 )
+from operators.fingertip import TAKKTILE, Fingertip
 from operators.grip import Grip, GripController, StepGrip
 from operators.health import FaultKind, Health
 from operators.label import Label
 from operators.mask_lifted import MaskLifted
 from operators.operator import Join, Operator
+from operators.pool import Pool
 from operators.ports import (
     Clock,
     ClockStep,
@@ -55,6 +58,7 @@ from operators.ports import (
     Source,
     SourceStatus,
 )
+from operators.resample import Resample
 from operators.score import Score
 from operators.sliding_motion import SlidingMotion
 from operators.window import Window
@@ -65,6 +69,7 @@ __all__ = [
     "EVERY",
     "SLIP",
     "STATIC",
+    "TAKKTILE",
     "UNKNOWN",
     "Align",
     "Batch",
@@ -79,6 +84,8 @@ __all__ = [
     "Episodes",
     "FaultKind",
     "Faults",
+    "Fingertip",
+    "FingertipError",
     "FlowError",
     "Gap",
     "Grip",
@@ -94,7 +101,9 @@ __all__ = [
     "OperatorError",
     "OutputClosedError",
     "ParameterError",
+    "Pool",
     "Recording",
+    "Resample",
     "Run",
     "Sample",
     "Score",

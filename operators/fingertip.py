@@ -149,8 +149,14 @@ class Fingertip:
             needs.append(unit + (", falling as pressure rises" if turned and self.falls else ""))
             has.append(other + (", falling as pressure rises" if turned and given.falls else ""))
         if cells or scaled:
-            groups = f"groups=({self.cells} groups of cells)" if cells else "groups=(each cell alone)"
-            gain = "gain=(counts per count)" if unit != other else "gain=-1" if turned else ""
+            groups = f"groups=({self.cells} groups of cells)" if cells else ""
+            gain = (
+                f"gain=({unit} per {other}), unit={self.unit!r}"
+                if unit != other
+                else "gain=-1"
+                if turned
+                else ""
+            )
             fix.append(f"Pool({', '.join(filter(None, (groups, gain)))})")
         if not isclose(given.rate, self.rate, rel_tol=RATE_TOLERANCE):
             needs.append(f"{self.rate:g} Hz")

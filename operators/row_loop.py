@@ -1,5 +1,6 @@
 """Loops over the rows of batches: compiled where numba is installed, plain Python elsewhere."""
 
+import math
 import zlib
 from collections.abc import Callable
 from functools import wraps
@@ -27,6 +28,15 @@ def row_loop(function: Function) -> Function:
         return compiled[0](*arguments)
 
     return cast("Function", first)
+
+
+def nearest_count(value: float) -> int:
+    """Return the whole count nearest to a finite value; of two, the greater. Loops may call it.
+
+    >>> nearest_count(-2.5), nearest_count(1e9)
+    (-2, 32767)
+    """
+    return math.floor(min(max(value + 0.5, -32768.0), 32767.0))
 
 
 def _compiled(function: FunctionType, arguments: tuple[object, ...]) -> Callable[..., Any]:

@@ -11,7 +11,7 @@ from operators.checks import check_at_least
 from operators.errors import ParameterError
 from operators.operator import Operator
 
-_FULL: Final = 1023  # counts, of the 10-bit converter
+_RANGE: Final = np.iinfo(np.int16)
 
 
 @dataclass
@@ -46,8 +46,8 @@ class Zero(Operator[Touch, Zeroed]):
     def __post_init__(self) -> None:
         check_at_least("Zero", "scans", self.scans, 1, "sample")
         given = (self.baseline,) if isinstance(self.baseline, int) else self.baseline
-        if given is not None and not (given and all(0 <= cell <= _FULL for cell in given)):
-            raise self._error(f"one count, or one of each cell, from 0 to {_FULL}")
+        if given is not None and not (given and all(_RANGE.min <= cell <= _RANGE.max for cell in given)):
+            raise self._error(f"one count, or one of each cell, from {_RANGE.min} to {_RANGE.max}")
 
     @property
     def _example_cells(self) -> int:

@@ -9,6 +9,7 @@ from operators import Touch, ms
 from operators.errors import FingertipError, InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip, grid, measured
 
+POOL = "Pool(groups=(6 groups of cells), gain=(count per steps of 0.01 kPa), unit='count')"
 PAD = Fingertip(grid(16), 1000.0, "kPa", 0.01, (0, 4000))
 
 
@@ -49,17 +50,17 @@ def test_an_impossible_fingertip_is_refused(change: dict[str, object], name: str
         (
             replace(TAKKTILE, unit="kPa"),
             "count",
-            "insert Pool(groups=(each cell alone), gain=(counts per count))",
+            "insert Pool(gain=(count per kPa), unit='count')",
         ),
         (
             replace(TAKKTILE, range=(0, 1023)),
             "count, falling as pressure rises",
-            "insert Pool(groups=(each cell alone), gain=-1)",
+            "insert Pool(gain=-1)",
         ),
         (
             PAD,
             "6 cells, count, falling as pressure rises, 100 Hz",
-            "insert Pool(groups=(6 groups of cells), gain=(counts per count)) and Resample(rate=100)",
+            f"insert {POOL} and Resample(rate=100)",
         ),
     ],
 )

@@ -75,10 +75,10 @@ def test_zeroed_input_passes_unchanged() -> None:
     "parameters",
     [
         {"scans": 0},
-        {"baseline": -1},
-        {"baseline": 1024},
+        {"baseline": -40_000},
+        {"baseline": 40_000},
         {"baseline": ()},
-        {"baseline": (0, 0, 0, 0, 0, -1)},
+        {"baseline": (0, 0, 0, 0, 0, 40_000)},
     ],
 )
 def test_parameters_out_of_range_are_refused(parameters: dict[str, Any]) -> None:

@@ -107,6 +107,7 @@ def test_the_session_describes_its_file(tmp_path: Path, write: Write) -> None:
     session = imported(TraceImport(path, tmp_path / "out", columns))
     assert session.name == "lab-3-night"
     source: Any = session.about["sources"]
+    assert source["touch"].pop("fingertip")["rate_hz"] == 1000
     assert source["touch"] == {
         "trace": "lab 3, night.csv",
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),

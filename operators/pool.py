@@ -1,0 +1,144 @@
+"""Pooling of cells into groups."""
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from operators.batch import BAROMETERS, Counts, Flags, Times, Touch, Zeroed
+from operators.checks import check_above
+from operators.errors import FingertipError, ParameterError
+from operators.fingertip import CELL_LIMIT, TAKKTILE, Fingertip, grid
+from operators.operator import Operator
+from operators.row_loop import nearest_count, row_loop
+
+
+@dataclass
+class Pool(Operator[Touch, Touch]):
+    """Pool the cells of a fingertip into groups, one output cell each, and scale their counts.
+
+    An output cell is `gain` times the mean of its group's valid cells, rounded to the nearest count. It is
+    valid if at least half of the group is. Zeroed input gives zeroed output. Pool raw touch before `Zero`.
+
+    Args:
+        groups: Cells of each group, for output cells 0, 1, ...; () keeps each cell alone.
+        gain: Output counts per count; negative if counts rise with the pressure but must fall.
+        unit: Unit of the output; None: that of the input, of which a count is then another fraction.
+        layout: Layout of the output cells (default: the input's if each cell is alone, that of a TakkTile for
+            six groups, else a grid).
+
+    Raises:
+        ParameterError: if a group is empty or names a cell twice, or the gain is 0 or not finite; from
+            `push`, if a group names a cell that the fingertip does not have.
+
+    >>> touch = Touch(np.zeros(1, int), *np.array([[[10, 20, 31]]] * 2, np.int16), np.ones((1, 3), bool))
+    >>> Pool(((0,), (1, 2))).push(touch).counts
+    array([[10, 26]], dtype=int16)
+    """
+
+    groups: tuple[tuple[int, ...], ...] = ()
+    gain: float = 1.0
+    unit: str | None = None
+    layout: tuple[tuple[int, ...], ...] | None = None
+    _cells: Times = field(init=False, repr=False, compare=False)  # (groups, widest) -1: none
+
+    def __post_init__(self) -> None:
+        check_above("Pool", "size of the gain", abs(self.gain), 0)
+        if not math.isfinite(self.gain):
+            raise ParameterError("Pool", "gain", self.gain, "finite")
+        for group in self.groups:
+            if not group or len(set(group)) < len(group) or not all(0 <= c < CELL_LIMIT for c in group):
+                must_be = f"at least one cell each, different numbers from 0 to {CELL_LIMIT - 1}"
+                raise ParameterError("Pool", "groups", self.groups, must_be)
+        self._cells = _table(self.groups)
+
+    def output_fingertip(self, given: Fingertip) -> Fingertip:
+        """Return the fingertip of the groups.
+
+        Raises:
+            FingertipError: if it has not all the cells that the groups name.
+        """
+        if self._needed > given.cells:
+            fix = "name other cells in groups"
+            raise FingertipError("Pool", f"{self._needed} cells", f"{given.cells} cells", fix)
+        low, high = (nearest_count(self.gain * end) for end in given.range or (0, 0))
+        return replace(
+            given,
+            layout=self.layout or (_layout(len(self.groups)) if self.groups else given.layout),
+            unit=self.unit or given.unit,
+            resolution=1.0 if self.unit else given.resolution / abs(self.gain),
+            range=None if low == high else (low, high),
+        )
+
+    def process(self, batch: Touch) -> Touch:
+        """Return the pooled rows.
+
+        Raises:
+            ParameterError: if the fingertip has not all the cells that the groups name.
+        """
+        cells = batch.cells
+        if self._needed > cells:
+            must_be = f"cells below {cells}: the fingertip has {cells} cells"
+            raise ParameterError("Pool", "groups", self.groups, must_be)
+        groups = self._cells if self.groups else np.arange(cells)[:, None]
+        shape = len(batch), len(groups)
+        counts, temperature, valid = (
+            np.empty(shape, np.int16),
+            np.empty(shape, np.int16),
+            np.empty(shape, np.bool_),
+        )
+        _pool(
+            batch.counts, batch.temperature, batch.valid, groups, float(self.gain), counts, temperature, valid
+        )
+        kind = Zeroed if isinstance(batch, Zeroed) else Touch
+        return kind(batch.time, counts, temperature, valid, finger=batch.finger)
+
+    @property
+    def _needed(self) -> int:
+        """Number of cells that the input must have."""
+        return int(self._cells.max(initial=-1)) + 1
+
+    @property
+    def _example_cells(self) -> int:
+        return max(self._needed, 1)
+
+
+def _table(groups: tuple[tuple[int, ...], ...]) -> Times:
+    """Return the cells of each group, filled up with -1; (groups, widest)."""
+    cells = np.full((len(groups), max(map(len, groups), default=0)), -1)
+    for row, group in zip(cells, groups, strict=True):
+        row[: len(group)] = group
+    return cells
+
+
+def _layout(cells: int) -> tuple[tuple[int, ...], ...]:
+    return TAKKTILE.layout if cells == BAROMETERS else grid(cells)
+
+
+@row_loop
+def _pool(  # noqa: PLR0917 - compiled functions take no keywords
+    counts: Counts,
+    temperature: Counts,
+    valid: Flags,
+    /,
+    groups: Times,
+    gain: float,
+    pooled: Counts,
+    warmth: Counts,
+    known: Flags,
+) -> None:
+    """Write counts, temperature and validity (n, groups) of each group."""
+    for row in range(len(counts)):
+        for number in range(len(groups)):
+            size = seen = 0
+            total = heat = 0.0
+            for cell in groups[number]:
+                if cell >= 0:
+                    size += 1
+                    if valid[row, cell]:
+                        seen += 1
+                        total += float(counts[row, cell])
+                        heat += float(temperature[row, cell])
+            known[row, number] = seen > 0 and 2 * seen >= size
+            pooled[row, number] = nearest_count(gain * total / max(seen, 1))
+            warmth[row, number] = nearest_count(heat / max(seen, 1))

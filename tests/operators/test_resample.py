@@ -1,0 +1,71 @@
+import numpy as np
+import pytest
+
+from operators import Resample, Touch, Zeroed, ms, s
+from operators.batch import Counts, Flags, Times
+from operators.errors import ParameterError
+from operators.fingertip import TAKKTILE
+
+
+def touch(time: Times, counts: Counts, valid: Flags | None = None) -> Touch:
+    known = np.ones(counts.shape, np.bool_) if valid is None else valid
+    return Touch(time, counts, counts, known, finger=1)
+
+
+def wave(rate: float, frequency: float, seconds: float = 4.0) -> Touch:
+    time = np.rint(np.arange(int(seconds * rate)) * (s / rate)).astype(np.int64)
+    counts = np.rint(1000 * np.sin(2 * np.pi * frequency * time / s)).astype(np.int16)
+    return touch(time, counts[:, None])
+
+
+@pytest.mark.parametrize("rate", [1000.0, 333.3, 200.0, 60.0, 16.0])
+def test_a_slow_wave_is_the_same_at_any_rate_but_for_half_a_period_of_delay(rate: float) -> None:
+    found = Resample(rate=100).push(wave(rate, 0.5))
+    assert np.all(np.diff(found.time) == 10 * ms)
+    assert found.valid.all()
+    expected = 1000 * np.sin(2 * np.pi * 0.5 * (found.time - 5 * ms) / s)
+    assert np.abs(found.counts[:, 0] - expected).max() < (10 if rate > 20 else 15)
+
+
+def test_frequencies_above_the_new_rate_do_not_fold_back() -> None:
+    found = Resample(rate=100).push(wave(1000.0, 190.0))
+    assert np.abs(found.counts).max() < 120  # every tenth sample would have an amplitude of 1000
+
+
+def test_output_times_do_not_depend_on_the_start() -> None:
+    whole = wave(1000.0, 3.0)
+    late = Resample(rate=100).push(whole[137:])
+    same = Resample(rate=100).push(whole)
+    shared = np.isin(same.time, late.time)
+    assert late.counts[1:].tolist() == same.counts[shared][1:].tolist()
+
+
+def test_nothing_is_made_up_in_a_gap() -> None:
+    time = np.concatenate([np.arange(0, 100), np.arange(500, 600)]) * ms
+    found = Resample(rate=100, gap=50 * ms).push(touch(time, np.zeros((200, 2), np.int16)))
+    between = (found.time > 99 * ms) & (found.time < 505 * ms)
+    assert not between.any()
+    assert len(found) > 15
+
+
+def test_a_cell_is_valid_if_lines_cover_half_of_the_period() -> None:
+    valid = np.ones((101, 2), np.bool_)
+    valid[23:26, 1] = valid[41:48, 1] = False
+    found = Resample(rate=100).push(touch(np.arange(101) * ms, np.full((101, 2), 7, np.int16), valid))
+    assert found.valid[:, 0].all()
+    assert np.flatnonzero(~found.valid[:, 1]).tolist() == [4]
+    assert found.counts.tolist() == [[7, 7]] * 10
+
+
+def test_zeroed_input_stays_zeroed_and_the_fingertip_has_the_new_rate() -> None:
+    raw = wave(100.0, 1.0)
+    zeroed = Zeroed(raw.time, raw.counts, raw.temperature, raw.valid, finger=1)
+    made = Resample(rate=50).push(zeroed)
+    assert (type(made), made.finger) == (Zeroed, 1)
+    assert Resample(rate=50).output_fingertip(TAKKTILE).rate == 50
+
+
+@pytest.mark.parametrize(("rate", "gap"), [(0, 1), (2e6, 1), (float("nan"), 1), (1, 0)])
+def test_rate_and_gap_must_be_possible(rate: float, gap: int) -> None:
+    with pytest.raises(ParameterError, match="Resample: "):
+        Resample(rate=rate, gap=gap)
