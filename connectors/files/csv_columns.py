@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Final
 
-from operators.batch import BAROMETERS
 from operators.checks import check_choice
 from operators.errors import InputError, ParameterError
+from operators.fingertip import CELL_LIMIT
 
 TIME, COUNTS, VELOCITY, SPEED, LABEL = "time", "counts", "velocity", "speed", "label"
 
@@ -21,7 +21,7 @@ UNITS: Final[Mapping[str, Mapping[str, float]]] = MappingProxyType(
     }
 )
 SIZES: Final[Mapping[str, tuple[int, ...]]] = MappingProxyType(
-    {TIME: (1,), COUNTS: (BAROMETERS,), VELOCITY: (3, 6), SPEED: (1,), LABEL: (1,)}
+    {TIME: (1,), COUNTS: tuple(range(1, CELL_LIMIT + 1)), VELOCITY: (3, 6), SPEED: (1,), LABEL: (1,)}
 )
 
 _EXAMPLES: Final = {TIME: "time=t", COUNTS: "counts=p0..p5, or counts=left,right,top,bottom,tip,base"}
@@ -33,7 +33,7 @@ _NAMES: Final[Mapping[str, tuple[str, ...]]] = MappingProxyType(
     }
 )
 _CELL: Final = re.compile(
-    r"(s|c|p|b|counts?|cell|taxel|baro|barometer|pressure|sensor)([ _.]?)(\d)", re.IGNORECASE
+    r"(s|c|p|b|counts?|cell|taxel|baro|barometer|pressure|sensor)([ _.]?)(\d{1,3})", re.IGNORECASE
 )
 _AXES: Final = (("vx", "vy", "vz", "wx", "wy", "wz"), ("vx", "vy", "vz"))
 _RANGE: Final = re.compile(r"(.*?)(\d+)\.\.(.*?)(\d+)")
@@ -49,7 +49,7 @@ class ColumnMap:
     ('p0', 'p1', 'p2', 'p3', 'p4', 'p5')
 
     Args:
-        columns: Column names by quantity: ``time``, ``counts`` (of barometers 0..5), ``velocity`` (3 or 6,
+        columns: Column names by quantity: ``time``, ``counts`` (of cells 0, 1, ...), ``velocity`` (3 or 6,
             linear and angular, of the TCP in the base frame), ``speed`` or ``label``.
         units: Units of ``time`` (s, ms, us, ns), ``velocity`` and ``speed`` (m/s, cm/s, mm/s). The default is
             the ending of the time column's name, as in ``t_ms``, else s and m/s.
@@ -65,7 +65,7 @@ class ColumnMap:
         for name, columns in self.columns.items():
             check_choice("column map", "quantity", name, SIZES)
             if len(columns) not in (0, *SIZES[name]):
-                many = " or ".join(map(str, SIZES[name]))
+                many = f"1 to {CELL_LIMIT}" if name == COUNTS else " or ".join(map(str, SIZES[name]))
                 raise ParameterError("column map", name, ",".join(columns), f"{many} column names")
         if self.columns.get(VELOCITY) and self.columns.get(SPEED):
             raise ParameterError(
@@ -79,7 +79,7 @@ class ColumnMap:
     def parse(cls, columns: str = "", units: str = "") -> "ColumnMap":
         """Parse texts such as ``time=t,counts=p0..p5,label=`` and ``time=ms``.
 
-        Names are separated by commas. ``p0..p5`` is a range of six names; an empty list declares a quantity
+        Names are separated by commas. ``p0..p15`` is a range of 16 names; an empty list declares a quantity
         absent.
 
         Raises:
@@ -165,8 +165,8 @@ def _expanded(text: str) -> list[str]:
     if again not in (prefix, ""):
         raise ParameterError("column map", "range of columns", text, "of one name, such as p0..p5")
     begin, end = int(first), int(last)
-    if abs(end - begin) >= BAROMETERS:
-        raise ParameterError("column map", "range of columns", text, f"of {BAROMETERS} columns at most")
+    if abs(end - begin) >= CELL_LIMIT:
+        raise ParameterError("column map", "range of columns", text, f"of {CELL_LIMIT} columns at most")
     step = 1 if end >= begin else -1
     return [f"{prefix}{number}" for number in range(begin, end + step, step)]
 
@@ -188,16 +188,15 @@ def _recognised(name: str, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
 
 
 def _cells(names: Sequence[str]) -> Iterator[tuple[str, ...]]:
-    """Yield each group of six columns numbered from 0 or from 1."""
+    """Yield each group of at least two columns that are numbered from 0 or from 1."""
     rows: dict[tuple[str, str], dict[int, str]] = {}
     for name in names:
         if match := _CELL.fullmatch(name):
             rows.setdefault((match[1], match[2]), {})[int(match[3])] = name
     for row in rows.values():
-        for first in (0, 1):
-            numbers = range(first, first + BAROMETERS)
-            if set(row) == set(numbers):
-                yield tuple(row[number] for number in numbers)
+        numbers = sorted(row)
+        if len(row) > 1 and numbers[0] <= 1 and numbers == [*range(numbers[0], numbers[0] + len(row))]:
+            yield tuple(row[number] for number in numbers)
 
 
 def _unit(name: str, columns: tuple[str, ...]) -> str:

@@ -27,7 +27,7 @@ class CsvTrace:
     """`Recording` of one fingertip, and of the arm if the file has its speed, loaded completely and checked.
 
     Decimal times are converted exactly, then rounded to the nearest ns. Blank lines and other columns are
-    ignored. All barometers are valid; temperatures are 0 (unknown) and the arm's pose is NaN. A speed becomes
+    ignored. All cells are valid; temperatures are 0 (unknown) and the arm's pose is NaN. A speed becomes
     a velocity along x of the base frame. A row without a velocity adds no row of motion.
 
     Args:

@@ -7,18 +7,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from operators.batch import SLIP, Motion, Reals, Scores, Times, Touch, ms
-from operators.ports import Json
+from operators.ports import Json, Run
 
 Real = TypeVar("Real", bound=np.floating[Any])
 GAP: Final = 250 * ms  # ns; a longer pause is drawn as a gap, as in rows.js
+
+
+def page_fingertip(run: Run, destination: str) -> Json:
+    """Return the description of the fingertips of a page, by its destination; None: unknown."""
+    known = run.fingertips.get(destination, {})
+    return next((fingertip.describe() for fingertip in known.values()), None)
 
 
 def plotted_values(batch: Touch | Motion | Scores) -> Reals:
     """Return the plotted values of a batch.
 
     Returns:
-        (n, 6) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,) probability of
-        scores.
+        (n, cells) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,) probability
+        of scores.
     """
     if isinstance(batch, Touch):
         return np.where(batch.valid, batch.counts, np.nan)

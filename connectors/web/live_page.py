@@ -10,6 +10,7 @@ from typing import Final
 from connectors.events import encode
 from connectors.health_report import HealthReports
 from connectors.web.access import PAGE_PORT, http_url
+from connectors.web.curves import page_fingertip
 from connectors.web.page_frames import Frames, Rows, rows_json
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
 from operators.checks import check_between
@@ -174,6 +175,7 @@ class Page(Sink[Touch | Motion | Scores | Slips | Faults]):
             "recording": run.recording,
             "start": run.start / ms,
             "threshold": self.threshold,
+            "fingertip": page_fingertip(run, self.destination),
             "events": self._frames.events(),
             **self._frames.state(),
         }

@@ -3,7 +3,7 @@
 A frame is a JSON object. Times are ms since the start of the run; fingertips have the names used in events:
 
 - ``now``: time of the run's clock when the frame was made
-- ``touch``: by fingertip, ``t`` (n,), ``v`` (n, 6) counts, null for invalid cells, and ``zeroed``
+- ``touch``: by fingertip, ``t`` (n,), ``v`` (n, cells) counts, null for invalid cells, and ``zeroed``
 - ``scores``: by fingertip, ``t`` and ``v`` (n,) probability; ``speed``: ``t`` and ``v`` (n,) mm/s
 - ``events``: numbered onsets and ends of slip; ``latency``: ms from the deciding sample to its arrival here,
   null in a replay at full speed

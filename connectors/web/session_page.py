@@ -12,6 +12,7 @@ from connectors.events import finger_name
 from connectors.web.curves import (
     curve_json,
     event_json,
+    page_fingertip,
     plotted_values,
     stream_name,
     streams_json,
@@ -58,7 +59,7 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         self._arriving: dict[tuple[str, str], list[tuple[Times, NDArray[np.float32]]]] = {}
         self._curves: dict[tuple[str, str], tuple[Times, NDArray[np.float32]]] = {}
         self._events: list[tuple[str, tuple[int, int, float]]] = []  # fingertip; time, state, probability
-        self._zeroed, self._rows = False, 0
+        self._zeroed, self._falls, self._rows = False, True, 0
 
     @property
     def destination(self) -> str:
@@ -68,6 +69,10 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
     async def open(self, run: Run) -> None:
         """Set the session and the start of `run`."""
         self._session, self.start = run.session, run.start
+        self._origin["fingertip"] = page_fingertip(run, self.destination)
+        self._falls = all(
+            each.falls is not False for each in run.fingertips.get(self.destination, {}).values()
+        )
 
     def take(self, batch: Touch | Motion | Scores | Slips) -> bool:
         """Keep the rows of a batch.
@@ -152,10 +157,15 @@ class SessionCurves(Sink[Touch | Motion | Scores | Slips]):
         return {**empty, **streams_json(found, found if self._zeroed else ())}
 
     def _deepest(self) -> float | None:
-        """Return the minimum of all cells, for the scale of the pressure maps; None without touch."""
+        """Return the minimum of all cells, for the scale of the pressure maps; None without touch.
+
+        If counts rise with pressure, it is minus their maximum.
+        """
         touches = [values for (stream, _), (_, values) in self._curves.items() if stream == "touch"]
+        sign = 1 if self._falls else -1
         least = min(
-            (float(np.fmin.reduce(values, axis=None)) for values in touches if len(values)), default=nan
+            (float(np.fmin.reduce(sign * values, axis=None)) for values in touches if len(values)),
+            default=nan,
         )
         return None if isnan(least) else least
 

@@ -22,9 +22,10 @@ def import_(
         typer.Option(
             "--map",
             metavar="NAME=COLUMNS,...",
-            help="Columns of the file: time=t,counts=p0..p5,speed=v,label=slip. Names: time, counts (6"
-            " columns), velocity (3 or 6), speed, label. Names left out are recognised by usual column names;"
-            " label= means no labels. List columns without numbers: counts=left,right,top,bottom,tip,base.",
+            help="Columns of the file: time=t,counts=p0..p5,speed=v,label=slip. Names: time, counts (one"
+            " column per cell), velocity (3 or 6), speed, label. Names left out are recognised by usual"
+            " column names; label= means no labels. List columns without numbers:"
+            " counts=left,right,top,bottom,tip,base.",
         ),
     ] = "",
     units: Annotated[

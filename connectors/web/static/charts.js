@@ -6,8 +6,17 @@ const LEFT = 52, RIGHT = 10; // px, the same for all charts, so that their times
 
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-// Colour of each barometer: one hue per column of the pad; the upper row (5 4 3) is dotted.
-export const HUES = ["--left", "--middle", "--right", "--right", "--middle", "--left"];
+const HUES = ["--left", "--middle", "--right"];
+
+// Return the hue and dash of each cell of a layout: hues from left to right; rows above the lowest are dotted.
+export function styles(layout) {
+  const cells = [];
+  layout.forEach((row, y) => row.forEach((cell, x) => {
+    const above = layout.length - 1 - y;
+    if (cell >= 0) cells[cell] = { hue: HUES[Math.floor((3 * x) / row.length)], dash: above ? [2 * above, 3] : undefined };
+  }));
+  return cells;
+}
 
 class Chart {
   constructor(id, series, range, extra = () => {}) {
@@ -145,11 +154,20 @@ export class Charts {
     this.threshold = null;
     this.raw = false;
     const pressure = steppedRange(60);
-    const cells = HUES.map((hue, cell) => ({ hue, dash: cell > 2 ? [2, 3] : undefined }));
-    this.counts = new Chart("counts", cells, (low, high) => (this.raw ? [0, 1023] : pressure(low, high)));
+    this.range = [0, 1023]; // raw counts
+    this.counts = new Chart("counts", [], (low, high) => (this.raw ? this.range : pressure(low, high)));
     this.scores = new Chart("scores", [{ hue: "--probability" }], () => [0, 1], (plot) => this.#drawThreshold(plot));
     this.motion = new Chart("motion", [{ hue: "--probability" }], steppedRange(10));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.rebuild());
+  }
+
+  // Set the layout of the cells, which determines their colours.
+  set layout(layout) {
+    if (this.shown === layout) return;
+    this.shown = layout;
+    this.counts.series = styles(layout);
+    this.counts.data = [[], ...this.counts.series.map(() => [])];
+    this.counts.rebuild();
   }
 
   // Show the TCP speed if there is motion; otherwise the chart above shows the time axis.
@@ -166,7 +184,7 @@ export class Charts {
   }
 
   draw({ touch, scores, speed }, view) {
-    this.counts.draw(touch ? touch.between(view.begin, view.end) : [[], [], [], [], [], [], []], view);
+    this.counts.draw(touch ? touch.between(view.begin, view.end) : [[], ...this.counts.series.map(() => [])], view);
     this.scores.draw(scores ? scores.between(view.begin, view.end) : [[], []], view);
     this.motion.draw(speed.between(view.begin, view.end), view);
   }

@@ -54,6 +54,7 @@ export function live(view) {
     const same = hello?.session === document_.session;
     hello = document_;
     ended = null;
+    view.fingertip = hello.fingertip;
     if (!same) {
       view.clear();
       paused = null;

@@ -1,8 +1,8 @@
 // Pressure map of each fingertip in the layout of the sensor; a click selects the fingertip of the curves.
 
-import { HUES } from "./charts.js";
+import { styles } from "./charts.js";
 
-const LAYOUT = [[5, 4, 3], [0, 1, 2]]; // sensor frame: x right, y up
+const DENSE = 12; // cells; more have smaller tiles
 const READABLE = 100; // ms between updates of the numbers, to keep them readable
 
 export class Pads {
@@ -13,15 +13,17 @@ export class Pads {
     host.addEventListener("change", ({ target }) => chosen(target.value));
   }
 
-  // Rebuild the maps if the set of fingertips changed; check the radio button of `selected`.
-  update(fingers, selected) {
-    if (fingers.length === this.pads.size && fingers.every((finger) => this.pads.has(finger))) return;
+  // Rebuild the maps if the fingertips or their layout changed; check the radio button of `selected`.
+  update(fingers, selected, layout) {
+    const known = fingers.length === this.pads.size && fingers.every((finger) => this.pads.has(finger));
+    if (known && layout === this.layout) return;
+    this.layout = layout;
     this.pads.clear();
     this.host.replaceChildren(...fingers.map((finger) => this.#pad(finger, finger === selected)));
     this.host.classList.toggle("many", fingers.length > 1);
   }
 
-  // Show 6 values (null: invalid), faults and the slip state; `share` maps a value to the colour ramp, 0 to 1.
+  // Show the value of each cell (null: invalid), faults and the slip state; `share` maps a value to the colour ramp, 0 to 1.
   show(finger, values, share, faults, state) {
     const pad = this.pads.get(finger);
     if (!pad) return;
@@ -58,14 +60,21 @@ export class Pads {
     who.append(input, name, now);
     const table = element("table", "pad"), cells = [];
     table.setAttribute("aria-label", `Pressure of ${title(finger).toLowerCase()}`);
-    for (const row of LAYOUT) {
+    const looks = styles(this.layout);
+    table.classList.toggle("dense", looks.length > DENSE);
+    for (const row of this.layout) {
       const tr = table.insertRow();
       for (const k of row) {
-        const td = tr.insertCell(), count = element("span", "count"), fault = element("span", "fault-text");
+        const td = tr.insertCell();
+        if (k < 0) {
+          td.className = "empty";
+          continue;
+        }
+        const count = element("span", "count"), fault = element("span", "fault-text");
         const barometer = element("span", "unseen"), which = element("span", "which"), key = element("span", "key");
         barometer.textContent = "barometer ";
         which.textContent = k;
-        key.style.setProperty("--hue", `var(${HUES[k]})`);
+        key.style.setProperty("--hue", `var(${looks[k].hue})`);
         td.append(barometer, which, count, fault, key);
         cells[k] = { td, count, fault };
       }

@@ -8,6 +8,7 @@ import { recorded } from "./recorded.js";
 import { Streams } from "./rows.js";
 
 const $ = (id) => document.getElementById(id);
+const TAKKTILE = { layout: [[5, 4, 3], [0, 1, 2]], range: [1023, 0], unit: "count", resolution: 1 }; // sensor frame: x right, y up
 const STILL = matchMedia("(prefers-reduced-motion: reduce)");
 
 // State and drawing of both modes.
@@ -26,16 +27,44 @@ class View {
       this.onchange();
     });
     this.name = ""; // flow or recorded session
+    this.fingertip = null;
     this.clear();
   }
 
   clear() {
-    this.streams = new Streams();
+    this.streams = new Streams(this.sign);
     this.faults = {};
     this.slipping = new Set();
     this.events.clear();
     this.deepest = 100;
     this.hasMotion = false;
+  }
+
+  // Set the description of the fingertips; null: unknown, as a TakkTile.
+  set fingertip(found) {
+    const { layout, range, unit, resolution } = found ?? TAKKTILE;
+    this.given = found ? layout : null;
+    this.range = range ?? TAKKTILE.range;
+    this.unit = unit === "count" ? "counts" : `steps of ${resolution} ${unit}`;
+    this.charts.range = [Math.min(...this.range), Math.max(...this.range)];
+  }
+
+  // Sign of zeroed counts under pressure.
+  get sign() {
+    return Math.sign(this.range[1] - this.range[0]);
+  }
+
+  // Return the layout of the selected fingertip's cells: the given one, or a square for an unknown fingertip.
+  layout() {
+    const cells = this.streams.touch.get(this.finger)?.columns.length ?? 6;
+    const { given } = this;
+    if (given?.flat().filter((cell) => cell >= 0).length === cells) return given;
+    if (this.made?.cells !== cells) {
+      const wide = Math.ceil(Math.sqrt(cells)), rows = Math.ceil(cells / wide);
+      const square = Array.from({ length: rows }, (_, y) => Array.from({ length: wide }, (__, x) => (y * wide + x < cells ? y * wide + x : -1)));
+      this.made = { cells, layout: cells === 6 ? TAKKTILE.layout : square };
+    }
+    return this.made.layout;
   }
 
   choose(finger) {
@@ -49,7 +78,7 @@ class View {
     if (frame.speed) this.hasMotion ||= frame.speed.t.length > 0 || put === "replace";
     const fingers = [...this.streams.touch.keys()].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
     if (!this.streams.touch.has(this.finger)) this.finger = fingers[0] ?? null;
-    this.pads.update(fingers, this.finger);
+    this.pads.update(fingers, this.finger, this.layout());
   }
 
   set threshold(value) {
@@ -107,11 +136,14 @@ class View {
     $("speed").parentElement.hidden = !this.hasMotion;
     if (end === null) return;
     const raw = streams.zeroed.get(this.finger) === false;
+    this.charts.layout = this.layout();
     if (raw !== this.charts.raw) {
       this.charts.raw = raw;
       write($("counts-title"), raw ? "Reading of each barometer" : "Pressure of each barometer");
-      write($("counts-unit"), raw ? "raw counts, which fall with pressure" : "counts below the unloaded reading");
-      write($("unit"), raw ? "Raw counts, which fall with pressure." : "Counts below the unloaded reading.");
+      const [turn, side] = this.sign < 0 ? ["fall", "below"] : ["rise", "above"];
+      write($("counts-unit"), raw ? `raw ${this.unit}, which ${turn} with pressure` : `${this.unit} ${side} the unloaded reading`);
+      const unit = this.unit[0].toUpperCase() + this.unit.slice(1);
+      write($("unit"), raw ? `Raw ${this.unit}, which ${turn} with pressure.` : `${unit} ${side} the unloaded reading.`);
     }
     const readable = this.pads.tick(now);
     if (!readable) this.redraw(100); // to write the last numbers
@@ -119,17 +151,26 @@ class View {
       const values = figures.touch.get(finger)?.at(at) ?? null, zeroed = streams.zeroed.get(finger);
       const deep = zeroed ? Math.max(0, ...(values ?? [])) : 0;
       if (deep > this.deepest) this.deepest = nice(deep);
-      const share = zeroed ? (v) => v / this.deepest : (v) => (1023 - v) / 1023;
+      const share = zeroed ? (v) => v / this.deepest : (v) => this.pressure(v, false) / this.most;
       this.pads.show(finger, values, share, this.faults[finger] ?? {}, this.stateOf(finger, scene));
     }
-    write($("ramp-from"), raw ? "1023" : "0");
-    write($("ramp-to"), raw ? "0" : String(this.deepest));
+    write($("ramp-from"), raw ? String(this.range[0]) : "0");
+    write($("ramp-to"), raw ? String(this.range[1]) : String(this.deepest));
     const [from, to] = scene.span ?? [end - this.window, end], whole = scene.whole ?? false;
     const slips = this.events.spans(this.finger, to);
     const { touch, speed } = streams;
     const shown = { touch: touch.get(this.finger), scores: streams.scoring(this.finger), speed };
     this.charts.draw(shown, { begin: from, end: to, at: end, slips, whole });
     if (readable) this.#showFigures(figures, at);
+  }
+
+  // Return a reading as counts above no pressure; `most` is that of the highest pressure.
+  pressure(value, zeroed) {
+    return this.sign * (zeroed ? value : value - this.range[0]);
+  }
+
+  get most() {
+    return Math.abs(this.range[1] - this.range[0]);
   }
 
   stateOf(finger, scene) {

@@ -23,6 +23,8 @@ export function recorded(view, about) {
   $("notice").hidden = !about.about;
   write($("notice"), about.about);
   view.threshold = about.threshold;
+  view.fingertip = about.fingertip;
+  view.clear();
   view.deepest = about.zeroed && about.deepest < -100 ? roundUp(-about.deepest) : 100;
   view.events.add(about.events, Infinity);
   const slips = about.events.filter((event) => event.onset).length;
@@ -33,7 +35,7 @@ export function recorded(view, about) {
   const begun = new Date(about.start);
   const clock = (t) => new Date(begun.getTime() + t).toISOString().slice(11, 22);
   const instant = () => Number(slider.value);
-  let figures = new Streams(); // rows at the selected time; the curves are reduced to pixel columns
+  let figures = new Streams(view.sign); // rows at the selected time; the curves are reduced to pixel columns
   view.scene = () => ({ streams: view.streams, figures, at: Infinity, end: instant(), span: span(), whole: view.window === Infinity });
   // Return the time span of the curves: the window before the selected time, or the whole session.
   const span = () => (view.window === Infinity ? [0, about.length] : [instant() - view.window, instant()]);
@@ -52,7 +54,7 @@ export function recorded(view, about) {
     loading = true;
     try {
       const answer = await load(...span(), t, view.charts.columns);
-      figures = new Streams();
+      figures = new Streams(view.sign);
       figures.take(answer.at);
       view.take(answer, "replace");
       showTime(instant()); // the fingertip is known now
@@ -129,8 +131,8 @@ export function recorded(view, about) {
     pen.globalAlpha = 0.55;
     const touch = whole.touch[view.finger ?? Object.keys(whole.touch)[0]];
     touch?.t.forEach((t, row) => {
-      const value = Math.max(0, ...touch.v[row].map((each) => (touch.zeroed ? -each : 1023 - each)));
-      const tall = Math.min(height - 8, ((height - 8) * value) / (touch.zeroed ? view.deepest : 1023));
+      const value = Math.max(0, ...touch.v[row].map((each) => view.pressure(each, touch.zeroed)));
+      const tall = Math.min(height - 8, ((height - 8) * value) / (touch.zeroed ? view.deepest : view.most));
       pen.fillRect(x(t), height - tall, 1, tall);
     });
     pen.globalAlpha = 1;

@@ -54,9 +54,8 @@ export class Rows {
 
   #append(t, v, sign) {
     this.t.push(t);
-    const single = this.columns.length === 1;
     this.columns.forEach((column, k) => {
-      const value = v === null ? null : single ? v : v[k];
+      const value = v === null ? null : Array.isArray(v) ? v[k] : v;
       column.push(value === null || value === 0 ? value : sign * value);
     });
   }
@@ -71,7 +70,8 @@ export class Rows {
 
 // Touch and scores by fingertip, and the speed of the arm.
 export class Streams {
-  constructor() {
+  constructor(sign = -1) {
+    this.sign = sign; // of zeroed counts; -1: they fall with pressure
     this.touch = new Map();
     this.zeroed = new Map(); // by fingertip
     this.scores = new Map();
@@ -81,10 +81,12 @@ export class Streams {
   // Add the streams of a frame; `put` is "push" or "replace".
   take({ touch, scores, speed }, put = "push") {
     for (const [finger, rows] of Object.entries(touch ?? {})) {
-      if (this.zeroed.get(finger) !== rows.zeroed) this.touch.delete(finger); // changed between raw and zeroed
+      const before = this.touch.get(finger), cells = rows.v[0]?.length ?? before?.columns.length;
+      if (!cells) continue; // no rows yet
+      const changed = this.zeroed.get(finger) !== rows.zeroed || before.columns.length !== cells; // such as from raw to zeroed
       this.zeroed.set(finger, rows.zeroed);
-      if (!this.touch.has(finger)) this.touch.set(finger, new Rows(6));
-      this.touch.get(finger)[put](rows, rows.zeroed ? -1 : 1);
+      if (changed) this.touch.set(finger, new Rows(cells));
+      this.touch.get(finger)[put](rows, rows.zeroed ? this.sign : 1);
     }
     for (const [finger, rows] of Object.entries(scores ?? {})) {
       if (!this.scores.has(finger)) this.scores.set(finger, new Rows(1));
@@ -99,7 +101,7 @@ export class Streams {
   }
 
   copy() {
-    const copy = new Streams(), copied = (rows) => new Map([...rows].map(([finger, each]) => [finger, each.copy()]));
+    const copy = new Streams(this.sign), copied = (rows) => new Map([...rows].map(([finger, each]) => [finger, each.copy()]));
     return Object.assign(copy, { touch: copied(this.touch), zeroed: new Map(this.zeroed), scores: copied(this.scores), speed: this.speed.copy() });
   }
 }

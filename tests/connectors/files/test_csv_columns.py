@@ -33,10 +33,10 @@ def test_a_printed_map_can_be_parsed() -> None:
     [
         ("t", "", "columns is 't', must be written as time=t"),
         ("force=f", "", "quantity is 'force', must be one of time, counts"),
-        ("counts=p0..p4", "", "counts is 'p0,p1,p2,p3,p4', must be 6 column names"),
+        ("counts=p0..p127,p128", "", "must be 1 to 128 column names"),
         ("velocity=a,b", "", "velocity is 'a,b', must be 3 or 6 column names"),
         ("counts=p0..q5", "", "range of columns is 'p0..q5', must be of one name"),
-        ("counts=p0..p99999999999", "", "must be of 6 columns at most"),
+        ("counts=p0..p99999999999", "", "must be of 128 columns at most"),
         ("speed=v,velocity=x,y,z", "", "speed is 'v', must be omitted, since velocity is given"),
         ("", "label=s", "quantity with a unit is 'label', must be one of time, velocity, speed"),
         ("", "time=min", "unit of time is 'min', must be one of s, ms, us, ns"),
@@ -75,9 +75,17 @@ def test_usual_names_are_recognised(names: tuple[str, ...], held: dict[str, tupl
     assert not {"velocity", "speed"} <= set(found)
 
 
-def test_seven_numbered_columns_are_no_fingertip() -> None:
+@pytest.mark.parametrize("cells", [2, 7, 16, 64])
+def test_numbered_columns_are_the_cells_of_a_fingertip(cells: int) -> None:
+    for first in (0, 1):
+        names = tuple(f"taxel{number}" for number in range(first, first + cells))
+        assert ColumnMap().completed(("t", *names[::-1]), "line 1").columns["counts"] == names
+
+
+@pytest.mark.parametrize("names", [("s1",), ("s1", "s3"), ("s2", "s3"), ("left", "right")])
+def test_other_columns_are_no_fingertip(names: tuple[str, ...]) -> None:
     with pytest.raises(InputError, match=r"none recognised as counts; map it.* or counts=left,right,"):
-        ColumnMap().completed(("t", *CELLS, "s7"), "line 1")
+        ColumnMap().completed(("t", *names), "line 1")
 
 
 @pytest.mark.parametrize(

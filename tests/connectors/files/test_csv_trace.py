@@ -190,9 +190,9 @@ def test_a_negative_count_is_not_raw(write: Write) -> None:
     ("header", "complaint"),
     [
         (
-            "t,s1,s2,s3,s4,s5",
+            "t,s1,s2,s3,s5,s6",
             (
-                "has the columns 't s1 s2 s3 s4 s5', none recognised as counts; map it, for example "
+                "has the columns 't s1 s2 s3 s5 s6', none recognised as counts; map it, for example "
                 "counts=p0..p5, or counts=left,right,top,bottom,tip,base"
             ),
         ),
