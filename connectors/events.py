@@ -13,7 +13,8 @@ from urllib.parse import quote, unquote
 import numpy as np
 
 from connectors.fields import INT64, Fields
-from operators.batch import BAROMETERS, EVERY, Faults
+from operators.batch import EVERY, Faults
+from operators.fingertip import CELL_LIMIT
 from operators.health import FaultKind
 from operators.ports import Json
 
@@ -25,9 +26,9 @@ CONTENT_TYPE: Final = "application/cloudevents+json"  # CloudEvents MQTT binding
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A faulty barometer, or one at the end of its range, at the time of an event."""
+    """A faulty cell, or one at the end of its range, at the time of an event."""
 
-    barometer: int  # 0..5
+    barometer: int  # number of the cell
     kind: str  # kind of fault, such as stuck
 
     @property
@@ -136,7 +137,7 @@ class Event:
         data = event.object("data")
         model = data.object("model")
         degraded = [
-            Fault(fault.integer("barometer", 0, BAROMETERS - 1), fault.text("kind"))
+            Fault(fault.integer("barometer", 0, CELL_LIMIT - 1), fault.text("kind"))
             for fault in data.objects("degraded")
         ]
         epoch, seq, state = data.text("epoch"), data.integer("seq"), data.text("state")

@@ -51,6 +51,7 @@ class Resample(Operator[Touch, Touch]):
         check_above("Resample", "rate", self.rate, 0, "Hz")
         check_between("Resample", "rate", self.rate, 0, _FASTEST, unit="Hz")
         check_above("Resample", "gap", self.gap, 0, "ns")
+        self._sums, self._whole = np.zeros((3, 0)), np.zeros(0, np.bool_)
 
     def output_fingertip(self, given: Fingertip) -> Fingertip:
         """Return the fingertip at the new rate."""

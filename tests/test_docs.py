@@ -17,7 +17,13 @@ from flows.graph.loading import load
 from tests.command import slipflow
 from tests.pages import PAGES, ROOT, blocks, commands, mentioned
 
-RUN = ["tutorial/own-detector.md", "how-to/extend.md", "reference/dataset.md", "reference/mqtt.md"]
+RUN = [
+    "tutorial/own-detector.md",
+    "how-to/any-fingertip.md",
+    "how-to/extend.md",
+    "reference/dataset.md",
+    "reference/mqtt.md",
+]
 SHOWN = re.compile(r"[\d.,:]+|\s+")  # may differ between runs: numbers and padding
 
 

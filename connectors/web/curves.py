@@ -23,8 +23,8 @@ def plotted_values(batch: Touch | Motion | Scores) -> Reals:
     """Return the plotted values of a batch.
 
     Returns:
-        (n, cells) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,) probability
-        of scores.
+        (n, cells) counts of a touch, NaN for invalid cells; (n,) TCP speed of a motion, mm/s; (n,)
+        probability of scores.
     """
     if isinstance(batch, Touch):
         return np.where(batch.valid, batch.counts, np.nan)

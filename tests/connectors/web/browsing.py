@@ -10,6 +10,7 @@ from connectors.web.session_page import SessionCurves, session_handlers
 from connectors.web.web_server import page_server
 from flows.run.clocks import LoopClock
 from operators.batch import Faults, Motion, Scores, Slips, Touch, ms
+from operators.fingertip import Fingertip
 from operators.ports import Run, SinkStatus, SourceStatus
 from tests.connectors.web.reading import slip, touched
 from tests.waiting import PATIENCE
@@ -49,8 +50,15 @@ class Served:
 class ServedPage(Served):
     """A live page of a run whose rows the test gives."""
 
-    def __init__(self, port: int = 0, session: str = "first", token: str | None = None) -> None:
+    def __init__(
+        self,
+        port: int = 0,
+        session: str = "first",
+        token: str | None = None,
+        fingertip: Fingertip | None = None,
+    ) -> None:
         super().__init__()
+        self._fingertip = fingertip
         self._settings, self._session = (port, token), session
 
     def __enter__(self) -> Self:
@@ -70,6 +78,8 @@ class ServedPage(Served):
         self.run.sources["touch"] = SourceStatus(rows=100, newest=clock.now(), up=True)
         self.run.sources["motion"] = SourceStatus(error="10.0.0.2: unplugged")
         self.run.sinks["dataset"] = SinkStatus(rows=1234, records=True)
+        if self._fingertip is not None:
+            self.run.fingertips = {self.page.destination: {Touch: self._fingertip}}
         await self.page.open(self.run)
 
     @property

@@ -15,6 +15,7 @@ from flows.graph.testing import TestSink, TestSource
 from flows.run.clocks import LoopClock
 from flows.run.live_runner import LiveRunner
 from operators import Debounce, Faults, Run, Score, Scores, Slips, Touch, Zero, Zeroed, ms, s
+from operators.fingertip import Fingertip, grid
 from storage import load_detector
 from tests.connectors.web.browsing import FLAGS, Served, ServedPage, ServedRecording
 from tests.connectors.web.reading import moved, scored, slip, touched
@@ -108,6 +109,27 @@ def test_a_running_flow_is_shown_and_a_slip_turns_the_page_red(watched: Watched)
     assert run.sinks["page"].dropped == 0
     assert watched.complaints == []
     assert {url.split("/")[2] for url in watched.asked} == {addresses[0].split("/")[2]}
+
+
+@pytest.mark.parametrize("cells", [16, 64])
+def test_a_fingertip_of_many_cells_has_a_tile_for_each_in_its_layout(watched: Watched, cells: int) -> None:
+    tab, wide = watched.tab, int(cells**0.5)
+    layout = tuple(row[::-1] for row in grid(cells, wide))  # numbered from the top right
+    with ServedPage(fingertip=Fingertip(layout, 1000.0, "kPa", 0.01, (0, 4000))) as served:
+        tab.goto(served.url)
+        now = served.run.clock.now()
+        counts = np.arange(100, 100 + cells, dtype=np.int16)[None]
+        served.write(Touch(np.array([now]), counts, counts, counts > 0, finger=0))
+        expect(tab.locator(".pad td")).to_have_count(cells)
+        expect(tab.locator(".pad tr")).to_have_count(wide)
+        expect(tab.locator(".pad tr").first.locator(".which")).to_have_text(list(map(str, layout[0])))
+        expect(tab.locator(".count").first).to_have_text(str(100 + wide - 1))
+        expect(tab.locator("#unit")).to_have_text("Raw steps of 0.01 kPa, which rise with pressure.")
+        expect(tab.locator("#ramp-to")).to_have_text("4000")
+        box = tab.locator(".pad td").last.bounding_box()
+        assert box is not None
+        assert box["x"] + box["width"] <= 1280
+    assert watched.complaints == []
 
 
 def test_the_page_reconnects_to_a_restarted_server(watched: Watched) -> None:
