@@ -7,8 +7,8 @@ the pad::
     m dU/dt = -Q + sum f_j + sum (0, n_i) + (0, -m g) + M            M force of the mallet (N)
     I dO/dt = -T - c x Q + sum p_j x f_j + sum r_i x (0, n_i) + L    L moment of the mallet (N m)
 
-Pad: as in `contact`, with the velocity of the tip relative to the body, and the texture along the path on the
-body; Q, T friction and its moment on the tip (N, N m). The surface moves with the body, so that the top of a
+Pad: as in `contact`, with the velocity of the tip relative to the body, and the texture along the path
+that the pad slid on the body; Q, T friction and its moment on the tip (N, N m). The surface moves with the body, so that the top of a
 ball or the crest of a can moves over the pad::
 
     g = k_x u^2 / 2 + k_y v^2 / 2        (u, v) position of a node relative to the body
@@ -80,7 +80,7 @@ class BodyState(NamedTuple):
     passive: Reals  # (2, 2) m: s_j, by finger, then x and y
     slip_velocity: Reals  # (3,) m/s, m/s, rad/s: of the tip relative to the body, at the pad's centre
     slide: Reals  # (3,) m, m, rad: displacement of the body along the pad while gripped
-    path: Reals  # (1,) m: path length of the tip on the body
+    path: Reals  # (1,) m: path that the pad slid on the body
     table: Reals  # (1,) N
     dropped: Reals  # (1,) 1 when dropped, else 0
 
@@ -192,9 +192,7 @@ def simulate(
         qx, qy, torque, slide = update_friction(model, pad, relative, force)
         slid += slide
         if force > 0.0:
-            body.path[0] += h * math.sqrt(
-                body.slip_velocity[0] * body.slip_velocity[0] + body.slip_velocity[1] * body.slip_velocity[1]
-            )
+            body.path[0] += h * slide
             for axis in range(3):
                 body.slide[axis] -= h * body.slip_velocity[axis]
         fx, fy, twist = load_passive_fingers(grip, body, row, force)

@@ -19,7 +19,7 @@ Friction (elasto-plastic bristles, Dahl 1968, limited by a Stribeck curve as in 
 
     ds/dt = v - (plastic part)                   s bristle deflection (m), v velocity of the node (m/s)
     traction t = k_t s,  |t| <= mu(|v|) p        k_t shear stiffness (Pa/m); the excess is slip
-    mu(v) = (mu_k + (mu_s - mu_k) / (1 + (v / v_s)^2)) (1 + c/2 (sin 2 pi l/L1 + sin 2 pi l/L2))
+    mu(v) = (mu_k + (mu_s - mu_k) / (1 + (v / v_s)^2)) (1 + c/2 (sin 2 pi l/L1 - sin 2 pi l/L2))
     Q = -sum t A                                 l path of the tip (m), c depth and L lengths of the texture
 
 Finger (rigid tip with velocity w, spin o; spring deflection e to an arm that moves at V, spins at O)::
@@ -191,7 +191,7 @@ def update_friction(
     texture = 1.0
     if model.texture > 0.0:
         path = state.path[0]
-        texture += 0.5 * model.texture * (math.sin(model.wave_1 * path) + math.sin(model.wave_2 * path))
+        texture += 0.5 * model.texture * (math.sin(model.wave_1 * path) - math.sin(model.wave_2 * path))
     inverse, rise = 1.0 / (model.v_s * model.v_s), model.mu_s - model.mu_k
     reach = texture / model.k_t
     along, across = state.bristle[0], state.bristle[1]

@@ -82,13 +82,13 @@ class PaperPlan:
     repeats: int = 9  # recordings per surface and speed; paper: 45 minutes in total
     rotations: int = 5  # recordings per surface; paper, Table III: about a tenth
     rounds: int = 2  # of eight strokes per recording
-    force: float = 1.5  # N, normal force; fit
-    vibration: float = 1.5e-4  # m, mean amplitude of the arm's vibration; fit
+    force: float = 3.14  # N, normal force; fit
+    vibration: float = 1.382e-4  # m, mean amplitude of the arm's vibration; fit
     pause: float = 0.576  # s, mean standstill before a stroke; paper: 54 % of 45 minutes are static
-    tilt: tuple[float, float] = (0.0, 0.0)  # rad, slope of the pad on the plane along x and y; fit
-    pivot: float = 0.0065  # m, from the pad's centre to the axis of rotations; fit
-    latency: float = 0.07  # s, delay of the arm's velocity after the barometers; fit
-    acceleration: float = 0.63  # m/s2 at the ends of a stroke; fit
+    tilt: tuple[float, float] = (-0.1024, -0.1337)  # rad, slope of the pad on the plane along x and y; fit
+    pivot: float = 0.03467  # m, from the pad's centre to the axis of rotations; fit
+    latency: float = 0.08653  # s, delay of the arm's velocity after the barometers; fit
+    acceleration: float = 0.6478  # m/s2 at the ends of a stroke; fit
     parameters: Parameters = field(default_factory=Parameters)
     vary: Variation = _unvaried  # applied to the scene of each recording
 

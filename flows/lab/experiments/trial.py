@@ -27,7 +27,7 @@ SPREAD: Final = 0.1  # mass and friction vary by +-10 % from trial to trial; ass
 OFFSET: Final = (0.004, 0.006)  # m, largest offset of the grip from the object's centre in x and y; assumed
 VIBRATION: Final = 2e-5  # m, of the gripper, at 6.5 or 12 Hz as in the paper's recordings; amplitude assumed
 
-FIRM: Final = (1.3, 1.8)  # range of the force of a firm grip, relative to the least that holds; assumed
+FIRM: Final = (1.6, 2.0)  # range of a firm grip's force, relative to the least; nothing slides above 1.6
 FIRM_LIFT: Final = Lift(2.0)  # of a firm grip, until 3.1 s
 HELD: Final = 4.0  # s; a firm grip has been lifted and held undisturbed
 STILL: Final = 0.1  # mm; a shorter slide, such as of the edge of the pad when the load rises, is not slip

@@ -84,7 +84,7 @@ def simulate(
         friction, slide = contact_numpy.update_friction(model, pad, skin)
         slid.append(slide)
         if force > 0.0:
-            body.path[0] += model.step * float(np.hypot(body.slip_velocity[0], body.slip_velocity[1]))
+            body.path[0] += model.step * slide
             body.slide[:] -= model.step * body.slip_velocity
         table = support_by_table(grip, body)
         forces = load_passive_fingers(grip, body, row[:2], force) + table + row[6:]

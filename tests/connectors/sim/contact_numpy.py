@@ -50,7 +50,7 @@ def update_friction(model: ContactModel, pad: Pad, state: FingerState) -> tuple[
     place = np.stack([-pad.y, pad.x], axis=1)  # (n, 2) velocity of a node per spin
     velocity = state.velocity[:2] + state.velocity[2] * place  # (n, 2)
     waves = np.sin(state.path[0] * np.array([model.wave_1, model.wave_2]))
-    texture = 1.0 + 0.5 * model.texture * waves.sum()
+    texture = 1.0 + 0.5 * model.texture * (waves[0] - waves[1])
     stribeck = 1.0 + (velocity**2).sum(axis=1) / model.v_s**2  # (n,)
     longest = (
         texture * (model.mu_k + (model.mu_s - model.mu_k) / stribeck) * state.pressure / model.k_t

@@ -47,7 +47,7 @@ def test_the_influence_is_the_integral_of_the_point_loads() -> None:
 
 
 def test_even_pressure_comes_through_under_the_middle_of_the_pad() -> None:
-    middle = influence(Parameters(pitch_x=0.004, pitch_y=0.001)).sum(axis=2)[:, 0]
+    middle = influence(Parameters(pitch_x=0.004, pitch_y=0.001, depth=0.004)).sum(axis=2)[:, 0]
     assert (middle > 0.9).all()
     assert (middle < 1.0).all()
 
