@@ -1,0 +1,51 @@
+"""Folders of fetched recipes."""
+
+import os
+from pathlib import Path
+from typing import Final
+
+from flows.lab.recipes.dataset_recipe import DatasetRecipe
+from operators.errors import InputError
+from storage.files import read_json
+
+FILES: Final = "files"  # folder of the source files
+DATASET: Final = "dataset"  # folder of the imported dataset
+RECORD: Final = "fetched.json"  # written last
+
+
+def cache_folder() -> Path:
+    """Return the default folder of fetched recipes: below XDG_CACHE_HOME, else ``~/.cache``.
+
+    Source: XDG Base Directory Specification 0.8, which ignores a relative XDG_CACHE_HOME.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    return (cache if cache.is_absolute() else Path.home() / ".cache") / "slipflow"
+
+
+def recipe_folder(recipe: DatasetRecipe, folder: Path | None = None) -> Path:
+    """Return the folder of a recipe: its source files and its dataset.
+
+    Args:
+        recipe: The recipe.
+        folder: Folder of all recipes; default: `cache_folder`.
+    """
+    return (folder or cache_folder()) / recipe.name
+
+
+def fetched_dataset(recipe: DatasetRecipe, folder: Path | None = None) -> Path:
+    """Return the dataset of a fetched recipe.
+
+    Args:
+        recipe: The recipe.
+        folder: Folder of all recipes; default: `cache_folder`.
+
+    Raises:
+        InputError: if it was not fetched, or with another version of the recipe; it names the command.
+    """
+    where = recipe_folder(recipe, folder)
+    command = f"run `slipflow fetch {recipe.name}{f' --to {folder}' if folder else ''}` first"
+    if not (where / RECORD).is_file():
+        raise InputError(str(where), f"recipe {recipe.name} was not fetched into this folder: {command}")
+    if read_json(where / RECORD).get("recipe") != recipe.digest:
+        raise InputError(str(where), f"has data of another version of recipe {recipe.name}: {command}")
+    return where / DATASET

@@ -1,0 +1,137 @@
+"""TOML files as dataclasses, such as collection plans and recipes."""
+
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, fields, is_dataclass
+from difflib import get_close_matches
+from itertools import repeat
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from flows.graph.quantity import parse_quantity
+from operators.checks import check_choice
+from operators.errors import InputError, ParameterError, os_error_reason
+
+T = TypeVar("T")
+
+_TYPES: Final = {bool: "true or false", int: "a whole number", float: "a number", str: "text in quotes"}
+
+
+def shipped_text(owner: str, kind: str, name: str, shipped: Mapping[str, Path]) -> tuple[Path, str]:
+    """Return the path and the text of a file: the name of a shipped one, or a TOML file.
+
+    Args:
+        owner: Command that needs it, for errors.
+        kind: Kind of file, for errors.
+        name: Name or path, as given by the user.
+        shipped: Shipped files by name.
+
+    Raises:
+        ParameterError: if there is no shipped file of that name.
+        InputError: if the file cannot be read.
+    """
+    path = shipped.get(name) or Path(name)
+    if not (path.suffix == ".toml" or path.is_file()):
+        raise ParameterError(owner, kind, name, f"one of {', '.join(shipped)}, or a file such as mine.toml")
+    try:
+        return path, path.read_text("utf-8")
+    except UnicodeDecodeError:
+        raise InputError(str(path), "is not text in UTF-8") from None
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
+
+
+def parse_toml(kind: type[T], path: Path, text: str) -> T:
+    """Return the dataclass `kind` of a TOML text; `name` defaults to the file's name.
+
+    Raises:
+        InputError: if it is not TOML, has an unknown key or lacks a required one.
+        ParameterError: if a key has an invalid value.
+    """
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(str(path), f"is not valid TOML: {error}") from None
+    return _Reader(str(path)).table(kind, {"name": path.stem, **table}, "")
+
+
+class _Reader:
+    """Converter of TOML values into dataclasses, by the annotations of their fields."""
+
+    def __init__(self, file: str) -> None:
+        self._file = file
+
+    def table(self, kind: type[T], table: Mapping[str, Any], section: str) -> T:
+        """Return a dataclass of the values of a table; `section` is its dotted name, empty for the file."""
+        kinds = get_type_hints(kind, include_extras=True)
+        for key in table:
+            if key not in kinds:
+                close = get_close_matches(key, kinds, 1)
+                known = f"did you mean {close[0]!r}?" if close else f"known keys: {', '.join(kinds)}"
+                raise InputError(self._file, f"unknown key {_dotted(section, key)}; {known}")
+        for each in fields(cast("Any", kind)):
+            if (
+                each.init
+                and each.default is MISSING
+                and each.default_factory is MISSING
+                and each.name not in table
+            ):
+                raise InputError(self._file, f"has no key {_dotted(section, each.name)}, which is required")
+        values = {key: self._value(kinds[key], value, _dotted(section, key)) for key, value in table.items()}
+        try:
+            return kind(**values)
+        except ParameterError as error:
+            raise self._error(_dotted(section, error.name), error.value, error.must_be) from None
+
+    def _value(self, kind: object, value: object, key: str) -> object:
+        """Return a value of the annotated type `kind`."""
+        origin, arguments = get_origin(kind), get_args(kind)
+        if origin in (Union, UnionType):  # TOML has no null: the type that is not None
+            return self._value(next(each for each in arguments if each is not NoneType), value, key)
+        if origin is Annotated:
+            return self._quantity(value, arguments[1], key)
+        if origin is tuple:
+            return tuple(self._items(arguments, value, key))
+        if origin is Literal:
+            check_choice(self._file, key, value, arguments)
+            return value
+        if origin is Mapping or is_dataclass(kind):
+            return self._table(kind, value, key)
+        found = float(value) if kind is float and type(value) is int else value
+        if type(found) is not kind:
+            raise self._error(key, value, _TYPES[cast("type", kind)])
+        return found
+
+    def _items(self, kinds: tuple[object, ...], value: object, key: str) -> Iterator[object]:
+        given = value
+        items = cast("list[object]", given) if isinstance(given, list) else None
+        if kinds[-1] is Ellipsis:
+            kinds = tuple(repeat(kinds[0], len(items or ())))
+        if items is None or len(items) != len(kinds):
+            raise self._error(key, value, f"a list of {len(kinds)} values" if kinds else "a list")
+        for number, (kind, item) in enumerate(zip(kinds, items, strict=True)):
+            yield self._value(kind, item, f"{key}[{number}]")
+
+    def _table(self, kind: object, value: object, key: str) -> object:
+        if not isinstance(value, dict):
+            raise self._error(key, value, f"a table, [{key}]")
+        table = cast("dict[str, object]", value)
+        if is_dataclass(kind):
+            return self.table(cast("type[Any]", kind), table, key)
+        of = get_args(kind)[1]  # a mapping of names
+        return {name: self._value(of, each, _dotted(key, name)) for name, each in table.items()}
+
+    def _quantity(self, value: object, unit: str, key: str) -> float:
+        if not isinstance(value, str):
+            raise self._error(key, value, 'text with a unit, such as "1.5mm", "0.4s", "50mm/s" or "2N"')
+        if unit == "s":
+            return parse_quantity(self._file, key, value, "ns") / 1e9
+        return parse_quantity(self._file, key, value, unit)
+
+    def _error(self, key: str, value: object, must_be: str) -> ParameterError:
+        return ParameterError(self._file, key, value, must_be)
+
+
+def _dotted(section: str, key: str) -> str:
+    return f"{section}.{key}" if section else key
