@@ -2,7 +2,7 @@
 
 from connectors.console import Console
 from connectors.events import Event
-from connectors.files.csv_trace import CsvTrace
+from connectors.files.trace import Trace
 from connectors.gripper.gripper_sink import Gripper
 from connectors.mqtt.consumer import Consumer
 from connectors.mqtt.mqtt_sink import Mqtt
@@ -16,7 +16,6 @@ from connectors.web.metrics import Metrics
 __all__ = [
     "Console",
     "Consumer",
-    "CsvTrace",
     "Event",
     "Gripper",
     "Metrics",
@@ -25,5 +24,6 @@ __all__ = [
     "Replay",
     "SimulatedRig",
     "TakkTile",
+    "Trace",
     "UrMotion",
 ]

@@ -96,7 +96,8 @@ def describe_session(
             for kind, fingertip in (fingertips or {}).items()
             if (table := TABLE_OF.get(kind))
         },
-        "split": _split(run.describe.values()),
+        "split": _named("split", run.describe.values()),
+        "group": _named("group", run.describe.values()),
         "units": {
             table.name: {name: column.unit for name, column in table.columns.items() if column.unit}
             for table in TABLES
@@ -199,10 +200,9 @@ def _is_texts(value: object) -> bool:
     return isinstance(value, list) and all(isinstance(each, str) for each in cast("list[object]", value))
 
 
-def _split(descriptions: Iterable[Description]) -> str | None:
-    """Return the split that the sources name, None if none does."""
-    named = [split for each in descriptions if isinstance(split := each.get("split"), str)]
-    return named[0] if named else None
+def _named(key: str, descriptions: Iterable[Description]) -> str | None:
+    """Return the split or group that a source names, None if none does."""
+    return next((value for each in descriptions if isinstance(value := each.get(key), str)), None)
 
 
 def _is_json(description: Description) -> bool:

@@ -1,127 +1,200 @@
-"""Strict reader of CSV columns; errors name the line and the column."""
+"""Strict reader of CSV files with any separator; errors name the line and the column."""
 
 import csv
+import gzip
 import hashlib
 import io
+import re
+from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
+from connectors.files import table
+from connectors.files.table import Table
+from operators.checks import check_choice
 from operators.errors import InputError, os_error_reason
 
-LIMIT: Final = 1 << 30  # bytes of a file
+SEPARATORS: Final = {"comma": ",", "semicolon": ";", "tab": "\t", "space": " ", "pipe": "|"}
 
-_DIGITS: Final = {"s": 9, "ms": 6, "us": 3, "ns": 0}  # decimal places of a time, down to 1 ns
+_ASSUMED: Final = 20  # lines that decide on the separator
+_PACKED: Final = (b"\x28\xb5\x2f\xfd", b"\x78\x01", b"\x78\x5e", b"\x78\x9c", b"\x78\xda")  # zstd, zlib
+_DECIMAL_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
+_QUOTED: Final = re.compile(r'"(?:[^"]|"")*"')
 
 
-class CsvTable:
-    """Columns of a CSV file, converted from text on request.
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a file.
 
-    Attributes:
-        where: Name of the file in messages.
-        names: Names of the columns; polars renames a duplicate to end in ``_duplicated_0``.
-        sha256: Checksum of the file, hex.
+    Raises:
+        InputError: if it cannot be read or is too large.
     """
-
-    def __init__(self, path: Path) -> None:
-        """Read a file.
-
-        Raises:
-            InputError: if it cannot be read, is too large or is not a table.
-        """
-        self.where = str(path)
-        try:
-            with path.open("rb") as file:
-                content = file.read(LIMIT + 1)
-        except OSError as error:
-            raise InputError(self.where, f"cannot be read: {os_error_reason(error)}") from None
-        if len(content) > LIMIT:
-            raise InputError(self.where, f"is larger than {LIMIT >> 20} MiB; cut it into several traces")
-        self.sha256 = hashlib.sha256(content).hexdigest()
-        try:
-            frame = pl.read_csv(content, infer_schema=False)
-        except pl.exceptions.NoDataError:
-            raise InputError(self.where, "is empty: its first line must name the columns") from None
-        except pl.exceptions.PolarsError as error:
-            if line := _too_long(content):
-                raise InputError(
-                    f"{self.where}, line {line}",
-                    "has more fields than line 1 has names; a comma in a value needs quotes",
-                ) from None
-            raise InputError(self.where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
-        torn = frame.select(pl.any_horizontal(pl.all().str.contains("\n", literal=True))).to_series()
-        for row in torn.arg_true()[:1]:  # an unpaired quotation mark
-            raise InputError(
-                f"{self.where}, line {row + 2}",
-                "has a quoted field that spans lines: close its quotation mark",
-            )
-        self.names = [name.strip() for name in frame.columns]
-        frame = frame.select(pl.all().str.strip_chars())
-        filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
-        self._columns = dict(zip(self.names, frame.filter(filled).get_columns(), strict=True))
-        self._lines = np.flatnonzero(filled.to_numpy()) + 2  # (n,) line numbers
-        if not len(self._lines):
-            raise InputError(self.where, "has no rows below its first line")
-
-    def __len__(self) -> int:
-        return len(self._lines)
-
-    def times(self, name: str, unit: str) -> NDArray[np.int64]:
-        """Return a column of times (n,) in ns; `unit` is the unit in the file: s, ms, us or ns.
-
-        Decimal text is converted exactly, then rounded to the nearest ns.
-
-        Raises:
-            InputError: on a value that is not a time, or is less than the previous one.
-        """
-        column = self._columns[name]
-        if unit == "ns":
-            numbers, must_be = column.cast(pl.Int64, strict=False), "a whole number of ns"
-        else:
-            decimals = column.cast(pl.Decimal(38, _DIGITS[unit]), strict=False)
-            numbers, must_be = decimals.to_physical().cast(pl.Int64, strict=False), f"a time in {unit}"
-        self._check(name, numbers.is_not_null().to_numpy(), must_be)
-        times = numbers.to_numpy()
-        self._check(name, np.diff(times, prepend=times[0]) >= 0, "no less than in the line before")
-        return times
-
-    def reals(self, name: str) -> NDArray[np.float64]:
-        """Return a column of numbers (n,); NaN for an empty field.
-
-        Raises:
-            InputError: on a value that is not a finite number.
-        """
-        column = self._columns[name]
-        values = column.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
-        present = (column.is_not_null() & (column != "")).to_numpy()  # "": a quoted empty field
-        self._check(name, np.isfinite(values) | ~present, "a number or empty")
-        return values
-
-    def whole(self, name: str, least: int, greatest: int) -> NDArray[np.float64]:
-        """Return a column of whole numbers (n,).
-
-        Raises:
-            InputError: on a value that is not a whole number from `least` to `greatest`.
-        """
-        values = self._columns[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
-        good = (values == np.rint(values)) & (values >= least) & (values <= greatest)
-        self._check(name, good, f"a whole number from {least} to {greatest}")
-        return values
-
-    def _check(self, name: str, good: NDArray[np.bool_], must_be: str) -> None:
-        if not good.all():
-            row = int(np.argmin(good))
-            found = self._columns[name][row]
-            where = f"{self.where}, line {self._lines[row]}, column {name}"
-            raise InputError(where, f"is {found or ''!r:.40}, must be {must_be}")
+    try:
+        with path.open("rb") as file:
+            content = file.read(table.LIMIT + 1)
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
+    if len(content) > table.LIMIT:
+        reason = f"is larger than {table.LIMIT >> 20} MiB; cut it into several traces"
+        raise InputError(str(path), reason)
+    return content
 
 
-def _too_long(content: bytes) -> int:
+def read_csv(path: Path, separator: str = "", header: Sequence[str] = ()) -> Table:
+    """Read a CSV file, also gzipped.
+
+    Lines at the beginning that start with ``#`` are comments, unless the last of them names the columns.
+    Numbers may have a decimal comma if the separator is not a comma.
+
+    Args:
+        path: The file.
+        separator: One character, or a name: comma, semicolon, tab, space (any number of spaces and tabs) or
+            pipe (default: detected).
+        header: Names of the columns of a file whose first line has none.
+
+    Raises:
+        InputError: if it cannot be read, is too large or is not a table.
+        ParameterError: if the separator is not a single character.
+    """
+    where, content = str(path), read_bytes(path)
+    sha256 = hashlib.sha256(content).hexdigest()
+    if content[:2] == b"\x1f\x8b":
+        content = _unzipped(where, content)
+    elif content.startswith(_PACKED):
+        raise InputError(where, "is compressed: decompress it first, or use gzip")
+    if separator not in ("", *SEPARATORS) and len(separator) != 1:
+        check_choice("import", "separator", separator, ("one character", *SEPARATORS))
+    above, content = _without_comments(content, named=bool(header))
+    sign = SEPARATORS.get(separator, separator) or detected(_lines(content, _ASSUMED))
+    notes = [] if sign == "," else [f"separator {_name(sign)}"]
+    if sign == " ":
+        content = b"\n".join(b" ".join(line.split()) for line in content.splitlines())
+    if header:
+        content = sign.join(f'"{name}"' for name in header).encode() + b"\n" + content
+        above -= 1  # that line
+    named_by = "--header" if header else f"line {above + 1}"
+    frame = _frame(where, content, sign, above, named_by)
+    if _cut_off(content.rstrip().rpartition(b"\n")[2], sign, frame.width):
+        reason = f"the last line has fewer fields than {named_by} has names: it is cut off, delete it"
+        raise InputError(where, reason)
+    filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()
+    numbers = np.flatnonzero(filled.to_numpy()) + above + 2  # (n,) line numbers
+    frame = frame.filter(filled)
+    if sign != "," and frame.select(pl.any_horizontal(pl.all().str.contains(_DECIMAL_COMMA)).any()).item():
+        notes.append("decimal comma")
+        point = pl.all().str.replace(",", ".", literal=True)
+        frame = frame.with_columns(
+            pl.when(pl.all().str.contains(_DECIMAL_COMMA)).then(point).otherwise(pl.all())
+        )
+    names = [name.strip() for name in frame.columns]
+    columns = dict(zip(reversed(names), reversed(frame.get_columns()), strict=True))  # the first of a name
+    return Table(
+        columns,
+        where,
+        names=[_original(name, names) for name in names],
+        named_by=named_by,
+        place="line",
+        numbers=numbers,
+        sha256=sha256,
+        notes=notes,
+    )
+
+
+def detected(lines: Sequence[str]) -> str:
+    """Return the separator that divides the first lines into the most fields, equally often in each line.
+
+    >>> detected(["t;p0;p1", "0,01;500,5;501"]), detected(["t p0 p1", "0.01   500  501"])
+    (';', ' ')
+    """
+    bare = [_QUOTED.sub("", line) for line in lines if line.strip()]
+    best, most = ",", 0
+    for sign in (",", ";", "\t", "|", " "):
+        counts = {len(line.split()) - 1 if sign == " " else line.count(sign) for line in bare}
+        if len(counts) == 1 and (fields := counts.pop()) > most:
+            best, most = sign, fields
+    if most == 0 and bare:  # lines of unequal length: the header decides
+        best = max((",", ";", "\t", "|"), key=bare[0].count)
+    return best
+
+
+def _lines(content: bytes, count: int) -> list[str]:
+    rows = io.TextIOWrapper(io.BytesIO(content[: 1 << 20]), "utf-8-sig", "replace")
+    return [line.rstrip("\r\n") for line in islice(rows, count)]
+
+
+def _name(sign: str) -> str:
+    return next((name for name, each in SEPARATORS.items() if each == sign), repr(sign))
+
+
+def _original(name: str, names: Sequence[str]) -> str:
+    """Return the name in the file: polars renames a duplicate."""
+    base, again, _ = name.rpartition("_duplicated_")
+    return base.strip() if again and base.strip() in names else name
+
+
+def _unzipped(where: str, content: bytes) -> bytes:
+    try:
+        with gzip.open(io.BytesIO(content)) as file:
+            unpacked = file.read(table.LIMIT + 1)
+    except (OSError, EOFError, ValueError) as error:
+        raise InputError(where, f"is a damaged gzip file: {error}") from None
+    if len(unpacked) > table.LIMIT:
+        raise InputError(where, f"unpacks to more than {table.LIMIT >> 20} MiB; cut it into several traces")
+    return unpacked
+
+
+def _without_comments(content: bytes, *, named: bool) -> tuple[int, bytes]:
+    """Return the number of comment lines at the beginning, and the content below them."""
+    skipped, start = 0, 0
+    while content[start : start + 1] == b"#":
+        end = content.find(b"\n", start) + 1
+        if not end:
+            break
+        below = _lines(content[end : end + (1 << 16)], 1)
+        if not named and below and not below[0].startswith("#") and _numeric(below[0]):
+            return skipped, content[start + 1 :]  # names, as numpy.savetxt writes them
+        skipped, start = skipped + 1, end
+    return skipped, content[start:]
+
+
+def _numeric(line: str) -> bool:
+    return re.fullmatch(r"[-+\d.,;|\s\"eEnaNinf]+", line) is not None and bool(re.search(r"\d", line))
+
+
+def _frame(where: str, content: bytes, sign: str, above: int, named_by: str) -> pl.DataFrame:
+    """Parse the columns of a file as text."""
+    try:
+        frame = pl.read_csv(content, infer_schema=False, separator=sign)
+    except pl.exceptions.NoDataError:
+        raise InputError(where, "is empty: its first line must name the columns") from None
+    except pl.exceptions.PolarsError as error:
+        if line := _too_long(content, sign):
+            reason = f"has more fields than {named_by} has names; a {_name(sign)} in a value needs quotes"
+            raise InputError(f"{where}, line {line + above}", reason) from None
+        raise InputError(where, f"is not a CSV file: {str(error).splitlines()[0]}") from None
+    torn = frame.select(pl.any_horizontal(pl.all().str.contains("\n", literal=True))).to_series()
+    for row in torn.arg_true()[:1]:  # an unpaired quotation mark
+        reason = "has a quoted field that spans lines: close its quotation mark"
+        raise InputError(f"{where}, line {row + above + 2}", reason)
+    return frame.select(pl.all().str.strip_chars())
+
+
+def _cut_off(line: bytes, sign: str, width: int) -> bool:
+    """Return True if a line has fewer than `width` fields."""
+    try:
+        fields = next(csv.reader([line.decode("utf-8", "replace")], delimiter=sign), ())
+    except csv.Error:
+        return False
+    return len(fields) < width
+
+
+def _too_long(content: bytes, sign: str) -> int:
     """Return the number of the first line with more fields than line 1; 0 if there is none."""
-    rows = csv.reader(io.StringIO(content.decode("utf-8-sig", "replace"), newline=""))
+    text = io.StringIO(content.decode("utf-8-sig", "replace"), newline="")
+    rows = csv.reader(text, delimiter=sign)
     try:
         width = len(next(rows))
         return next((rows.line_num for row in rows if len(row) > width), 0)

@@ -72,7 +72,7 @@ def import_(
       slipflow import trace.csv recordings --dry-run
       slipflow import trace.csv lab --map time=t,counts=p0..p5,speed=v --units time=ms,speed=mm/s
     """
-    from connectors.files.csv_columns import ColumnMap
+    from connectors.files.column_map import ColumnMap
     from flows.graph.quantity import parse_quantity, parse_time
     from flows.lab.importing import TraceImport
     from operators import Label

@@ -1,15 +1,15 @@
-"""Import of CSV traces as sessions of a dataset, for replay, training and evaluation."""
+"""Import of recorded traces as sessions of a dataset, for replay, training and evaluation."""
 
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from connectors import CsvTrace, Replay
-from connectors.files.csv_columns import LABEL, ColumnMap
+from connectors import Replay, Trace
+from connectors.files.column_map import LABEL, ColumnMap
 from flows.graph import Flow
 from flows.graph.drawing import describe
 from flows.run.replay_runner import ReplayRunner
@@ -20,6 +20,10 @@ from operators.fingertip import RATE_TOLERANCE
 from operators.ports import Run
 from storage import Dataset
 
+if TYPE_CHECKING:
+    from connectors.files.table import Table
+
+_DEFAULT: Final = ColumnMap()
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
 _LABELS: Final = {"slip": SLIP, "static": STATIC, "unknown": UNKNOWN}
 
@@ -47,43 +51,45 @@ class AttachLabels(Operator[Zeroed, Labelled]):
 
 
 class TraceImport:
-    """CSV trace that was read but not written yet; `summary` and `report` show its interpretation.
+    """Trace that was read but not written yet; `summary` and `report` show its interpretation.
 
     Samples have the labels of the file or, if it has none, labels by the arm's speed.
 
     Args:
-        path: The file.
+        source: The file, or a table that was read from one (`connectors.files.formats.read_table`).
         out: Folder of the dataset; created if absent.
         columns: Map of the columns; unmapped ones are recognised by their usual names.
         rate: Rows per second, Hz: of a file without a time; otherwise the expected rate.
         finger: Number of the fingertip.
-        zeroed: Counts are relative to the unloaded fingertip (default: if one is negative).
+        zeroed: Readings are relative to the unloaded fingertip (default: if one is negative).
         label: Labels by the arm's speed, for a file without labels.
         session: Name of the session (default: the file's name).
+        group: Surface or object of the recording, by which recordings are split.
 
     Raises:
-        InputError: if the file has an invalid value, named by line and column, or another rate.
+        InputError: if the file has an invalid value, named by row and column, or another rate.
         ParameterError: on an invalid parameter.
     """
 
     def __init__(
         self,
-        path: Path,
+        source: "str | Path | Table",
         out: Path,
-        columns: ColumnMap,
+        columns: ColumnMap = _DEFAULT,
         *,
         rate: float | None = None,
         finger: int = 0,
         zeroed: bool | None = None,
         label: Label | None = None,
         session: str | None = None,
+        group: str | None = None,
     ) -> None:
-        self.trace = CsvTrace(path, columns, finger=finger, zeroed=zeroed, rate=rate)
+        self.trace = Trace(source, columns, finger=finger, zeroed=zeroed, rate=rate, group=group)
         found = self.trace.rate
         if rate is not None and found is not None and abs(found / rate - 1) > RATE_TOLERANCE:
             reason = f"has {found:.1f} rows per second, not {rate:g}: is its time in another unit?"
-            raise InputError(str(path), reason)
-        self.session = session or _UNSAFE.sub("-", path.stem).strip("-._")[:128] or "trace"
+            raise InputError(self.trace.name, reason)
+        self.session = session or session_name(self.trace.name)
         self._out, self._columns, self._label = out, columns, label or Label()
 
     @property
@@ -147,7 +153,8 @@ class TraceImport:
         """Return the interpretation of the file as text."""
         found, rate = self.summary(), self.trace.rate or 0.0
         lines = [f"{self.trace.name}: {found['rows']} rows, {found['seconds']:.1f} s, {rate:.1f} Hz"]
-        units = {**found["units"], "counts": "zeroed" if found["zeroed"] else "raw"}
+        lines[0] += f" ({', '.join(self.trace.notes)})" if self.trace.notes else ""
+        units = {**found["units"], "counts": self._cells()}
         for name, columns in found["columns"].items():
             notes = [units[name]] if name in units else []
             notes += ["recognised by name"] if name in found["recognised"] else []
@@ -164,4 +171,26 @@ class TraceImport:
         )
         lines.append(by_file if self.label_source == "the file" else by_speed)
         lines += [f"  warning: {each}" for each in found["warnings"]]
+        lines += [f"  group    {self.trace.group}"] if self.trace.group is not None else []
         return "\n".join([*lines, f"session {self.session} of {self._out}, finger {found['finger']}"])
+
+    def _cells(self) -> str:
+        """Describe the readings and how they are stored."""
+        trace = self.trace
+        source, unit = trace.columns.cell_units
+        notes = ["zeroed" if trace.kind is Zeroed else "raw"]
+        if unit != "count" or trace.resolution != 1:
+            notes.append(unit if source == unit else f"{source} as {unit}")
+            notes.append(f"in steps of {trace.resolution:g}")
+        notes += ["with an offset"] if trace.offset.any() else []
+        return ", ".join(notes)
+
+
+def session_name(file: str) -> str:
+    """Return the name of the session of a file.
+
+    >>> session_name("data/lab 3, night.csv")
+    'lab-3-night'
+    """
+    stem = Path(file.removesuffix(".gz")).stem
+    return _UNSAFE.sub("-", stem).strip("-._")[:128] or "trace"

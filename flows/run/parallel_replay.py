@@ -163,10 +163,10 @@ def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
     """
     if path.suffix != ".csv":
         return Session.open(path)
-    from connectors.files.csv_trace import CsvTrace  # noqa: PLC0415 - slow import, rarely needed
+    from connectors.files.trace import Trace  # noqa: PLC0415 - slow import, rarely needed
 
     try:
-        trace = CsvTrace(path)
+        trace = Trace(path)
     except InputError as error:
         reason = f"{error.reason} (convert it with slipflow import --map, then replay the result)"
         raise InputError(error.where, reason) from error

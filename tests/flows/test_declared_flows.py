@@ -6,7 +6,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from connectors import CsvTrace
+from connectors import Trace
 from flows.cli.demo_summary import report, summarize
 from flows.demo import demo
 from flows.graph import Flow
@@ -83,7 +83,7 @@ def _events(detector: str, pace: float | None) -> Slips:
     flow, sink = Flow("real"), TestSink()
     touch = flow.source(TestSource(Touch))
     (touch | Zero() | Score(load_detector(detector)) | Debounce(consecutive=2)).to(sink)
-    trace = CsvTrace(MAT)
+    trace = Trace(MAT)
     if pace is None:
         asyncio.run(ReplayRunner(flow, trace, "real").execute())
     else:

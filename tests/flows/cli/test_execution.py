@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from connectors import CsvTrace
+from connectors import Trace
 from flows.cli.event_log import Format
 from flows.cli.execution import execute, report_run, session_name
 from flows.graph import Flow
@@ -15,12 +15,12 @@ from operators.ports import SinkStatus
 
 
 @pytest.fixture
-def trace(tmp_path: Path) -> CsvTrace:
+def trace(tmp_path: Path) -> Trace:
     """Trace of two seconds at 100 Hz."""
     path = tmp_path / "trace.csv"
     rows = "".join(f"{k / 100},1,2,3,4,5,{k}\n" for k in range(200))
     path.write_text("t,p0,p1,p2,p3,p4,p5\n" + rows)
-    return CsvTrace(path)
+    return Trace(path)
 
 
 def flow() -> tuple[Flow, TestSink]:
@@ -33,7 +33,7 @@ def test_a_session_is_named_after_its_flow_and_start_time() -> None:
     assert re.fullmatch(r"pressed-\d{8}T\d{6}\.\d{6}Z", session_name(Flow("pressed")))
 
 
-def test_a_recording_gives_the_same_rows_at_any_pace(trace: CsvTrace) -> None:
+def test_a_recording_gives_the_same_rows_at_any_pace(trace: Trace) -> None:
     given = list[list[int]]()
     for pace in (None, 0.5):
         made, sink = flow()
@@ -43,7 +43,7 @@ def test_a_recording_gives_the_same_rows_at_any_pace(trace: CsvTrace) -> None:
     assert given[0] == given[1] == list(range(200))
 
 
-def test_a_limit_ends_a_paced_replay(trace: CsvTrace) -> None:
+def test_a_limit_ends_a_paced_replay(trace: Trace) -> None:
     made, sink = flow()
     run_virtually(execute(made, log=Format.TEXT, limit=s, recording=trace, pace=1.0))
     assert 98 <= len(sink.rows(Touch, 0)) <= 101

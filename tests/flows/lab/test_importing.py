@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from connectors.files.csv_columns import ColumnMap
+from connectors.files.column_map import ColumnMap
 from flows.graph import Flow
 from flows.graph.testing import TestSink, TestSource
 from flows.lab.importing import AttachLabels, TraceImport
@@ -114,7 +114,7 @@ def test_the_session_describes_its_file(tmp_path: Path, write: Write) -> None:
         "rows": 5,
         "zeroed": False,
         "columns": {"time": ["stamp"], "counts": CELLS.split(","), "label": ["x"]},
-        "units": {"time": "ms"},
+        "units": {"time": "ms", "counts": "count"},
     }
     assert session.about["complete"] is True
 

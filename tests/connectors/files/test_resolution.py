@@ -1,0 +1,120 @@
+"""Readings in any unit as counts of 16 bits."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as st_numpy
+
+from connectors import Trace
+from connectors.files.column_map import ColumnMap
+from connectors.files.resolution import COUNT_LIMIT, at_least, common, needed, offsets
+from connectors.files.table import Table
+from operators.batch import Reals, Touch, Zeroed
+from operators.errors import InputError
+
+
+def columns(unit: str = "count", resolution: float | None = None) -> ColumnMap:
+    return ColumnMap({"counts": ("p*",)}, {"counts": unit}, resolution=resolution)
+
+
+def table(*readings: list[float], dtype: str = "f8") -> Table:
+    return Table(
+        {
+            "t": np.arange(len(readings[0])) / 100,
+            **{f"p{i}": np.array(each, dtype) for i, each in enumerate(readings)},
+        }
+    )
+
+
+def given_back(trace: Trace) -> Reals:
+    """Return the readings that the counts stand for."""
+    readings: Reals = (trace.touch.counts + trace.offset) * trace.resolution
+    return readings
+
+
+finite = st.floats(-1e9, 1e9, allow_nan=False).map(lambda value: round(value, 9))
+
+
+@given(st_numpy.arrays(np.float64, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=finite))
+def test_readings_come_back_within_half_a_step_that_is_as_fine_as_16_bits_allow(values: Reals) -> None:
+    for zeroed in (False, True):
+        resolution = common([needed(values)], offset=not zeroed)
+        offset = np.zeros(values.shape[1]) if zeroed else offsets(values, resolution)
+        counts = np.rint(values / resolution - offset)
+        assert np.abs(counts).max() <= COUNT_LIMIT
+        assert np.abs((counts + offset) * resolution - values).max() <= 0.51 * resolution
+        span = np.abs(values).max() if zeroed else (values.max(axis=0) - values.min(axis=0)).max()
+        lossless = np.allclose((counts + offset) * resolution, values, rtol=0, atol=0.011 * resolution)
+        assert (
+            lossless
+            or resolution <= 2.5 * max(span / (COUNT_LIMIT - 1), 1e-10 * np.abs(values).max(), 1e-12) * 2.01
+        )
+
+
+@given(st.floats(1e-11, 1e12))
+def test_a_usual_step_is_at_most_two_and_a_half_times_as_large(step: float) -> None:
+    assert step * (1 - 1e-8) <= at_least(step) <= 2.51 * step
+
+
+@pytest.mark.parametrize(
+    ("readings", "unit", "resolution", "offset"),
+    [
+        ([0, 500, 1023], "count", 1, False),
+        ([37084, 38580, 37091], "count", 1, True),  # 16 bits without a sign
+        ([101.32, 101.35, 99.99], "kPa", 0.01, False),
+        ([0.0, 3.141592, 5.0], "V", 0.0002, False),
+        ([98270.25, 143262.0, 98000.75], "Pa", 1, True),
+        ([98270.25, 98262.0, 98271.75], "Pa", 0.25, True),
+        ([98270.25, 143262.0, 98000.75], "Pa:kPa", 0.001, True),
+        ([0.0, 0.0, 0.0], "N", 1, False),
+        ([0.125, 0.375, 2.0], "N", 0.025, False),
+    ],
+)
+def test_the_resolution_keeps_all_digits_if_it_can(
+    readings: list[float], unit: str, resolution: float, *, offset: bool
+) -> None:
+    trace = Trace(table(readings), columns(unit))
+    assert trace.resolution == resolution
+    assert trace.offset.any() == offset
+    factor = 0.001 if unit == "Pa:kPa" else 1
+    assert given_back(trace)[:, 0] == pytest.approx(
+        [each * factor for each in readings], abs=resolution * 0.51
+    )
+    fingertip = trace.fingertip(Touch)
+    assert fingertip is not None
+    assert (fingertip.unit, fingertip.resolution) == (unit.rpartition(":")[2], resolution)
+
+
+def test_readings_of_32_bit_floats_have_the_resolution_of_their_decimals() -> None:
+    trace = Trace(table([101.32, 101.35, 99.99], dtype="f4"), columns("kPa"))
+    assert trace.resolution == 0.01
+
+
+def test_readings_relative_to_the_unloaded_fingertip_have_no_offset() -> None:
+    pressures = table([98270.25, 143262.0, 98000.75])
+    for zeroed, resolution in ((True, 5), (False, 1)):
+        trace = Trace(pressures, columns("Pa"), zeroed=zeroed)
+        assert trace.kind is (Zeroed if zeroed else Touch)
+        assert trace.resolution == resolution
+        assert trace.offset.any() != zeroed
+    assert Trace(table([-0.5, 2.0]), columns("N")).kind is Zeroed
+    assert Trace(table([-0.5, 2.0]), columns("N"), zeroed=False).kind is Touch
+
+
+def test_a_given_resolution_is_kept_and_must_fit() -> None:
+    trace = Trace(table([0.1234, 5.0]), columns("V", 0.01))
+    assert trace.touch.counts[:, 0].tolist() == [12, 500]
+    assert Trace(table([2.5, 1000]), columns(resolution=0.5)).touch.counts[:, 0].tolist() == [5, 2000]
+    with pytest.raises(
+        InputError, match=r"row 1, column p0: is 5.0, must be from -3.2767 to 3.2767 at a res"
+    ):
+        Trace(table([0.0, 5.0, -5.0]), columns("V", 1e-4))
+
+
+def test_recordings_can_have_a_common_resolution() -> None:
+    fine, coarse = needed(np.array([[1.25], [2.5]])), needed(np.array([[1.1], [3.0]]))
+    assert (fine.exact, coarse.exact) == (0.25, 0.1)
+    assert common([fine, coarse], offset=True) == 0.1
+    rough = needed(np.array([[0.0], [1e5 + 1 / 3]]))
+    assert common([fine, rough], offset=False) == 5
