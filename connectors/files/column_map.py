@@ -299,7 +299,7 @@ def _check_size(name: str, columns: Sequence[str]) -> None:
 
 
 def _value(text: str) -> str:
-    """Return a value of a label column as `Table.codes` compares it."""
+    """Return a value of a label column as `TraceTable.codes` compares it."""
     try:
         number = float(text)
     except ValueError:

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 import polars as pl
 
-from connectors.files import table
-from connectors.files.table import Table
+from connectors.files import trace_table
+from connectors.files.trace_table import TraceTable
 from operators.checks import check_choice
 from operators.errors import InputError, os_error_reason
 
@@ -34,16 +34,16 @@ def read_bytes(path: Path) -> bytes:
     """
     try:
         with path.open("rb") as file:
-            content = file.read(table.LIMIT + 1)
+            content = file.read(trace_table.LIMIT + 1)
     except OSError as error:
         raise InputError(str(path), f"cannot be read: {os_error_reason(error)}") from None
-    if len(content) > table.LIMIT:
-        reason = f"is larger than {table.LIMIT >> 20} MiB; cut it into several traces"
+    if len(content) > trace_table.LIMIT:
+        reason = f"is larger than {trace_table.LIMIT >> 20} MiB; cut it into several traces"
         raise InputError(str(path), reason)
     return content
 
 
-def read_csv(path: Path, separator: str = "", header: Sequence[str] = ()) -> Table:
+def read_csv(path: Path, separator: str = "", header: Sequence[str] = ()) -> TraceTable:
     """Read a CSV file, also gzipped.
 
     Lines at the beginning that start with ``#`` are comments, unless the last of them names the columns.
@@ -91,7 +91,7 @@ def read_csv(path: Path, separator: str = "", header: Sequence[str] = ()) -> Tab
         )
     names = [name.strip() for name in frame.columns]
     columns = dict(zip(reversed(names), reversed(frame.get_columns()), strict=True))  # the first of a name
-    return Table(
+    return TraceTable(
         columns,
         where,
         names=[_original(name, names) for name in names],
@@ -138,11 +138,13 @@ def _original(name: str, names: Sequence[str]) -> str:
 def _unzipped(where: str, content: bytes) -> bytes:
     try:
         with gzip.open(io.BytesIO(content)) as file:
-            unpacked = file.read(table.LIMIT + 1)
+            unpacked = file.read(trace_table.LIMIT + 1)
     except (OSError, EOFError, ValueError) as error:
         raise InputError(where, f"is a damaged gzip file: {error}") from None
-    if len(unpacked) > table.LIMIT:
-        raise InputError(where, f"unpacks to more than {table.LIMIT >> 20} MiB; cut it into several traces")
+    if len(unpacked) > trace_table.LIMIT:
+        raise InputError(
+            where, f"unpacks to more than {trace_table.LIMIT >> 20} MiB; cut it into several traces"
+        )
     return unpacked
 
 

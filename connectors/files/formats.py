@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from connectors.files.table import Table
+    from connectors.files.trace_table import TraceTable
 
 
-def read_table(source: str | Path, *, separator: str = "", header: Sequence[str] = ()) -> "Table":
+def read_table(source: str | Path, *, separator: str = "", header: Sequence[str] = ()) -> "TraceTable":
     """Read a file of any supported format; its ending names the format, CSV by default.
 
     Args:

@@ -8,16 +8,16 @@ from typing import Final
 
 import polars as pl
 
-from connectors.files import table
+from connectors.files import trace_table
 from connectors.files.csv_table import read_bytes
-from connectors.files.table import Table
+from connectors.files.trace_table import TraceTable
 from operators.errors import InputError
 from storage.parquet_pages import declared_sizes
 
 VALUE_SIZE: Final = 8  # bytes of an unpacked value
 
 
-def read_parquet(path: Path) -> Table:
+def read_parquet(path: Path) -> TraceTable:
     """Read a Parquet file; lists become columns ``name0``, ``name1``, ..., structs ``name.field``.
 
     Raises:
@@ -26,9 +26,9 @@ def read_parquet(path: Path) -> Table:
     where, content = str(path), read_bytes(path)
     try:
         _, unpacked, values = declared_sizes(content)
-        if max(unpacked, values * VALUE_SIZE) > table.LIMIT:
+        if max(unpacked, values * VALUE_SIZE) > trace_table.LIMIT:
             raise InputError(
-                where, f"unpacks to more than {table.LIMIT >> 20} MiB; cut it into several traces"
+                where, f"unpacks to more than {trace_table.LIMIT >> 20} MiB; cut it into several traces"
             )
         frame = pl.read_parquet(io.BytesIO(content))
     except (ValueError, OSError, pl.exceptions.PolarsError, pl.exceptions.PanicException) as error:
@@ -43,7 +43,7 @@ def read_parquet(path: Path) -> Table:
                 columns[name] = values_of
     if not columns:
         raise InputError(where, "has no columns of numbers or texts")
-    return Table(columns, where, sha256=hashlib.sha256(content).hexdigest(), left_out=left_out)
+    return TraceTable(columns, where, sha256=hashlib.sha256(content).hexdigest(), left_out=left_out)
 
 
 def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
@@ -55,7 +55,7 @@ def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
     if isinstance(column.dtype, pl.Array):
         column = column.arr.to_list()
     sizes = column.list.len().unique().drop_nulls() if isinstance(column.dtype, pl.List) else pl.Series([])
-    if len(sizes) == 1 and sizes.item() * len(column) * VALUE_SIZE <= table.LIMIT:
+    if len(sizes) == 1 and sizes.item() * len(column) * VALUE_SIZE <= trace_table.LIMIT:
         for item in range(sizes.item()):
             yield from _flat(f"{name}{item}", column.list.get(item))
     else:
@@ -65,8 +65,8 @@ def _flat(name: str, column: pl.Series) -> Iterator[tuple[str, pl.Series]]:
 def _unusable(column: pl.Series) -> str:
     """Return why a column cannot be used; empty: it can."""
     kind = column.dtype
-    if kind == pl.String and (column.str.len_bytes().sum() or 0) > table.LIMIT:
-        return f"its texts have more than {table.LIMIT >> 20} MiB"
+    if kind == pl.String and (column.str.len_bytes().sum() or 0) > trace_table.LIMIT:
+        return f"its texts have more than {trace_table.LIMIT >> 20} MiB"
     if isinstance(kind, pl.List):
         return "its lists differ in length"
     return f"its values are {kind}" if isinstance(kind, pl.Object | pl.Binary) else ""

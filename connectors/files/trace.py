@@ -31,7 +31,7 @@ from operators.fingertip import Fingertip, measured
 from operators.ports import Description, Json
 
 if TYPE_CHECKING:
-    from connectors.files.table import Table
+    from connectors.files.trace_table import TraceTable
 
 SomeBatch = TypeVar("SomeBatch", bound=Batch)
 
@@ -84,7 +84,7 @@ class Trace:
 
     def __init__(
         self,
-        source: "str | Path | Table",
+        source: "str | Path | TraceTable",
         columns: ColumnMap = _DEFAULT,
         *,
         finger: int = 0,
@@ -116,7 +116,7 @@ class Trace:
         else:
             self.labels = np.full(len(times), UNKNOWN, np.int8)
 
-    def _readings(self, table: "Table") -> Reals:
+    def _readings(self, table: "TraceTable") -> Reals:
         """Return the readings of the cells, (n, cells) in the unit of the counts; NaN: missing."""
         names, lenient = self.columns.columns[COUNTS], self.columns.lenient
         whole = self.columns.cell_units[0] == "count" and self.columns.resolution is None
@@ -132,7 +132,7 @@ class Trace:
         factor = self.columns.scale(COUNTS)
         return readings if factor == 1 else readings * factor
 
-    def _counts(self, table: "Table", readings: Reals, *, zeroed: bool) -> tuple[Counts, Flags]:
+    def _counts(self, table: "TraceTable", readings: Reals, *, zeroed: bool) -> tuple[Counts, Flags]:
         """Return the counts (n, cells) of the readings, and which are valid."""
         self.steps = needed(readings)
         self.resolution = self.columns.resolution or common([self.steps], offset=not zeroed)
@@ -145,7 +145,7 @@ class Trace:
             table.check(name, ~(np.abs(counts[:, cell]) > COUNT_LIMIT), limits)
         return np.where(valid, counts, 0).astype(np.int16), valid
 
-    def _motion(self, table: "Table", times: Times) -> Motion:
+    def _motion(self, table: "TraceTable", times: Times) -> Motion:
         """Return the rows with a velocity."""
         velocity: Reals = np.full((len(times), 6), np.nan)
         for name in MOTIONS:

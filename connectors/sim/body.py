@@ -8,8 +8,8 @@ the pad::
     I dO/dt = -T - c x Q + sum p_j x f_j + sum r_i x (0, n_i) + L    L moment of the mallet (N m)
 
 Pad: as in `contact`, with the velocity of the tip relative to the body, and the texture along the path
-that the pad slid on the body; Q, T friction and its moment on the tip (N, N m). The surface moves with the body, so that the top of a
-ball or the crest of a can moves over the pad::
+that the pad slid on the body; Q, T friction and its moment on the tip (N, N m). The surface moves with the
+body, so that the top of a ball or the crest of a can moves over the pad::
 
     g = k_x u^2 / 2 + k_y v^2 / 2        (u, v) position of a node relative to the body
 

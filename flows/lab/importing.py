@@ -21,7 +21,7 @@ from operators.ports import Run
 from storage import Dataset
 
 if TYPE_CHECKING:
-    from connectors.files.table import Table
+    from connectors.files.trace_table import TraceTable
 
 _DEFAULT: Final = ColumnMap()
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
@@ -73,7 +73,7 @@ class TraceImport:
 
     def __init__(
         self,
-        source: "str | Path | Table",
+        source: "str | Path | TraceTable",
         out: Path,
         columns: ColumnMap = _DEFAULT,
         *,

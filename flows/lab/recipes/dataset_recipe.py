@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, Literal
 from urllib.parse import quote
 
-from connectors.files.csv_columns import LABEL, SPEED, VELOCITY, ColumnMap
+from connectors.files.column_map import LABEL, SPEED, VELOCITY, ColumnMap
 from flows.lab.recipes.expression import Expression
 from flows.lab.toml_file import parse_toml, shipped_text
 from operators.checks import check_above, check_between, check_choice

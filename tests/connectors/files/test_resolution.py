@@ -9,7 +9,7 @@ from hypothesis.extra import numpy as st_numpy
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
 from connectors.files.resolution import COUNT_LIMIT, at_least, common, needed, offsets
-from connectors.files.table import Table
+from connectors.files.trace_table import TraceTable
 from operators.batch import Reals, Touch, Zeroed
 from operators.errors import InputError
 
@@ -18,8 +18,8 @@ def columns(unit: str = "count", resolution: float | None = None) -> ColumnMap:
     return ColumnMap({"counts": ("p*",)}, {"counts": unit}, resolution=resolution)
 
 
-def table(*readings: list[float], dtype: str = "f8") -> Table:
-    return Table(
+def table(*readings: list[float], dtype: str = "f8") -> TraceTable:
+    return TraceTable(
         {
             "t": np.arange(len(readings[0])) / 100,
             **{f"p{i}": np.array(each, dtype) for i, each in enumerate(readings)},

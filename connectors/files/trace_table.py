@@ -20,7 +20,7 @@ _TIME_LIMIT: Final = float(1 << 63)  # ns
 _DATE: Final = r"^\d{4}-\d{2}-\d{2}[T ]"
 
 
-class Table:
+class TraceTable:
     """Columns of a file, converted on request.
 
     A missing value is null, NaN or an empty text.
