@@ -76,6 +76,30 @@ class TraceTable:
     def __len__(self) -> int:
         return self._length
 
+    def selected(self, rows: Flags) -> "TraceTable":
+        """Return a table of some rows; messages keep the numbers of the rows.
+
+        Args:
+            rows: (n,) True for a row to keep.
+
+        Raises:
+            InputError: if there is none.
+        """
+        if not rows.any():
+            raise InputError(self.where, "has no valid row")
+        header, numbers = self.header, np.arange(len(self)) if self._numbers is None else self._numbers
+        found = TraceTable(
+            {name: values.filter(pl.Series(rows)) for name, values in self._columns.items()},
+            self.file,
+            where=self.where,
+            place=self._place,
+            numbers=numbers[rows],
+            sha256=self.sha256,
+            notes=self.notes,
+        )
+        found.header = header
+        return found
+
     def times(self, name: str, unit: str) -> Times:
         """Return a column of times (n,) in ns; `unit` is the unit in the file: s, ms, us or ns.
 

@@ -19,6 +19,7 @@ from flows.cli.commands import command_group, register, usage_error
 from flows.cli.demo_command import demo
 from flows.cli.evaluate import evaluate
 from flows.cli.export import export
+from flows.cli.fetch import fetch
 from flows.cli.graph import graph
 from flows.cli.import_command import import_
 from flows.cli.onnx import onnx
@@ -39,7 +40,7 @@ _PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
         "View": (show, watch),
         "Train and evaluate": (train, evaluate, chart, stress, onnx),
         "Robots": (collect, rig),
-        "Data": (verify, recover, import_, export, simulate),
+        "Data": (verify, recover, fetch, import_, export, simulate),
     }
 )
 _OUTPUT_ERRORS: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}

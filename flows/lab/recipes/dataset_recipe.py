@@ -98,8 +98,7 @@ class DatasetRecipe:
         about: Description of the recordings.
         assumed: Assumptions of the recipe that the source does not confirm.
         rate: Samples per second, Hz.
-        unit: Unit of a reading.
-        resolution: Units per count.
+        resolution: Units per stored count, where the counts have a unit.
         zeroed: Counts are relative to the unloaded or resting fingertip.
         split: Unit that a benchmark holds out as a whole: every ``group``, or every ``recording``.
         group: Kind of the groups, such as surface.
@@ -128,8 +127,7 @@ class DatasetRecipe:
     about: str = ""
     assumed: str = ""
     rate: float = 0.0  # Hz
-    unit: str = "count"
-    resolution: float = 1.0
+    resolution: float | None = None
     zeroed: bool = False
     split: Literal["group", "recording"] = "recording"
     group: str = "recording"
@@ -146,7 +144,6 @@ class DatasetRecipe:
         self._check_source()
         if self.recordings:
             check_above("recipe", "rate", self.rate, 0, "Hz")
-            check_above("recipe", "resolution", self.resolution, 0)
             self._check_columns()
         for name, texts in (
             ("recordings", [each.name for each in self.recordings]),
@@ -192,7 +189,7 @@ class DatasetRecipe:
     @property
     def digest(self) -> str:
         """Checksum of everything that determines the imported dataset, hex."""
-        parts = self.rate, self.unit, self.resolution, self.zeroed, self.skip_invalid, self.recordings
+        parts = self.rate, self.resolution, self.zeroed, self.skip_invalid, self.recordings
         tables = [[*table.items()] for table in (self.columns, self.derived, self.map, self.units)]
         return hashlib.sha256(repr((self.name, parts, tables)).encode()).hexdigest()
 
@@ -243,6 +240,16 @@ class DatasetRecipe:
                 raise ParameterError("recipe", "group", "", f"given for {recording.name}: split is group")
 
 
+def recipe_file(recipe: str) -> tuple[Path, str]:
+    """Return the path and the text of a recipe: the name of a shipped one, or a TOML file.
+
+    Raises:
+        ParameterError: if there is no shipped recipe of that name.
+        InputError: if the file cannot be read.
+    """
+    return shipped_text("fetch", "recipe", recipe, SHIPPED)
+
+
 def load_recipe(recipe: str) -> DatasetRecipe:
     """Return a recipe: the name of a shipped one, or a TOML file.
 
@@ -253,7 +260,7 @@ def load_recipe(recipe: str) -> DatasetRecipe:
         ParameterError: if there is no shipped recipe of that name, or a key has an invalid value.
         InputError: if the file cannot be read, is not TOML, has an unknown key or lacks a required one.
     """
-    path, text = shipped_text("fetch", "recipe", recipe, SHIPPED)
+    path, text = recipe_file(recipe)
     return parse_toml(DatasetRecipe, path, text)
 
 

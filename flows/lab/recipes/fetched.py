@@ -43,9 +43,21 @@ def fetched_dataset(recipe: DatasetRecipe, folder: Path | None = None) -> Path:
         InputError: if it was not fetched, or with another version of the recipe; it names the command.
     """
     where = recipe_folder(recipe, folder)
-    command = f"run `slipflow fetch {recipe.name}{f' --to {folder}' if folder else ''}` first"
-    if not (where / RECORD).is_file():
-        raise InputError(str(where), f"recipe {recipe.name} was not fetched into this folder: {command}")
-    if read_json(where / RECORD).get("recipe") != recipe.digest:
-        raise InputError(str(where), f"has data of another version of recipe {recipe.name}: {command}")
+    if not is_fetched(recipe, where):
+        command = f"slipflow fetch {recipe.name}{f' --to {folder}' if folder else ''}"
+        other = (where / RECORD).is_file() and (where / DATASET).is_dir()
+        state = "was fetched by another version of the recipe" if other else "was not fetched"
+        raise InputError(str(where), f"recipe {recipe.name} {state}: run `{command}` first")
     return where / DATASET
+
+
+def is_fetched(recipe: DatasetRecipe, folder: Path) -> bool:
+    """Return True if the folder of a recipe has its complete dataset, by this version of the recipe.
+
+    Raises:
+        InputError: if the record of the fetch is damaged.
+    """
+    record = folder / RECORD
+    return (
+        record.is_file() and read_json(record).get("recipe") == recipe.digest and (folder / DATASET).is_dir()
+    )
