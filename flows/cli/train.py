@@ -102,6 +102,7 @@ def train(
                 lag=delay,
                 resume=resume,
                 progress=progress,
+                warn=note,
             )
         except KeyboardInterrupt:
             note(f"stopped: the training in progress wrote no model to {out}")

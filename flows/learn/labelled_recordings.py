@@ -62,6 +62,8 @@ class LabelledRecording:
     zeroing: int = 0  # samples at the start that determine the baseline
     name: str = ""
     split: str = ""  # train, validation or test
+    group: str = ""  # surface or object, by which recordings can be split; empty: unknown
+    span: tuple[int, int] | None = None  # ns since 1970 UTC or the start of a trace: first and last sample
     fingertip: Fingertip = TAKKTILE
     degraded: Flags | None = None  # (n,) True while `Health` reports a fault; None: not computed
 
@@ -192,6 +194,8 @@ def _of_session(session: Session, finger: int) -> LabelledRecording:
         sliding=_sliding(labelled, truth) if len(truth) else None,
         name=session.name,
         split=str(session.about.get("split") or ""),
+        group=str(session.about.get("group") or ""),
+        span=(int(labelled.time[0]), int(labelled.time[-1])) if len(labelled) else None,
         fingertip=session.fingertip(Labelled) or TAKKTILE,
     )
 

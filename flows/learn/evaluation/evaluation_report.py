@@ -10,11 +10,14 @@ import numpy as np
 from flows.learn.evaluation import evaluation_figures as figures
 from flows.learn.evaluation.evaluation_study import Evaluation
 from flows.learn.evaluation.event_metrics import AHEAD, EventMetrics
+from flows.learn.evaluation.figures_table import FIGURES_DECIMALS, FIGURES_HEAD, figures_cells
+from flows.learn.evaluation.intervals import DRAWS
 from flows.learn.evaluation.motion_metrics import MotionConfusions, MotionKind
 from flows.learn.evaluation.published import SURFACES, TABLE_1, TABLE_3, TABLE_3_ANY
 from flows.learn.evaluation.sample_metrics import EDGES, Confusion
 from flows.learn.evaluation.target_table import TARGET_DECIMALS, lead_text, target_cells, target_head
 from flows.learn.labelled_recordings import TARGETS
+from flows.learn.leaks.leak_section import leak_section
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, show
 from operators.batch import ms
@@ -37,12 +40,10 @@ _FAR: Final = 100  # ms
 
 def evaluation_report(of: Evaluation, command: str) -> Report:
     """Return the report of an evaluation that `command` made."""
-    clean = "No method was fitted to or tuned on this split; model cards name the training data."
-    used = "Methods may have been fitted to or tuned on this data, so this is not a test."
     text = (
         f"{len(of.results)} methods on the {of.split} split of {of.dataset}: {of.recordings} recordings, "
-        f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. "
-        + (clean if of.split == "test" else used)
+        f"{of.minutes:.1f} minutes, {of.samples} samples at 100 Hz, split by recording. Baselines were "
+        "fitted to recordings that are not judged." + "".join(f" Leak: {leak.finding}." for leak in of.leaks)
     )
     facts = {
         "dataset": of.dataset,
@@ -53,10 +54,21 @@ def evaluation_report(of: Evaluation, command: str) -> Report:
         "static": round(of.static, 3),
         "budget": of.budget,
         "missing": dict(of.missing),
+        "leaks": [leak.json() for leak in of.leaks],
     }
     first = of.leader
     title = f"Slip detectors on {of.dataset}: {first.method.name} reaches {first.confusion.accuracy:.1f} %"
-    sections = [accuracy(of), confusions(of), curves(of), events(of), *motions(of), changes(of), *sliding(of)]
+    sections = [
+        accuracy(of),
+        leak_section(of.leaks, of.unchecked),
+        intervals(of),
+        confusions(of),
+        curves(of),
+        events(of),
+        *motions(of),
+        changes(of),
+        *sliding(of),
+    ]
     return Report(title, text, sections, command, facts)
 
 
@@ -83,6 +95,21 @@ def accuracy(of: Evaluation) -> Section:
         "are of its own, real test set."
         + "".join(f" Not evaluated: {name}, {reason}." for name, reason in of.missing.items()),
         [Table(head, rows)],
+    )
+
+
+def intervals(of: Evaluation) -> Section:
+    """Return the section with the intervals over recordings."""
+    first = of.leader.figures.balanced
+    rows: list[list[Value]] = [[each.method.name, *figures_cells(each.figures)] for each in of.results]
+    return Section(
+        "intervals",
+        f"The balanced accuracy of {of.leader.method.name} is {show(first.value)} %, "
+        f"{first.interval() or 'without an interval'} over recordings",
+        f"95 % intervals from {DRAWS} draws of {of.recordings} recordings with replacement: samples of a "
+        "recording are alike. Fewer than three recordings give no interval. Events: reported events per "
+        "minute of recording; false alarms: per static minute.",
+        [Table(["method", *FIGURES_HEAD], rows, decimals=FIGURES_DECIMALS)],
     )
 
 

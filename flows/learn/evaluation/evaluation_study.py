@@ -17,6 +17,7 @@ from flows.learn.evaluation.event_metrics import (
     Slips,
     performances,
 )
+from flows.learn.evaluation.intervals import Figures, Judged, figures
 from flows.learn.evaluation.methods import Method, trained_methods, with_baselines
 from flows.learn.evaluation.motion_metrics import MotionConfusions
 from flows.learn.evaluation.sample_metrics import Confusion, LabelChanges, Reliability, Roc
@@ -25,9 +26,19 @@ from flows.learn.labelled_recordings import (
     WARM_UP,
     LabelledRecording,
     Target,
+    by_split,
     common_fingertip,
     load,
 )
+from flows.learn.leaks.leak import (
+    Leak,
+    card_leaks,
+    constant_leaks,
+    lists_recordings,
+    overlapping,
+    split_leaks,
+)
+from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
 from flows.learn.train_extra import require_train_extra
 from flows.run.processes import one_thread
@@ -54,6 +65,7 @@ class MethodResult:
     events: EventMetrics  # against the label
     paper_rule: EventMetrics  # the same with the debounce of the paper's robot tests
     performance: Mapping[Target, Performance]  # against each target that the recordings have
+    figures: Figures  # against the label, with intervals over recordings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +82,8 @@ class Evaluation:
     results: tuple[MethodResult, ...]  # the most accurate first
     missing: Mapping[str, str]  # reasons by method
     label: Mapping[Target, Performance]  # of the arm-speed label itself, against each target
+    leaks: tuple[Leak, ...]  # what inflates the results
+    unchecked: tuple[str, ...]  # methods whose card does not list the recordings of their training
 
     @property
     def leader(self) -> MethodResult:
@@ -86,7 +100,10 @@ def evaluate(
     budget: float = BUDGET,
     log: Callable[[str], object] = lambda _: None,
 ) -> Evaluation:
-    """Evaluate methods on a split; the validation split tunes the debounce of those without a card.
+    """Evaluate methods on a split.
+
+    Baselines are fitted to the train split, and the validation split tunes the debounce of methods without
+    a card. Recordings that are judged, or share rows with judged ones, take no part in either.
 
     Args:
         dataset: Folder of the dataset.
@@ -108,7 +125,9 @@ def evaluate(
     fingertip = common_fingertip(everything)
     for method in trained:
         Score(method.detector).output_fingertip(fingertip)
-    parts = {name: [each for each in everything if each.split == name] for name in ("train", "validation")}
+    bad = overlapping(everything, recordings)
+    parts = by_split(each for place, each in enumerate(everything) if place not in bad)
+    leaks, unchecked = _card_leaks(dataset, trained, recordings)
     with one_thread():
         chosen, missing = with_baselines(trained, parts["train"], names, log)
         if not chosen:
@@ -118,6 +137,11 @@ def evaluate(
         for method in chosen:
             log(f"evaluating {method.name}")
             results.append(evaluator.result(method))
+    leaks = [*split_leaks([everything]), *leaks]
+    for result in results:
+        leaks += constant_leaks(result.method.name, result.confusion.counts)
+    for leak in leaks:
+        log(f"leak: {leak.finding}")
     slip = [each.slip[at] for each, at in zip(recordings, evaluator.known, strict=True)]
     labels = np.concatenate(slip)
     return Evaluation(
@@ -131,7 +155,18 @@ def evaluate(
         tuple(sorted(results, key=lambda result: -result.confusion.accuracy)),
         missing,
         performances(recordings, [_certain(each) for each in recordings], _LABEL_RULE),
+        tuple(leaks),
+        unchecked,
     )
+
+
+def _card_leaks(
+    dataset: Path, methods: Sequence[Method], judged: Sequence[LabelledRecording]
+) -> tuple[list[Leak], tuple[str, ...]]:
+    """Return the leaks from judged recordings to models, and the methods whose cards list no recordings."""
+    digest = dataset_digest(dataset)
+    leaks = [leak for each in methods for leak in card_leaks(each.name, each.card, judged, digest)]
+    return leaks, tuple(each.name for each in methods if not lists_recordings(each.card))
 
 
 def _of_split(dataset: Path, recordings: Sequence[LabelledRecording], split: str) -> list[LabelledRecording]:
@@ -181,13 +216,14 @@ class _Evaluator:
             EventMetrics.of(scores, self.slips, debounce),
             EventMetrics.of(scores, self.slips, PAPER_RULE),
             performances(self.recordings, scores, debounce),
+            figures([[Judged.of(*own, debounce)] for own in zip(self.recordings, scores, strict=True)]),
         )
 
     def _debounce(self, method: Method) -> tuple[Debounce, str]:
         if method.debounce is not None:
             return method.debounce, "its card"
         if not self.validation:
-            return PAPER_RULE, "the paper, as there is no validation split"
+            return PAPER_RULE, "the paper, as no validation split is left to tune it on"
         return tuned_on(self.validation, method.detector, self.budget), "validation"
 
 

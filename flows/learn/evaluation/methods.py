@@ -1,9 +1,9 @@
 """Methods to compare: shipped detectors, model files, and baselines fitted to a training split."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -31,6 +31,7 @@ class Method:
     origin: str
     debounce: Debounce | None = None  # from its model card
     target: str | None = TARGETS[0]  # that it was trained on, by its model card; None: the card does not say
+    card: Mapping[str, Any] = field(default_factory=dict[str, Any])  # of its model; empty: it has none
 
 
 def trained_methods(models: Sequence[Path] = (), names: Collection[str] = ()) -> list[Method]:
@@ -104,7 +105,9 @@ def _fitted(
 ) -> Method:
     slip = labels(training, _HOP) if training else np.empty(0, np.bool_)
     if slip.all() or not slip.any():
-        raise InputError(name, "there is no training split with slip and static to fit it to")
+        raise InputError(
+            name, "no train split with slip and static is left to fit it to: judged recordings do not count"
+        )
     seen = np.concatenate([windows(recording, length, _HOP) for recording in training])
     detector = fit(seen, slip, training[0].fingertip.rate)
     return Method(name, detector, f"fitted to {len(slip)} windows")
@@ -113,7 +116,8 @@ def _fitted(
 def _shipped(name: str) -> Method:
     path = shipped(name)
     assert path is not None, "the caller asks for shipped ones only"
-    return Method(name, load_detector(name), "ships", load_debounce(path), load_card(path).get("target"))
+    card = load_card(path)
+    return Method(name, load_detector(name), "ships", load_debounce(path), card.get("target"), card)
 
 
 def _of_file(path: Path, taken: Collection[str]) -> Method:
@@ -121,4 +125,5 @@ def _of_file(path: Path, taken: Collection[str]) -> Method:
     detector = load_detector(path)
     names = (detector.name, path.stem, *(f"{path.stem}_{number}" for number in range(2, 100)))
     name = next(name for name in names if name not in {*taken, *_BASELINES})
-    return Method(name, detector, path.name, load_debounce(path), load_card(path).get("target"))
+    card = load_card(path)
+    return Method(name, detector, path.name, load_debounce(path), card.get("target"), card)

@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flows.learn.evaluation.event_metrics import DECISION
+from flows.learn.evaluation.intervals import balanced_accuracy
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.provenance import dataset_digest
 from flows.learn.scoring import probabilities
 from flows.learn.training.learning_curve import Check
 from operators.batch import SLIP, UNKNOWN
 from operators.detectors import Detector
 from storage import save_weights
-from storage.layout import MANIFEST, SESSIONS
 from storage.models import load_card, save_card
 
 Arrays: TypeAlias = Mapping[str, NDArray[Any]]
@@ -35,25 +36,28 @@ class Model:
 
 
 def label_scores(detector: Detector, recordings: Sequence[LabelledRecording]) -> dict[str, float]:
-    """Return accuracy, balanced accuracy and F1 of a detector on the labelled samples, %."""
-    probability = np.concatenate([probabilities(detector, recording) for recording in recordings])
-    label = np.concatenate([recording.label for recording in recordings])
-    known = (label != UNKNOWN) & ~np.isnan(probability)
-    confusion = Confusion.of(probability[known] > DECISION, label[known] == SLIP)
-    return {"accuracy": confusion.accuracy, "balanced": confusion.balanced, "f1": confusion.f1}
+    """Return accuracy, balanced accuracy and F1 of a detector on the labelled samples, %.
+
+    ``balanced_low`` and ``balanced_high`` are the 95 % interval over recordings, of which three are needed.
+    """
+    confusions = list[Confusion]()
+    for recording in recordings:
+        probability, label = probabilities(detector, recording), recording.label
+        known = (label != UNKNOWN) & ~np.isnan(probability)
+        confusions.append(Confusion.of(probability[known] > DECISION, label[known] == SLIP))
+    total = Confusion(np.sum([each.counts for each in confusions], axis=0))
+    found = {"accuracy": total.accuracy, "balanced": total.balanced, "f1": total.f1}
+    balanced = balanced_accuracy(confusions)
+    if np.isfinite(balanced.low):
+        found |= {"balanced_low": balanced.low, "balanced_high": balanced.high}
+    return found
 
 
 def provenance(dataset: Path, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
-    """Describe a dataset for the card of a model that was trained on it.
-
-    The sha256 covers the manifests of the sessions, which contain the sha256 of every part.
-    """
-    digest = hashlib.sha256()
-    for manifest in sorted((dataset / SESSIONS).glob(f"*/{MANIFEST}")):
-        digest.update(manifest.parent.name.encode() + b"\0" + manifest.read_bytes())
+    """Describe a dataset for the card of a model that was trained on it."""
     return {
         "dataset": dataset.resolve().name,
-        "sha256": digest.hexdigest(),
+        "sha256": dataset_digest(dataset),
         "recordings": dict(Counter(recording.split for recording in recordings)),
         "samples": sum(map(len, recordings)),
     }

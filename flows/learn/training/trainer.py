@@ -19,6 +19,7 @@ from flows.learn.labelled_recordings import (
     labelled_by,
     load,
 )
+from flows.learn.leaks.leak import SEEN, Leak, seen_recordings, split_leaks
 from flows.learn.train_extra import require_train_extra
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.learning_curve import Check
@@ -31,6 +32,7 @@ from operators.errors import InputError, ParameterError
 from operators.fingertip import TAKKTILE, Fingertip
 from operators.software import software_version
 from storage import load_weights
+from storage.models import save_card
 
 if TYPE_CHECKING:
     from flows.learn.training.training_loop import Trained
@@ -48,17 +50,24 @@ class Training:
     """Trained models: one for each seed, the best on validation first."""
 
     models: Sequence[Model]
+    leaks: Sequence[Leak] = ()  # between the splits
 
     def summary(self) -> dict[str, Any]:
-        """Return the cards as JSON data."""
-        return {"models": [{"path": str(model.path), **model.card} for model in self.models]}
+        """Return the leaks, and the cards without the hashes of recordings, as JSON data."""
+        cards = [
+            {"path": str(model.path), **{name: value for name, value in model.card.items() if name != SEEN}}
+            for model in self.models
+        ]
+        return {"leaks": [leak.json() for leak in self.leaks], "models": cards}
 
     def report(self) -> str:
         """Return the accuracies as text."""
         lines: list[str] = []
         for model in self.models:
             scores: Mapping[str, Mapping[str, float]] = model.card["scores"]
-            shown = ", ".join(f"{each['accuracy']:.2f} % on {split}" for split, each in scores.items())
+            shown = ", ".join(
+                f"{each['accuracy']:.2f} % on {split}{_interval(each)}" for split, each in scores.items()
+            )
             lines.append(f"{model.path}: accuracy {shown} (seed {model.card['seed']})")
         for split in ("validation", "test"):
             found = [m.card["scores"][split]["accuracy"] for m in self.models if split in m.card["scores"]]
@@ -79,6 +88,7 @@ def train(
     lag: float | None = None,
     resume: bool = False,
     progress: Progress = lambda _part, _done, _all, _check: None,
+    warn: Callable[[str], object] = lambda _: None,
 ) -> Training:
     """Train a detector on the train split of datasets; the validation split selects the best check.
 
@@ -95,6 +105,7 @@ def train(
         resume: Keep a model of an earlier call if its card states the same data and settings.
         progress: Called with the seed as text, the numbers of steps done and of all steps, and a new
             check or None.
+        warn: Receives each leak between the splits, before the training; the card lists them as well.
 
     Raises:
         InputError: if the train extra is missing, a dataset cannot be read, or it lacks the target.
@@ -112,6 +123,10 @@ def train(
             names = ", ".join(map(str, datasets))
             needed = f"five recordings or more, or some with a {split} split"
             raise ParameterError("train", "datasets", names, needed)
+    leaks = split_leaks(recordings.values())
+    for leak in leaks:
+        warn(f"leak: {leak.finding}")
+    seen = seen_recordings(chain.from_iterable(parts.values()))
     shifted = parts if lag is None else {split: relabelled(found, lag) for split, found in parts.items()}
     fingertip = common_fingertip(chain.from_iterable(parts.values()))
     if method != OURS:
@@ -133,14 +148,27 @@ def train(
         if model is None:
             trained = _train(method, shifted, own, progress)
             results = _results(_detector(method, trained.arrays, fingertip), parts)
-            card = {**settings, **results, "curve": [asdict(check) for check in trained.curve]}
+            curve = [asdict(check) for check in trained.curve]
+            found = {"leaks": [leak.json() for leak in leaks], SEEN: seen}
+            card = {**settings, **results, **found, "curve": curve}
             model = write_model(path, trained.arrays, card, trained.curve)
+        elif SEEN not in model.card:  # written by an earlier version
+            model = replace(model, card={**model.card, SEEN: seen})
+            save_card(path, model.card)
         models.append(model)
     models.sort(key=lambda model: -model.card["scores"]["validation"]["balanced"])
     if seeds > 1:
         first = models[0]
         write_model(out, load_weights(first.path)[0], first.card, first.curve)
-    return Training(models)
+    return Training(models, leaks)
+
+
+def _interval(scores: Mapping[str, float]) -> str:
+    """Return the interval of the balanced accuracy as text; empty if it is unknown."""
+    if "balanced_low" not in scores:
+        return ""
+    low, high = scores["balanced_low"], scores["balanced_high"]
+    return f" (balanced {scores['balanced']:.1f} %, {low:.1f} to {high:.1f} over recordings)"
 
 
 def _check(out: Path, method: str, seeds: int, target: str, lag: float | None) -> None:

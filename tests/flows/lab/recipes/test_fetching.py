@@ -215,7 +215,8 @@ def test_the_recipe_of_the_grasps_joins_the_files_of_a_trial(tmp_path: Path) -> 
     means: Reals = np.column_stack(
         [np.array([taxels[f"s1_txl{i}_z"] for i in group]).mean(axis=0) for group in GROUPS]
     )
-    np.testing.assert_array_equal(counts(session), np.round((means - means[:10].mean(axis=0)) / 4))
+    baseline: Reals = means[:10].mean(axis=0)
+    np.testing.assert_array_equal(counts(session), np.round((means - baseline) / 4))
     rows = samples(session)
     np.testing.assert_array_equal(rows["label"], label)
     np.testing.assert_allclose(rows["speed"], np.hypot(motion["vx"], motion["vy"]), atol=1e-7)

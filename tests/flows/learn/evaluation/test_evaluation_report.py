@@ -1,16 +1,17 @@
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flows.learn.evaluation import evaluation_report as sections
 from flows.learn.evaluation.evaluation_report import evaluation_report
-from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult, evaluate
+from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult
 from flows.learn.evaluation.event_metrics import EventMetrics
+from flows.learn.evaluation.intervals import Estimate
 from flows.learn.evaluation.target_table import TITLES
+from flows.learn.leaks.leak import Leak
 
 COMMAND = "slipflow evaluate tiny"
 
@@ -34,7 +35,8 @@ def test_page_tables_and_numbers_are_written(written: dict[str, str], found: Eva
 
 
 def test_every_section_is_on_the_page_and_most_have_a_figure(written: dict[str, str]) -> None:
-    names = ["accuracy", "confusion", "curves", "events", "motions", "other-motions", "changes", "sliding"]
+    names = ["accuracy", "leaks", "intervals", "confusion", "curves", "events", "motions", "other-motions"]
+    names += ["changes", "sliding"]
     assert re.findall(r'<section id="(.+?)">', written[".html"]) == names
     assert written[".html"].count("<svg ") == 5
 
@@ -107,5 +109,19 @@ def test_missing_methods_are_named_with_the_reason(found: Evaluation) -> None:
     assert report.json()["missing"] == {"oracle": "there is none"}
 
 
-def test_the_report_of_the_training_split_warns_that_it_is_not_a_test(tiny: Path) -> None:
-    assert "this is not a test" in evaluation_report(evaluate(tiny, names=["psd"], split="train"), "x").text
+def test_leaks_are_named_on_the_page_and_in_the_json(found: Evaluation) -> None:
+    leak = Leak("shared rows", "", "a (train) and b (test) share 60 rows")
+    report = evaluation_report(replace(found, leaks=(leak,), unchecked=("old",)), COMMAND)
+    for text in (report.html(), report.markdown("evaluation"), report.terminal()):
+        assert leak.finding in text
+    assert leak.finding in report.text
+    assert report.json()["leaks"] == [leak.json()]
+    assert "The cards of old do not list" in report.markdown("evaluation")
+
+
+def test_intervals_contain_the_figure(found: Evaluation) -> None:
+    leader = replace(found.leader, figures=replace(found.leader.figures, balanced=Estimate(90.0, 88.0, 91.0)))
+    section = sections.intervals(replace(found, results=(leader,)))
+    assert section.finding.endswith("is 90.0 %, 88.0 to 91.0 over recordings")
+    [row] = section.tables[0].rows
+    assert row[1:3] == [90.0, "88.0 to 91.0"]

@@ -9,8 +9,11 @@ from flows.learn.evaluation.evaluation_study import Evaluation, MethodResult, ev
 from flows.learn.evaluation.sample_metrics import Confusion
 from flows.learn.labelled_recordings import LabelledRecording, load
 from flows.learn.scoring import probabilities
+from flows.learn.training.recipe import Recipe
+from flows.learn.training.trainer import train
 from operators import Debounce
-from operators.batch import Codes
+from operators.batch import Codes, Reals
+from operators.detectors import Detector
 from operators.errors import InputError
 
 
@@ -85,7 +88,7 @@ def test_samples_with_unknown_labels_are_not_evaluated(tiny: Path, monkeypatch: 
         return [replace(each, label=_doubtful(each.label)) for each in load(dataset)]
 
     monkeypatch.setattr(module, "load", doubtful)
-    found = evaluate(tiny, names=["psd"], split="all")
+    found = evaluate(tiny, names=["tcn"], split="all")
     lengths = [len(recording) for recording in load(tiny)]
     assert found.samples == sum(length - 99 - 100 for length in lengths)
 
@@ -97,3 +100,55 @@ def test_a_missing_split_dataset_or_method_is_refused(tiny: Path, tmp_path: Path
         evaluate(tmp_path)
     with pytest.raises(InputError, match="oracle: is not a method"):
         evaluate(tiny, names=["oracle"])
+
+
+def test_with_all_recordings_judged_nothing_is_fitted_or_tuned(tiny: Path) -> None:
+    logged: list[str] = []
+    found = evaluate(tiny, names=["psd", "logistic", "tcn"], split="all", log=logged.append)
+    assert [result.method.name for result in found.results] == ["tcn"]
+    assert set(found.missing) == {"psd", "logistic"}
+    assert "judged recordings do not count" in found.missing["psd"]
+
+
+def test_a_judged_split_does_not_tune_the_debounce(tiny: Path) -> None:
+    found = evaluate(tiny, names=["psd"], split="validation")
+    assert psd(found).chosen_on.startswith("the paper")
+
+
+def test_a_copy_of_a_judged_recording_is_named_and_not_fitted_to(
+    tiny: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clean = evaluate(tiny, names=["psd"])
+
+    def copied(dataset: Path) -> list[LabelledRecording]:
+        everything = load(dataset)
+        test = [each for each in everything if each.split == "test"]
+        return [*everything, *(replace(each, name=f"copy of {each.name}", split="train") for each in test)]
+
+    monkeypatch.setattr(module, "load", copied)
+    logged: list[str] = []
+    found = evaluate(tiny, names=["psd"], log=logged.append)
+    [leak] = found.leaks
+    assert leak.kind == "shared rows"
+    assert f"leak: {leak.finding}" in logged
+    assert psd(found).confusion.counts.tolist() == psd(clean).confusion.counts.tolist()
+
+
+def test_a_model_that_was_trained_on_judged_recordings_is_named(tiny: Path, tmp_path: Path) -> None:
+    out = tmp_path / "small.safetensors"
+    train([tiny], out, recipe=Recipe(filters=4, units=4, steps=2, batch=4))
+    kinds = dict[str, list[str]]()
+    for split in ("train", "validation", "test"):
+        leaks = evaluate(tiny, names=["psd"], models=[out], split=split).leaks
+        kinds[split] = [leak.kind for leak in leaks if leak.kind != "constant answer"]  # hardly trained
+    assert kinds == {"train": ["trained on"], "validation": ["chosen on"], "test": []}
+
+
+def test_a_constant_answer_is_named(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unmoved(_detector: Detector, recording: LabelledRecording) -> Reals:
+        return np.full(len(recording), 0.2)
+
+    monkeypatch.setattr(module, "probabilities", unmoved)
+    [leak] = evaluate(tiny, names=["psd"]).leaks
+    assert leak.kind == "constant answer"
+    assert leak.finding.startswith("psd answers static for every sample")

@@ -62,7 +62,7 @@ def test_without_a_training_split_baselines_are_missing_with_a_reason() -> None:
     found, missing = methods([], names=["psd", "gradient_boosting"])
     assert found == []
     assert set(missing) == {"psd", "gradient_boosting"}
-    assert "no training split" in missing["psd"]
+    assert "no train split" in missing["psd"]
 
 
 def test_a_model_is_named_as_its_detector_and_the_next_of_its_kind_as_its_file(tmp_path: Path) -> None:

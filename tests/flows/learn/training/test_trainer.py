@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from flows.learn.labelled_recordings import LabelledRecording, by_split, labelled_by, load
+from flows.learn.leaks.leak import SEEN
 from flows.learn.training import trainer
 from flows.learn.training.learning_curve import Check, best, draw
 from flows.learn.training.recipe import Recipe
@@ -17,6 +18,7 @@ from operators.detectors import PaperTcn, Tcn
 from operators.errors import InputError, ParameterError
 from storage import load_detector
 from storage.description import describe_dataset
+from storage.models import load_card, save_card
 
 SMALL = Recipe(filters=4, units=4, steps=60, batch=8, checks=3, rate=2e-2)
 
@@ -107,6 +109,34 @@ def test_a_model_with_the_same_data_and_settings_is_kept_on_request(tiny: Path, 
     assert trained(2, 5, "sliding") == {"seed 0", "seed 1"}
     out.with_stem("model-seed1").write_bytes(b"damaged")
     assert trained(2, 5, "sliding") == {"seed 1"}
+
+
+def test_leaks_between_splits_are_named_and_listed_in_the_card(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def copied(dataset: Path) -> list[LabelledRecording]:
+        everything = load(dataset)
+        return [*everything, replace(everything[0], name="copy", split="validation")]
+
+    monkeypatch.setattr(trainer, "load", copied)
+    warnings: list[str] = []
+    found = train([tiny], tmp_path / "m.safetensors", recipe=replace(SMALL, steps=2), warn=warnings.append)
+    [leak] = found.leaks
+    assert leak.kind == "shared rows"
+    assert warnings == [f"leak: {leak.finding}"]
+    assert found.models[0].card["leaks"] == found.summary()["leaks"] == [leak.json()]
+
+
+def test_a_card_lists_its_recordings_and_an_older_one_is_completed(tiny: Path, tmp_path: Path) -> None:
+    out = tmp_path / "m.safetensors"
+    recipe = replace(SMALL, steps=2)
+    [model] = train([tiny], out, recipe=recipe).models
+    names = {name for name, _ in model.card[SEEN]["train"]["recordings"]}
+    assert names == {each.name for each in load(tiny) if each.split == "train"}
+    save_card(out, {name: value for name, value in model.card.items() if name != SEEN})
+    [again] = train([tiny], out, recipe=recipe, resume=True).models
+    assert again.card[SEEN] == load_card(out)[SEEN] == model.card[SEEN]
+    assert again.card["sha256"] == model.card["sha256"]
 
 
 def test_the_sha256_of_the_data_changes_with_the_data(tiny: Path, tmp_path: Path) -> None:
