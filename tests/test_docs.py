@@ -20,6 +20,7 @@ from tests.pages import PAGES, ROOT, blocks, commands, mentioned
 RUN = [
     "tutorial/own-detector.md",
     "how-to/any-fingertip.md",
+    "how-to/public-recordings.md",
     "how-to/extend.md",
     "reference/dataset.md",
     "reference/mqtt.md",

@@ -63,7 +63,7 @@ def fetch(
     from flows.lab.recipes.dataset_recipe import load_recipe, recipe_file, shipped_recipes
     from flows.lab.recipes.fetched import recipe_folder
     from flows.lab.recipes.fetching import fetch as fetch_recipe
-    from flows.lab.recipes.recipe_text import recipe_json, recipe_summary, size_text
+    from flows.lab.recipes.recipe_text import recipe_json, recipe_summary, recipe_text, size_text
 
     if recipe is None:
         found = [*shipped_recipes()]
@@ -74,7 +74,9 @@ def fetch(
         typer.echo(recipe_file(recipe)[1], nl=False)
         return
     described = load_recipe(recipe)
-    if described.files:
+    if not (described.files or as_json):
+        typer.echo(recipe_text(described))
+    elif described.files:
         note(f"{described.name}: {size_text(described.bytes)} into {recipe_folder(described, to)}")
     with progress_bar("fetching") as update:
         done = asyncio.run(fetch_recipe(described, to, files=files, mirror=mirror, progress=update))

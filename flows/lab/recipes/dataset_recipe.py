@@ -90,7 +90,7 @@ class DatasetRecipe:
         name: Name of the recipe and of its folder.
         title: Sensor, task and rate in one line.
         repository: GitHub repository, OWNER/NAME.
-        commit: Commit of the files, 40 hex digits.
+        commit: Commit of the files, 40 hex digits; may be empty in a recipe without recordings.
         licence: SPDX identifier, or ``none`` if the source states no licence.
         terms: Consequence of the licence for users, in one or two sentences.
         citation: Work to cite.
@@ -171,7 +171,8 @@ class DatasetRecipe:
     @property
     def page(self) -> str:
         """URL of the source for a browser."""
-        return self.url or f"https://github.com/{self.repository}/tree/{self.commit}"
+        repository = f"https://github.com/{self.repository}"
+        return self.url or (f"{repository}/tree/{self.commit}" if self.commit else repository)
 
     @property
     def labelled(self) -> bool:

@@ -236,8 +236,9 @@ class Download:
     def _remedy(self) -> str:
         """Return how to continue without this server."""
         return (
-            f"run the command again later; or get the files elsewhere ({self._recipe.page}), put them into"
-            f" {self._folder} under the same paths ({self._recipe.files[0].path} ...) and run it again"
+            f"run the command again later; or get the files elsewhere ({self._recipe.page}) and put them into"
+            f" {self._folder} under the same paths ({self._recipe.files[0].path} ...), or give a copy of the"
+            " source with --files"
         )
 
 

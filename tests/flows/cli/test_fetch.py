@@ -81,6 +81,15 @@ def test_print_gives_the_recipe_as_a_template() -> None:
     assert slipflow("fetch", "strokes", "--print").stdout == SHIPPED["strokes"].read_text()
 
 
+def test_a_recipe_that_only_documents_a_dataset_prints_what_is_known() -> None:
+    done = slipflow("fetch", "pullouts")
+    assert done.returncode == 2
+    assert "not run here" in done.stdout
+    assert "labels: none: load and travel" in done.stdout
+    assert "only documents a dataset" in done.stderr
+    assert slipflow("fetch", "pullouts", "--json").stdout == ""
+
+
 def test_errors_are_one_line(tmp_path: Path) -> None:
     assert "recipe is 'stroke', must be one of" in error("fetch", "stroke")
     assert "begins with https://" in error_of_last("fetch", "grasps", "--from", "http://example.com")

@@ -47,6 +47,7 @@ def test_recipes_of_the_three_converted_datasets_ship_with_the_package() -> None
         "still": 6,
         "tkan": 6,
     }
+    assert all(each.rate and each.commit for each in found.values())
     assert {name for name, each in found.items() if each.labelled} == {"strokes", "grasps"}
 
 
