@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from math import isclose
 from pathlib import Path
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, Self, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from connectors.sim.scene import Scene
 from connectors.sim.simulated_rig import episode
 from connectors.sim.truth import SLIDING
 from flows.learn.splits import SPLITS, TURNS
-from operators import Align, Health, Label, SlidingMotion, Zero, ms
+from operators import Align, Health, Label, Resample, SlidingMotion, Zero, ms
 from operators.batch import (
     EVERY,
     MOTIONS,
@@ -34,7 +35,7 @@ from operators.batch import (
     concat,
 )
 from operators.errors import InputError
-from operators.fingertip import TAKKTILE, Fingertip
+from operators.fingertip import RATE_TOLERANCE, TAKKTILE, Fingertip
 from operators.forward_fill import forward_fill
 from storage import Session
 from storage.layout import session_folder, session_names
@@ -43,6 +44,7 @@ PERIOD: Final = 10 * ms  # ns from one sample to the next
 WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
 Target: TypeAlias = Literal["arm-speed", "sliding"]  # what a label says: the paper's label; true sliding
 TARGETS: Final[tuple[Target, ...]] = ("arm-speed", "sliding")
+Column = TypeVar("Column", bound=NDArray[Any])
 _STROKES: Final = ("translation", "rotation")
 _ALONG: Final = 1e-6  # largest |sin(2 angle)| of a stroke along an axis of the fingertip
 
@@ -75,6 +77,24 @@ class LabelledRecording:
         """True where the label is slip; (n,)."""
         slip: Flags = self.label == SLIP
         return slip
+
+    def piece(self, rows: slice) -> Self:
+        """Return consecutive samples of the recording."""
+
+        def rows_of(column: Column | None) -> Column | None:
+            return None if column is None else cast("Column", column[rows])
+
+        return replace(
+            self,
+            counts=self.counts[rows],
+            label=self.label[rows],
+            oblique=rows_of(self.oblique),
+            valid=rows_of(self.valid),
+            force=rows_of(self.force),
+            sliding=rows_of(self.sliding),
+            degraded=rows_of(self.degraded),
+            span=None,
+        )
 
     def evaluated(self, hop: int) -> NDArray[np.intp]:
         """Return the indices of every `hop`-th sample after the warm-up."""
@@ -111,11 +131,15 @@ def simulated_recording(scene: Scene, seed: int, name: str = "", split: str = ""
     )
 
 
-def load(dataset: Path) -> list[LabelledRecording]:
+def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
     """Read every fingertip of every session of a dataset.
 
     If no session has a split, as in recordings made by hand, sessions are assigned in the order of their
     names: seven of ten to train, one to validation, two to test.
+
+    Args:
+        dataset: Folder of the dataset.
+        rate: Rate to which samples of another rate are converted by `Resample`, Hz; None: as recorded.
 
     Raises:
         InputError: if the dataset does not exist, is damaged or has no labelled samples.
@@ -125,7 +149,7 @@ def load(dataset: Path) -> list[LabelledRecording]:
         raise InputError(str(dataset), f"there is no such folder; {make}")
     names = session_names(dataset)
     recordings = [
-        _of_session(session, finger)
+        _of_session(session, finger, rate)
         for session in (Session.open(session_folder(dataset, name)) for name in names)
         for finger in session.fingers(Labelled)
     ]
@@ -184,8 +208,11 @@ def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
     return first.fingertip
 
 
-def _of_session(session: Session, finger: int) -> LabelledRecording:
+def _of_session(session: Session, finger: int, rate: float | None) -> LabelledRecording:
     labelled = concat(Labelled, list(session.read(Labelled, finger)))
+    fingertip = session.fingertip(Labelled) or TAKKTILE
+    if rate is not None and not isclose(fingertip.rate, rate, rel_tol=RATE_TOLERANCE):
+        labelled, fingertip = _resampled(labelled, rate), replace(fingertip, rate=rate)
     episodes = concat(Episodes, list(session.read(Episodes, EVERY)))
     truth = concat(Truth, list(session.read(Truth, finger)))
     recording = _recording(labelled, episodes, truth, labelled.time)
@@ -196,7 +223,18 @@ def _of_session(session: Session, finger: int) -> LabelledRecording:
         split=str(session.about.get("split") or ""),
         group=str(session.about.get("group") or ""),
         span=(int(labelled.time[0]), int(labelled.time[-1])) if len(labelled) else None,
-        fingertip=session.fingertip(Labelled) or TAKKTILE,
+        fingertip=fingertip,
+    )
+
+
+def _resampled(labelled: Labelled, rate: float) -> Labelled:
+    """Return samples at another rate, each with the label of the first one that was taken at or after it."""
+    resample = Resample(rate)
+    touch = Zeroed(labelled.time, labelled.counts, labelled.temperature, labelled.valid)
+    found = concat(Zeroed, [cast("Zeroed", each) for each in (resample.push(touch), resample.flush())])
+    rows = labelled[labelled.time.searchsorted(found.time)]
+    return replace(
+        rows, time=found.time, counts=found.counts, temperature=found.temperature, valid=found.valid
     )
 
 

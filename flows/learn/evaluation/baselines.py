@@ -1,5 +1,6 @@
 """Baselines on simple features, fitted by scikit-learn, for comparison with the networks."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
@@ -10,71 +11,15 @@ from operators.batch import Counts, Flags, Reals
 
 _STEPS: Final = 16  # number of newest steps that are separate features
 _SPANS: Final = (5, 10, 20, 40)  # samples
+_LAGS: Final = (3, 8, 20, 50)  # samples
 
 
-@dataclass(frozen=True, eq=False)
-class Logistic:
-    """Logistic regression on 48 features of 0.41-s windows.
+def activity(windows: Counts | Reals) -> Reals:
+    """Return 48 features of windows (n, 41, 6); (n, 48).
 
     Over the newest 50, 100, 200 and 400 ms: the variance of each cell and the mean square of its steps, as
     log(1 + x), each sorted over the cells, so that the order of the cells does not matter.
     """
-
-    weights: Reals  # (48,) of the standardised features
-    bias: float
-    mean: Reals  # (48,)
-    std: Reals  # (48,)
-    length: int = 41  # samples
-    name = "logistic"
-
-    @classmethod
-    def fitted(cls, windows: Counts, slip: Flags, decay: float = 1e-3) -> Self:
-        """Fit to windows (n, 41, 6), both classes weighted equally; `decay` is the L2 penalty."""
-        x = activity(windows)
-        mean, std = x.mean(axis=0), x.std(axis=0) + 1e-9
-        model = sklearn("linear_model").LogisticRegression(
-            C=1 / (decay * len(x)), class_weight="balanced", tol=1e-6, max_iter=1000
-        )
-        model.fit((x - mean) / std, slip)
-        return cls(model.coef_[0], float(model.intercept_[0]), mean, std)
-
-    def score(self, windows: Counts | Reals) -> Reals:
-        """Return the probability of slip of each window (n, 41, 6); (n,)."""
-        logit = (activity(windows) - self.mean) / self.std @ self.weights + self.bias
-        probability: Reals = 1 / (1 + np.exp(-np.clip(logit, -500, 500)))
-        return probability
-
-
-@dataclass(frozen=True, eq=False)
-class GradientBoosting:
-    """Histogram gradient boosting on 88 features of 0.41-s windows.
-
-    The 48 of `Logistic`; the size of each of the newest 16 steps, summed over the cells; and the distance
-    of the newest sample from the mean over the newest 50, 100, 200 and 400 ms, sorted over the cells.
-    """
-
-    model: Any  # a fitted HistGradientBoostingClassifier
-    length: int = 41  # samples
-    name = "gradient_boosting"
-
-    @classmethod
-    def fitted(cls, windows: Counts, slip: Flags, seed: int = 0) -> Self:
-        """Fit to windows (n, 41, 6), both classes weighted equally."""
-        model = sklearn("ensemble").HistGradientBoostingClassifier(
-            max_iter=300, max_leaf_nodes=31, min_samples_leaf=40, l2_regularization=1.0,
-            class_weight="balanced", early_stopping=False, random_state=seed,
-        )  # fmt: skip
-        model.fit(activity_and_steps(windows), slip)
-        return cls(model)
-
-    def score(self, windows: Counts | Reals) -> Reals:
-        """Return the probability of slip of each window (n, 41, 6); (n,)."""
-        probability: Reals = self.model.predict_proba(activity_and_steps(windows))[:, 1]
-        return probability
-
-
-def activity(windows: Counts | Reals) -> Reals:
-    """Return the features of `Logistic` for windows (n, 41, 6); (n, 48)."""
     values = windows.astype(np.float64)
     steps = np.square(np.diff(values, axis=1))  # (n, 40, 6)
     parts: list[Reals] = []
@@ -84,8 +29,108 @@ def activity(windows: Counts | Reals) -> Reals:
 
 
 def activity_and_steps(windows: Counts | Reals) -> Reals:
-    """Return the features of `GradientBoosting` for windows (n, 41, 6); (n, 88)."""
+    """Return 88 features of windows (n, 41, 6); (n, 88).
+
+    The 48 of `activity`; the size of each of the newest 16 steps, summed over the cells; and the distance
+    of the newest sample from the mean over the newest 50, 100, 200 and 400 ms, sorted over the cells.
+    """
     values = windows.astype(np.float64)
     steps = np.square(np.diff(values[:, -_STEPS - 1 :], axis=1)).sum(axis=2)  # (n, 16)
     offsets = [np.sort(np.abs(values[:, -1] - values[:, -span:].mean(axis=1))) for span in _SPANS]  # (n, 6)
     return np.concatenate([activity(windows), np.log1p(steps), *offsets], axis=1)
+
+
+def strokes(windows: Counts | Reals) -> Reals:
+    """Return 20 features of windows (n, 51, cells) for any number of cells; (n, 20).
+
+    Over the newest 30, 80, 200 and 500 ms, as log(1 + x): the RMS step, the change since the oldest sample
+    and the standard deviation, each the mean over the cells; the first two also of the largest cell.
+    """
+    values = windows.astype(np.float64)
+    steps = np.square(np.diff(values, axis=1))
+    parts: list[Reals] = []
+    for span in _LAGS:
+        step = np.sqrt(steps[:, -span:].mean(axis=1))  # (n, cells)
+        change = np.abs(values[:, -1] - values[:, -1 - span])
+        deviation = values[:, -span:].std(axis=1)
+        parts += [step.mean(axis=1), change.mean(axis=1), deviation.mean(axis=1)]
+        parts += [step.max(axis=1), change.max(axis=1)]
+    return np.log1p(np.stack(parts, axis=1))
+
+
+@dataclass(frozen=True)
+class Features:
+    """Features of windows."""
+
+    length: int  # of a window, samples
+    of: Callable[[Counts | Reals], Reals]  # windows (n, length, cells) to features (n, k)
+
+
+ACTIVITY: Final = Features(41, activity)
+ACTIVITY_AND_STEPS: Final = Features(41, activity_and_steps)
+STROKES: Final = Features(51, strokes)
+
+
+@dataclass(frozen=True, eq=False)
+class Logistic:
+    """Logistic regression on features of windows."""
+
+    features: Features
+    weights: Reals  # (k,) of the standardised features
+    bias: float
+    mean: Reals  # (k,)
+    std: Reals  # (k,)
+    name = "logistic"
+
+    @property
+    def length(self) -> int:
+        """Length of a window, samples."""
+        return self.features.length
+
+    @classmethod
+    def fitted(cls, windows: Counts, slip: Flags, features: Features = ACTIVITY, decay: float = 1e-3) -> Self:
+        """Fit to windows (n, length, cells), both classes weighted equally; `decay` is the L2 penalty."""
+        x = features.of(windows)
+        mean, std = x.mean(axis=0), x.std(axis=0) + 1e-9
+        model = sklearn("linear_model").LogisticRegression(
+            C=1 / (decay * len(x)), class_weight="balanced", tol=1e-6, max_iter=1000
+        )
+        model.fit((x - mean) / std, slip)
+        return cls(features, model.coef_[0], float(model.intercept_[0]), mean, std)
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        """Return the probability of slip of each window (n, length, cells); (n,)."""
+        logit = (self.features.of(windows) - self.mean) / self.std @ self.weights + self.bias
+        probability: Reals = 1 / (1 + np.exp(-np.clip(logit, -500, 500)))
+        return probability
+
+
+@dataclass(frozen=True, eq=False)
+class GradientBoosting:
+    """Histogram gradient boosting on features of windows."""
+
+    features: Features
+    model: Any  # a fitted HistGradientBoostingClassifier
+    name = "gradient_boosting"
+
+    @property
+    def length(self) -> int:
+        """Length of a window, samples."""
+        return self.features.length
+
+    @classmethod
+    def fitted(
+        cls, windows: Counts, slip: Flags, features: Features = ACTIVITY_AND_STEPS, seed: int = 0
+    ) -> Self:
+        """Fit to windows (n, length, cells), both classes weighted equally."""
+        model = sklearn("ensemble").HistGradientBoostingClassifier(
+            max_iter=300, max_leaf_nodes=31, min_samples_leaf=40, l2_regularization=1.0,
+            class_weight="balanced", early_stopping=False, random_state=seed,
+        )  # fmt: skip
+        model.fit(features.of(windows), slip)
+        return cls(features, model)
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        """Return the probability of slip of each window (n, length, cells); (n,)."""
+        probability: Reals = self.model.predict_proba(self.features.of(windows))[:, 1]
+        return probability

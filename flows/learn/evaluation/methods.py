@@ -7,7 +7,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from flows.learn.evaluation.baselines import GradientBoosting, Logistic
+from flows.learn.evaluation.baselines import ACTIVITY, ACTIVITY_AND_STEPS, GradientBoosting, Logistic
 from flows.learn.labelled_recordings import TARGETS, LabelledRecording
 from flows.learn.scoring import labels, windows
 from operators import Debounce
@@ -17,6 +17,7 @@ from operators.errors import InputError
 from storage import load_debounce, load_detector
 from storage.models import load_card, shipped, shipped_names
 
+SHIPPED: Final = "ships"  # origin
 _HOP: Final = 5  # samples between the windows that baselines are fitted to
 
 Log: TypeAlias = Callable[[str], object]
@@ -90,8 +91,11 @@ def _psd(seen: Counts, slip: Flags, rate: float) -> Detector:
 
 # by name: length of a window, and function that fits a detector to windows and labels at a rate (Hz)
 _BASELINES: Final[Mapping[str, tuple[int, Callable[[Counts, Flags, float], Detector]]]] = {
-    "gradient_boosting": (GradientBoosting.length, lambda seen, slip, _: GradientBoosting.fitted(seen, slip)),
-    "logistic": (Logistic.length, lambda seen, slip, _: Logistic.fitted(seen, slip)),
+    "gradient_boosting": (
+        ACTIVITY_AND_STEPS.length,
+        lambda seen, slip, _: GradientBoosting.fitted(seen, slip),
+    ),
+    "logistic": (ACTIVITY.length, lambda seen, slip, _: Logistic.fitted(seen, slip)),
     "psd": (25, _psd),
     "psd_1s": (100, _psd),  # the paper's window
 }
@@ -117,7 +121,7 @@ def _shipped(name: str) -> Method:
     path = shipped(name)
     assert path is not None, "the caller asks for shipped ones only"
     card = load_card(path)
-    return Method(name, load_detector(name), "ships", load_debounce(path), card.get("target"), card)
+    return Method(name, load_detector(name), SHIPPED, load_debounce(path), card.get("target"), card)
 
 
 def _of_file(path: Path, taken: Collection[str]) -> Method:

@@ -42,7 +42,23 @@ class Leak:
 def split_leaks(datasets: Iterable[Sequence[LabelledRecording]]) -> list[Leak]:
     """Return the leaks between the splits of datasets that are used together."""
     found = [list(each) for each in datasets]
-    return [*_shared(list(chain.from_iterable(found))), *_neighbours(found), *_known_groups(found)]
+    used = [each for each in chain.from_iterable(found) if each.split]
+    shared = shared_leaks(used, [each.split for each in used])
+    return [*shared, *_neighbours(found), *_known_groups(found)]
+
+
+def shared_leaks(recordings: Sequence[LabelledRecording], parts: Sequence[str]) -> list[Leak]:
+    """Return a leak if recordings of different parts, such as splits, share rows."""
+    part = {id(each): own for each, own in zip(recordings, parts, strict=True)}
+    pairs = [
+        f"{each.first.name} ({part[id(each.first)]}) and {each.second.name} ({part[id(each.second)]}), "
+        f"{counted(each.rows, 'row')}"
+        for each in shared_rows(recordings, parts)
+    ]
+    if not pairs:
+        return []
+    text = f"{counted(len(pairs), 'pair')} of recordings in different splits share rows: {_some(pairs)}"
+    return [Leak("shared rows", "", text)]
 
 
 def seen_recordings(recordings: Iterable[LabelledRecording]) -> dict[str, Any]:
@@ -123,19 +139,6 @@ def overlapping(recordings: Sequence[LabelledRecording], judged: Sequence[Labell
     pairs = shared_rows([*others, *judged], [0] * len(others) + [1] * len(judged))
     bad = own | {id(each) for pair in pairs for each in (pair.first, pair.second)}
     return {place for place, each in enumerate(recordings) if id(each) in bad}
-
-
-def _shared(recordings: Sequence[LabelledRecording]) -> list[Leak]:
-    used = [each for each in recordings if each.split]
-    pairs = [
-        f"{each.first.name} ({each.first.split}) and {each.second.name} ({each.second.split}), "
-        f"{counted(each.rows, 'row')}"
-        for each in shared_rows(used, [each.split for each in used])
-    ]
-    if not pairs:
-        return []
-    text = f"{counted(len(pairs), 'pair')} of recordings in different splits share rows: {_some(pairs)}"
-    return [Leak("shared rows", "", text)]
 
 
 def _neighbours(datasets: Iterable[Sequence[LabelledRecording]]) -> list[Leak]:

@@ -30,6 +30,29 @@ def test_evaluate_prints_one_object_and_writes_page_and_tables(tiny: Path, tmp_p
     assert markdown.endswith("    slipflow evaluate tiny --split test --method psd --budget 2\n")
 
 
+def test_benchmark_prints_one_object_and_writes_page_and_figures(tiny: Path, tmp_path: Path) -> None:
+    options = ("--regime", "few-shot", "--method", "logistic", "--jobs", "1", "--json")
+    done = slipflow("benchmark", str(tiny), *options, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout.splitlines()[-1])
+    [result] = found["datasets"]["tiny"]["results"]
+    assert result["detector"] == "logistic"
+    assert result["balanced"]["low"] <= result["balanced"]["value"] <= result["balanced"]["high"]
+    assert "min left" in done.stderr
+    names = {path.name for path in (tmp_path / "benchmark").iterdir()}
+    assert {"benchmark.html", "benchmark.json", "benchmark.md", "benchmark-tiny.svg"} < names
+    command = f"slipflow benchmark {tiny} --regime few-shot --method logistic --steps 400 --seed 0"
+    assert found["command"] == command
+
+
+def test_benchmark_names_the_command_that_fetches_a_recipe(tmp_path: Path) -> None:
+    for arguments in (("--to", "."), ("strokes", "--to", ".")):
+        done = slipflow("benchmark", *arguments, cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.startswith("error: ")
+        assert "slipflow fetch strokes" in done.stderr
+
+
 def test_mistakes_are_one_line_each(tiny: Path, tmp_path: Path) -> None:
     for arguments in (
         ("evaluate", "nowhere"),

@@ -166,3 +166,23 @@ def test_the_same_seed_gives_the_same_recordings() -> None:
     assert counts[0] == counts[1] != counts[2]
     assert {recording.surface for recording in first} == {"plane", "sphere"}
     assert {recording.speed for recording in first} == {0.05, None}
+
+
+def test_recordings_can_be_read_at_another_rate_with_their_labels(tiny: Path) -> None:
+    recorded, slower = load(tiny), load(tiny, 25.0)
+    for one, other in zip(recorded, slower, strict=True):
+        assert other.fingertip.rate == 25
+        assert len(other) == pytest.approx(len(one) / 4, abs=2)
+        assert other.slip.mean() == pytest.approx(one.slip.mean(), abs=0.02)
+        last, before = other.counts[len(other) // 2], one.counts[4 * (len(other) // 2)]
+        assert np.abs(last.astype(int) - before).max() < 200  # the same instant of the recording
+    assert load(tiny, 104.0)[0].counts.tolist() == recorded[0].counts.tolist()  # within the tolerance
+
+
+def test_a_piece_has_the_same_samples_of_every_column(tiny: Path) -> None:
+    whole = load(tiny)[0]
+    piece = whole.piece(slice(100, 300))
+    assert len(piece.counts) == len(piece.label) == len(there(piece.valid)) == 200
+    assert piece.counts.tolist() == whole.counts[100:300].tolist()
+    assert (piece.sliding is None) == (whole.sliding is None)
+    assert piece.span is None

@@ -1,0 +1,128 @@
+"""The command `slipflow benchmark`."""
+
+import sys
+from contextlib import suppress
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated
+
+import typer
+
+from flows.cli.options import AsJson, Jobs, Methods, Models, Seed
+from flows.cli.report_output import ReportFolder, method_options, prepare_report, write_report
+from flows.cli.terminal import note, progress_bar
+
+_STEPS = 400
+_QUICK_STEPS = 100
+
+
+def benchmark(
+    recipes: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="RECIPE|DATASET",
+            help="Fetched recipes (`slipflow fetch`) or dataset folders (default: all fetched recipes).",
+        ),
+    ] = None,
+    *,
+    regime: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Only this regime: zero-shot, few-shot, in-domain; repeatable (default: all).",
+        ),
+    ] = None,
+    model: Models = None,
+    method: Methods = None,
+    steps: Annotated[
+        int, typer.Option(min=1, help="Training steps of the tcn for each surface or object held out.")
+    ] = _STEPS,
+    quick: Annotated[
+        bool, typer.Option("--quick", help=f"Train for {_QUICK_STEPS} steps: a first impression.")
+    ] = False,
+    to: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder that the recipes were fetched into.")
+    ] = None,
+    seed: Seed = 0,
+    jobs: Jobs = None,
+    out: ReportFolder = Path("benchmark"),
+    as_json: AsJson = False,
+) -> None:
+    """Evaluate every detector on real recordings of surfaces or objects that it never saw.
+
+    Holds out one surface or object (`group` of the sessions) after the other; one recording if a dataset has
+    fewer than two. zero-shot: detectors as they are. few-shot: fitted to two labelled minutes of the others.
+    in-domain: fitted to all others. Reports balanced accuracy, AUC, events per minute, missed slips and
+    delay with intervals over recordings, next to majority, logistic and gradient-boosting baselines, and
+    names what inflates a score. Writes benchmark.html, .md, .json and figures. Four surfaces take about ten
+    minutes on two idle cores; trained networks are kept in OUT/models. Needs the train extra.
+
+    Examples:
+      slipflow benchmark strokes grasps
+      slipflow benchmark recordings --regime zero-shot --model mine.safetensors
+    """
+    from flows.learn.benchmark.benchmark_report import benchmark_report
+    from flows.learn.benchmark.benchmark_study import benchmark as run_benchmark
+    from flows.learn.benchmark.entrants import REGIMES, Course
+    from flows.learn.training.recipe import Recipe
+
+    datasets = _datasets(recipes or [], to)
+    prepare_report(out)
+    steps = _QUICK_STEPS if quick else steps
+    models, names, regimes = model or [], method or [], regime or list(REGIMES)
+    began, shown = perf_counter(), 0.0
+
+    with progress_bar("benchmark") as update:
+
+        def progress(done: int, total: int, part: str) -> None:
+            nonlocal shown
+            update(done, total, part)
+            share, seconds = done / total, perf_counter() - began
+            if not sys.stderr.isatty() and share - shown >= 1 / 20:
+                shown = share
+                note(f"{100 * share:.0f} %, about {seconds * (1 / share - 1) / 60:.0f} min left: {part}")
+
+        found = run_benchmark(
+            datasets,
+            Course(Recipe(steps=steps, seed=seed), out / "models", seed),
+            regimes=regimes,
+            models=models,
+            names=names,
+            jobs=jobs,
+            log=note,
+            progress=progress,
+        )
+    options = "".join(f" --regime {each}" for each in regime or [])
+    given = " ".join(recipes or datasets)
+    command = f"slipflow benchmark {given}{options}{method_options(models, names)}"
+    report = benchmark_report(found, f"{command} --steps {steps} --seed {seed}")
+    write_report(report, out, "benchmark", as_json=as_json)
+
+
+def _datasets(given: list[str], folder: Path | None) -> dict[str, Path]:
+    """Return the folders of datasets by name: folders, or fetched recipes (default: all that are labelled).
+
+    Raises:
+        InputError: if a recipe is unknown or was not fetched, or none was.
+    """
+    from flows.lab.recipes.dataset_recipe import load_recipe, shipped_recipes
+    from flows.lab.recipes.fetched import fetched_dataset
+    from operators.errors import InputError
+    from storage.layout import DATASET
+
+    found = dict[str, Path]()
+    for text in given:
+        path = Path(text)
+        if (path / DATASET).is_file():
+            found[path.resolve().name] = path
+        else:
+            recipe = load_recipe(text)
+            found[recipe.name] = fetched_dataset(recipe, folder)
+    if not given:
+        for recipe in shipped_recipes():
+            with suppress(InputError):  # was not fetched
+                if recipe.labelled:
+                    found[recipe.name] = fetched_dataset(recipe, folder)
+    if not found:
+        raise InputError("benchmark", "no labelled recipe was fetched: run `slipflow fetch strokes` first")
+    return found

@@ -1,0 +1,1 @@
+"""Benchmark of slip detectors on real recordings, split by surface, object or recording."""

@@ -1,0 +1,134 @@
+"""Entrants of the benchmark: what each regime makes of the training recordings of a fold."""
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from flows.learn.benchmark.fold_training import trained_tcn
+from flows.learn.benchmark.folds import Fold, labelled_minutes
+from flows.learn.evaluation.baselines import STROKES, GradientBoosting, Logistic
+from flows.learn.evaluation.debounce_tuning import tuned_on
+from flows.learn.evaluation.evaluation_study import PAPER_RULE
+from flows.learn.evaluation.methods import Method
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.scoring import labels, windows
+from flows.learn.training.recipe import Recipe
+from operators import Debounce
+from operators.batch import Counts, Flags, Reals
+from operators.detectors import Detector, Psd
+from operators.errors import InputError
+
+Regime: TypeAlias = Literal["zero-shot", "few-shot", "in-domain"]
+REGIMES: Final[tuple[Regime, ...]] = get_args(Regime)
+MEANING: Final[Mapping[Regime, str]] = {
+    "zero-shot": "shipped or given detectors as they are: no fitting",
+    "few-shot": "fitted to two labelled minutes of the other {parts}",
+    "in-domain": "fitted to all recordings of the other {parts}",
+}
+MINUTES: Final = 2.0  # labelled, few-shot
+FEW_DRAWS: Final = 3  # of the labelled minutes
+MAJORITY: Final = "majority"
+_HOP: Final = 2  # samples between the windows that baselines are fitted to
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Settings that entrants share."""
+
+    recipe: Recipe
+    models: Path  # folder of the trained folds
+    seed: int = 0
+
+
+Fitted: TypeAlias = tuple[Detector, Debounce]
+Fit: TypeAlias = Callable[[Fold, Course, int], Fitted]  # the last: number of the draw
+
+
+@dataclass(frozen=True, slots=True)
+class Entrant:
+    """Detector in a regime."""
+
+    regime: Regime
+    name: str
+    fit: Fit  # of a module, or a partial of one: it is pickled
+    origin: str
+    method: Method | None = None  # that is taken as it is
+    draws: int = 1  # times that it is fitted to each fold
+    cost: float = 1.0  # relative time of one fit
+
+    @property
+    def title(self) -> str:
+        """Name with the regime."""
+        return f"{self.regime} {self.name}"
+
+
+@dataclass(frozen=True)
+class Majority:
+    """Detector that gives every sample the answer that is right most often."""
+
+    slip: bool
+    length: int = 1  # samples
+    name = MAJORITY
+
+    def score(self, windows: Counts | Reals) -> Reals:
+        """Return 1 or 0 for each window (n, 1, cells); (n,)."""
+        return np.full(len(windows), float(self.slip))
+
+
+def entrants(methods: Sequence[Method], regimes: Collection[str]) -> list[Entrant]:
+    """Return the entrants of some regimes; `methods` are detectors with weights."""
+    psd = Method("psd", Psd(), "default threshold")
+    ready = [
+        Entrant("zero-shot", each.name, partial(_as_it_is, each), each.origin, each)
+        for each in (*methods, psd)
+    ]
+    few = [Entrant("few-shot", name, partial(_few, name), "fitted", draws=FEW_DRAWS) for name in _FITTED]
+    learned = [
+        Entrant("in-domain", MAJORITY, _majority, "constant"),
+        *(Entrant("in-domain", name, partial(_all, name), "fitted", cost=5.0) for name in _FITTED),
+        Entrant("in-domain", "tcn", _tcn, "trained", cost=200.0),
+    ]
+    return [each for each in (*ready, *few, *learned) if each.regime in regimes]
+
+
+def _as_it_is(method: Method, _fold: Fold, _course: Course, _draw: int) -> Fitted:
+    return method.detector, method.debounce or PAPER_RULE
+
+
+def _majority(fold: Fold, _course: Course, _draw: int) -> Fitted:
+    return Majority(bool(labels(fold.train, 1).mean() > 0.5)), PAPER_RULE  # noqa: PLR2004 - the larger part
+
+
+def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
+    seed = int(np.random.SeedSequence([course.seed, draw]).generate_state(1)[0])
+    return _fitted(name, labelled_minutes(fold, MINUTES, seed)), PAPER_RULE
+
+
+def _all(name: str, fold: Fold, _course: Course, _draw: int) -> Fitted:
+    """Fit to the recordings that the network is fitted to; its validation recordings tune the debounce."""
+    fit, validation = fold.parts()
+    detector = _fitted(name, fit)
+    return detector, tuned_on(validation, detector) if validation else PAPER_RULE
+
+
+def _tcn(fold: Fold, course: Course, _draw: int) -> Fitted:
+    return trained_tcn(fold, course.recipe, course.models)
+
+
+def _fitted(name: str, recordings: Sequence[LabelledRecording]) -> Detector:
+    slip = labels(recordings, _HOP)
+    if slip.all() or not slip.any():
+        raise InputError(name, "the recordings to fit to lack slip or static")
+    length, fit = _FITTED[name]
+    return fit(np.concatenate([windows(each, length, _HOP) for each in recordings]), slip)
+
+
+# by name: length of a window, and function that fits a detector to windows and labels
+_FITTED: Final[Mapping[str, tuple[int, Callable[[Counts, Flags], Detector]]]] = {
+    "logistic": (STROKES.length, lambda seen, slip: Logistic.fitted(seen, slip, STROKES)),
+    "gradient_boosting": (STROKES.length, lambda seen, slip: GradientBoosting.fitted(seen, slip, STROKES)),
+}

@@ -1,0 +1,39 @@
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+import pytest
+
+from flows.learn.benchmark import folds as module
+from flows.learn.labelled_recordings import LabelledRecording
+
+Having: TypeAlias = Callable[[Sequence[LabelledRecording]], Path]
+
+
+def stroke(seed: int, group: str) -> LabelledRecording:
+    """Return a recording in which slip shakes every cell."""
+    random = np.random.default_rng(seed)
+    label = (np.arange(700) // 100 % 2).astype(np.int8)
+    counts = random.normal(0, np.where(label == 1, 30, 1)[:, None], (700, 6)).round().astype(np.int16)
+    return LabelledRecording(counts, label, "", name=f"{group}-{seed}", group=group)
+
+
+@pytest.fixture(scope="session")
+def surfaces() -> list[LabelledRecording]:
+    """Return three recordings on each of three surfaces."""
+    return [stroke(10 * n + k, group) for n, group in enumerate(("steel", "wood", "wool")) for k in range(3)]
+
+
+@pytest.fixture
+def having(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Having:
+    """Return a function that makes a dataset of recordings and returns its folder."""
+
+    def dataset(recordings: Sequence[LabelledRecording]) -> Path:
+        def load(_dataset: Path, _rate: float | None = None) -> list[LabelledRecording]:
+            return list(recordings)
+
+        monkeypatch.setattr(module, "load", load)
+        return tmp_path / "strokes"
+
+    return dataset

@@ -1,0 +1,187 @@
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+
+from flows.learn.benchmark.benchmark_report import benchmark_report
+from flows.learn.benchmark.benchmark_study import Benchmark, EntrantResult, benchmark
+from flows.learn.benchmark.entrants import Course
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.leaks.leak import SEEN, seen_recordings
+from flows.learn.training import dense_training
+from flows.learn.training.recipe import Recipe
+from operators.errors import ParameterError
+from operators.fingertip import Fingertip, grid
+from storage import load_weights, save_weights
+from storage.models import load_card, save_card, shipped
+
+Having: TypeAlias = Callable[[Sequence[LabelledRecording]], Path]
+
+SMALL = Recipe(filters=4, units=4, steps=40, batch=8, checks=2, rate=2e-2)
+
+
+@pytest.fixture
+def course(tmp_path: Path) -> Course:
+    return Course(SMALL, tmp_path / "models")
+
+
+def of(found: Benchmark, title: str) -> EntrantResult:
+    [result] = [each for each in found.datasets[0].results if each.entrant.title == title]
+    return result
+
+
+def test_fitted_detectors_beat_the_majority_on_surfaces_that_they_never_saw(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    names = ["majority", "logistic", "gradient_boosting"]
+    parts: list[tuple[int, int]] = []
+    found = benchmark(
+        {"strokes": having(surfaces)},
+        course,
+        regimes=["few-shot", "in-domain"],
+        names=names,
+        jobs=1,
+        progress=lambda done, total, _part: parts.append((done, total)),
+    )
+    for title in ("few-shot logistic", "in-domain logistic", "in-domain gradient_boosting"):
+        assert of(found, title).figures.balanced.value > 85
+    majority = of(found, "in-domain majority").figures
+    assert (majority.balanced.value, majority.events_per_min.value, majority.missed.value) == (50, 0, 100)
+    assert of(found, "few-shot logistic").by_fold.keys() == {"steel", "wood", "wool"}
+    assert parts[-1][0] == parts[-1][1]
+    assert found.datasets[0].leaks == ()
+
+
+def test_a_detector_is_fitted_without_the_recordings_that_judge_it(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    odd = [  # on wool the labels are swapped: who has seen wool knows
+        replace(each, label=(1 - each.label).astype(np.int8)) if each.group == "wool" else each
+        for each in surfaces
+    ]
+    found = benchmark(
+        {"strokes": having(odd)}, course, regimes=["in-domain"], names=["gradient_boosting"], jobs=1
+    )
+    by_fold = of(found, "in-domain gradient_boosting").by_fold
+    assert by_fold["wool"] < 20
+
+
+def test_our_network_is_trained_once_per_fold_and_its_card_lists_the_others(
+    surfaces: list[LabelledRecording],
+    having: Having,
+    course: Course,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def run(recipe: Recipe = SMALL, recordings: Sequence[LabelledRecording] = surfaces) -> Benchmark:
+        again = replace(course, recipe=recipe)
+        data = {"strokes": having(recordings)}
+        return benchmark(data, again, regimes=["in-domain"], names=["tcn"], jobs=1)
+
+    first = run()
+    assert of(first, "in-domain tcn").figures.balanced.value > 80
+    models = sorted(course.models.glob("*.safetensors"))
+    assert len(models) == 3
+    seen = [load_card(path)[SEEN] for path in models]
+    assert sorted(sorted({*each["train"]["groups"], *each["validation"]["groups"]}) for each in seen) == [
+        ["steel", "wood"],
+        ["steel", "wool"],
+        ["wood", "wool"],
+    ]
+    trained: list[int] = []
+    train = dense_training.train_dense
+
+    def counted(fit: Sequence[LabelledRecording], *rest: Any) -> object:  # noqa: ANN401 - passed on
+        trained.append(len(fit))
+        return train(fit, *rest)
+
+    monkeypatch.setattr(dense_training, "train_dense", counted)
+    assert of(run(), "in-domain tcn").figures == of(first, "in-domain tcn").figures
+    assert trained == []
+    swapped = replace(surfaces[0], label=(1 - surfaces[0].label).astype(np.int8))
+    run(replace(SMALL, steps=2), [swapped, *surfaces[1:]])
+    assert len(trained) == 3
+
+
+def test_detectors_for_another_fingertip_are_listed_with_the_operator_that_converts(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    other = Fingertip(grid(4), 100.0)
+    four = [replace(each, counts=each.counts[:, :4], fingertip=other) for each in surfaces]
+    logged: list[str] = []
+    found = benchmark(
+        {"strokes": having(four)},
+        course,
+        regimes=["zero-shot", "in-domain"],
+        names=["tcn", "logistic"],
+        jobs=1,
+        log=logged.append,
+    )
+    [dataset] = found.datasets
+    assert "insert Pool(groups=(6 groups of cells))" in dataset.missing["zero-shot tcn"]
+    assert any("no zero-shot tcn" in line for line in logged)
+    titles = {each.entrant.title for each in dataset.results}
+    assert titles == {"in-domain logistic", "in-domain tcn"}  # any number of cells
+
+
+def test_a_model_that_saw_a_judged_recording_is_named_and_not_the_best(
+    surfaces: list[LabelledRecording], having: Having, course: Course, tmp_path: Path
+) -> None:
+    path = tmp_path / "own.safetensors"
+    ours = shipped("tcn")
+    assert ours is not None
+    save_weights(path, load_weights(ours)[0], {"detector": "tcn"})
+    save_card(path, {SEEN: seen_recordings([replace(surfaces[4], split="train")])})
+    logged: list[str] = []
+    found = benchmark(
+        {"strokes": having(surfaces)},
+        course,
+        regimes=["zero-shot"],
+        models=[path],
+        names=["psd"],
+        jobs=1,
+        log=logged.append,
+    )
+    [leak] = of(found, "zero-shot own").leaks
+    assert leak.kind == "trained on"
+    assert surfaces[4].name in leak.finding
+    assert f"strokes: leak: {leak.finding}" in logged
+    best = found.datasets[0].best("zero-shot")
+    assert best is None or best.entrant.name == "psd"
+    report = benchmark_report(found, "slipflow benchmark strokes")
+    assert leak.finding in report.markdown("benchmark")
+    assert leak.json() in report.json()["datasets"]["strokes"]["leaks"]
+
+
+def test_the_page_has_every_figure_and_its_interval(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    found = benchmark(
+        {"strokes": having(surfaces)}, course, regimes=["in-domain"], names=["logistic", "majority"], jobs=1
+    )
+    report = benchmark_report(found, "slipflow benchmark strokes")
+    names = ["strokes", "strokes-events", "strokes-folds", "strokes-leaks"]
+    assert [section.name for section in report.sections] == names
+    assert report.html().count("<svg ") == 2
+    page = json.loads(json.dumps(report.json(), allow_nan=False))
+    best = page["datasets"]["strokes"]["results"][0]
+    figures = of(found, "in-domain logistic").figures
+    assert best["detector"] == "logistic"
+    assert best["balanced"]["value"] == pytest.approx(figures.balanced.value, rel=1e-5)
+    assert best["balanced"]["low"] <= best["balanced"]["value"] <= best["balanced"]["high"]
+    assert {"area", "events_per_min", "false_alarms_per_min", "missed", "delay"} <= best.keys()
+    assert figures.balanced.interval() in report.title
+    assert page["datasets"]["strokes"]["folds"]["wood"] == [each.name for each in surfaces[3:6]]
+
+
+def test_unknown_regimes_and_detectors_are_refused(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    data = {"strokes": having(surfaces)}
+    with pytest.raises(ParameterError, match="regime is 'none'"):
+        benchmark(data, course, regimes=["none"])
+    with pytest.raises(ParameterError, match="method is 'oracle'"):
+        benchmark(data, course, names=["oracle"])
