@@ -43,7 +43,9 @@ def read_bytes(path: Path) -> bytes:
     return content
 
 
-def read_csv(path: Path, separator: str = "", header: Sequence[str] = ()) -> TraceTable:
+def read_csv(
+    path: Path, separator: str = "", header: Sequence[str] = (), *, lenient: bool = False
+) -> TraceTable:
     """Read a CSV file, also gzipped.
 
     Lines at the beginning that start with ``#`` are comments, unless the last of them names the columns.
@@ -54,6 +56,7 @@ def read_csv(path: Path, separator: str = "", header: Sequence[str] = ()) -> Tra
         separator: One character, or a name: comma, semicolon, tab, space (any number of spaces and tabs) or
             pipe (default: detected).
         header: Names of the columns of a file whose first line has none.
+        lenient: Accept a last line that is cut off; its missing fields are empty.
 
     Raises:
         InputError: if it cannot be read, is too large or is not a table.
@@ -77,7 +80,7 @@ def read_csv(path: Path, separator: str = "", header: Sequence[str] = ()) -> Tra
         above -= 1  # that line
     named_by = "--header" if header else f"line {above + 1}"
     frame = _frame(where, content, sign, above, named_by)
-    if _cut_off(content.rstrip().rpartition(b"\n")[2], sign, frame.width):
+    if not lenient and _cut_off(content.rstrip().rpartition(b"\n")[2], sign, frame.width):
         reason = f"the last line has fewer fields than {named_by} has names: it is cut off, delete it"
         raise InputError(where, reason)
     filled = ~frame.select(pl.all_horizontal(pl.all().is_null())).to_series()

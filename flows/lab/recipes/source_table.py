@@ -53,7 +53,9 @@ def _sources(
     recipe: DatasetRecipe, recording: SourceRecording, folder: Path
 ) -> tuple[Mapping[str, tuple[TraceTable, str]], int]:
     """Return the table and the column of each name of the recipe, and the number of rows left out."""
-    tables = {file.name: read_csv(folder / file.path, ",") for file in recording.files}
+    tables = {
+        file.name: read_csv(folder / file.path, ",", lenient=recipe.skip_invalid) for file in recording.files
+    }
     first = next(iter(tables.values()))
     for table in tables.values():
         if len(table) != len(first):

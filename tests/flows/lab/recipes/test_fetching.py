@@ -173,12 +173,12 @@ def test_a_source_file_with_invalid_values_is_an_error_that_names_them(
 def test_rows_with_invalid_values_are_left_out_and_reported(tmp_path: Path) -> None:
     rows = [f"{i / 100},{i},{2 * i}".encode() for i in range(40)]
     rows[7], rows[8] = b"0.07,x,3", b"0.08,4"
-    files = {"one.csv": b"t,a,b\n" + b"\n".join(rows) + b"\n"}
+    files = {"one.csv": b"t,a,b\n" + b"\n".join([*rows, b"0.40,4"])}
     with serve(files) as server:
         found = run(recipe_of(files, skip_invalid=True), tmp_path, mirror=server.url)
     assert counts(sessions(found)["r0"]) == [[i, 2 * i] for i in range(40) if i not in (7, 8)]
-    assert found.contents["notes"][0] == "r0: 2 rows with invalid values left out"
-    assert "note: r0: 2 rows" in found.text()
+    assert found.contents["notes"][0] == "r0: 3 rows with invalid values left out"
+    assert "note: r0: 3 rows" in found.text()
 
 
 def test_the_recipe_of_the_strokes_reads_the_format_of_its_source(tmp_path: Path) -> None:
