@@ -82,7 +82,9 @@ class Header:
 
     def error(self, reason: str) -> InputError:
         """Return an error that lists the names."""
-        return InputError(self.where, f"has the columns {' '.join(self.names)!r:.200}, {reason}")
+        listed = "; ".join(f"{name} cannot be used: {why}" for name, why in self.left_out.items())
+        text = f"has the columns {' '.join(self.names)!r:.200}, {reason}"
+        return InputError(self.where, f"{text} ({listed:.200})" if listed else text)
 
     def check(self, column: str) -> None:
         """Require that a column occurs once.
@@ -135,7 +137,8 @@ class ColumnMap:
             joint's absolute velocity.
         resolution: Units per stored count (default: 1 for counts; otherwise the largest of 1, 2, 2.5 or 5
             times a power of ten that keeps all digits of the values, or the smallest with which they fit).
-        lenient: Values of cells and motion that are not numbers are missing; otherwise they are errors.
+        lenient: Values of cells and motion that are not numbers are missing, and rows without a time are left
+            out; otherwise they are errors.
 
     Raises:
         ParameterError: on an unknown quantity or unit, a wrong number of columns or a missing lever.

@@ -158,8 +158,8 @@ def _without_comments(content: bytes, *, named: bool) -> tuple[int, bytes]:
         end = content.find(b"\n", start) + 1
         if not end:
             break
-        below = _lines(content[end : end + (1 << 16)], 1)
-        if not named and below and not below[0].startswith("#") and _numeric(below[0]):
+        below = next((line for line in _lines(content[end : end + (1 << 16)], _ASSUMED) if line.strip()), "#")
+        if not named and not below.startswith("#") and _numeric(below):
             return skipped, content[start + 1 :]  # names, as numpy.savetxt writes them
         skipped, start = skipped + 1, end
     return skipped, content[start:]

@@ -25,6 +25,10 @@ def read_table(source: str | Path, *, separator: str = "", header: Sequence[str]
         from connectors.files.parquet_table import read_parquet  # noqa: PLC0415 - slow import
 
         return read_parquet(path)
+    if path.suffix == ".npz":
+        from connectors.files.npz_table import read_npz  # noqa: PLC0415 - slow import
+
+        return read_npz(path)
     from connectors.files.csv_table import read_csv  # noqa: PLC0415 - slow import
 
     return read_csv(path, separator, header)

@@ -96,9 +96,12 @@ class Trace:
             raise ParameterError("Trace", "rate", rate, f"above 0 and at most {s:.0e} Hz")
         check_between("Trace", "finger", finger, 0, _INT16.max)
         table = read_table(source) if isinstance(source, str | Path) else source
-        self._file, self.notes, self.sha256, self.group = table.file, table.notes, table.sha256, group
+        self._file, self.sha256, self.group = table.file, table.sha256, group
         self.columns = columns.completed(table.header, timed=rate is None)
         found = self.columns.columns
+        if TIME in found and columns.lenient:
+            table = table.timed(found[TIME][0], self.columns.units[TIME])
+        self.notes = table.notes
         if TIME in found:
             times = table.times(found[TIME][0], self.columns.units[TIME])
         else:
@@ -194,7 +197,7 @@ class Trace:
             lines.append(f"the rate is {rate:.4g} Hz: is the time in another unit?")
         if self.missing:
             rows = int(np.count_nonzero(~self.touch.valid.all(axis=1)))
-            lines.append(f"{self.missing} readings are missing, in {rows} of {len(self.touch)} rows")
+            lines.append(f"missing readings: {self.missing}, in {rows} of {len(self.touch)} rows")
         intervals = np.diff(self.touch.time) * ((rate or 0.0) / s)  # (n - 1,) median intervals
         if (gaps := np.flatnonzero(intervals > GAP)).size:
             longest = int(gaps[np.argmax(intervals[gaps])])

@@ -71,7 +71,7 @@ class TraceTable:
                 )
         if not self._length:
             raise InputError(self.where, "has no rows" + (f" below {named_by}" if named_by else ""))
-        self._place, self._numbers = place, numbers
+        self._place, self._numbers, self._named_by = place, numbers, named_by
 
     def __len__(self) -> int:
         return self._length
@@ -116,6 +116,27 @@ class TraceTable:
         order = f"no less than in the {self._place} before"
         self.check(name, np.diff(times, prepend=times[0]) >= 0, order)
         return times
+
+    def timed(self, name: str, unit: str) -> "TraceTable":
+        """Return the rows that have a time in a column; the others are left out with a note."""
+        known = _nanoseconds(self._columns[name], unit).is_not_null()
+        if known.all() or not known.any():
+            return self
+        numbers = np.arange(len(self)) if self._numbers is None else self._numbers
+        header = self.header
+        return TraceTable(
+            {each: values.filter(known) for each, values in self._columns.items()},
+            self.file,
+            where=self.where,
+            names=header.names,
+            named_by=self._named_by,
+            place=self._place,
+            numbers=numbers[known.to_numpy()],
+            sha256=self.sha256,
+            time=header.time,
+            notes=(*self.notes, f"{len(self) - int(known.sum())} rows without a time left out"),
+            left_out=header.left_out,
+        )
 
     def reals(self, name: str, *, lenient: bool = False) -> Reals:
         """Return a column of numbers (n,); NaN for a missing value.
@@ -233,7 +254,8 @@ def _nanoseconds(column: pl.Series, unit: str) -> pl.Series:
 
 
 def _rounded(column: pl.Series, unit: str) -> pl.Series:
-    values = column.cast(pl.Float64).fill_null(np.nan).to_numpy() * UNITS[TIME][unit]
+    with np.errstate(over="ignore"):
+        values = column.cast(pl.Float64).fill_null(np.nan).to_numpy() * UNITS[TIME][unit]
     if unit == "ns":
         values = np.where(values == np.rint(values), values, np.nan)
     good = np.abs(values) < _TIME_LIMIT

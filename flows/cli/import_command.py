@@ -12,9 +12,11 @@ from flows.cli.terminal import note, progress_bar
 
 
 def import_(
-    trace: Annotated[Path, typer.Argument(metavar="TRACE.csv", help="Trace of one fingertip.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="Recordings of a fingertip: .csv, .parquet, .npz.")
+    ],
     out: Annotated[
-        Path, typer.Argument(metavar="OUT", help="Dataset to add the session to, or a new folder.")
+        Path, typer.Argument(metavar="OUT", help="Dataset to add the sessions to, or a new folder.")
     ],
     *,
     columns: Annotated[
@@ -23,19 +25,41 @@ def import_(
             "--map",
             metavar="NAME=COLUMNS,...",
             help="Columns of the file: time=t,counts=p0..p5,speed=v,label=slip. Names: time, counts (one"
-            " column per cell), velocity (3 or 6), speed, label. Names left out are recognised by usual"
-            " column names; label= means no labels. List columns without numbers:"
-            " counts=left,right,top,bottom,tip,base.",
+            " column per cell; e* means all that match, by number), velocity (3 or 6), speed, joint (with"
+            " --lever), label. Names left out are recognised by usual column names; label= means no labels."
+            " List columns without numbers: counts=left,right,top,bottom,tip,base.",
         ),
     ] = "",
     units: Annotated[
         str,
         typer.Option(
             metavar="NAME=UNIT,...",
-            help="Units, such as time=ms,speed=mm/s. Time: s, ms, us, ns; velocity and speed: m/s, cm/s, mm/s"
-            " (default: the unit in the column name, else s and m/s).",
+            help="Units, such as time=ms,counts=kPa,speed=mm/s. Time: s, ms, us, ns; counts: count, Pa, hPa,"
+            " mbar, kPa, N, V and others (Pa:kPa converts); velocity and speed: m/s, cm/s, mm/s; joint:"
+            " rad/s, deg/s (default: the unit in the column name, else s, count, m/s, rad/s).",
         ),
     ] = "",
+    labels: Annotated[
+        str,
+        typer.Option(
+            metavar="LABEL=VALUES,...",
+            help="Values of the label column: slip=1,2,static=0,unknown=9; with slip= alone, all others are"
+            " static (default: 1, 0, -1, true, false, slip, static, unknown).",
+        ),
+    ] = "",
+    lever: Annotated[
+        str | None,
+        typer.Option(
+            metavar="LENGTH",
+            help="Distance from the joint's axis to the fingertip, such as 96mm: speed = |joint| x lever.",
+        ),
+    ] = None,
+    resolution: Annotated[
+        float | None,
+        typer.Option(
+            help="Units per stored count (default: keeps all digits, or is as fine as 16 bits allow)."
+        ),
+    ] = None,
     rate: Annotated[
         float | None,
         typer.Option(help="Rows per second: required for a file without time, else the rate to expect."),
@@ -45,7 +69,8 @@ def import_(
         bool | None,
         typer.Option(
             "--zeroed/--raw",
-            help="Counts are relative to the unloaded fingertip or raw (default: zeroed if any is negative).",
+            help="Readings are relative to the unloaded fingertip or raw (default: zeroed if any is"
+            " negative).",
         ),
     ] = None,
     slip_speed: Annotated[
@@ -57,44 +82,109 @@ def import_(
     ] = "3mm/s",
     delay: Delay = "0s",
     session: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of the session (default: the file's name).")
+        str | None,
+        typer.Option(metavar="NAME", help="Name of the session of a single file (default: the file's name)."),
     ] = None,
+    group: Annotated[
+        str,
+        typer.Option(
+            metavar="PATTERN",
+            help="Surface or object: first group of this regular expression in the file's name, such as"
+            " '(.+)_vel'. Benchmarks split by it.",
+        ),
+    ] = "",
+    separator: Annotated[
+        str,
+        typer.Option(
+            metavar="SIGN",
+            help="Separator of CSV files: a character, comma, semicolon, tab, space or pipe (default:"
+            " detected).",
+        ),
+    ] = "",
+    header: Annotated[
+        str,
+        typer.Option(metavar="NAMES", help="Column names of CSV files without such a line: t,p0..p5."),
+    ] = "",
+    lenient: Annotated[
+        bool,
+        typer.Option(
+            "--lenient",
+            help="Treat cells and speeds that are not numbers as missing; leave out rows without a time.",
+        ),
+    ] = False,
+    skip_existing: Annotated[
+        bool, typer.Option("--skip-existing", help="Leave out files that the dataset has already.")
+    ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Print how the file is interpreted; write nothing.")
+        bool, typer.Option("--dry-run", help="Print how the files are interpreted; write nothing.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Import a CSV trace as a session of a dataset.
+    """Import recordings of any fingertip as sessions of a dataset.
 
-    The first line has the column names. Use --dry-run first to check how the columns are interpreted.
+    The first line of a CSV file has the column names. All files are read and checked before anything is
+    written. Use --dry-run first to check how the columns are interpreted.
 
     Examples:
       slipflow import trace.csv recordings --dry-run
       slipflow import trace.csv lab --map time=t,counts=p0..p5,speed=v --units time=ms,speed=mm/s
+      slipflow import *.parquet strokes --map counts=e*,joint=w --lever 96mm --group '(.+)_vel'
     """
-    from connectors.files.column_map import ColumnMap
+    from connectors.files.column_map import ColumnMap, expanded
+    from connectors.files.formats import read_table
     from flows.graph.quantity import parse_quantity, parse_time
+    from flows.lab.file_imports import FileImports
     from flows.lab.importing import TraceImport
     from operators import Label
 
-    trace_import = TraceImport(
-        trace,
-        out,
-        ColumnMap.parse(columns, units),
-        rate=rate,
-        finger=finger,
-        zeroed=zeroed,
-        label=Label(
-            speed=parse_quantity("import", "--slip-speed", slip_speed, "m/s"),
-            delay=parse_time("import", "--delay", delay),
-        ),
-        session=session,
+    column_map = ColumnMap.parse(
+        columns,
+        units,
+        labels,
+        lever=None if lever is None else parse_quantity("import", "--lever", lever, "m"),
+        resolution=resolution,
+        lenient=lenient,
     )
-    if not dry_run:
+    label = Label(
+        speed=parse_quantity("import", "--slip-speed", slip_speed, "m/s"),
+        delay=parse_time("import", "--delay", delay),
+    )
+    names = [name for item in header.split(",") if item for name in expanded(item.strip())]
+
+    def make(path: Path, column_map: ColumnMap, session: str, group: str | None) -> TraceImport:
+        table = read_table(path, separator=separator, header=names)
+        return TraceImport(
+            table,
+            out,
+            column_map,
+            rate=rate,
+            finger=finger,
+            zeroed=zeroed,
+            label=label,
+            session=session,
+            group=group,
+        )
+
+    with progress_bar("reading") as update:
+        imports = FileImports(
+            files,
+            out,
+            column_map,
+            make,
+            group=group,
+            session=session,
+            skip_existing=skip_existing,
+            progress=update,
+        )
+    if dry_run or imports.failed:
+        written = 0
+    else:
         with progress_bar("importing") as update:
-            rows = len(trace_import.trace.touch)
-            asyncio.run(trace_import.write(lambda done: update(done, rows)))
-    found = {**trace_import.summary(), "written": not dry_run}
-    typer.echo(json.dumps(found) if as_json else trace_import.report())
+            written = asyncio.run(imports.write(update))
+    found = {**imports.summary(), "written": written}
+    typer.echo(json.dumps(found) if as_json else imports.report())
+    if imports.failed:
+        note(f"error: {imports.failed} of {len(files)} files cannot be imported, so nothing was written")
+        raise typer.Exit(2)
     if dry_run:
         note("dry run: nothing written")

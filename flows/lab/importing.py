@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from connectors import Replay, Trace
-from connectors.files.column_map import LABEL, ColumnMap
+from connectors.files.column_map import COUNTS, JOINT, LABEL, LABELS, ColumnMap
 from flows.graph import Flow
 from flows.graph.drawing import describe
 from flows.run.replay_runner import ReplayRunner
 from operators import Align, Label, Operator, Zero, Zeroed, ms
-from operators.batch import SLIP, STATIC, UNKNOWN, Labelled, Motion, Touch, s
+from operators.batch import Labelled, Motion, Touch, s
 from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE
 from operators.ports import Run
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 _DEFAULT: Final = ColumnMap()
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9._-]+")
-_LABELS: Final = {"slip": SLIP, "static": STATIC, "unknown": UNKNOWN}
 
 
 @dataclass
@@ -139,51 +138,64 @@ class TraceImport:
             "finger": trace.touch.finger,
             "seconds": int(trace.touch.time[-1] - trace.touch.time[0]) / s,
             "rate": trace.rate,
+            "unit": trace.columns.cell_units[1],
+            "resolution": trace.resolution,
+            "missing": trace.missing,
             "motion": len(trace.motion),
             "moving": int((speeds > self._label.speed).sum()),
             "fastest": float(speeds.max()) if len(speeds) else None,
             "warnings": list(trace.warnings),
             "labelled": self.label_source or None,
-            "labels": {name: int((trace.labels == code).sum()) for name, code in _LABELS.items()},
+            "labels": {name: int((trace.labels == code).sum()) for name, code in LABELS.items()},
             "dataset": str(self._out),
             "session": self.session,
         }
 
+    def interpretation(self) -> list[str]:
+        """Return a line for each quantity, with its columns and their unit."""
+        trace, lines = self.trace, list[str]()
+        units = {**trace.columns.units, COUNTS: self._cells()}
+        for name, columns in trace.columns.columns.items():
+            notes = [units[name]] if name in units else []
+            notes += [f"times {trace.columns.lever:g} m"] if name == JOINT else []
+            notes += ["recognised by name"] if name not in self._columns.columns else []
+            text = f"  {name:9}{' '.join(columns)}"
+            lines.append(f"{text}  ({', '.join(notes)})" if notes else text)
+        if self.label_source not in ("", "the file"):
+            lines.append(f"  labels by {self.label_source}")
+        if not self.label_source:
+            lines.append("  no labels and no motion: no samples")
+        return lines
+
     def report(self) -> str:
         """Return the interpretation of the file as text."""
-        found, rate = self.summary(), self.trace.rate or 0.0
-        lines = [f"{self.trace.name}: {found['rows']} rows, {found['seconds']:.1f} s, {rate:.1f} Hz"]
-        lines[0] += f" ({', '.join(self.trace.notes)})" if self.trace.notes else ""
-        units = {**found["units"], "counts": self._cells()}
-        for name, columns in found["columns"].items():
-            notes = [units[name]] if name in units else []
-            notes += ["recognised by name"] if name in found["recognised"] else []
-            lines.append(f"  {name:9}{' '.join(columns)}  ({', '.join(notes)})".removesuffix("  ()"))
+        found, trace = self.summary(), self.trace
+        lines = [f"{trace.name}: {found['rows']} rows, {found['seconds']:.1f} s, {trace.rate or 0.0:.1f} Hz"]
+        lines[0] += f" ({', '.join(trace.notes)})" if trace.notes else ""
+        lines += [*self.interpretation(), *stored_in(trace.resolution, found["unit"])]
         if found["motion"]:
             moving = f"{found['moving']} of {found['motion']} rows, above {self._label.speed:g} m/s"
             lines.append(f"  the arm moves in {moving}, at up to {found['fastest']:.3g} m/s")
-        counts = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
-        by_file = f"  labels of the file: {counts}"
-        by_speed = (
-            f"  labels by {self.label_source}"
-            if self.label_source
-            else "  no labels and no motion: no samples"
-        )
-        lines.append(by_file if self.label_source == "the file" else by_speed)
+        if self.label_source == "the file":
+            counts = ", ".join(f"{count} {name}" for name, count in found["labels"].items() if count)
+            lines.append(f"  labels of the file: {counts}")
         lines += [f"  warning: {each}" for each in found["warnings"]]
-        lines += [f"  group    {self.trace.group}"] if self.trace.group is not None else []
-        return "\n".join([*lines, f"session {self.session} of {self._out}, finger {found['finger']}"])
+        group = "" if trace.group is None else f", group {trace.group}"
+        return "\n".join([*lines, f"session {self.session} of {self._out}, finger {found['finger']}{group}"])
 
     def _cells(self) -> str:
-        """Describe the readings and how they are stored."""
-        trace = self.trace
-        source, unit = trace.columns.cell_units
-        notes = ["zeroed" if trace.kind is Zeroed else "raw"]
-        if unit != "count" or trace.resolution != 1:
-            notes.append(unit if source == unit else f"{source} as {unit}")
-            notes.append(f"in steps of {trace.resolution:g}")
-        notes += ["with an offset"] if trace.offset.any() else []
-        return ", ".join(notes)
+        source, unit = self.trace.columns.cell_units
+        converted = "" if unit == "count" else f", {unit}" if source == unit else f", {source} as {unit}"
+        return ("zeroed" if self.trace.kind is Zeroed else "raw") + converted
+
+
+def stored_in(resolution: float, unit: str) -> list[str]:
+    """Return a line on the resolution, unless readings are stored as they are.
+
+    >>> stored_in(0.01, "kPa"), stored_in(1, "count")
+    (['  stored in steps of 0.01 kPa'], [])
+    """
+    return [] if (resolution, unit) == (1, "count") else [f"  stored in steps of {resolution:g} {unit}"]
 
 
 def session_name(file: str) -> str:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from connectors import Trace
 from connectors.files.column_map import ColumnMap
+from connectors.files.trace_table import TraceTable
 from operators.batch import EVERY, Motion, Touch, Zeroed, concat
 from operators.errors import InputError, ParameterError
 
@@ -259,7 +260,7 @@ def test_a_missing_reading_is_an_invalid_cell_and_a_warning(write: Write) -> Non
     trace = Trace(write(HEADER, "0,1,2,3,4,5,6", "1,1,,3,4,nan,6", "2,7,8,9,10,11,12"))
     assert trace.touch.valid.tolist() == [[True] * 6, [True, False, True, True, False, True], [True] * 6]
     assert trace.touch.counts[1].tolist() == [1, 0, 3, 4, 0, 6]
-    assert trace.warnings[1] == "2 readings are missing, in 1 of 3 rows"
+    assert trace.warnings[1] == "missing readings: 2, in 1 of 3 rows"
     with pytest.raises(InputError, match="column s2 has no readings"):
         Trace(write(HEADER, "0,1,,3,4,5,6", "1,1,,3,4,5,6"))
 
@@ -362,3 +363,50 @@ def test_the_real_trace_is_read_whole() -> None:
 def test_a_fingertip_that_cannot_be_stored_is_rejected(tmp_path: Path, finger: int) -> None:
     with pytest.raises(ParameterError, match=f"finger is {finger}, must be from 0 to 32767"):
         Trace(tmp_path / "trace.csv", finger=finger)
+
+
+def test_the_velocity_of_a_joint_times_a_lever_is_a_speed(write: Write) -> None:
+    path = write(f"{HEADER},w", "0,1,2,3,4,5,6,0.5", "1,1,2,3,4,5,6,-0.25", "2,1,2,3,4,5,6,")
+    trace = Trace(path, ColumnMap.parse("joint=w", lever=0.1))
+    assert trace.motion.velocity[:, 0] == pytest.approx([0.05, 0.025])
+    assert not trace.motion.velocity[:, 1:].any()
+    assert trace.describe()["lever"] == 0.1
+    degrees = Trace(path, ColumnMap.parse("joint=w", "joint=deg/s", lever=0.1))
+    assert degrees.speeds[0] == pytest.approx(0.05 * np.pi / 180)
+
+
+@pytest.mark.parametrize(
+    ("labels", "values", "expected"),
+    [
+        ("", ["0", "1", "-1", "", "Slip", "static", "TRUE", "1.0"], [0, 1, -1, -1, 1, 0, 1, 1]),
+        ("slip=1,2", ["0", "1", "2", "7", "", "2.0", "x", "nan"], [0, 1, 1, 0, -1, 1, 0, -1]),
+        ("slip=north,static=none,unknown=?", ["North", "none", "?", ""], [1, 0, -1, -1]),
+    ],
+)
+def test_labels_may_have_other_values(
+    write: Write, labels: str, values: list[str], expected: list[int]
+) -> None:
+    path = write(f"{HEADER},state", *(f"{k},1,2,3,4,5,6,{value}" for k, value in enumerate(values)))
+    columns = ColumnMap.parse("label=state", labels=labels)
+    assert Trace(path, columns).labels.tolist() == expected
+    if labels.startswith("slip=north"):
+        bad = write(f"{HEADER},state", "0,1,2,3,4,5,6,north", "1,1,2,3,4,5,6,west")
+        with pytest.raises(
+            InputError, match=r"line 3, column state: is 'west', must be one of north, none, \?"
+        ):
+            Trace(bad, columns)
+
+
+def test_a_table_in_memory_is_a_trace() -> None:
+    time = np.arange(100) * 10_000_000
+    table = TraceTable({"time_ns": time, "cell0": np.arange(100), "cell1": np.arange(100.0)}, "made.bin")
+    trace = Trace(table, group="wood")
+    assert trace.touch.time.tolist() == time.tolist()
+    assert trace.describe()["trace"] == "made.bin"
+    assert trace.describe()["group"] == "wood"
+    with pytest.raises(InputError, match="table: column b has 2 rows, column a 1"):
+        TraceTable({"a": [1], "b": [1, 2]})
+    with pytest.raises(InputError, match=r"column a: is an array \(1, 2\) of float64"):
+        TraceTable({"a": np.zeros((1, 2))})
+    with pytest.raises(InputError, match="table: has no rows"):
+        TraceTable({})

@@ -34,7 +34,8 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     done = slipflow("import", "lab.csv", "out", *columns, "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    assert (found["written"], found["recognised"], found["finger"]) == (True, [], 2)
+    [file] = found["files"]
+    assert (found["written"], found["skipped"], file["recognised"], file["finger"]) == (1, 0, [], 2)
     samples = pl.read_parquet(tmp_path / "out/sessions/lab/samples/*.parquet")
     assert samples["label"].to_list() == [k // 50 % 2 for k in range(300)]
     judged = slipflow("evaluate", "out", "--split", "all", "--method", "psd", "--json", cwd=tmp_path)
@@ -54,6 +55,14 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
         (["import", "lab.csv", "out", "--rate", "50"], "has 100.0 rows per second, not 50"),
         (["import", "lab.csv", "out", "--delay", "soon"], "with its unit: 500ms"),
         (["import", "missing.csv", "out"], "missing.csv: cannot be read"),
+        (["import", "lab.csv", "out", "--lever", "96"], "must be a length with its unit"),
+        (["import", "lab.csv", "out", "--map", "joint=slip"], "lever is None, must be the distance"),
+        (["import", "lab.csv", "out", "--labels", "slip"], "must be written as slip=1,2,static=0"),
+        (["import", "lab.csv", "out", "--group", "("], "--group is '(', must be a regular expression"),
+        (["import", "lab.csv", "out", "--group", "x"], "its name does not match --group 'x'"),
+        (["import", "lab.csv", "out", "--separator", "none"], "separator is 'none', must be one of"),
+        (["import", "lab.csv", "lab.csv", "out", "--session", "x"], "left out if there are several files"),
+        (["import", "lab.csv", "lab.csv", "out"], "has the same session name as lab.csv"),
         (["import", "lab.csv", "out", "--session", "../x"], "must be a file name"),
     ],
 )
@@ -61,3 +70,35 @@ def test_a_mistake_is_one_line_and_exit_code_2(arguments: list[str], message: st
     (tmp_path / "lab.csv").write_text(TRACE)
     assert message in error(*arguments, cwd=tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["lab.csv"]
+
+
+def test_many_files_are_shown_as_a_table_and_imported_in_one_call(tmp_path: Path) -> None:
+    for surface, rows in (("wood", 300), ("steel", 200)):
+        lines = TRACE.splitlines(keepends=True)[: rows + 1]
+        (tmp_path / f"{surface}_vel1.csv").write_text("".join(lines).replace(",", ";"))
+    arguments = "import", "wood_vel1.csv", "steel_vel1.csv", "out", "--group", "(.+)_vel"
+    shown = slipflow(*arguments, "--dry-run", cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    assert [line.split() for line in shown.stdout.splitlines() if line.startswith("|")][2:] == [
+        ["|", "wood_vel1.csv", "|", "wood", "|", "300", "|", "3.0", "|", "100.0", "|", "50.0", "|"],
+        ["|", "steel_vel1.csv", "|", "steel", "|", "200", "|", "2.0", "|", "100.0", "|", "50.0", "|"],
+    ]
+    assert "groups: wood 1, steel 1\n2 sessions of out\n" in shown.stdout
+    assert not (tmp_path / "out").exists()
+    done = slipflow(*arguments, "--json", cwd=tmp_path)
+    assert json.loads(done.stdout)["written"] == 2
+    about = json.loads((tmp_path / "out/sessions/steel_vel1/session.json").read_text())
+    assert about["group"] == "steel"
+    assert "--skip-existing leaves it out" in error(*arguments, cwd=tmp_path)
+    again = slipflow(*arguments, "--skip-existing", "--json", cwd=tmp_path)
+    assert (json.loads(again.stdout)["written"], json.loads(again.stdout)["skipped"]) == (0, 2)
+
+
+def test_one_bad_file_of_many_is_named_and_nothing_is_written(tmp_path: Path) -> None:
+    (tmp_path / "good.csv").write_text(TRACE)
+    (tmp_path / "bad.csv").write_text(TRACE.replace("0.5,", "soon,"))
+    done = slipflow("import", "good.csv", "bad.csv", "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "error: bad.csv, line 52, column t: is 'soon', must be a time in s" in done.stdout
+    assert "error: 1 of 2 files cannot be imported, so nothing was written" in done.stderr
+    assert not (tmp_path / "out").exists()

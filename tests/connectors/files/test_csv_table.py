@@ -1,0 +1,142 @@
+"""CSV files of any dialect."""
+
+import csv
+import gzip
+import io
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from connectors import Trace
+from connectors.files.csv_table import SEPARATORS, read_csv
+from operators.errors import InputError, ParameterError
+
+Write = Callable[[str], Path]
+NAMES = "t", "p0", "p1"
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    def write_text(text: str) -> Path:
+        path = tmp_path / "trace.csv"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write_text
+
+
+@pytest.mark.parametrize("separator", SEPARATORS)
+@pytest.mark.parametrize("given_name", [True, False])
+def test_a_separator_is_detected_or_given(write: Write, separator: str, *, given_name: bool) -> None:
+    sign = SEPARATORS[separator]
+    path = write("\n".join(sign.join(row) for row in (NAMES, ("0.5", "1.5", "-2"), ("0.6", "3", "4"))) + "\n")
+    table = read_csv(path, separator if given_name else "")
+    assert table.header.names == NAMES
+    assert table.reals("p0").tolist() == [1.5, 3]
+    assert table.notes == (() if separator == "comma" else (f"separator {separator}",))
+
+
+@given(
+    st.sampled_from([*SEPARATORS.values()]),
+    st.lists(
+        st.tuples(*[st.floats(-1e6, 1e6).map(lambda value: round(value, 3))] * 3), min_size=1, max_size=9
+    ),
+)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_numbers_are_read_with_any_separator(
+    write: Write, sign: str, rows: list[tuple[float, float, float]]
+) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, delimiter=sign)
+    writer.writerows([NAMES, *rows])
+    table = read_csv(write(text.getvalue()))
+    assert [table.reals(name).tolist() for name in NAMES] == [
+        list(column) for column in zip(*rows, strict=True)
+    ]
+
+
+def test_a_decimal_comma_is_read_unless_the_comma_separates(write: Write) -> None:
+    table = read_csv(write("t;p0;p1\n0,01;1013,25;-,5\n0,02;1e2;7\n"))
+    assert table.notes == ("separator semicolon", "decimal comma")
+    assert table.times("t", "s").tolist() == [10_000_000, 20_000_000]
+    assert table.reals("p0").tolist() == [1013.25, 100]
+    assert table.reals("p1").tolist() == [-0.5, 7]
+
+
+def test_columns_may_be_aligned_with_spaces_and_tabs(write: Write) -> None:
+    table = read_csv(write("   t      p0\t p1\n\n 0.01    1      2\n 0.02   10     20  \n"))
+    assert table.reals("p1").tolist() == [2, 20]
+    with pytest.raises(InputError, match="line 4, column p0: is 'x', must be a number"):
+        read_csv(write("   t      p0\t p1\n\n 0.01    1      2\n 0.02   x     20  \n")).reals("p0")
+
+
+def test_comments_are_skipped_and_may_name_the_columns(write: Write) -> None:
+    for text in ("# a sensor\n# 2026\nt,p0,p1\n1,2,3\n2,x,5\n", "# a sensor\n# t,p0,p1\n\n1,2,3\n2,x,5\n"):
+        path = write(text)
+        table = read_csv(path)
+        assert table.header.names == NAMES
+        with pytest.raises(InputError, match="line 5, column p0: is 'x'"):
+            table.reals("p0")
+
+
+def test_a_file_without_names_gets_them(write: Write) -> None:
+    path = write("0.01,1,2\n0.02,x,4\n")
+    table = read_csv(path, header=NAMES)
+    assert table.header.names == NAMES
+    assert table.reals("p1").tolist() == [2, 4]
+    with pytest.raises(InputError, match="line 2, column p0: is 'x'"):
+        table.reals("p0")
+    with pytest.raises(InputError, match=r"line 1: has more fields than --header has names"):
+        read_csv(path, header=NAMES[:2])
+
+
+def test_a_gzipped_file_is_read_up_to_the_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "trace.csv.gz"
+    path.write_bytes(gzip.compress(b"t,p0,p1\n1,2,3\n"))
+    assert read_csv(path).reals("p1").tolist() == [3]
+    monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
+    path.write_bytes(gzip.compress(b"t,p0,p1\n" + b"1,2,3\n" * (1 << 18)))
+    assert path.stat().st_size < 1 << 14
+    with pytest.raises(InputError, match="unpacks to more than 1 MiB"):
+        read_csv(path)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(InputError, match="is a damaged gzip file"):
+        read_csv(path)
+    path.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(20))
+    with pytest.raises(InputError, match="is compressed: decompress it first, or use gzip"):
+        read_csv(path)
+
+
+def test_a_line_that_is_cut_off_is_refused(write: Write) -> None:
+    with pytest.raises(
+        InputError, match="the last line has fewer fields than line 1 has names: it is cut off"
+    ):
+        read_csv(write("t,p0,p1\n1,2,3\n2,3"))
+
+
+def test_a_separator_is_one_character(write: Write) -> None:
+    with pytest.raises(ParameterError, match="separator is ';;', must be one of one character, comma"):
+        read_csv(write("t;;p0\n1;;2\n"), ";;")
+
+
+def test_times_may_be_dates(write: Write) -> None:
+    table = read_csv(write("t;p0\n2026-11-23 15:00:00.25;1\n2026-11-23 15:00:01,5;2\n"), "semicolon")
+    with pytest.raises(InputError, match="line 3, column t"):
+        table.times("t", "s")
+    trace = Trace(read_csv(write("t,p0,p1\n2026-11-23T15:00:00.25Z,1,2\n2026-11-23T15:00:00.26Z,1,2\n")))
+    assert trace.touch.time.tolist() == [1795446000250000000, 1795446000260000000]
+
+
+@given(st.binary(max_size=300))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_content_is_a_table_or_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "any.csv").write_bytes(content)
+    for separator in ("", "space", "|"):
+        try:
+            read = len(read_csv(tmp_path / "any.csv", separator)) > 0
+        except InputError as error:
+            read = "\n" not in str(error)
+        assert read

@@ -1,0 +1,119 @@
+"""Traces in Parquet files."""
+
+import datetime as dt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from connectors import Trace
+from connectors.files.column_map import ColumnMap
+from connectors.files.parquet_table import read_parquet
+from operators.batch import Motion, Touch
+from operators.errors import InputError
+
+SHARED = Path(__file__).parents[3].parent / "shared/real"
+TIME = np.arange(50) / 100
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "trace.parquet"
+
+
+def put(path: Path, **columns: Any) -> Path:  # noqa: ANN401 - any values
+    pl.DataFrame(columns).write_parquet(path)
+    return path
+
+
+def test_columns_of_any_type_are_read(path: Path) -> None:
+    put(
+        path,
+        timestamp=[dt.datetime(2026, 1, 1, 0, 0, k, 1000, dt.UTC) for k in range(4)],
+        cells=pl.Series([[1, 2], [3, 4], [5, 6], [7, 8]], dtype=pl.Array(pl.Int16, 2)),
+        tcp=pl.Series([{"vx": 0.1 * k, "vy": 0.0, "vz": 0.0} for k in range(4)]),
+        state=["Slip", "static", None, "STATIC"],
+        raw=[b"1", b"2", b"3", b"4"],
+    )
+    columns = ColumnMap.parse("counts=cells*,velocity=tcp.vx,tcp.vy,tcp.vz,label=state")
+    trace = Trace(path, columns)
+    assert trace.touch.counts.tolist() == [[1, 2], [3, 4], [5, 6], [7, 8]]
+    assert trace.touch.time[0] == 1767225600_001000000
+    assert trace.speeds == pytest.approx([0, 0.1, 0.2, 0.3])
+    assert trace.labels.tolist() == [1, 0, -1, 0]
+    with pytest.raises(InputError, match="column raw cannot be used: its values are large_binary"):
+        Trace(path, ColumnMap.parse("counts=raw"))
+
+
+def test_an_invalid_value_is_named_by_row_and_column(path: Path) -> None:
+    cells = {f"p{k}": [1.0, None, 3.0, float("inf")] for k in range(2)}
+    put(path, t=[0.0, 1.0, 2.0, 3.0], **cells)
+    with pytest.raises(
+        InputError, match=r"trace.parquet, row 3, column p0: is inf, must be a number or empty"
+    ):
+        Trace(path)
+    for times, row, must_be in (
+        ([0.0, float("nan"), 2.0], 1, "a time in s"),
+        ([0.0, None, 2.0], 1, "a time in s"),
+        ([0.0, 1e300, 2.0], 1, "a time in s"),
+        ([0.0, 2.0, 1.0], 2, "no less than in the row before"),
+    ):
+        put(path, t=times, p0=[1, 2, 3], p1=[1, 2, 3])
+        with pytest.raises(InputError, match=rf"row {row}, column t: is \S+, must be {must_be}"):
+            Trace(path)
+
+
+def test_rows_without_a_time_are_left_out_on_request(path: Path) -> None:
+    put(path, t=[0.0, None, 2.0], p0=[1, 2, 3], p1=[1, 2, None], label=[0, 1, 1])
+    trace = Trace(path, ColumnMap(lenient=True))
+    assert trace.touch.time.tolist() == [0, 2_000_000_000]
+    assert trace.touch.valid.tolist() == [[True, True], [True, False]]
+    assert trace.labels.tolist() == [0, 1]
+    assert trace.notes == ("1 rows without a time left out",)
+
+
+def test_a_file_that_unpacks_to_more_than_the_limit_is_refused(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put(path, t=np.zeros(1 << 18))
+    monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
+    assert path.stat().st_size < 1 << 14
+    with pytest.raises(InputError, match="unpacks to more than 1 MiB"):
+        read_parquet(path)
+
+
+def test_long_texts_in_a_dictionary_are_not_unpacked(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = "x" * 10_000
+    put(path, t=np.arange(1000), note=[text] * 1000)
+    assert path.stat().st_size < 1 << 15
+    monkeypatch.setattr("connectors.files.trace_table.LIMIT", 1 << 20)
+    assert "note" in read_parquet(path).header.left_out
+
+
+@pytest.mark.parametrize(
+    ("folder", "columns", "rows"),
+    [
+        ("strokes", ColumnMap.parse("time=t,counts=b0..b5,speed=speed,label=label"), 89_186),
+        ("grasps", ColumnMap.parse("counts=b0..b5,velocity=vx,vy,vz"), 2195),
+        ("barometers", ColumnMap.parse("label=", "counts=Pa", lenient=True), 230_068),
+    ],
+)
+def test_the_real_recordings_are_read_whole(folder: str, columns: ColumnMap, rows: int) -> None:
+    files = sorted((SHARED / folder).glob("*.parquet"))
+    if not files:
+        pytest.skip(f"{SHARED / folder} is missing: the shared material belongs next to the checkout")
+    read = 0
+    for file in files:
+        trace = Trace(file, columns)
+        read += len(trace.touch)
+        names = trace.columns.columns["counts"]
+        given = pl.read_parquet(file).drop_nulls(trace.columns.columns["time"])[list(names)].to_numpy()
+        stored = (trace.touch.counts + trace.offset) * trace.resolution
+        valid = trace.touch.valid
+        assert np.abs(stored - given)[valid].max() <= trace.resolution / 2
+        assert valid.mean() > 0.999
+        assert bool(trace.fingers(Touch))
+        assert bool(trace.fingers(Motion)) == (folder != "barometers")
+    assert read == rows
