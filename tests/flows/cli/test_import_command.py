@@ -38,7 +38,7 @@ def test_a_trace_is_checked_imported_evaluated_and_exported(tmp_path: Path) -> N
     assert (found["written"], found["skipped"], file["recognised"], file["finger"]) == (1, 0, [], 2)
     samples = pl.read_parquet(tmp_path / "out/sessions/lab/samples/*.parquet")
     assert samples["label"].to_list() == [k // 50 % 2 for k in range(300)]
-    judged = slipflow("evaluate", "out", "--split", "all", "--method", "psd", "--json", cwd=tmp_path)
+    judged = slipflow("evaluate", "out", "--split", "all", "--method", "paper_tcn", "--json", cwd=tmp_path)
     assert judged.returncode == 0, judged.stderr
     exported = slipflow("export", "out", "frames", "--to", "lerobot", cwd=tmp_path)
     assert exported.returncode == 0, exported.stderr
