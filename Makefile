@@ -84,22 +84,19 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	    slipflow simulate models/$$name --plan $${name%-*} --seed $${name#*-} || exit 1; done
 	{ echo "$(PAPER) paper_tcn --epochs 25 -o models/paper_tcn.safetensors"; \
 	  for seed in 0 1 2; do \
-	    echo "train $(DATA) --resume --seed $$seed -o models/tcn-seed$$seed.safetensors"; \
-	    echo "train $(DATA) --resume --seed $$seed --target sliding -o models/tcn_sliding-seed$$seed.safetensors"; \
-	  done; \
+	    echo "train $(DATA) --resume --seed $$seed -o models/tcn-seed$$seed.safetensors"; done; \
+	  echo "train $(DATA) --resume --target sliding -o models/tcn_sliding.safetensors"; \
 	  for filters in 24 8 4; do \
 	    echo "train $(DATA) --resume --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
 	  echo "$(PAPER) frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors"; \
 	  echo "$(PAPER) frequency_cnn_interleaved --epochs 30 -o models/frequency_cnn_interleaved.safetensors"; \
 	} | xargs -P 2 -L 1 slipflow
 	slipflow train $(DATA) --resume --seeds 3 --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
-	slipflow train $(DATA) --resume --seeds 3 --target sliding -o models/tcn_sliding.safetensors
 	env -u OMP_NUM_THREADS slipflow experiment learn -o models
 	for name in tcn tcn_sliding paper_tcn frequency_cnn frequency_cnn_interleaved tcn_grasp paper_grasp; do \
 	    cp models/$$name.safetensors models/$$name.json storage/trained/ || exit 1; done
 	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
-	$(if $(trace),for name in tcn tcn_sliding; do \
-	    .venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/$$name-seed?.safetensors || exit 1; done)
+	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn-seed?.safetensors)
 
 detector-pages:  ## print the pages of docs/explanations/detectors again, after `make models`: half an hour
 	slipflow evaluate models/paper-0 --out models/pages

@@ -51,7 +51,7 @@ def least_force(
 
     >>> from connectors.sim.objects import named
     >>> round(least_force(named("box")), 2)
-    1.87
+    2.47
     """
     mu = (parameters or Parameters()).static_friction + passive
     return held.mass * mass * GRAVITY / (held.friction * friction * mu)

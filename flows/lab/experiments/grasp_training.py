@@ -30,7 +30,9 @@ AUGMENTATION: Final = Augmentation(  # weaker than for strokes: a box changes it
 )
 RECIPE: Final = Recipe(filters=24, steps=2600, batch=40, crop=412, augmentation=AUGMENTATION)
 PAPER: Final = PaperRecipe(epochs=5)
-GRACE: Final = 8  # samples with unknown label from the onset of a slip: load transfer takes as long
+GRACE: Final = 8  # samples with unknown label from the onset of a short slip, such as by a blow
+LONG_GRACE: Final = 20  # the same of a long slip, which begins like the rise of load in a firm grasp
+LONG: Final = 30  # samples of a long slip at least
 LASTS: Final = 18  # samples from the onset to the end of the shortest slip in training
 SPAN: Final = 5  # samples in which a cell of a hard static sample moves
 RESTLESS: Final = 8  # counts by which it moves
@@ -160,10 +162,10 @@ def _scores(detector: Detector, kinds: dict[str, list[LabelledRecording]]) -> di
 def delayed(label: Codes, least: int = LASTS, grace: int = GRACE, fades: int = FADES) -> Codes:
     """Delay each slip in labels (n,) by `grace` samples and let it last until `least` samples from its onset.
 
-    The `grace` samples, and `fades` samples after a slip that was lengthened, become unknown. A slip begins
-    like the rise of load in a firm grasp, and a blow moves an object for 20 to 40 ms, which ends before the
-    signal differs from that of a harmless blow. With labels by the instant, the network would learn
-    ambiguous scores for both.
+    The `grace` samples, or `LONG_GRACE` of a long slip, and `fades` samples after a slip that was lengthened,
+    become unknown. A long slip begins like the rise of load in a firm grasp, and a blow moves an object for
+    20 to 40 ms, which ends before the signal differs from that of a harmless blow. With labels by the
+    instant, the network would learn ambiguous scores for both.
 
     >>> import numpy as np
     >>> delayed(np.array([0, 1, 0, 0, 0, 0], np.int8), least=3, grace=1, fades=1)
@@ -174,7 +176,7 @@ def delayed(label: Codes, least: int = LASTS, grace: int = GRACE, fades: int = F
         late[end : first + least] = SLIP
         fading = slice(max(end, first + least), first + least + fades)
         late[fading][label[fading] != SLIP] = UNKNOWN
-        late[first : first + grace] = UNKNOWN
+        late[first : first + (grace if end - first < LONG else LONG_GRACE)] = UNKNOWN
     return late
 
 

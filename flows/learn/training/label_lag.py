@@ -2,7 +2,7 @@
 
 The two streams have separate clocks, and the arm's motion arrives late. A detector that is trained on such
 labels learns the same delay. Counts change while the contact slides, so the lag of a recording is the shift
-at which its labels correlate best with the rate of change. On the simulated rig it is 28 ms less than the
+at which its labels correlate best with the rate of change. On the simulated rig it is 80 ms less than the
 arm's latency, because the fingertip is compliant.
 """
 

@@ -12,6 +12,8 @@ from flows.lab.experiments.grasp_training import (
     FADES,
     GRACE,
     LASTS,
+    LONG,
+    LONG_GRACE,
     ONSET,
     RESTLESS,
     SPAN,
@@ -82,10 +84,10 @@ def test_a_short_slip_is_delayed_lengthened_and_followed_by_unknown_samples() ->
     assert np.flatnonzero(label == UNKNOWN).tolist() == unknown
 
 
-def test_a_long_slip_is_only_delayed() -> None:
-    label = _slips(60, (10, 40))
-    assert (delayed(label)[10 + GRACE :] == label[10 + GRACE :]).all()
-    assert (delayed(label)[10 : 10 + GRACE] == UNKNOWN).all()
+def test_a_long_slip_is_only_delayed_but_longer() -> None:
+    label = _slips(60, (10, 10 + LONG))
+    assert (delayed(label)[10 + LONG_GRACE :] == label[10 + LONG_GRACE :]).all()
+    assert (delayed(label)[10 : 10 + LONG_GRACE] == UNKNOWN).all()
 
 
 def test_the_next_slip_is_not_lost() -> None:
