@@ -98,10 +98,11 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	cp models/threshold_grasp.json models/psd_grasp.json storage/trained/
 	$(if $(trace),.venv/bin/python -m tests.benchmarks.bench_trace $(trace) models/tcn-seed?.safetensors)
 
-detector-pages:  ## print the pages of docs/explanations/detectors again, after `make models`: half an hour
+detector-pages:  ## print the pages of docs/explanations/detectors again, after `make models`: half an hour; strokes=DATASET: benchmark too
 	slipflow evaluate models/paper-0 --out models/pages
 	slipflow chart models/paper-0 $(foreach filters,4 8 24,--model models/tcn_$(filters).safetensors) --out models/pages
 	slipflow stress --out models/pages
+	$(if $(strokes),slipflow benchmark $(strokes) --out models/pages)
 	cp models/pages/*.md models/pages/*.svg docs/explanations/detectors/
 
 clean:  ## forget everything that was set up or built

@@ -23,8 +23,8 @@ def benchmark_report(of: Benchmark, command: str) -> Report:
         "saw it; windows and recordings are never split. "
         + " ".join(f"{regime}: {MEANING[regime].format(parts='folds')}." for regime in of.regimes)
         + f" Intervals are 95 % over recordings ({DRAWS} draws with replacement). Decisions are at "
-        "probability 0.5; events follow the debounce of the model card, one tuned on validation recordings "
-        "of the other folds, or 0.5 / 2 / 2 where there are none to tune it on."
+        "probability 0.5; events follow the debounce of the model card, or one tuned on recordings of the "
+        "other folds that the detector was not fitted to (0.5 / 2 / 2 where there are none)."
         + "".join(
             f" Leak in {each.data.name}: {leak.finding}." for each in of.datasets for leak in each.leaks
         )
@@ -68,8 +68,7 @@ def _events(of: DatasetResult) -> Section:
     rows: list[list[Value]] = [
         [each.entrant.regime, each.entrant.name, *_cells(each)[4:]] for each in of.results
     ]
-    slips = sum(1 for _ in of.results)
-    first = of.best("in-domain") or of.best("zero-shot") or (of.results[0] if slips else None)
+    first = of.best("in-domain") or of.best("zero-shot") or next(iter(of.results), None)
     finding = f"{of.data.name}: no detector was evaluated"
     if first:
         found = first.figures

@@ -83,14 +83,17 @@ def entrants(methods: Sequence[Method], regimes: Collection[str]) -> list[Entran
     """Return the entrants of some regimes; `methods` are detectors with weights."""
     psd = Method("psd", Psd(), "default threshold")
     ready = [
-        Entrant("zero-shot", each.name, partial(_as_it_is, each), each.origin, each)
+        Entrant("zero-shot", each.name, partial(_as_it_is, each), each.origin, each, cost=4.0)
         for each in (*methods, psd)
     ]
-    few = [Entrant("few-shot", name, partial(_few, name), "fitted", draws=FEW_DRAWS) for name in _FITTED]
+    few = [
+        Entrant("few-shot", name, partial(_few, name), "fitted", draws=FEW_DRAWS, cost=3.0)
+        for name in _FITTED
+    ]
     learned = [
         Entrant("in-domain", MAJORITY, _majority, "constant"),
         *(Entrant("in-domain", name, partial(_all, name), "fitted", cost=5.0) for name in _FITTED),
-        Entrant("in-domain", "tcn", _tcn, "trained", cost=200.0),
+        Entrant("in-domain", "tcn", _tcn, "trained", cost=120.0),
     ]
     return [each for each in (*ready, *few, *learned) if each.regime in regimes]
 
@@ -104,8 +107,16 @@ def _majority(fold: Fold, _course: Course, _draw: int) -> Fitted:
 
 
 def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
+    """Fit to labelled minutes; one fitted to two thirds of each piece tunes the debounce on the rest."""
     seed = int(np.random.SeedSequence([course.seed, draw]).generate_state(1)[0])
-    return _fitted(name, labelled_minutes(fold, MINUTES, seed)), PAPER_RULE
+    found = labelled_minutes(fold, MINUTES, seed)
+    detector = _fitted(name, found)
+    first = [each.piece(slice(len(each) * 2 // 3)) for each in found]
+    rest = [each.piece(slice(len(each) * 2 // 3, None)) for each in found]
+    try:
+        return detector, tuned_on(rest, _fitted(name, first))
+    except InputError:  # the pieces are too short
+        return detector, PAPER_RULE
 
 
 def _all(name: str, fold: Fold, _course: Course, _draw: int) -> Fitted:
