@@ -190,6 +190,7 @@ class Download:
                         if begin > file.bytes:
                             break
                         out.write(chunk)
+                        out.flush()  # a kill loses nothing that arrived
                         progress(begin)
         except (ClientError, TimeoutError) as error:
             raise _TransferError(_reason(error)) from error

@@ -62,7 +62,7 @@ class Fetched:
             verified = f"{counted(len(recipe.files), 'file')}, {size_text(recipe.bytes)}, all checksums match"
             lines.append(f"{self.files}: {verified}; {self.loaded} downloaded now")
         groups = f", {counted(len(found['groups']), recipe.group)}" if recipe.split == "group" else ""
-        labels = ", ".join(f"{rows} {name}" for name, rows in found["labels"].items() if rows)
+        labels = ", ".join(f"{rows:,} {name}" for name, rows in found["labels"].items() if rows)
         size = f"{counted(found['sessions'], 'session')}{groups}, {found['seconds'] / 60:.1f} minutes"
         state = "" if self.imported else "fetched before; "
         lines.append(f"{self.dataset}: {state}{size}; {labels if recipe.labelled else 'no labels'}")

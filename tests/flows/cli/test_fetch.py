@@ -1,11 +1,16 @@
+import asyncio
 import json
+import signal
+import subprocess
+import threading
 from pathlib import Path
 
 import pytest
 
 from flows.lab.recipes.dataset_recipe import SHIPPED, DatasetRecipe, load_recipe
-from tests.command import error, slipflow
+from tests.command import SLIPFLOW, error, slipflow
 from tests.flows.lab.recipes.source_server import recipe_of, serve
+from tests.waiting import until
 
 FILES = {"one.csv": b"t,a,b\n" + b"".join(b"%.2f,%d,%d\n" % (i / 100, i % 9, i % 7) for i in range(60))}
 
@@ -69,6 +74,26 @@ def test_an_own_recipe_is_fetched_and_its_licence_is_printed(tmp_path: Path) -> 
     found = json.loads(again.stdout)
     assert (found["imported"], found["dataset"]) == (False, f"{folder}/dataset")
     assert slipflow("verify", folder / "dataset").returncode == 0
+
+
+def test_ctrl_c_during_a_download_keeps_what_arrived(tmp_path: Path) -> None:
+    recipe = own_recipe(tmp_path)
+    partial = tmp_path / "data" / "taps" / "files" / "one.csv.partial"
+    with serve(FILES) as server:
+        server.cut["one.csv"], server.stall = [100], threading.Event()
+        command = [*SLIPFLOW, "fetch", str(recipe), "--from", server.url, "--to", str(tmp_path / "data")]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        try:
+            asyncio.run(until(lambda: partial.exists() and partial.stat().st_size == 100))
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=30)
+        finally:
+            server.stall.set()
+            process.kill()
+        assert process.returncode == 130, errors
+        assert b"Traceback" not in errors
+        assert slipflow("fetch", recipe, "--from", server.url, "--to", tmp_path / "data").returncode == 0
+        assert server.requests[-1] == ("one.csv", "bytes=100-")
 
 
 def test_the_default_folder_is_the_cache(tmp_path: Path) -> None:

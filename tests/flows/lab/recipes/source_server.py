@@ -42,6 +42,7 @@ class SourceServer:
     cut: dict[str, list[int]] = field(default_factory=dict[str, list[int]])  # bytes until the connection ends
     status: dict[str, list[int]] = field(default_factory=dict[str, list[int]])  # of the next requests
     redirect: dict[str, str] = field(default_factory=dict[str, str])
+    stall: threading.Event | None = None  # keeps connections that were cut open until it is set
     ranges: bool = True  # answers Range requests
     lengths: bool = True  # states the length
     requests: list[tuple[str, str]] = field(default_factory=list[tuple[str, str]])
@@ -82,6 +83,9 @@ class SourceServer:
         cuts = self.cut.get(path, [])
         end = begin + cuts.pop(0) if cuts else len(data)
         request.wfile.write(data[begin:end])
+        if end < len(data) and self.stall:
+            request.wfile.flush()
+            self.stall.wait()
         request.close_connection = True
 
 
