@@ -89,7 +89,7 @@ models:  ## train what ships in storage/trained and what its pages compare: two 
 	  for filters in 24 8 4; do \
 	    echo "train $(DATA) --resume --filters $$filters -o models/tcn_$$filters.safetensors"; done; \
 	  echo "$(PAPER) frequency_cnn --epochs 40 -o models/frequency_cnn.safetensors"; \
-	  echo "$(PAPER) frequency_cnn_interleaved --epochs 30 -o models/frequency_cnn_interleaved.safetensors"; \
+	  echo "$(PAPER) frequency_cnn_interleaved --epochs 6 -o models/frequency_cnn_interleaved.safetensors"; \
 	} | xargs -P 2 -L 1 slipflow
 	slipflow train $(DATA) --resume --seeds 3 --curve docs/explanations/detectors/training.svg -o models/tcn.safetensors
 	env -u OMP_NUM_THREADS slipflow experiment learn -o models
