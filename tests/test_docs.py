@@ -22,6 +22,7 @@ RUN = [
     "how-to/any-fingertip.md",
     "how-to/public-recordings.md",
     "how-to/extend.md",
+    "how-to/import.md",
     "reference/dataset.md",
     "reference/mqtt.md",
 ]

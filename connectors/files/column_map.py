@@ -1,7 +1,7 @@
 """Interpretation of a table's columns, given by the user or recognised by common names."""
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Final
@@ -59,7 +59,14 @@ _CELL: Final = re.compile(
     r"(s|c|p|b|counts?|cell|taxel|baro|barometer|pressure|sensor)([ _.]?)(\d{1,3})", re.IGNORECASE
 )
 _WITH_UNIT: Final = re.compile(r"(.+?)(?:[ _]?[\[(]([a-z/]+)[\])]|[ _]([a-z]+))", re.IGNORECASE)
-_AXES: Final = (("vx", "vy", "vz", "wx", "wy", "wz"), ("vx", "vy", "vz"))
+_AXES: Final = (
+    ("vx", "vy", "vz", "wx", "wy", "wz"),
+    ("vx", "vy", "vz"),
+    *(  # geometry_msgs/TwistStamped and Twist
+        tuple(f"{twist}{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
+        for twist in ("twist.", "")
+    ),
+)
 _RANGE: Final = re.compile(r"(.*?)(\d+)\.\.(.*?)(\d+)")
 _DIGITS: Final = re.compile(r"(\d+)")
 
@@ -208,36 +215,40 @@ class ColumnMap:
         unit_of = {name: ",".join(items) for name, items in _items("units", units, "time=ms,counts=kPa")}
         return cls(found, unit_of, values, lever, resolution, lenient)
 
-    def completed(self, header: Header, *, timed: bool = True) -> "ColumnMap":
+    def completed(
+        self, header: Header, *, timed: bool = True, only: Collection[str] = tuple(SIZES)
+    ) -> "ColumnMap":
         """Return this map, completed by columns with common names.
 
         Args:
             header: Column names of a file.
             timed: Require a time column.
+            only: Quantities in this file.
 
         Raises:
             InputError: if a column is missing or occurs twice, there are no counts or no time, or the choice
                 is ambiguous.
         """
         found = dict[str, tuple[str, ...]]()
-        for name, columns in self.columns.items():
+        for name in self.columns.keys() & only:
+            columns = self.columns[name]
             found[name] = tuple(match for column in columns for match in header.matching(column))
             _check_size(name, found[name])
         if header.time and TIME not in found:
             found[TIME] = (header.time,)
         for name in SIZES:
-            if name not in found:
+            if name not in found and name in only:
                 redundant = name in MOTIONS and any(found.get(other) for other in MOTIONS)
                 found[name] = () if redundant else _guess(name, header)
         for name in (TIME, COUNTS) if timed else (COUNTS,):
-            if not found[name]:
+            if name in only and not found[name]:
                 raise header.error(f"none recognised as {name}; map it, for example {_EXAMPLES[name]}")
         for column in (column for columns in found.values() for column in columns):
             header.check(column)
-            if found[COUNTS].count(column) > 1:
+            if found.get(COUNTS, ()).count(column) > 1:
                 raise InputError(header.where, f"column {column} cannot be two cells")
         units = {name: self.units.get(name) or _unit(name, found[name]) for name in UNITS if found.get(name)}
-        return replace(self, columns={name: found[name] for name in SIZES if found[name]}, units=units)
+        return replace(self, columns={name: found[name] for name in SIZES if found.get(name)}, units=units)
 
     def scale(self, name: str) -> float:
         """Return the factor from the file's unit to ns, m/s or rad/s, or to the unit of the counts."""

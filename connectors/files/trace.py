@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, TypeVar, cast
 
 import numpy as np
 
-from connectors.files.column_map import COUNTS, JOINT, LABEL, MOTIONS, TIME, ColumnMap
+from connectors.files.column_map import COUNTS, JOINT, LABEL, MOTIONS, SIZES, TIME, ColumnMap
 from connectors.files.formats import read_table
 from connectors.files.resolution import COUNT_LIMIT, Steps, common, needed, offsets
 from operators.batch import (
@@ -68,7 +68,7 @@ class Trace:
         offset: (cells,) counts; a reading is (count + offset) x resolution.
         missing: Number of missing readings.
         touch: The whole trace, Touch or Zeroed.
-        motion: Motion of the arm at the same instants; no rows if the file has none.
+        motion: Motion of the arm; no rows if the file has none.
         labels: (n,) 1 slip, 0 static, -1 unknown.
 
     Raises:
@@ -96,8 +96,13 @@ class Trace:
             raise ParameterError("Trace", "rate", rate, f"above 0 and at most {s:.0e} Hz")
         check_between("Trace", "finger", finger, 0, _INT16.max)
         table = read_table(source) if isinstance(source, str | Path) else source
-        self._file, self.sha256, self.group = table.file, table.sha256, group
-        self.columns = columns.completed(table.header, timed=rate is None)
+        self._file, self.sha256, self.group, self._about = table.file, table.sha256, group, table.about
+        if table.motion is None:
+            self.columns = moves = columns.completed(table.header, timed=rate is None)
+        else:
+            here = [name for name in SIZES if name not in MOTIONS]
+            self.columns = columns.completed(table.header, timed=rate is None, only=here)
+            moves = columns.completed(table.motion.header, only=(TIME, *MOTIONS))
         found = self.columns.columns
         if TIME in found and columns.lenient:
             table = table.timed(found[TIME][0], self.columns.units[TIME])
@@ -113,7 +118,13 @@ class Trace:
         kind = Zeroed if zeroed else Touch
         self.touch = kind(times, counts, np.zeros_like(counts), valid, finger=finger)
         self.missing = int(np.count_nonzero(~valid))
-        self.motion = self._motion(table, times)
+        self.motion = _motion(table.motion or table, moves, None if table.motion else times)
+        if table.motion:  # described like the columns of this table
+            moved = {name: moves.columns[name] for name in MOTIONS if name in moves.columns}
+            units = {name: moves.units[name] for name in moved}
+            self.columns = replace(
+                self.columns, columns={**found, **moved}, units={**self.columns.units, **units}
+            )
         if LABEL in found:
             self.labels = table.codes(found[LABEL][0], *self.columns.label_codes, UNKNOWN)
         else:
@@ -147,20 +158,6 @@ class Trace:
             limits = f"from {ends[0]:g} to {ends[1]:g} at a resolution of {self.resolution:g}"
             table.check(name, ~(np.abs(counts[:, cell]) > COUNT_LIMIT), limits)
         return np.where(valid, counts, 0).astype(np.int16), valid
-
-    def _motion(self, table: "TraceTable", times: Times) -> Motion:
-        """Return the rows with a velocity."""
-        velocity: Reals = np.full((len(times), 6), np.nan)
-        for name in MOTIONS:
-            if columns := self.columns.columns.get(name):
-                given = [table.reals(each, lenient=self.columns.lenient) for each in columns]
-                velocity = np.pad(np.column_stack(given), ((0, 0), (0, 6 - len(given))))
-                velocity[:, :3] *= self.columns.scale(name)
-                if name == JOINT:
-                    velocity = np.abs(velocity) * (self.columns.lever or 0.0)
-        moving: Flags = np.all(np.isfinite(velocity), axis=1)
-        unknown = np.full((len(times), 6), np.nan)
-        return Motion(times, times, velocity, unknown, finger=EVERY)[moving]
 
     @property
     def name(self) -> str:
@@ -239,6 +236,7 @@ class Trace:
             "columns": columns,
             "units": dict(self.columns.units),
         }
+        about |= self._about
         if self.group is not None:
             about["group"] = self.group
         if JOINT in columns:
@@ -248,3 +246,26 @@ class Trace:
         if self.offset.any():
             about["offset"] = [int(each) for each in self.offset]
         return about
+
+
+def _motion(table: "TraceTable", columns: ColumnMap, times: Times | None) -> Motion:
+    """Return the rows with a velocity.
+
+    Args:
+        table: Table with the motion.
+        columns: Its completed map.
+        times: Times of its rows; None: they are in the table.
+    """
+    if times is None:
+        times = table.times(columns.columns[TIME][0], columns.units[TIME])
+    velocity: Reals = np.full((len(times), 6), np.nan)
+    for name in MOTIONS:
+        if names := columns.columns.get(name):
+            given = [table.reals(each, lenient=columns.lenient) for each in names]
+            velocity = np.pad(np.column_stack(given), ((0, 0), (0, 6 - len(given))))
+            velocity[:, :3] *= columns.scale(name)
+            if name == JOINT:
+                velocity = np.abs(velocity) * (columns.lever or 0.0)
+    moving: Flags = np.all(np.isfinite(velocity), axis=1)
+    unknown = np.full((len(times), 6), np.nan)
+    return Motion(times, times, velocity, unknown, finger=EVERY)[moving]

@@ -38,6 +38,11 @@ class TraceTable:
         notes: Remarks on how the file was read, for the preview.
         left_out: Reasons by names of what cannot be a column.
 
+    Attributes:
+        header: Names of the columns.
+        about: Further entries of the description, such as the topic.
+        motion: Table with the motion at other times; None: it is in this table.
+
     Raises:
         InputError: if there are no rows, or a column has another length or no scalars.
     """
@@ -59,6 +64,8 @@ class TraceTable:
     ) -> None:
         self.file, self.where, self.sha256, self.notes = file, where or file, sha256, tuple(notes)
         place_of_names = f"{self.where}, {named_by}" if named_by else self.where
+        self.about = dict[str, str]()
+        self.motion: TraceTable | None = None
         self.header = Header(tuple(names or columns), place_of_names, time, left_out or {})
         self._columns = {name: _series(self.where, name, values) for name, values in columns.items()}
         lengths = {name: len(values) for name, values in self._columns.items()}
@@ -71,7 +78,7 @@ class TraceTable:
                 )
         if not self._length:
             raise InputError(self.where, "has no rows" + (f" below {named_by}" if named_by else ""))
-        self._place, self._numbers, self._named_by = place, numbers, named_by
+        self._place, self._numbers = place, numbers
 
     def __len__(self) -> int:
         return self._length
@@ -97,7 +104,7 @@ class TraceTable:
             sha256=self.sha256,
             notes=self.notes,
         )
-        found.header = header
+        found.header, found.about, found.motion = header, self.about, self.motion
         return found
 
     def times(self, name: str, unit: str) -> Times:
@@ -120,23 +127,11 @@ class TraceTable:
     def timed(self, name: str, unit: str) -> "TraceTable":
         """Return the rows that have a time in a column; the others are left out with a note."""
         known = _nanoseconds(self._columns[name], unit).is_not_null()
-        if known.all() or not known.any():
+        if known.all():
             return self
-        numbers = np.arange(len(self)) if self._numbers is None else self._numbers
-        header = self.header
-        return TraceTable(
-            {each: values.filter(known) for each, values in self._columns.items()},
-            self.file,
-            where=self.where,
-            names=header.names,
-            named_by=self._named_by,
-            place=self._place,
-            numbers=numbers[known.to_numpy()],
-            sha256=self.sha256,
-            time=header.time,
-            notes=(*self.notes, f"{len(self) - int(known.sum())} rows without a time left out"),
-            left_out=header.left_out,
-        )
+        found = self.selected(known.to_numpy())
+        found.notes = (*self.notes, f"{len(self) - len(found)} rows without a time left out")
+        return found
 
     def reals(self, name: str, *, lenient: bool = False) -> Reals:
         """Return a column of numbers (n,); NaN for a missing value.

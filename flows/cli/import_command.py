@@ -13,7 +13,11 @@ from flows.cli.terminal import note, progress_bar
 
 def import_(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Recordings of a fingertip: .csv, .parquet, .npz.")
+        list[Path],
+        typer.Argument(
+            metavar="FILE...",
+            help="Recordings of a fingertip: .csv, .parquet, .npz, .mcap, or folders of ROS 2 bags.",
+        ),
     ],
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="Dataset to add the sessions to, or a new folder.")
@@ -93,6 +97,13 @@ def import_(
             " '(.+)_vel'. Benchmarks split by it.",
         ),
     ] = "",
+    topic: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Topic of a MCAP file or ROS 2 bag (default: its only topic)."),
+    ] = "",
+    motion_topic: Annotated[
+        str, typer.Option(metavar="NAME", help="Topic with the motion (default: that of the fingertip).")
+    ] = "",
     separator: Annotated[
         str,
         typer.Option(
@@ -152,7 +163,7 @@ def import_(
     names = [name for item in header.split(",") if item for name in expanded(item.strip())]
 
     def make(path: Path, column_map: ColumnMap, session: str, group: str | None) -> TraceImport:
-        table = read_table(path, separator=separator, header=names)
+        table = read_table(path, separator=separator, header=names, topic=topic, motion_topic=motion_topic)
         return TraceImport(
             table,
             out,

@@ -156,14 +156,16 @@ def check_outputs(flow: Flow, paths: Iterable[Path]) -> None:
 
 
 def open_recording(path: Path, warn: Callable[[str], object]) -> Recording:
-    """Open a session or a CSV trace; report warnings about a trace with `warn`.
+    """Open a session or a trace in a file; report warnings about a trace with `warn`.
 
     Raises:
         InputError: if it is neither, or damaged.
     """
-    if path.suffix != ".csv":
-        return Session.open(path)
+    from connectors.files.formats import ENDINGS  # noqa: PLC0415 - slow import, rarely needed
     from connectors.files.trace import Trace  # noqa: PLC0415 - slow import, rarely needed
+
+    if not path.name.endswith(ENDINGS):
+        return Session.open(path)
 
     try:
         trace = Trace(path)

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from connectors.files.formats import read_table
 from operators.errors import InputError
@@ -28,7 +30,18 @@ def write_npz(path: Path) -> None:
     np.savez_compressed(path, t=TIME, p0=np.arange(20), p1=np.array(list("abcdefghijklmnopqrst")))
 
 
-FORMATS = {".csv": write_csv, ".parquet": write_parquet, ".npz": write_npz}
+def write_mcap(path: Path) -> None:
+    with path.open("wb") as file:
+        writer: Any = Writer(file)
+        writer.start()
+        schema = writer.register_schema("pad", "jsonschema", b"{}")
+        channel = writer.register_channel("/pad", "json", schema)
+        for row in range(20):
+            writer.add_message(channel, row, b'{"p0": 1, "p1": [1, 2], "p2": "a"}', row)
+        writer.finish()
+
+
+FORMATS = {".csv": write_csv, ".parquet": write_parquet, ".npz": write_npz, ".mcap": write_mcap}
 
 
 def refusal(path: Path) -> str:
