@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from connectors.files.message_table import Decode, Message, read_topic
+from connectors.files.ros_messages import ros_decoder
 from connectors.files.trace_table import TraceTable
 from operators.errors import InputError, os_error_reason
 
@@ -117,8 +118,6 @@ def _decoder(where: str, encoding: str, schema: "Schema | None") -> Decode:
     if encoding == "json":
         return json.loads
     if encoding == "cdr" and schema is not None:
-        from connectors.files.bag_table import ros_decoder  # noqa: PLC0415 - an extra
-
         return ros_decoder(where, schema.name, schema.encoding, schema.data.decode())
     reason = f"has {encoding} messages; only json and cdr (ROS 2) can be read: convert them"
     raise InputError(where, reason)

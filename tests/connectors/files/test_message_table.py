@@ -204,7 +204,7 @@ def test_a_missing_library_is_named_with_its_extra(
     def find(wanted: str) -> object:
         return None if wanted == module else object()
 
-    for name in ("connectors.files.mcap_table", "connectors.files.bag_table"):
+    for name in ("connectors.files.mcap_table", "connectors.files.ros_messages"):
         monkeypatch.setattr(f"{name}.find_spec", find)
     with pytest.raises(InputError, match=rf"needs {module}: in the clone, pip install -e '.\[{extra}\]'"):
         read_table(path, topic="/pad")
