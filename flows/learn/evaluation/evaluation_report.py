@@ -107,7 +107,8 @@ def intervals(of: Evaluation) -> Section:
         f"The balanced accuracy of {of.leader.method.name} is {show(first.value)} %, "
         f"{first.interval() or 'without an interval'} over recordings",
         f"95 % intervals from {DRAWS} draws of {of.recordings} recordings with replacement: samples of a "
-        "recording are alike. Fewer than three recordings give no interval. Events: reported events per "
+        "recording are alike. Fewer than three recordings give no interval. Far: balanced accuracy 100 ms or "
+        "more from any change of the label. Events: reported events per "
         "minute of recording; false alarms: per static minute.",
         [Table(["method", *FIGURES_HEAD], rows, decimals=FIGURES_DECIMALS)],
     )

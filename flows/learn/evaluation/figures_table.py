@@ -7,6 +7,7 @@ from flows.report.table import Value
 
 _HEADS: Final = (  # field of `Figures`; name of the column; decimals
     ("balanced", "balanced %", 1),
+    ("far", "far %", 1),
     ("area", "AUC %", 1),
     ("events_per_min", "events/min", 1),
     ("false_alarms_per_min", "false/min", 1),

@@ -10,12 +10,13 @@ from typing import Final, Self, TypeAlias
 import numpy as np
 
 from flows.learn.evaluation.event_metrics import DECISION, EventMetrics, Slips, onsets
-from flows.learn.evaluation.sample_metrics import Confusion, Roc
+from flows.learn.evaluation.sample_metrics import Confusion, Roc, distance
 from flows.learn.labelled_recordings import PERIOD, WARM_UP, LabelledRecording
 from operators import Debounce, s
 from operators.batch import UNKNOWN, Flags, Reals
 
 DRAWS: Final = 1000
+FAR: Final = 100  # ms
 _LEAST: Final = 3  # recordings: fewer give no interval
 _BINS: Final = 512  # of the probabilities, for the area under the curve
 _TAILS: Final = (0.025, 0.975)
@@ -56,6 +57,7 @@ class Judged:
     events: EventMetrics
     onsets: int  # reported events
     minutes: float  # of the recording
+    far: Flags  # (k,) True 100 ms or more from any change of the label
 
     @classmethod
     def of(cls, recording: LabelledRecording, probability: Reals, debounce: Debounce) -> Self:
@@ -65,7 +67,8 @@ class Judged:
         raised = onsets(probability, debounce)
         events = EventMetrics.of_onsets([raised], [Slips.labelled(recording)])
         minutes = max(len(recording) - WARM_UP, 0) * PERIOD / (60 * s)
-        return cls(probability[known], recording.slip[known], events, len(raised), minutes)
+        far: Flags = distance(recording.label)[known] >= FAR
+        return cls(probability[known], recording.slip[known], events, len(raised), minutes, far)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +76,7 @@ class Figures:
     """Figures of a method over recordings."""
 
     balanced: Estimate  # balanced accuracy, %
+    far: Estimate  # the same, 100 ms or more from any change of the label
     area: Estimate  # under the ROC curve, %
     events_per_min: Estimate  # reported events per minute of recording
     false_alarms_per_min: Estimate  # per static minute
@@ -107,6 +111,7 @@ def figures(recordings: Sequence[Sequence[Judged]], draws: int = DRAWS, seed: in
     late = np.concatenate([np.empty(0), *delays])
     return Figures(
         balanced_accuracy([_confusion(own) for own in recordings], draws, seed),
+        balanced_accuracy([_confusion(own, far=True) for own in recordings], draws, seed),
         Estimate.of(100 * Roc.of(probability, slip.astype(np.bool_)).area, 100 * _areas(recordings, weights)),
         Estimate.of(float(_ratio(total[4], total[5])), _ratio(drawn[:, 4], drawn[:, 5])),
         Estimate.of(float(_ratio(total[0], total[1])), _ratio(drawn[:, 0], drawn[:, 1])),
@@ -129,9 +134,12 @@ def balanced_accuracy(confusions: Sequence[Confusion], draws: int = DRAWS, seed:
     return Estimate.of(Confusion(counts.sum(axis=0).reshape(2, 2)).balanced, 100 * recalls.mean(axis=1))
 
 
-def _confusion(judged: Sequence[Judged]) -> Confusion:
-    counts = [Confusion.of(each.probability >= DECISION, each.slip).counts for each in judged]
-    return Confusion(np.sum(counts, axis=0))
+def _confusion(judged: Sequence[Judged], *, far: bool = False) -> Confusion:
+    counts = np.zeros((2, 2))
+    for each in judged:
+        rows = each.far | (not far)
+        counts += Confusion.of(each.probability[rows] >= DECISION, each.slip[rows]).counts
+    return Confusion(counts)
 
 
 def _weights(recordings: int, draws: int, seed: int) -> Reals:

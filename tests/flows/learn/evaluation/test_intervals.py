@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ def judged(seed: int, shift: float, delay: float = 40.0, false: int = 1) -> Judg
     slip = random.random(500) < 0.3
     probability = 1 / (1 + np.exp(-random.normal(0, 1, 500) - shift * (slip - 0.5)))
     events = EventMetrics(np.full(4, delay), missed_slips=1, false_alarms=false, repeats=0, minutes=0.5)
-    return Judged(probability, slip, events, onsets=5, minutes=1.0)
+    return Judged(probability, slip, events, onsets=5, minutes=1.0, far=np.arange(500) % 50 > 10)
 
 
 def test_the_interval_contains_the_figure_and_widens_with_the_differences_between_recordings() -> None:
@@ -56,7 +58,7 @@ def test_fewer_than_three_recordings_give_no_interval() -> None:
 
 def test_figures_without_events_or_classes_are_unknown() -> None:
     nothing = EventMetrics(np.empty(0), missed_slips=0, false_alarms=0, repeats=0, minutes=0.0)
-    still = Judged(np.full(9, 0.1), np.zeros(9, np.bool_), nothing, 0, 0.1)
+    still = Judged(np.full(9, 0.1), np.zeros(9, np.bool_), nothing, 0, 0.1, np.ones(9, np.bool_))
     found = figures([[still]] * 4)
     for name in ("balanced", "area", "missed", "delay", "false_alarms_per_min"):
         assert np.isnan(getattr(found, name).value)
@@ -79,6 +81,17 @@ def test_samples_without_a_label_or_an_answer_do_not_count() -> None:
     assert (len(found.slip), found.slip.sum()) == (250, 200)
     assert found.minutes == pytest.approx(5.01 / 60)
     assert found.onsets == 1
+    assert found.far.tolist() == [place // 10 not in (19, 20, 39) for place in range(150, 400)]
+
+
+def test_far_from_changes_only_those_samples_count() -> None:
+    near = np.arange(500) % 50 < 25
+    wrong = judged(0, 2.0)
+    found = figures(
+        [[replace(wrong, probability=np.where(near, 0.5, wrong.slip * 1.0), far=~near)] for _ in range(3)]
+    )
+    assert found.far.value == 100
+    assert found.balanced.value < 80
 
 
 def test_the_interval_of_an_unknown_figure_is_empty() -> None:
