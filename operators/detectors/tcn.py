@@ -32,6 +32,7 @@ class Tcn(ForOneFingertip):
             ``step_scale`` (1,) in counts. Batch norm is folded in. `shapes` lists them.
 
     Attributes:
+        weights: The weights as given.
         cells: Number of cells.
 
     Raises:
@@ -42,6 +43,7 @@ class Tcn(ForOneFingertip):
 
     def __init__(self, weights: Weights) -> None:
         _check(weights)
+        self.weights = weights
         self.layers = _layers(weights)
         self.cells = self.layers[0].kernel.shape[1] // 2
         self.position_scale = np.float32(weights["position_scale"][0])

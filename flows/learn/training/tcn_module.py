@@ -1,6 +1,6 @@
 """Temporal convolutional network as a torch module, for training and export."""
 
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import torch
@@ -23,11 +23,16 @@ class DenseTcn(Network):
     step from the sample before: the signal matters from one count (noise) to 500 (saturation). Blocks of two
     causal convolutions with batch norm and ReLU, and an identity skip if the widths agree; then dense layers.
     Batch norm is folded into the exported weights.
+
+    Args:
+        recipe: Size of the network.
+        cells: Number of cells.
+        fixed_norms: Batch norms always use their running statistics, also in training.
     """
 
-    def __init__(self, recipe: Recipe, cells: int = BAROMETERS) -> None:
+    def __init__(self, recipe: Recipe, cells: int = BAROMETERS, *, fixed_norms: bool = False) -> None:
         super().__init__()
-        self.recipe = recipe
+        self.recipe, self._fixed_norms = recipe, fixed_norms
         convs: list[_Layer] = []
         width = 2 * cells
         for dilation in recipe.dilations:
@@ -41,7 +46,7 @@ class DenseTcn(Network):
 
     @classmethod
     def of_detector(cls, tcn: Tcn) -> "DenseTcn":
-        """Return the network with the weights of a detector; its batch norms are identities."""
+        """Return the network with the weights of a detector; its batch norms are identities and stay so."""
         convs = tcn.layers[:-_DENSE]
         taps, _, filters = convs[0].kernel.shape
         network = cls(
@@ -55,6 +60,7 @@ class DenseTcn(Network):
                 step_scale=float(tcn.step_scale),
             ),
             tcn.cells,
+            fixed_norms=True,
         )
         targets = [*(layer.conv for layer in (*network._convs, *network._dense)), network.out]
         for target, layer in zip(targets, tcn.layers, strict=True):
@@ -64,12 +70,20 @@ class DenseTcn(Network):
         for norm in (layer.norm for layer in (*network._convs, *network._dense)):
             assert norm.running_var is not None
             norm.running_var.fill_(1 - norm.eps)
+            norm.requires_grad_(requires_grad=False)
         return network.eval()
+
+    def train(self, mode: bool = True) -> Self:  # noqa: FBT001, FBT002 - of torch
+        """Switch dropout and, unless they are fixed, batch norms to training."""
+        super().train(mode)
+        if self._fixed_norms:
+            for layer in (*self._convs, *self._dense):
+                layer.norm.eval()
+        return self
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return the logit of slip (b, n) of counts (b, cells, n); the first ones depend on the padding."""
-        before = torch.cat([counts[..., :1], counts[..., :-1]], 2)
-        return self._logits(self._features(counts, before), padded=True)
+        return self.classified(self.hidden(counts))
 
     def newest(self, windows: Tensor) -> Tensor:
         """Return the probability of slip (b,) at the newest sample of windows (b, length, cells) of counts.
@@ -78,24 +92,34 @@ class DenseTcn(Network):
         """
         counts = windows.transpose(1, 2)
         features = self._features(counts[..., 1:], counts[..., :-1])  # (b, 2 cells, length - 1)
-        return torch.sigmoid(self._logits(features, padded=False)[:, -1])
+        return torch.sigmoid(self.classified(self._convolved(features, padded=False))[:, -1])
 
     def _features(self, counts: Tensor, before: Tensor) -> Tensor:
         positions = torch.asinh(counts / self.recipe.position_scale)
         return torch.cat([positions, torch.asinh((counts - before) / self.recipe.step_scale)], 1)
 
-    def _logits(self, x: Tensor, *, padded: bool) -> Tensor:
-        """Return the logits (b, n) of features (b, 2 cells, n); fewer without padding."""
+    def hidden(self, counts: Tensor) -> Tensor:
+        """Return the output of the convolutions (b, filters, n) for counts (b, cells, n)."""
+        before = torch.cat([counts[..., :1], counts[..., :-1]], 2)
+        return self._convolved(self._features(counts, before), padded=True)
+
+    def classified(self, hidden: Tensor) -> Tensor:
+        """Return the logits (b, n) of outputs of the convolutions (b, filters, n)."""
+        x = hidden
+        for layer in self._dense:
+            x = layer(x)
+        logit: Tensor = self.out(x)[:, 0]
+        return logit
+
+    def _convolved(self, x: Tensor, *, padded: bool) -> Tensor:
+        """Return the output of the convolutions for features (b, 2 cells, n); shorter without padding."""
         for first, second in zip(self._convs[::2], self._convs[1::2], strict=True):
             y = second(first(x, padded=padded), padded=padded)
             y = functional.dropout1d(y, self.recipe.dropout, self.training)
             same = first.conv.in_channels == second.conv.out_channels
             skipped = 0 if padded else first.past + second.past
             x = y + x[..., skipped:] if same else y  # (b, filters, n)
-        for layer in self._dense:
-            x = layer(x)
-        logit: Tensor = self.out(x)[:, 0]
-        return logit
+        return x
 
     def arrays(self) -> Arrays:
         """Return the weights as `operators.detectors.Tcn` takes them, batch norm folded in."""

@@ -1,0 +1,79 @@
+"""Alignment of a TCN with other data: time scale and gain, folded into its weights.
+
+A network that learned strokes of 0.5 s recognises strokes of 1 s if all dilations double: its receptive field
+then covers twice the time, at the same cost per sample. Counts that are half as large are recognised if both
+scales of its features halve. Neither changes the number of weights, and the result is a normal `Tcn`.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from flows.learn.adaptation.segmentation import two_states
+from flows.learn.train_extra import sklearn
+from operators.batch import SLIP, UNKNOWN, Codes, Counts, Reals
+from operators.detectors import Tcn
+
+TIME_SCALES: Final = (1, 2, 3)
+GAINS: Final = (0.5, 1.0, 2.0)
+_LARGEST: Final = 8.0  # size of a logit beyond which it says no more
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Time scale and gain of other data, relative to the data that a network was trained on."""
+
+    time_scale: int = 1  # duration of strokes; dilations are multiplied by it
+    gain: float = 1.0  # counts are multiplied by it
+
+
+def aligned(tcn: Tcn, alignment: Alignment) -> Tcn:
+    """Return the network for data with another time scale and gain, for the same fingertip.
+
+    >>> from storage import load_detector
+    >>> aligned(load_detector("tcn"), Alignment(time_scale=2)).length
+    199
+    """
+    weights = dict(tcn.weights)
+    weights["dilations"] = weights["dilations"] * alignment.time_scale
+    for name in ("position_scale", "step_scale"):
+        weights[name] = (weights[name] / alignment.gain).astype(np.float32)
+    result = type(tcn)(weights)
+    result.fingertip = tcn.fingertip
+    return result
+
+
+def best_alignment(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> tuple[Alignment, float]:
+    """Return the alignment whose scores separate slip from static best, and how well it does.
+
+    How well is the area under the ROC curve, plus the share of the variance of the logit between its two
+    states. All alignments are judged on the same samples.
+
+    Args:
+        tcn: Network to align.
+        recordings: Counts (n, cells) and labels (n,) of each.
+    """
+    candidates = [Alignment(scale, gain) for scale in TIME_SCALES for gain in GAINS]
+    start = aligned(tcn, candidates[-1]).length - 1
+    label = np.concatenate([label[start:] for _, label in recordings])
+    known = label != UNKNOWN
+    found = list[float]()
+    for candidate in candidates:
+        network = aligned(tcn, candidate)
+        logit = np.concatenate([logits(network, counts)[start:] for counts, _ in recordings])[known]
+        logit = np.clip(logit, -_LARGEST, _LARGEST)
+        area = sklearn("metrics").roc_auc_score(label[known] == SLIP, logit)
+        found.append(float(area) + two_states(logit)[1])
+    best = int(np.argmax(found))
+    return candidates[best], found[best]
+
+
+def logits(tcn: Tcn, counts: Counts) -> Reals:
+    """Return the logit of slip at each sample of counts (n, cells); (n,), NaN before the first window."""
+    result = np.full(len(counts), np.nan)
+    probability = tcn.stream().push(counts[:, None])[tcn.length - 1 :, 0]
+    with np.errstate(divide="ignore"):
+        result[tcn.length - 1 :] = np.log(probability) - np.log1p(-probability)
+    return result
