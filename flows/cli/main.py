@@ -12,6 +12,7 @@ from typing import Annotated, Final, NoReturn
 import typer
 
 from flows.cli import experiments
+from flows.cli.adapt import adapt
 from flows.cli.benchmark import benchmark
 from flows.cli.chart import chart
 from flows.cli.check import check
@@ -39,7 +40,7 @@ _PANELS: Final[Mapping[str, Sequence[Callable[..., None]]]] = MappingProxyType(
     {
         "Record and run": (run, demo, check, graph),
         "View": (show, watch),
-        "Train and evaluate": (train, evaluate, benchmark, chart, stress, onnx),
+        "Train and evaluate": (train, adapt, evaluate, benchmark, chart, stress, onnx),
         "Robots": (collect, rig),
         "Data": (verify, recover, fetch, import_, export, simulate),
     }

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from flows.cli.options import AsJson, Seed
+from flows.cli.derived_output import print_derived
+from flows.cli.options import AsJson, KeepNew, Seed
 from flows.cli.terminal import check_output_file, note, progress_bar
 
 if TYPE_CHECKING:
@@ -38,10 +39,23 @@ def train(
             " simulated datasets contain."
         ),
     ] = "arm-speed",
+    parent: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="MODEL",
+            help="Train this tcn (a file, or tcn for the shipped one) further with few labels: two minutes"
+            " suffice.",
+        ),
+    ] = None,
+    keep_new: KeepNew = False,
     filters: Annotated[
         int, typer.Option(min=1, help="Filters per layer of the tcn; more are slower and more accurate.")
     ] = 16,
-    steps: Annotated[int, typer.Option(min=1, help="Number of training steps of the tcn.")] = 4000,
+    steps: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of training steps of the tcn (default: 4000; with --from 300)."),
+    ] = None,
     epochs: Annotated[int, typer.Option(min=1, help="Number of epochs of the paper's networks.")] = 20,
     seed: Seed = 0,
     seeds: Annotated[
@@ -69,10 +83,16 @@ def train(
     Learns from the train split; the validation split selects the best checkpoint; the test split is
     only reported. Ctrl-C stops the training without a model. Needs the train extra.
 
+    With --from, a trained tcn learns further from few labels, two minutes for example. It keeps its size, so
+    that --filters, --method and --epochs do not apply. Its time scale and gain are aligned with the data
+    first. The test split, or else the last 30 % of each recording, is held out to compare the new model with
+    the old one. If the new one is not better, nothing is written and the exit code is 3.
+
     Examples:
       slipflow train recordings -o mine.safetensors
       slipflow train lab simulated --filters 32 --lag 70ms --curve curve.svg
       slipflow train simulated --target sliding -o early.safetensors
+      slipflow train --from tcn two-minutes -o mine.safetensors
     """
     from flows.graph.quantity import parse_time
     from flows.learn.training.learning_curve import draw
@@ -83,6 +103,26 @@ def train(
     delay = None if lag is None else parse_time("train", "--lag", lag) / 1e9  # s
     if curve is not None:
         check_output_file(curve)
+    if parent is not None:
+        from flows.learn.adaptation.derived_model import fine_tune_model
+        from flows.learn.adaptation.fine_tuning import STEPS
+
+        if method != "tcn":
+            raise typer.BadParameter(f"--method {method}: with --from only a tcn can be trained")
+        with progress_bar(f"training {parent} further") as advance:
+            derived = fine_tune_model(
+                parent,
+                datasets,
+                out,
+                steps=steps or STEPS,
+                seed=seed,
+                target=target,
+                lag=delay,
+                keep_new=keep_new,
+                progress=advance,
+            )
+        print_derived(derived, as_json=as_json)
+        return
     with progress_bar(f"training {method}") as update:
 
         def progress(part: str, done: int, total: int, check: "Check | None") -> None:
@@ -95,7 +135,7 @@ def train(
                 datasets,
                 out,
                 method=method,
-                recipe=Recipe(filters=filters, steps=steps, seed=seed),
+                recipe=Recipe(filters=filters, steps=steps or Recipe().steps, seed=seed),
                 epochs=epochs,
                 seeds=seeds,
                 target=target,

@@ -1,6 +1,6 @@
 """Labelled recordings: counts and labels of one fingertip, which detectors are trained and evaluated on."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from math import isclose
 from pathlib import Path
@@ -20,6 +20,7 @@ from operators.batch import (
     MOTIONS,
     SLIP,
     SURFACES,
+    UNKNOWN,
     Codes,
     Counts,
     Episodes,
@@ -30,6 +31,7 @@ from operators.batch import (
     Reals,
     Sample,
     Times,
+    Touch,
     Truth,
     Zeroed,
     concat,
@@ -38,7 +40,7 @@ from operators.errors import InputError
 from operators.fingertip import RATE_TOLERANCE, TAKKTILE, Fingertip
 from operators.forward_fill import forward_fill
 from storage import Session
-from storage.layout import session_folder, session_names
+from storage.layout import SESSION, may_exist, session_folder, session_names
 
 PERIOD: Final = 10 * ms  # ns from one sample to the next
 WARM_UP: Final = 99  # samples at the start that are not evaluated: no window of 1 s has been filled yet
@@ -161,6 +163,22 @@ def load(dataset: Path, rate: float | None = None) -> list[LabelledRecording]:
     return recordings
 
 
+def load_unlabelled(path: Path) -> list[LabelledRecording]:
+    """Read the touch of every fingertip of a dataset or of one of its sessions; all labels are unknown.
+
+    Raw counts are zeroed by the median of their first 100 samples. A session without touch has samples.
+
+    Raises:
+        InputError: if there is no such folder, it is damaged, or it has neither touch nor samples.
+    """
+    alone = may_exist(path / SESSION) or not path.is_dir()
+    folders = [path] if alone else [session_folder(path, name) for name in session_names(path)]
+    recordings = [each for folder in folders for each in _touch_of(Session.open(folder))]
+    if not recordings:
+        raise InputError(str(path), "has no touch of a fingertip: record some with `slipflow run record`")
+    return recordings
+
+
 def by_split(recordings: Iterable[LabelledRecording]) -> dict[str, list[LabelledRecording]]:
     """Group recordings by split, in the order of `SPLITS`; omit recordings without a split."""
     recordings = list(recordings)
@@ -206,6 +224,23 @@ def common_fingertip(recordings: Iterable[LabelledRecording]) -> Fingertip:
     for recording in rest:
         first.fingertip.check_fits(f"{recording.name}: a data set with {first.name}", recording.fingertip)
     return first.fingertip
+
+
+def _touch_of(session: Session) -> Iterator[LabelledRecording]:
+    kind = Touch if session.fingers(Touch) else Labelled
+    for finger in session.fingers(kind):
+        zero = Zero()
+        zeroed = concat(Zeroed, [*map(zero.push, session.read(kind, finger)), zero.flush()])
+        yield LabelledRecording(
+            _filled(zeroed),
+            np.full(len(zeroed), UNKNOWN, np.int8),
+            "",
+            valid=zeroed.valid,
+            name=session.name,
+            group=str(session.about.get("group") or ""),
+            span=(zeroed.time.item(0), zeroed.time.item(-1)) if len(zeroed) else None,
+            fingertip=session.fingertip(kind) or TAKKTILE,
+        )
 
 
 def _of_session(session: Session, finger: int, rate: float | None) -> LabelledRecording:
@@ -275,5 +310,5 @@ def _degraded(faults: Faults, time: Times) -> Flags:
     return active
 
 
-def _filled(labelled: Labelled) -> Counts:
-    return forward_fill(labelled.counts, labelled.valid)
+def _filled(zeroed: Zeroed) -> Counts:
+    return forward_fill(zeroed.counts, zeroed.valid)

@@ -13,12 +13,14 @@ import numpy as np
 
 from flows.learn.adaptation.segmentation import two_states
 from flows.learn.train_extra import sklearn
+from flows.learn.training.recipe import LONGEST
 from operators.batch import SLIP, UNKNOWN, Codes, Counts, Reals
 from operators.detectors import Tcn
 
 TIME_SCALES: Final = (1, 2, 3)
-GAINS: Final = (0.5, 1.0, 2.0)
-_LARGEST: Final = 8.0  # size of a logit beyond which it says no more
+GAINS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
+_OCTAVE: Final = 0.05  # by which an alignment must be better for each factor of 2 in the gain
+LARGEST: Final = 8.0  # size of a logit beyond which it says no more
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ def aligned(tcn: Tcn, alignment: Alignment) -> Tcn:
 
     >>> from storage import load_detector
     >>> aligned(load_detector("tcn"), Alignment(time_scale=2)).length
-    199
+    198
     """
     weights = dict(tcn.weights)
     weights["dilations"] = weights["dilations"] * alignment.time_scale
@@ -45,29 +47,37 @@ def aligned(tcn: Tcn, alignment: Alignment) -> Tcn:
     return result
 
 
-def best_alignment(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> tuple[Alignment, float]:
-    """Return the alignment whose scores separate slip from static best, and how well it does.
+def time_scales(tcn: Tcn) -> list[int]:
+    """Return the time scales at which the window of a network is not too long; 1 at least."""
+    return [each for each in TIME_SCALES if each == 1 or aligned(tcn, Alignment(each)).length <= LONGEST]
 
-    How well is the area under the ROC curve, plus the share of the variance of the logit between its two
-    states. All alignments are judged on the same samples.
+
+def best_alignment(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes | None]]) -> Alignment:
+    """Return the alignment whose scores have the clearest two states that agree best with the labels.
+
+    The measure is the share of the variance of the logit between its two states, plus the area under the ROC
+    curve, less 0.05 for each factor of 2 in the gain. All alignments are judged on the same samples.
 
     Args:
         tcn: Network to align.
-        recordings: Counts (n, cells) and labels (n,) of each.
+        recordings: Counts (n, cells) and labels (n,) of each; without labels, only the two states count.
     """
-    candidates = [Alignment(scale, gain) for scale in TIME_SCALES for gain in GAINS]
+    candidates = [Alignment(scale, gain) for scale in time_scales(tcn) for gain in GAINS]
     start = aligned(tcn, candidates[-1]).length - 1
-    label = np.concatenate([label[start:] for _, label in recordings])
-    known = label != UNKNOWN
+    label = np.concatenate(
+        [np.full(len(counts), UNKNOWN) if label is None else label for counts, label in recordings]
+    )
+    after = np.concatenate([np.arange(len(counts)) >= start for counts, _ in recordings])
+    known = label[after] != UNKNOWN
+    slip = label[after][known] == SLIP
     found = list[float]()
     for candidate in candidates:
         network = aligned(tcn, candidate)
-        logit = np.concatenate([logits(network, counts)[start:] for counts, _ in recordings])[known]
-        logit = np.clip(logit, -_LARGEST, _LARGEST)
-        area = sklearn("metrics").roc_auc_score(label[known] == SLIP, logit)
-        found.append(float(area) + two_states(logit)[1])
-    best = int(np.argmax(found))
-    return candidates[best], found[best]
+        logit = np.concatenate([logits(network, counts) for counts, _ in recordings])[after]
+        logit = np.clip(logit, -LARGEST, LARGEST)
+        area = sklearn("metrics").roc_auc_score(slip, logit[known]) if slip.any() and not slip.all() else 0.0
+        found.append(float(area) + two_states(logit)[1] - _OCTAVE * abs(np.log2(candidate.gain)))
+    return candidates[int(np.argmax(found))]
 
 
 def logits(tcn: Tcn, counts: Counts) -> Reals:

@@ -26,9 +26,17 @@ def train_head(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> Arrays:
         tcn: Trained network.
         recordings: Counts (n, cells) and labels (n,) of each. Samples before the first window are ignored.
     """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # for so little work, waiting for other threads takes longer than the work
+    try:
+        return _trained(tcn, recordings)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _trained(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> Arrays:
     network = DenseTcn.of_detector(tcn)
-    for parameter in network.convs.parameters():
-        parameter.requires_grad_(requires_grad=False)
+    network.convs.requires_grad_(requires_grad=False)
     inputs, labels = list[torch.Tensor](), list[Codes]()
     for counts, label in recordings:
         known = np.flatnonzero(label[tcn.length - 1 :] != UNKNOWN) + tcn.length - 1
@@ -41,7 +49,7 @@ def train_head(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> Arrays:
     hidden, target = torch.cat(inputs, 1)[None], torch.as_tensor(slip, dtype=torch.float32)
     weight = torch.as_tensor(np.where(slip, 0.5 / share, 0.5 / (1 - share)), dtype=torch.float32)
     parameters = [each for each in network.parameters() if each.requires_grad]
-    optimiser = torch.optim.Adam(parameters, _RATE)
+    optimiser = _adam(parameters)
     for step in range(_STEPS):
         for group in optimiser.param_groups:
             group["lr"] = _RATE * (1 + math.cos(math.pi * step / _STEPS)) / 2
@@ -51,3 +59,7 @@ def train_head(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> Arrays:
         torch.autograd.backward(loss)
         optimiser.step()
     return network.arrays()
+
+
+def _adam(parameters: Sequence[torch.nn.Parameter]) -> torch.optim.Optimizer:
+    return torch.optim.Adam(parameters, _RATE)

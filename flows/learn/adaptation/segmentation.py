@@ -6,8 +6,8 @@ sum of the cells, the one whose slow changes are largest relative to the noise o
 threshold separates its two states.
 """
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Self
 
 import numpy as np
 
@@ -33,12 +33,19 @@ class Segmentation:
     activity: Reals  # (n,) log counts
     stroke: Flags  # (n,)
     clearness: float  # share of the variance of the activity between the two states, 0 to 1
+    contrast: float  # mean log activity of strokes less that of rest
+
+    def rows(self, start: int, stop: int) -> Self:
+        """Return the samples from `start` to before `stop`; clearness and contrast stay those of all."""
+        return replace(self, activity=self.activity[start:stop], stroke=self.stroke[start:stop])
 
 
 def segmented(counts: Counts, rate: float) -> Segmentation:
     """Separate rest and strokes in counts (n, cells) of one recording at `rate` (Hz)."""
     from scipy import ndimage  # noqa: PLC0415 - slow to import
 
+    if len(counts) <= 2 * _samples(_CHANGE, rate):
+        return Segmentation(np.zeros(len(counts)), np.zeros(len(counts), np.bool_), 0.0, 0.0)
     smooth = ndimage.median_filter(counts.astype(np.float64), (_samples(_SPIKE, rate) | 1, 1))
     signal = smooth @ _weights(smooth, _samples(_CHANGE, rate))  # (n,)
     span, delay = _samples(_SPAN, rate), _samples(_DELAY, rate)
@@ -48,7 +55,9 @@ def segmented(counts: Counts, rate: float) -> Segmentation:
     activity = np.log(np.maximum(variance, _FLOOR**2)) / 2
     activity = np.concatenate((np.full(min(delay, len(activity)), activity[0]), activity))[: len(activity)]
     threshold, clearness = two_states(activity)
-    return Segmentation(activity, activity > threshold, clearness)
+    stroke = activity > threshold
+    contrast = float(activity[stroke].mean() - activity[~stroke].mean()) if stroke.any() else 0.0
+    return Segmentation(activity, stroke, clearness, contrast)
 
 
 def two_states(values: Reals) -> tuple[float, float]:
@@ -82,8 +91,7 @@ def _weights(counts: Reals, change: int) -> Reals:
     noise = quiet.T @ quiet / len(quiet) + _RIDGE * np.eye(counts.shape[1])
     whitening = np.linalg.inv(np.linalg.cholesky(noise))
     _, vectors = np.linalg.eigh(whitening @ (slow.T @ slow / len(slow)) @ whitening.T)
-    weights: Reals = whitening.T @ vectors[:, -1]
-    return weights
+    return np.asarray(whitening.T @ vectors[:, -1], np.float64)
 
 
 def _samples(time: float, rate: float) -> int:

@@ -21,6 +21,7 @@ from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_crops import Crops
 from flows.learn.training.training_loop import Progress, Trained, TrainingTask, fit, set_seed, training_device
 from operators.batch import SLIP, STATIC, UNKNOWN, Flags
+from operators.detectors import Tcn
 from operators.errors import ParameterError
 
 _CLIP: Final = 1.0  # maximum norm of the gradient
@@ -32,6 +33,7 @@ def train_dense(
     validation: Sequence[LabelledRecording],
     recipe: Recipe,
     progress: Progress = lambda _done, _all, _check: None,
+    start: Tcn | None = None,
 ) -> Trained:
     """Train a TCN, on a GPU if there is one.
 
@@ -40,23 +42,29 @@ def train_dense(
         validation: Recordings that choose the best check and the end of training.
         recipe: Size of the network and course of the training.
         progress: Called after each step.
+        start: Network to start from, of the same size; its batch norms stay folded. None: random weights.
 
     Raises:
         ParameterError: if the training recordings are too short or lack a class, or there are no recordings
             to validate on.
     """
-    return fit(_DenseTask(train, validation, recipe), progress)
+    return fit(_DenseTask(train, validation, recipe, start), progress)
 
 
 class _DenseTask(TrainingTask):
     """Dense training of a TCN."""
 
     def __init__(
-        self, train: Sequence[LabelledRecording], validation: Sequence[LabelledRecording], recipe: Recipe
+        self,
+        train: Sequence[LabelledRecording],
+        validation: Sequence[LabelledRecording],
+        recipe: Recipe,
+        start: Tcn | None,
     ) -> None:
         self.steps, self.check_every = recipe.steps, max(recipe.steps // recipe.checks, 1)
         self.patience = recipe.patience
         self._recipe, self._device = recipe, training_device()
+        self._warm_up = max(WARM_UP, recipe.receptive_field - 1)  # samples
         self._crops = Crops(train, recipe.crop, self._device)
         label = self._crops.label
         slip, static = int((label == SLIP).sum()), int((label == STATIC).sum())
@@ -73,11 +81,14 @@ class _DenseTask(TrainingTask):
             torch.as_tensor(recording.counts).to(self._device, torch.float32).T[None]
             for recording in validation
         ]
-        self._unseen_label = np.concatenate([recording.label[WARM_UP:] for recording in validation])
+        self._unseen_label = np.concatenate([recording.label[self._warm_up :] for recording in validation])
         set_seed(recipe.seed)
         self._fingertip = train[0].fingertip
-        self.network = DenseTcn(recipe, self._crops.counts.shape[1]).to(self._device)
-        self.optimiser = torch.optim.AdamW(self.network.parameters(), recipe.rate, weight_decay=recipe.decay)
+        cells = self._crops.counts.shape[1]
+        self.network = DenseTcn(recipe, cells) if start is None else DenseTcn.of_detector(start)
+        self.network.to(self._device)
+        learned = [each for each in self.network.parameters() if each.requires_grad]
+        self.optimiser = torch.optim.AdamW(learned, recipe.rate, weight_decay=recipe.decay)
 
     def loss(self, step: int) -> Tensor:
         """Return the weighted loss of random crops; they depend only on the seed and the step."""
@@ -91,8 +102,10 @@ class _DenseTask(TrainingTask):
         chosen = torch.randint(len(self._first), (recipe.batch,), generator=generator, device=self._device)
         rows = self._crops.rows(self._first[chosen])  # (b, crop)
         counts = self._crops.counts[rows].to(torch.float32).transpose(1, 2)
-        logit = self.network(augmented(counts, recipe.augmentation, generator, self._fingertip))[:, WARM_UP:]
-        evaluated = rows[:, WARM_UP:]
+        logit = self.network(augmented(counts, recipe.augmentation, generator, self._fingertip))[
+            :, self._warm_up :
+        ]
+        evaluated = rows[:, self._warm_up :]
         weight, slip = self._weight[evaluated], self._slip[evaluated]
         each = functional.binary_cross_entropy_with_logits(logit, slip, reduction="none")
         return (each * weight).sum() / weight.sum().clamp(min=1)
@@ -101,7 +114,7 @@ class _DenseTask(TrainingTask):
         utils.clip_grad_norm_(self.network.parameters(), _CLIP)
 
     def predict(self) -> tuple[Flags, Flags]:
-        logits = [self.network(counts)[0, WARM_UP:].cpu().numpy() for counts in self._unseen]
+        logits = [self.network(counts)[0, self._warm_up :].cpu().numpy() for counts in self._unseen]
         known = self._unseen_label != UNKNOWN
         return np.concatenate(logits)[known] > 0, self._unseen_label[known] == SLIP
 

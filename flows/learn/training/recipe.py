@@ -8,7 +8,7 @@ from operators.checks import check_above, check_at_least
 from operators.errors import ParameterError
 
 PAPER_NETWORKS: Final = ("frequency_cnn", "frequency_cnn_interleaved", "paper_tcn")
-LONGEST: Final = 100  # samples, maximum receptive field: one window
+LONGEST: Final = 400  # samples, maximum receptive field
 
 
 @dataclass(frozen=True, slots=True)

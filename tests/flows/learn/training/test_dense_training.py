@@ -73,6 +73,7 @@ def test_the_detector_made_of_the_weights_is_the_network(recordings: list[Labell
     np.testing.assert_allclose(streamed[99:], dense[99:], atol=1e-5)
 
 
-def test_a_receptive_field_beyond_the_window_is_refused() -> None:
-    with pytest.raises(ParameterError, match="at most 100 samples"):
-        Recipe(dilations=(1, 2, 4, 8))
+def test_a_receptive_field_beyond_400_samples_is_refused() -> None:
+    assert Recipe(dilations=(2, 4, 8)).receptive_field == 198
+    with pytest.raises(ParameterError, match="at most 400 samples"):
+        Recipe(dilations=(1, 2, 4, 8, 16))

@@ -1,0 +1,96 @@
+"""Fine-tuning of a TCN on a few labelled minutes."""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from flows.learn.adaptation.adapted import Adapted
+from flows.learn.adaptation.alignment import aligned, best_alignment
+from flows.learn.labelled_recordings import LabelledRecording, common_fingertip
+from flows.learn.train_extra import require_train_extra
+from flows.learn.training.recipe import Augmentation, Recipe
+from flows.learn.training.trained_model import label_scores
+from operators.batch import SLIP, STATIC
+from operators.detectors import Tcn
+from operators.errors import InputError
+
+STEPS: Final = 300
+_HELD_OUT: Final = 0.3  # of each recording, if no recording is held out
+_CROP: Final = 500  # evaluated samples of a crop
+_AUGMENTATION: Final = Augmentation(load_amplitude=5.0, noise=0.3, noise_range=(0.3, 3.0), dead=0.1)
+
+
+def fine_tune(
+    tcn: Tcn,
+    recordings: Sequence[LabelledRecording],
+    held_out: Sequence[LabelledRecording] = (),
+    *,
+    steps: int = STEPS,
+    seed: int = 0,
+    progress: Callable[[int, int], object] = lambda _done, _all: None,
+) -> Adapted:
+    """Train a network further on labelled recordings; two minutes suffice.
+
+    The time scale and the gain are chosen at which the network's scores agree best with the labels. Then all
+    weights learn for a fixed number of steps. The held-out part chooses nothing: it only compares the new
+    network with the old one.
+
+    Args:
+        tcn: Trained network.
+        recordings: Recordings of the fingertip that the network was trained for.
+        held_out: Recordings for the comparison. If empty, the last 30 % of each recording is held out, after
+            a gap of one window.
+        steps: Number of training steps.
+        seed: Seed of crops, augmentation and dropout.
+        progress: Called after each step with the numbers of steps done and of all steps.
+
+    Raises:
+        InputError: if the train extra is missing, or the recordings lack slip or static.
+        ParameterError: if the recordings are too short.
+        FingertipError: if the fingertip has other cells, another rate or another unit.
+    """
+    require_train_extra("train")
+    from flows.learn.training.dense_training import train_dense  # noqa: PLC0415 - imports torch
+
+    tcn.fingertip.check_fits(tcn.name, common_fingertip([*recordings, *held_out]))
+    learned = [each.piece(slice(round((1 - _HELD_OUT) * len(each)))) for each in recordings]
+    if held_out:
+        learned = list(recordings)
+    found = np.concatenate([each.label for each in learned])
+    if not {SLIP, STATIC} <= set(found.tolist()):
+        names = ", ".join(each.name for each in learned)
+        raise InputError(names, "lacks slip or static samples to learn from: add a recording that has both")
+    alignment = best_alignment(tcn, [(each.counts, each.label) for each in learned])
+    start = aligned(tcn, alignment)
+    judged = list(held_out) or [
+        each.piece(slice(len(part) + start.length, None))
+        for part, each in zip(learned, recordings, strict=True)
+    ]
+    recipe = _recipe(start, steps, seed)
+    trained = train_dense(learned, judged, recipe, lambda done, of, _: progress(done, of), start)
+    result = type(tcn)(trained.arrays)
+    result.fingertip = tcn.fingertip
+    before, after = (label_scores(each, judged)["balanced"] for each in (tcn, result))
+    return Adapted(result, alignment, before, after, "balanced accuracy")
+
+
+def _recipe(tcn: Tcn, steps: int, seed: int) -> Recipe:
+    """Return the course of the training; the size is that of the network."""
+    kernel = tcn.weights["conv0/kernel"]
+    taps, _, filters = kernel.shape
+    return Recipe(
+        filters=filters,
+        units=tcn.weights["dense0/bias"].size,
+        taps=taps,
+        dilations=tcn.weights["dilations"].tolist(),
+        position_scale=float(tcn.position_scale),
+        step_scale=float(tcn.step_scale),
+        steps=steps,
+        batch=12,
+        crop=tcn.length + _CROP,
+        rate=2e-3,
+        checks=1,
+        seed=seed,
+        augmentation=_AUGMENTATION,
+    )

@@ -1,0 +1,114 @@
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flows.learn.adaptation.adapted import AGREEMENT, CLEARNESS, adapt
+from flows.learn.adaptation.alignment import Alignment, aligned, best_alignment, logits
+from flows.learn.labelled_recordings import LabelledRecording
+from flows.learn.training.trained_model import label_scores
+from operators import Score, Zeroed, ms
+from operators.batch import UNKNOWN, Counts
+from operators.detectors import Tcn
+from operators.errors import FingertipError, InputError
+from operators.fingertip import TAKKTILE
+from tests.flows.learn.adaptation.conftest import Stroked
+
+LONG = {"stroke": 1.2, "amplitude": 30.0}  # strokes of another hand, with a quarter of the gain
+
+
+def unlabelled(strokes: Stroked, seed: int, **how: float) -> LabelledRecording:
+    recording = strokes(seed, **how)
+    return replace(recording, label=np.full_like(recording.label, UNKNOWN))
+
+
+def test_adaptation_to_longer_and_weaker_strokes_closes_half_of_the_gap(
+    learned: Tcn, strokes: Stroked
+) -> None:
+    others = [strokes(seed, **LONG) for seed in range(11, 14)]
+    home = label_scores(learned, [strokes(7)])["balanced"]
+    before = label_scores(learned, others)["balanced"]
+    adapted = adapt(learned, [unlabelled(strokes, 10, **LONG)])
+    after = label_scores(adapted.tcn, others)["balanced"]
+    assert adapted.better
+    assert adapted.measure == AGREEMENT
+    assert after > before + (home - before) / 2
+    assert adapted.alignment.time_scale > 1
+
+
+def test_labels_do_not_matter_and_the_result_is_always_the_same(learned: Tcn, strokes: Stroked) -> None:
+    recording = strokes(10, **LONG)
+    first, second = adapt(learned, [recording]), adapt(learned, [unlabelled(strokes, 10, **LONG)])
+    for name, array in first.tcn.weights.items():
+        np.testing.assert_array_equal(array, second.tcn.weights[name])
+    assert (first.before, first.after) == (second.before, second.after)
+
+
+def test_an_adapted_network_streams_as_it_scores_windows(learned: Tcn, strokes: Stroked) -> None:
+    tcn = adapt(learned, [strokes(10, **LONG)]).tcn
+    assert tcn.fingertip == learned.fingertip
+    counts = strokes(11, **LONG).counts[:800]
+    time = np.arange(len(counts)) * 10 * ms
+    scores = Score(tcn).push(Zeroed(time, counts, 0 * counts, np.ones(counts.shape, np.bool_)))
+    windows = np.lib.stride_tricks.sliding_window_view(counts, tcn.length, 0).transpose(0, 2, 1)
+    assert scores.probability == pytest.approx(tcn.score(windows), abs=1e-5)
+
+
+def test_the_gain_of_a_sensor_is_found_and_folded(learned: Tcn, strokes: Stroked) -> None:
+    recording = strokes(7)
+    assert best_alignment(learned, [(16 * recording.counts, recording.label)]).gain < 1
+    assert best_alignment(learned, [(recording.counts, recording.label)]) == Alignment()
+    counts = np.arange(6 * 300, dtype=np.int16).reshape(300, 6) % 50
+    weaker = logits(aligned(learned, Alignment(gain=4.0)), counts)[learned.length :]
+    np.testing.assert_allclose(weaker, logits(learned, 4 * counts)[learned.length :], atol=1e-3)
+
+
+def test_without_clear_rest_and_strokes_only_time_scale_and_gain_are_adapted(learned: Tcn) -> None:
+    rng = np.random.default_rng(0)
+    size = np.exp(np.repeat(rng.normal(1, 1, 60), 50))  # counts per step, another every 0.5 s
+    walk = np.cumsum(size * rng.normal(0, 1, 3000))[:, None] * np.linspace(-1, 1, 6)
+    creeping = LabelledRecording(walk.clip(-3e4, 3e4).astype(np.int16), np.full(3000, UNKNOWN, np.int8), "")
+    adapted = adapt(learned, [creeping])
+    assert adapted.measure == CLEARNESS
+    np.testing.assert_array_equal(adapted.tcn.weights["out/kernel"], learned.weights["out/kernel"])
+
+
+def test_a_network_that_is_already_right_is_kept(learned: Tcn, strokes: Stroked) -> None:
+    perfect = adapt(learned, [strokes(10, **LONG)]).tcn
+    again = adapt(perfect, [strokes(10, **LONG)])
+    assert not again.better or again.after - again.before < 2
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda counts: counts[:1500], r"15 s are too short to adapt to: record 20 s or more"),
+        (np.zeros_like, r"stroked-5: has no rest or no strokes"),
+        (
+            lambda counts: np.random.default_rng(0).normal(0, 2, counts.shape).astype(np.int16),
+            r"has no rest or no strokes: record several strokes with a second of rest",
+        ),
+        (
+            lambda counts: np.random.default_rng(0).normal(0, 80, counts.shape).astype(np.int16),
+            r"has no rest or no strokes",
+        ),
+    ],
+    ids=["short", "constant", "rest only", "slip only"],
+)
+def test_recordings_without_rest_and_strokes_are_refused(
+    learned: Tcn, strokes: Stroked, change: Callable[[Counts], Counts], reason: str
+) -> None:
+    recording = strokes(5)
+    counts = change(recording.counts)
+    with pytest.raises(InputError, match=reason):
+        adapt(learned, [replace(recording, counts=counts, label=recording.label[: len(counts)])])
+
+
+def test_another_rate_or_number_of_cells_is_refused(learned: Tcn, strokes: Stroked) -> None:
+    slow = replace(strokes(5), fingertip=replace(TAKKTILE, rate=50.0))
+    with pytest.raises(FingertipError, match=r"tcn needs 100 Hz; the data has 50 Hz: insert Resample"):
+        adapt(learned, [slow])
+    wide = replace(strokes(5), fingertip=replace(TAKKTILE, layout=((0, 1, 2, 3),)))
+    with pytest.raises(FingertipError, match="tcn needs 6 cells"):
+        adapt(learned, [wide])
