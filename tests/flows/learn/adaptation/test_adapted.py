@@ -1,4 +1,3 @@
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +8,7 @@ from flows.learn.adaptation.alignment import Alignment, aligned, best_alignment,
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.training.trained_model import label_scores
 from operators import Score, Zeroed, ms
-from operators.batch import UNKNOWN, Counts
+from operators.batch import UNKNOWN
 from operators.detectors import Tcn
 from operators.errors import FingertipError, InputError
 from operators.fingertip import TAKKTILE
@@ -81,28 +80,22 @@ def test_a_network_that_is_already_right_is_kept(learned: Tcn, strokes: Stroked)
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("samples", "gain", "noise", "reason"),
     [
-        (lambda counts: counts[:1500], r"15 s are too short to adapt to: record 20 s or more"),
-        (np.zeros_like, r"stroked-5: has no rest or no strokes"),
-        (
-            lambda counts: np.random.default_rng(0).normal(0, 2, counts.shape).astype(np.int16),
-            r"has no rest or no strokes: record several strokes with a second of rest",
-        ),
-        (
-            lambda counts: np.random.default_rng(0).normal(0, 80, counts.shape).astype(np.int16),
-            r"has no rest or no strokes",
-        ),
+        (1500, 1.0, 0.0, r"15 s are too short to adapt to: record 20 s or more"),
+        (3000, 0.0, 0.0, r"stroked-5: has no rest or no strokes"),
+        (3000, 0.0, 2.0, r"has no rest or no strokes: record several strokes with a second of rest"),
+        (3000, 0.0, 80.0, r"has no rest or no strokes"),
     ],
     ids=["short", "constant", "rest only", "slip only"],
 )
-def test_recordings_without_rest_and_strokes_are_refused(
-    learned: Tcn, strokes: Stroked, change: Callable[[Counts], Counts], reason: str
+def test_recordings_without_rest_and_strokes_are_refused(  # noqa: PLR0917
+    learned: Tcn, strokes: Stroked, samples: int, gain: float, noise: float, reason: str
 ) -> None:
-    recording = strokes(5)
-    counts = change(recording.counts)
+    recording = strokes(5).piece(slice(samples))
+    shaken = gain * recording.counts + np.random.default_rng(0).normal(0, noise, recording.counts.shape)
     with pytest.raises(InputError, match=reason):
-        adapt(learned, [replace(recording, counts=counts, label=recording.label[: len(counts)])])
+        adapt(learned, [replace(recording, counts=shaken.astype(np.int16))])
 
 
 def test_another_rate_or_number_of_cells_is_refused(learned: Tcn, strokes: Stroked) -> None:
