@@ -56,7 +56,6 @@ def adapt(
     Examples:
       slipflow adapt tcn --to recordings/sessions/hand-1 -o adapted.safetensors
       slipflow adapt mine.safetensors --to lab --first 30s --json
-      slipflow run live --set detector=adapted.safetensors
     """
     from flows.graph.quantity import parse_time
     from flows.learn.adaptation.derived_model import adapt_model

@@ -65,8 +65,8 @@ def two_states(values: Reals) -> tuple[float, float]:
 
     The share is 0.64 for normally distributed values, 0.75 for uniform ones, and 1 for two values.
 
-    >>> two_states(np.array([1.0, 1.0, 5.0, 5.0, 5.0]))
-    (1.0, 1.0)
+    >>> two_states(np.array([0.0, 0.0, 4.0, 4.0]))
+    (0.0, 1.0)
     """
     ordered = np.sort(values)
     sums, below = ordered.cumsum(), np.arange(1, len(values))
