@@ -10,6 +10,7 @@ from torch.nn import functional
 
 from flows.learn.training.tcn_module import DenseTcn
 from flows.learn.training.training_loop import Arrays
+from flows.run.processes import one_thread
 from operators.batch import SLIP, UNKNOWN, Codes, Counts
 from operators.detectors import Tcn
 
@@ -26,12 +27,8 @@ def train_head(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> Arrays:
         tcn: Trained network.
         recordings: Counts (n, cells) and labels (n,) of each. Samples before the first window are ignored.
     """
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # for so little work, waiting for other threads takes longer than the work
-    try:
+    with one_thread():  # for so little work, waiting for other threads takes longer than the work
         return _trained(tcn, recordings)
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _trained(tcn: Tcn, recordings: Sequence[tuple[Counts, Codes]]) -> Arrays:
