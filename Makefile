@@ -67,7 +67,6 @@ bench:  ## measure; prints tables
 	.venv/bin/python tests/benchmarks/bench_journal.py
 	.venv/bin/python tests/benchmarks/bench_alert.py
 	.venv/bin/python tests/benchmarks/bench_label_delay.py
-	.venv/bin/python tests/benchmarks/bench_label_limit.py
 	.venv/bin/python tests/benchmarks/bench_training.py
 	.venv/bin/python tests/benchmarks/bench_peers.py
 	.venv/bin/python tests/benchmarks/bench_peers_live.py
