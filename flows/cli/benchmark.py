@@ -51,11 +51,13 @@ def benchmark(
     """Evaluate every detector on real recordings of surfaces or objects that it never saw.
 
     Holds out one surface or object (`group` of the sessions) after the other; one recording if a dataset has
-    fewer than two. zero-shot: detectors as they are. few-shot: fitted to two labelled minutes of the others.
-    in-domain: fitted to all others. Reports balanced accuracy, AUC, events per minute, missed slips and
-    delay with intervals over recordings, next to majority, logistic and gradient-boosting baselines, and
-    names what inflates a score. Writes benchmark.html, .md, .json and figures. Four surfaces take about ten
-    minutes on two idle cores; trained networks are kept in OUT/models. Needs the train extra.
+    fewer than two. zero-shot: detectors as they are. adapted: to 30 s without labels of what is judged.
+    few-shot: two labelled minutes of the others. in-domain: fitted to all others.
+
+    Reports balanced accuracy, AUC, events per minute, missed slips and delay with intervals over recordings,
+    next to majority, logistic and gradient-boosting baselines, and names what inflates a score. Writes
+    benchmark.html, .md, .json and figures. Four surfaces take about 20 minutes on two idle cores; trained
+    networks are kept in OUT/models. Needs the train extra.
 
     Examples:
       slipflow benchmark strokes grasps

@@ -23,6 +23,7 @@ from flows.learn.labelled_recordings import (
 from flows.learn.leaks.leak import SEEN, seen_recordings
 from flows.learn.training.label_lag import LATEST, relabelled
 from flows.learn.training.trained_model import Model, provenance, write_model
+from operators import Debounce
 from operators.batch import SLIP, STATIC
 from operators.checks import check_above, check_between, check_choice
 from operators.detectors import Tcn
@@ -93,10 +94,6 @@ def adapt_model(
         recordings = [each.piece(slice(round(first * each.fingertip.rate))) for each in recordings]
     adapted = adapt(tcn, recordings)
     segments = [segmented(each.counts, each.fingertip.rate) for each in recordings]
-    strokes = [
-        replace(each, label=np.where(segment.stroke, SLIP, STATIC).astype(np.int8))
-        for each, segment in zip(recordings, segments, strict=True)
-    ]
     details = {
         "method": "adapt",
         "first_s": first,
@@ -104,9 +101,23 @@ def adapt_model(
         "contrast": [round(segment.contrast, 3) for segment in segments],
     }
     card = _card(model, tcn, adapted, details, recordings)
-    if adapted.measure == AGREEMENT:
-        card["debounce"] = _debounce(adapted.tcn, strokes)
+    if rule := adapted_debounce(adapted, recordings):
+        card["debounce"] = _settings(rule)
     return _write(model, out, adapted, card, keep_new=keep_new)
+
+
+def adapted_debounce(adapted: Adapted, recordings: Sequence[LabelledRecording]) -> Debounce | None:
+    """Tune the debounce of an adapted network on rest and strokes of the recordings that it was adapted to.
+
+    Returns:
+        None if rest and strokes are not clear: the settings of its parent remain.
+    """
+    if adapted.measure != AGREEMENT:
+        return None
+    strokes = [segmented(each.counts, each.fingertip.rate).stroke for each in recordings]
+    labels = [np.where(stroke, SLIP, STATIC).astype(np.int8) for stroke in strokes]
+    labelled = [replace(each, label=label) for each, label in zip(recordings, labels, strict=True)]
+    return tuned_on(labelled, adapted.tcn)
 
 
 def fine_tune_model(
@@ -155,7 +166,7 @@ def fine_tune_model(
     details = {"method": "train --from", "steps": steps, "seed": seed, "label_lag_s": lag}
     card = _card(model, tcn, tuned, details, [replace(each, split="train") for each in learned])
     card |= {"target": target, "data": [provenance(path, each) for path, each in by_dataset.items()]}
-    card["debounce"] = _debounce(tuned.tcn, learned)
+    card["debounce"] = _settings(tuned_on(learned, tuned.tcn))
     return _write(model, out, tuned, card, keep_new=keep_new)
 
 
@@ -204,8 +215,7 @@ def _card(
     }
 
 
-def _debounce(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> dict[str, Any]:
-    rule = tuned_on(recordings, tcn)
+def _settings(rule: Debounce) -> dict[str, Any]:
     return {name: getattr(rule, name) for name in _RULE}
 
 

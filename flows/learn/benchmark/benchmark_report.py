@@ -6,9 +6,10 @@ from typing import Any, Final
 
 from flows.learn.benchmark import benchmark_figures as drawn
 from flows.learn.benchmark.benchmark_study import Benchmark, DatasetResult, EntrantResult
-from flows.learn.benchmark.entrants import MEANING, MINUTES
+from flows.learn.benchmark.entrants import DEFAULT, MEANING, MINUTES, REGIMES
 from flows.learn.evaluation.figures_table import FIGURES_DECIMALS, FIGURES_HEAD, figures_cells
 from flows.learn.evaluation.intervals import DRAWS
+from flows.learn.evaluation.sample_metrics import percent
 from flows.learn.leaks.leak_section import leak_section
 from flows.report.report_page import Report, Section
 from flows.report.table import Table, Value, counted, show
@@ -109,9 +110,25 @@ def _folds(of: DatasetResult) -> Section:
         finding,
         f"Balanced accuracy, %, on each {of.data.by} held out, and their mean; a dash where slip or static "
         "is missing.",
-        [Table(["regime", "detector", *names, "mean"], rows)],
+        [Table(["regime", "detector", *names, "mean"], rows), *_gap(of)],
         terminal=False,
     )
+
+
+def _gap(of: DatasetResult) -> list[Table]:
+    """Return the share of the gap between zero-shot and in-domain that the default detector closes."""
+    found = {each.entrant.regime: each.by_fold for each in of.results if each.entrant.name == DEFAULT}
+    if not {"zero-shot", "in-domain"} <= found.keys():
+        return []
+    names = [fold.name for fold in of.data.folds]
+    low, high = found["zero-shot"], found["in-domain"]
+    rows: list[list[Value]] = [
+        [regime, *(percent(found[regime][name] - low[name], high[name] - low[name]) for name in names)]
+        for regime in REGIMES
+        if regime in found and regime not in {"zero-shot", "in-domain"}
+    ]
+    caption = f"gap between zero-shot and in-domain {DEFAULT} that is closed, %"
+    return [Table(["regime", *names], rows, caption, dict.fromkeys(names, 0))] if rows else []
 
 
 def _headline(of: DatasetResult) -> str:

@@ -3,13 +3,14 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from flows.learn.benchmark.entrants import MAJORITY, REGIMES, Course, Entrant, Regime, entrants
-from flows.learn.benchmark.folds import BenchmarkData, Fold, load_folds
+from flows.learn.benchmark.entrants import MAJORITY, REGIMES, SECONDS, Course, Entrant, Regime, entrants
+from flows.learn.benchmark.folds import BenchmarkData, Fold, load_folds, without_labels
 from flows.learn.evaluation.event_metrics import DECISION
 from flows.learn.evaluation.intervals import Figures, Judged, figures
 from flows.learn.evaluation.methods import SHIPPED, trained_methods
@@ -104,15 +105,7 @@ def benchmark(
         check_choice("benchmark", "method", name, sorted({each.name for each in every}))
     chosen = [each for each in every if not names or each.name in {*names, *given}]
     loaded = {name: load_folds(path, name) for name, path in datasets.items()}
-    units = {
-        name: [
-            _Unit(entrant, fold, draw, [data.recordings[place] for place in fold.test], course)
-            for entrant in chosen
-            for fold in data.folds
-            for draw in range(entrant.draws)
-        ]
-        for name, data in loaded.items()
-    }
+    units = {name: _units(data, chosen, course) for name, data in loaded.items()}
     costs = _Costs(sum(unit.entrant.cost for each in units.values() for unit in each), progress)
     results = list[DatasetResult]()
     for name, data in loaded.items():
@@ -135,6 +128,16 @@ class _Unit:
     draw: int
     test: Sequence[LabelledRecording]
     course: Course
+
+
+def _units(data: BenchmarkData, chosen: Sequence[Entrant], course: Course) -> list[_Unit]:
+    units = list[_Unit]()
+    for entrant, fold in product(chosen, data.folds):
+        for draw in range(entrant.draws):
+            own = without_labels(data, fold, SECONDS, draw) if entrant.regime == "adapted" else fold
+            test = [data.recordings[place] for place in own.test]
+            units.append(_Unit(entrant, own, draw, test, course))
+    return units
 
 
 _Found: TypeAlias = Sequence[Judged] | str  # answers on each recording, or the reason why there are none

@@ -8,30 +8,36 @@ from typing import Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
+from flows.learn.adaptation.adapted import adapt
+from flows.learn.adaptation.derived_model import adapted_debounce
+from flows.learn.adaptation.fine_tuning import fine_tune
 from flows.learn.benchmark.fold_training import trained_tcn
-from flows.learn.benchmark.folds import Fold, labelled_minutes
+from flows.learn.benchmark.folds import ADAPTED_DRAWS, Fold, labelled_minutes
 from flows.learn.evaluation.baselines import STROKES, GradientBoosting, Logistic
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.evaluation.evaluation_study import PAPER_RULE
-from flows.learn.evaluation.methods import Method
+from flows.learn.evaluation.methods import SHIPPED, Method
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.scoring import labels, windows
 from flows.learn.training.recipe import Recipe
 from operators import Debounce
 from operators.batch import Counts, Flags, Reals
-from operators.detectors import Detector, Psd
+from operators.detectors import Detector, Psd, Tcn
 from operators.errors import InputError
 
-Regime: TypeAlias = Literal["zero-shot", "few-shot", "in-domain"]
+Regime: TypeAlias = Literal["zero-shot", "adapted", "few-shot", "in-domain"]
 REGIMES: Final[tuple[Regime, ...]] = get_args(Regime)
 MEANING: Final[Mapping[Regime, str]] = {
     "zero-shot": "shipped or given detectors as they are: no fitting",
+    "adapted": "adapted to 30 s, without labels, of one of the judged recordings, which then does not count",
     "few-shot": "fitted to two labelled minutes of the other {parts}",
     "in-domain": "fitted to all recordings of the other {parts}",
 }
 MINUTES: Final = 2.0  # labelled, few-shot
+SECONDS: Final = 30.0  # without labels, adapted
 FEW_DRAWS: Final = 3  # of the labelled minutes
 MAJORITY: Final = "majority"
+DEFAULT: Final = "tcn"  # shipped detector that is adapted and trained further
 _HOP: Final = 2  # samples between the windows that baselines are fitted to
 
 
@@ -90,12 +96,26 @@ def entrants(methods: Sequence[Method], regimes: Collection[str]) -> list[Entran
         Entrant("few-shot", name, partial(_few, name), "fitted", draws=FEW_DRAWS, cost=3.0)
         for name in _FITTED
     ]
+    parents = [each for each in methods if isinstance(each.detector, Tcn) and _is_parent(each)]
+    few += [
+        Entrant("few-shot", each.name, partial(_tuned, each), "trained further", each, FEW_DRAWS, cost=50.0)
+        for each in parents
+    ]
+    adapted = [
+        Entrant("adapted", each.name, partial(_adapted, each), "adapted", each, ADAPTED_DRAWS, cost=10.0)
+        for each in parents
+    ]
     learned = [
         Entrant("in-domain", MAJORITY, _majority, "constant"),
         *(Entrant("in-domain", name, partial(_all, name), "fitted", cost=5.0) for name in _FITTED),
-        Entrant("in-domain", "tcn", _tcn, "trained", cost=120.0),
+        Entrant("in-domain", DEFAULT, _tcn, "trained", cost=120.0),
     ]
-    return [each for each in (*ready, *few, *learned) if each.regime in regimes]
+    return [each for each in (*ready, *adapted, *few, *learned) if each.regime in regimes]
+
+
+def _is_parent(method: Method) -> bool:
+    """Return True for the default detector and given models: the other shipped ones are for other tasks."""
+    return method.name == DEFAULT or method.origin != SHIPPED
 
 
 def _as_it_is(method: Method, _fold: Fold, _course: Course, _draw: int) -> Fitted:
@@ -108,8 +128,7 @@ def _majority(fold: Fold, _course: Course, _draw: int) -> Fitted:
 
 def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
     """Fit to labelled minutes; one fitted to two thirds of each piece tunes the debounce on the rest."""
-    seed = int(np.random.SeedSequence([course.seed, draw]).generate_state(1)[0])
-    found = labelled_minutes(fold, MINUTES, seed)
+    found = labelled_minutes(fold, MINUTES, _draw_seed(course, draw))
     detector = _fitted(name, found)
     first = [each.piece(slice(len(each) * 2 // 3)) for each in found]
     rest = [each.piece(slice(len(each) * 2 // 3, None)) for each in found]
@@ -117,6 +136,31 @@ def _few(name: str, fold: Fold, course: Course, draw: int) -> Fitted:
         return detector, tuned_on(rest, _fitted(name, first))
     except InputError:  # the pieces are too short
         return detector, PAPER_RULE
+
+
+def _adapted(method: Method, fold: Fold, _course: Course, _draw: int) -> Fitted:
+    """Adapt to the fold's recording without labels; keep the old network unless the new one is better."""
+    assert isinstance(method.detector, Tcn), "only these are adapted"
+    old = method.debounce or PAPER_RULE
+    try:
+        found = adapt(method.detector, fold.train)
+    except InputError:  # the recording is too short, or has no strokes
+        return method.detector, old
+    return (found.tcn, adapted_debounce(found, fold.train) or old) if found.better else (method.detector, old)
+
+
+def _tuned(method: Method, fold: Fold, course: Course, draw: int) -> Fitted:
+    """Train further on labelled minutes; keep the old network unless the new one is better."""
+    assert isinstance(method.detector, Tcn), "only these are trained further"
+    recordings = labelled_minutes(fold, MINUTES, _draw_seed(course, draw))
+    found = fine_tune(method.detector, recordings, seed=course.seed)
+    if not found.better:
+        return method.detector, method.debounce or PAPER_RULE
+    return found.tcn, tuned_on(recordings, found.tcn)
+
+
+def _draw_seed(course: Course, draw: int) -> int:
+    return int(np.random.SeedSequence([course.seed, draw]).generate_state(1)[0])
 
 
 def _all(name: str, fold: Fold, _course: Course, _draw: int) -> Fitted:

@@ -7,13 +7,17 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
+from flows.learn.adaptation.adapted import Adapted
+from flows.learn.adaptation.alignment import Alignment
+from flows.learn.benchmark import entrants
 from flows.learn.benchmark.benchmark_report import benchmark_report
 from flows.learn.benchmark.benchmark_study import Benchmark, EntrantResult, benchmark
-from flows.learn.benchmark.entrants import Course
+from flows.learn.benchmark.entrants import Course, Regime
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.leaks.leak import SEEN, seen_recordings
 from flows.learn.training import dense_training
 from flows.learn.training.recipe import Recipe
+from operators.detectors import Tcn
 from operators.errors import ParameterError
 from operators.fingertip import Fingertip, grid
 from storage import load_weights, save_weights
@@ -154,6 +158,54 @@ def test_a_model_that_saw_a_judged_recording_is_named_and_not_the_best(
     report = benchmark_report(found, "slipflow benchmark strokes")
     assert leak.finding in report.markdown("benchmark")
     assert leak.json() in report.json()["datasets"]["strokes"]["leaks"]
+
+
+def test_adaptation_sees_no_labels_and_keeps_the_old_detector_unless_it_is_better(
+    surfaces: list[LabelledRecording],
+    having: Having,
+    course: Course,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen: list[LabelledRecording] = []
+
+    def adapt(tcn: Tcn, recordings: Sequence[LabelledRecording]) -> Adapted:
+        seen.extend(recordings)
+        return Adapted(tcn, Alignment(), 60.0, 59.0, "agreement")
+
+    monkeypatch.setattr(entrants, "adapt", adapt)
+    data = {"strokes": having(surfaces)}
+    found = benchmark(data, course, regimes=["zero-shot", "adapted"], names=["tcn"], jobs=1)
+    assert len(seen) == 9
+    assert {int(code) for each in seen for code in each.label} == {-1}
+    before, after = of(found, "zero-shot tcn").figures, of(found, "adapted tcn").figures
+    assert after.balanced.value == pytest.approx(before.balanced.value, abs=1e-9)  # each is judged twice
+
+
+def test_a_recording_that_cannot_be_adapted_to_leaves_the_old_detector(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    data = {"strokes": having(surfaces)}  # 7 s are too short
+    found = benchmark(data, course, regimes=["adapted"], names=["tcn"], jobs=1)
+    assert found.datasets[0].missing == {}
+    assert of(found, "adapted tcn").figures.balanced.value > 50
+
+
+def test_the_page_gives_the_share_of_the_gap_that_adaptation_closes(
+    surfaces: list[LabelledRecording], having: Having, course: Course
+) -> None:
+    found = benchmark({"strokes": having(surfaces)}, course, regimes=["zero-shot"], names=["tcn"], jobs=1)
+    [dataset] = found.datasets
+    zero = dataset.results[0]
+    by_regime: list[tuple[Regime, float]] = [("zero-shot", 60.0), ("adapted", 75.0), ("in-domain", 90.0)]
+    results = tuple(
+        replace(
+            zero, entrant=replace(zero.entrant, regime=regime), by_fold=dict.fromkeys(zero.by_fold, value)
+        )
+        for regime, value in by_regime
+    )
+    report = benchmark_report(replace(found, datasets=(replace(dataset, results=results),)), "x")
+    [section] = [each for each in report.sections if each.name == "strokes-folds"]
+    assert section.tables[1].rows == [["adapted", 50.0, 50.0, 50.0]]
 
 
 def test_the_page_has_every_figure_and_its_interval(
