@@ -26,7 +26,7 @@ def benchmark_report(of: Benchmark, command: str) -> Report:
         + " Far: balanced accuracy 100 ms or more from any change of the label, which may lag the touch."
         f" Intervals are 95 % over recordings ({DRAWS} draws with replacement). Decisions are at "
         "probability 0.5; events follow the debounce of the model card, or one tuned on recordings of the "
-        "other folds that the detector was not fitted to (0.5 / 2 / 2 where there are none)."
+        "other folds, which the detector was not fitted to where enough have slip."
         + "".join(
             f" Leak in {each.data.name}: {leak.finding}." for each in of.datasets for leak in each.leaks
         )

@@ -167,7 +167,7 @@ def _all(name: str, fold: Fold, _course: Course, _draw: int) -> Fitted:
     """Fit to the recordings that the network is fitted to; its validation recordings tune the debounce."""
     fit, validation = fold.parts()
     detector = _fitted(name, fit)
-    return detector, tuned_on(validation, detector) if validation else PAPER_RULE
+    return detector, tuned_on(validation, detector)
 
 
 def _tcn(fold: Fold, course: Course, _draw: int) -> Fitted:

@@ -32,17 +32,16 @@ class Fold:
     def parts(self) -> tuple[list[LabelledRecording], list[LabelledRecording]]:
         """Return the training recordings to fit to, and those that choose a checkpoint and a debounce.
 
-        Of those with slip and of those without, every fifth validates. If fewer than two have slip, all
-        are to be fitted to.
+        Of those with slip and of those without, every fifth validates. If fewer than five have slip, all do
+        both, as none can be spared.
         """
         fit, validation = list[LabelledRecording](), list[LabelledRecording]()
         for with_slip in (True, False):
             alike = [each for each in self.train if bool(each.slip.any()) is with_slip]
-            if with_slip and len(alike) < 2:  # noqa: PLR2004 - one for each part
-                return list(self.train), []
-            places = {*range(_TURN // 2, len(alike), _TURN)} or ({0} if with_slip else set[int]())
+            if with_slip and len(alike) < _TURN:
+                return list(self.train), list(self.train)
             for place, each in enumerate(alike):
-                (validation if place in places else fit).append(each)
+                (validation if place % _TURN == _TURN // 2 else fit).append(each)
         return fit, validation
 
 

@@ -66,15 +66,15 @@ def test_datasets_without_slip_static_or_a_second_recording_are_refused(
         load_folds(having([surfaces[0], other]))
 
 
-def test_every_fifth_recording_validates_and_both_parts_have_slip(surfaces: list[LabelledRecording]) -> None:
+def test_every_fifth_recording_validates(surfaces: list[LabelledRecording]) -> None:
     fit, validation = Fold("x", tuple(surfaces), ()).parts()
     assert len(fit) == 7
     assert [each.name for each in validation] == [surfaces[2].name, surfaces[7].name]
-    few = (*surfaces[:2], *map(still, surfaces[2:6]))
-    fit, validation = Fold("x", few, ()).parts()
-    for part in (fit, validation):
-        assert sum(bool(each.slip.any()) for each in part) == 1
-    assert Fold("x", (surfaces[0], still(surfaces[1])), ()).parts()[1] == []
+
+
+def test_if_few_recordings_have_slip_none_is_spared(surfaces: list[LabelledRecording]) -> None:
+    few = [*surfaces[:4], *map(still, surfaces[4:])]
+    assert Fold("x", tuple(few), ()).parts() == (few, few)
 
 
 def test_labelled_minutes_are_drawn_from_the_other_folds(surfaces: list[LabelledRecording]) -> None:
