@@ -66,8 +66,7 @@ def benchmark(
     from flows.learn.benchmark.benchmark_report import benchmark_report
     from flows.learn.benchmark.benchmark_study import benchmark as run_benchmark
     from flows.learn.benchmark.entrants import REGIMES, Course
-    from flows.learn.benchmark.fold_training import AUGMENTATION
-    from flows.learn.training.recipe import Recipe
+    from flows.learn.training.recipe import REAL_TOUCH, Recipe
 
     datasets = _datasets(recipes or [], to)
     prepare_report(out)
@@ -87,7 +86,7 @@ def benchmark(
 
         found = run_benchmark(
             datasets,
-            Course(Recipe(steps=steps, seed=seed, augmentation=AUGMENTATION), out / "models", seed),
+            Course(Recipe(steps=steps, seed=seed, augmentation=REAL_TOUCH), out / "models", seed),
             regimes=regimes,
             models=models,
             names=names,

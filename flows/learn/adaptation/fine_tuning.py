@@ -9,7 +9,7 @@ from flows.learn.adaptation.adapted import Adapted
 from flows.learn.adaptation.alignment import aligned, best_alignment
 from flows.learn.labelled_recordings import LabelledRecording, common_fingertip
 from flows.learn.train_extra import require_train_extra
-from flows.learn.training.recipe import Augmentation, Recipe
+from flows.learn.training.recipe import REAL_TOUCH, Recipe
 from flows.learn.training.trained_model import label_scores
 from operators.batch import SLIP, STATIC
 from operators.detectors import Tcn
@@ -18,7 +18,6 @@ from operators.errors import InputError
 STEPS: Final = 300
 _HELD_OUT: Final = 0.3  # of each recording, if no recording is held out
 _CROP: Final = 500  # evaluated samples of a crop
-_AUGMENTATION: Final = Augmentation(load_amplitude=5.0, noise=0.3, noise_range=(0.3, 3.0), dead=0.1)
 
 
 def fine_tune(
@@ -92,5 +91,5 @@ def _recipe(tcn: Tcn, steps: int, seed: int) -> Recipe:
         rate=2e-3,
         checks=1,
         seed=seed,
-        augmentation=_AUGMENTATION,
+        augmentation=REAL_TOUCH,
     )

@@ -10,7 +10,7 @@ from flows.learn.benchmark.folds import Fold
 from flows.learn.evaluation.debounce_tuning import tuned_on
 from flows.learn.labelled_recordings import LabelledRecording
 from flows.learn.leaks.leak import SEEN, seen_recordings
-from flows.learn.training.recipe import Augmentation, Recipe
+from flows.learn.training.recipe import Recipe
 from flows.learn.training.trained_model import unchanged, write_model
 from operators import Debounce
 from operators.detectors import Detector, Tcn
@@ -22,10 +22,6 @@ from storage.files import hash_json
 if TYPE_CHECKING:
     from flows.learn.training.training_loop import Progress
 
-# touch of other surfaces is weaker or stronger, so gains vary widely; real recordings have noise of their own
-AUGMENTATION: Final = Augmentation(
-    gain=0.8, gain_spread=0.6, load_amplitude=5.0, noise=0.3, noise_range=(0.3, 3.0), dead=0.1
-)
 _NAME: Final = 16  # hex digits in the name of a model
 
 

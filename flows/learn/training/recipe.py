@@ -28,6 +28,12 @@ class Augmentation:
     dead: float = 0.25  # probability that one or two cells, equally often, read 0
 
 
+# for real recordings, which have noise of their own; touch of other surfaces is much weaker or stronger
+REAL_TOUCH: Final = Augmentation(
+    gain=0.8, gain_spread=0.6, load_amplitude=5.0, noise=0.3, noise_range=(0.3, 3.0), dead=0.1
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Recipe:
     """Size of the network and course of its training.
