@@ -48,7 +48,7 @@ def benchmark(
     out: ReportFolder = Path("benchmark"),
     as_json: AsJson = False,
 ) -> None:
-    """Evaluate every detector on real recordings of surfaces or objects that it never saw.
+    """Evaluate detectors on real recordings of unseen surfaces.
 
     Holds out one surface or object (`group` of the sessions) after the other; one recording if a dataset has
     fewer than two. zero-shot: detectors as they are. adapted: to 30 s without labels of what is judged.

@@ -1,6 +1,6 @@
 """Temporal convolutional network (TCN), the default detector; streaming and windowed inference agree."""
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from operators.detectors.tcn_stream import TcnStream
 
 _MAX_DILATION: Final = 1000  # samples, largest plausible dilation
+_DENSE: Final = ("dense0", "dense1", "out")  # names of the dense layers
 
 
 class Tcn(ForOneFingertip):
@@ -32,7 +33,6 @@ class Tcn(ForOneFingertip):
             ``step_scale`` (1,) in counts. Batch norm is folded in. `shapes` lists them.
 
     Attributes:
-        weights: The weights as given.
         cells: Number of cells.
 
     Raises:
@@ -43,7 +43,6 @@ class Tcn(ForOneFingertip):
 
     def __init__(self, weights: Weights) -> None:
         _check(weights)
-        self.weights = weights
         self.layers = _layers(weights)
         self.cells = self.layers[0].kernel.shape[1] // 2
         self.position_scale = np.float32(weights["position_scale"][0])
@@ -56,6 +55,21 @@ class Tcn(ForOneFingertip):
             self._taps.insert(0, steps.searchsorted(seen))
         self._steps = steps  # (steps,) at most 0: samples whose features are required
         self.length = 2 - int(steps[0])  # the oldest step needs the sample before it
+
+    @property
+    def weights(self) -> Weights:
+        """Weights, as the constructor takes them."""
+        convs = self.layers[: -len(_DENSE)]
+        arrays: dict[str, NDArray[Any]] = {
+            "dilations": np.array([layer.dilation for layer in convs[::2]], np.int64),
+            "position_scale": np.array([self.position_scale]),
+            "step_scale": np.array([self.step_scale]),
+        }
+        names = [*(f"conv{number}" for number in range(len(convs))), *_DENSE]
+        for name, layer in zip(names, self.layers, strict=True):
+            arrays[f"{name}/kernel"] = layer.kernel[0] if name in _DENSE else layer.kernel
+            arrays[f"{name}/bias"] = layer.bias
+        return arrays
 
     def score(self, windows: Counts | Reals) -> Reals:
         """Return the probability of slip of each window (n, length, cells) of zeroed counts; (n,)."""
@@ -102,8 +116,7 @@ def _layers(weights: Weights) -> list[CausalLayer]:
         skip = kernel.shape[1] == kernel.shape[2]
         layers.append(CausalLayer(kernel, array(f"{first}/bias"), dilation))
         layers.append(CausalLayer(array(f"{second}/kernel"), array(f"{second}/bias"), dilation, skip))
-    dense = ("dense0", "dense1", "out")
-    return [*layers, *(CausalLayer(array(f"{name}/kernel")[None], array(f"{name}/bias")) for name in dense)]
+    return [*layers, *(CausalLayer(array(f"{name}/kernel")[None], array(f"{name}/bias")) for name in _DENSE)]
 
 
 def shapes(
